@@ -135,7 +135,7 @@ def per_task(data: Path) -> None:
         for part in block:
             part.checksum()
     checksums = (time.process_time() - start) / source.count
-    tasks = [FleetTask("key", rig, Treatment(), block) for block in blocks]
+    tasks = [FleetTask(k, rig, Treatment(), block) for k, block in enumerate(blocks)]
     identify_block(tasks[0])
     start = time.process_time()
     for task in tasks[1:]:
@@ -148,7 +148,7 @@ def per_task(data: Path) -> None:
     for _ in range(20):
         pickle.loads(pickle.dumps(task))
         pickle.loads(pickle.dumps(result))
-    packing = (time.process_time() - start) / 20 / len(result.columns["name"])
+    packing = (time.process_time() - start) / 20 / len(result["name"])
     share = names + checksums + packing
     print(
         f"a task of 1,000 rigs: {working * 1e6:.0f} ms of a worker, {there / 1e3:.0f} kB there, "

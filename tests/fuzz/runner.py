@@ -27,7 +27,7 @@ from dashpot.errors import DashpotError
 from dashpot.estimate.result import Estimate
 from dashpot.io.atomic import PART
 from dashpot.model.rigfile import default_channels, parse_rig, read_rig
-from dashpot.study.grid import scenarios
+from dashpot.study.scenario import scenarios
 from dashpot.study.studyfile import read_study
 from tests.fuzz import corpus
 from tests.fuzz.cases import Case

@@ -13,7 +13,7 @@ import pytest
 from dashpot.reproduce.yamane1989.rig import paper_prints, tables_study
 from dashpot.reproduce.yamane1989.tables import rms_spread
 from dashpot.study import montecarlo
-from dashpot.study.grid import scenarios
+from dashpot.study.scenario import scenarios
 
 DRAWS = 4000
 SEED = 2

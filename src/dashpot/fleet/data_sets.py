@@ -17,9 +17,7 @@ from dashpot.data.readers import Reading
 from dashpot.data.readers.manifest import files_fitting, is_pattern
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
-from dashpot.estimate.automatic import suited_method
 from dashpot.estimate.identify import amplitudes_for
-from dashpot.estimate.method import Method
 from dashpot.estimate.registry import method_class
 from dashpot.io.ledger import noted
 from dashpot.model.rigfile import Rig
@@ -29,20 +27,17 @@ from dashpot.model.rigfile import Rig
 
 @dataclass(frozen=True)
 class Treatment:
-    """How every data set of a fleet is treated: method (None: the one that suits), conditioning of time records."""
+    """How every data set of a fleet is treated: its method, conditioning of time records.
+
+    method  None is what `identify` does by itself: the method that suits, and a search from many starts where that may
+            have ended in another minimum.  One that is named takes all data sets that are alike as one batch.
+    """
 
     method: str | None = None
     conditioning: Conditioning = field(default_factory=Conditioning)
     frequency_hz: float | None = None
     positive: bool = False
     seed: int = 0
-
-    def chosen(self, rig: Rig, spectrum: Spectrum) -> Method:
-        """The method that one data set is identified by.
-
-        Raises UsageError where there is no such method, DataError where a channel measures what the rig has not.
-        """
-        return suited_method(self.method, rig.model, spectrum, seed=self.seed, positive=self.positive)
 
     def spectrum(self, rig: Rig, reading: Reading) -> Spectrum:
         """The amplitudes of a data set; what its manifest says of conditioning counts first.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +34,7 @@ from dashpot.io.words import counted
 from dashpot.model.network import Model
 from dashpot.model.rigfile import Rig
 from dashpot.notices import Notice
+from dashpot.study.blocks import Map
 
 # Estimates of one rig from data apart, merged: as if all data had been identified at once.
 #
@@ -312,7 +313,7 @@ def identify_in_parts(
     paths: Sequence[str],
     treatment: Treatment,
     *,
-    mapper: Callable[[Callable[[FileTask], FileParts], Iterable[FileTask]], Iterable[FileParts]] = map,
+    mapper: Map = map,
     progress: Callable[[int, int], None] | None = None,
 ) -> Estimate:
     """Identify every file by itself, by any `mapper`, and merge what they say; parts without an answer are named.

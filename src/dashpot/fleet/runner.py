@@ -6,86 +6,81 @@ names the block's file, so that no block is ever taken for another, and data tha
 
 from __future__ import annotations
 
-import json
 import platform
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Bools, Ints, Real
-from dashpot.data.spectrum import Spectrum
+from dashpot.arrays import Ints, Real
 from dashpot.errors import DashpotError, UsageError
-from dashpot.estimate.identify import identify
+from dashpot.estimate.automatic import identify_each
 from dashpot.estimate.result import Estimate
 from dashpot.fleet.data_sets import BlockPart, Source, Treatment
 from dashpot.fleet.pooling import LEVEL, Population, Usual, pooled, survey
 from dashpot.fleet.tables import Cut, PartReader, alike_cuts, stacked_cuts
-from dashpot.io.atomic import locked, remove_parts
 from dashpot.model.observation import calibration_names, observation_model
 from dashpot.model.rigfile import Rig
 from dashpot.numerics.kernel import description
-from dashpot.study.store import (
-    METADATA,
-    digest_of_columns,
-    fields_of,
-    fingerprint_of,
-    read_table,
-    write_table,
-)
+from dashpot.study.blocks import BlockStore, Columns, Key, Map, fields_of, fingerprint_of, opened_store
 
-# What a worker does with a block of data sets: read each, identify those alike as one batch, one row for
-# each.
+# What a worker does with a block of data sets: read each, identify those alike as one batch, one row for each.
 
 
-Columns = dict[str, np.ndarray]
 WIDE = ("value", "sd", "lower", "upper")  # one column each for every unknown
-PLAIN = ("name", "source", "status", "reason", "lines", "iterations", "chi2", "dof", "p")
 
 
 @dataclass(frozen=True)
 class FleetTask:
-    """Some data sets of one rig; `key` names the block."""
+    """Some data sets of one rig; `number` is the block's in the fleet."""
 
-    key: str
+    number: int
     rig: Rig
     treatment: Treatment
     parts: tuple[BlockPart, ...]
 
 
-@dataclass(frozen=True)
-class FleetBlock:
-    """The rows of a block, by column."""
+def identify_block(task: FleetTask) -> Columns:
+    """A row for each data set: name, source, status …, and NAME:value, NAME:sd … of every unknown.
 
-    key: str
-    columns: Columns
-
-
-def identify_block(task: FleetTask) -> FleetBlock:
-    """Identify a block.  A function of the module, so that any process can be sent it.
-
-    What is wrong with a data set stands in its row.  Raises DataError where a table cannot be read, or has changed.
+    A function of the module, so that any process can be sent it.  What is wrong with a data set stands in its row.
+    Raises DataError where a table cannot be read, or has changed.
     """
-    columns = _empty(estimated_names(task.rig), task.parts)
+    names = [name for part in task.parts for name in part.names]
+    sources = [source for part in task.parts for source in part.sources]
+    columns: Columns = {"name": np.array(names, dtype=object), "source": np.array(sources, dtype=object)}
+    columns |= {
+        name: np.full(len(names), text, object) for name, text in (("status", "failed"), ("reason", ""))
+    }
+    columns |= {name: np.zeros(len(names), dtype=np.int64) for name in ("lines", "iterations")}
+    unknowns = [f"{name}:{kind}" for name in estimated_names(task.rig) for kind in WIDE]
+    columns |= {name: np.full(len(names), np.nan) for name in ("chi2", "dof", "p", *unknowns)}
+
+    def failed(first: int, k: int, error: Exception) -> None:
+        columns["reason"][first + k] = reason_of(error, sources[first + k])
+
     cuts: dict[int, Cut] = {}
     first = 0
     for part in task.parts:
-
-        def failed(k: int, error: Exception, first: int = first) -> None:
-            columns["reason"][first + k] = reason_of(error, columns["source"][first + k])
-
-        read = PartReader(task.rig, task.treatment, failed).cuts(part.loaded())
+        read = PartReader(task.rig, task.treatment, partial(failed, first)).cuts(part.loaded())
         cuts |= {first + k: cut for k, cut in read.items()}
         first += len(part.names)
-    for k, cut in cuts.items():
-        columns["lines"][k] = cut.end - cut.first
-    for places in alike_cuts(cuts):
-        for k in _together(task, places, [cuts[k] for k in places], columns):
-            _alone(task, k, cuts[k].spectrum(), columns)
-    return FleetBlock(task.key, columns)
+    how: Any = {"seed": task.treatment.seed, "positive": task.treatment.positive}
+    for alike in alike_cuts(cuts):
+        places = np.array(alike)
+        columns["lines"][places] = cuts[alike[0]].end - cuts[alike[0]].first
+        spectrum = stacked_cuts([cuts[k] for k in alike])
+        for some, estimate in identify_each(task.rig.model, spectrum, task.treatment.method, **how):
+            if isinstance(estimate, Estimate):
+                _enter(columns, places[some], estimate, some)
+            else:
+                failed(0, alike[some[0]], estimate)
+    return columns
 
 
 def reason_of(error: Exception, source: str) -> str:
@@ -102,72 +97,27 @@ def estimated_names(rig: Rig) -> tuple[str, ...]:
     return (*rig.model.unknown_names, *calibration_names(rig.channels))
 
 
-# Batches
-
-
-def _together(task: FleetTask, places: Sequence[int], cuts: Sequence[Cut], columns: Columns) -> list[int]:
-    """Enter the estimates of data sets that are alike; the places of those that need a look at them alone."""
-    if len(cuts) == 1:
-        return list(places)
-    try:
-        method = task.treatment.chosen(task.rig, cuts[0].spectrum())
-        batch = identify(task.rig.model, stacked_cuts(cuts), method)
-    except Exception:  # each is tried alone, and says itself what is wrong with it
-        return list(places)
-    usable = batch.converged & np.all(np.isfinite(batch.sd), axis=-1)
-    _enter(columns, np.asarray(places), batch, usable)
-    return [k for k, good in zip(places, usable, strict=True) if not good]
-
-
-def _alone(task: FleetTask, k: int, spectrum: Spectrum, columns: Columns) -> None:
-    try:
-        estimate = identify(task.rig.model, spectrum, task.treatment.chosen(task.rig, spectrum))
-    except Exception as error:
-        columns["reason"][k] = reason_of(error, columns["source"][k])
-    else:
-        _enter(columns, np.array([k]), estimate, np.array([True]))
-
-
-# Rows as columns
-
-
-def _empty(names: Sequence[str], parts: Sequence[BlockPart]) -> Columns:
-    """A row for each data set, failed so far: what PLAIN names, then NAME:value, NAME:sd … of every unknown."""
-    count = sum(len(part.names) for part in parts)
-    columns: Columns = {
-        "name": np.array([name for part in parts for name in part.names], dtype=object),
-        "source": np.array([source for part in parts for source in part.sources], dtype=object),
-        "status": np.array(["failed"] * count, dtype=object),
-        "reason": np.array([""] * count, dtype=object),
-        "lines": np.zeros(count, dtype=np.int64),
-        "iterations": np.zeros(count, dtype=np.int64),
-    }
-    columns |= {name: np.full(count, np.nan) for name in ("chi2", "dof", "p")}
-    return columns | {f"{name}:{key}": np.full(count, np.nan) for name in names for key in WIDE}
-
-
-def _enter(columns: Columns, places: Ints, estimate: Estimate, usable: Bools) -> None:
-    """Write the usable estimates of a batch (or a single one) into their rows."""
-    rows = places[usable]
-    converged = np.atleast_1d(estimate.converged)[usable]
+def _enter(columns: Columns, rows: Ints, estimate: Estimate, some: Ints) -> None:
+    """Write some estimates of a batch, or a single one, into their rows."""
+    if estimate.values.ndim == 1:
+        some = np.zeros(1, dtype=np.int64)
+    converged, iterations, chi2, p = (
+        np.atleast_1d(each)[some]
+        for each in (estimate.converged, estimate.iterations, estimate.fit.chi2, estimate.fit.p)
+    )
     columns["status"][rows] = np.where(converged, "converged", "not converged")
-    columns["iterations"][rows] = np.atleast_1d(estimate.iterations)[usable]
-    columns["chi2"][rows] = np.atleast_1d(estimate.fit.chi2)[usable]
-    columns["p"][rows] = np.atleast_1d(estimate.fit.p)[usable]
-    columns["dof"][rows] = estimate.fit.dof
+    columns["iterations"][rows], columns["dof"][rows] = iterations, estimate.fit.dof
+    columns["chi2"][rows], columns["p"][rows] = chi2, p
     wide = (estimate.values, estimate.sd, *estimate.interval())
-    for key, numbers in zip(WIDE, wide, strict=True):
-        of_rows = np.atleast_2d(numbers)[usable]
-        for j, name in enumerate(estimate.names):
-            columns[f"{name}:{key}"][rows] = of_rows[:, j]
+    for kind, numbers in zip(WIDE, wide, strict=True):
+        for name, column in zip(estimate.names, np.atleast_2d(numbers)[some].T, strict=True):
+            columns[f"{name}:{kind}"][rows] = column
 
 
-FORMAT = 2
+FORMAT = 3
 # Data sets up to which blocks have that size, which is part of what the last bits depend on.
 SIZES = ((20, 1), (500, 10), (50_000, 100))
 LARGEST = 1000  # data sets in a block of the largest fleets
-
-Map = Callable[[Callable[[FleetTask], FleetBlock], Iterable[FleetTask]], Iterable[FleetBlock]]
 
 
 @dataclass(frozen=True)
@@ -264,15 +214,32 @@ def run_fleet(
     where the folder cannot be used or holds something else, DataError where a table of data sets is damaged.
     """
     rig.model.require_unknowns()
-    settings = Treatment() if treatment is None else treatment
-    if folder is None:
-        blocks, kept = _run(rig, source, settings, None, mapper, progress)
-    else:
-        _make(folder)
-        with locked(folder):
-            remove_parts(folder)
-            blocks, kept = _run(rig, source, settings, folder, mapper, progress)
-    return outcome_of(rig, blocks, pool, kept)
+    how = Treatment() if treatment is None else treatment
+    model = {name: value for name, value in fields_of(rig.model) if name != "name"}
+    basis = fingerprint_of(((model, rig.channels), how, estimated_names(rig), machine(), FORMAT))
+
+    def key(task: FleetTask) -> Key:
+        name = fingerprint_of((basis, [part.checksum() for part in task.parts]))[:32]
+        return Key(name, {"key": name})
+
+    blocks: dict[int, Columns] = {}
+    done = kept = 0
+    if progress is not None:
+        progress(0, source.count)
+    with nullcontext(BlockStore()) if folder is None else _opened(folder) as store:
+        parts = enumerate(source.blocks(block_size(source.count)))
+        work = (FleetTask(number, rig, how, each) for number, each in parts)
+        for block in store.map(identify_block, work, key=key, mapper=mapper):
+            blocks[block.task.number] = block.columns
+            done += len(block.columns["name"])
+            kept += len(block.columns["name"]) if block.kept else 0
+            if progress is not None:
+                progress(done, source.count)
+    return outcome_of(rig, [blocks[number] for number in sorted(blocks)], pool, kept)
+
+
+def _opened(folder: Path) -> AbstractContextManager[BlockStore]:
+    return opened_store(folder, lambda path: path.suffix == ".parquet", "name another file for the result")
 
 
 def outcome_of(rig: Rig, blocks: Sequence[Columns], pool: bool, kept: int = 0) -> FleetOutcome:
@@ -311,81 +278,6 @@ def machine() -> str:
     return " ".join(parts)
 
 
-# Blocks
-
-
 def block_size(count: int) -> int:
     """Data sets in a block: few in small fleets, so that there is work for several processes."""
     return next((size for most, size in SIZES if count <= most), LARGEST)
-
-
-def _run(
-    rig: Rig, source: Source, treatment: Treatment, folder: Path | None, mapper: Map,
-    progress: Callable[[int, int], None] | None,
-) -> tuple[list[Columns], int]:  # fmt: skip
-    """All blocks in order, and how many data sets were there already."""
-    order: list[str] = []
-    finished: dict[str, Columns] = {}
-    kept = 0
-    model = {name: value for name, value in fields_of(rig.model) if name != "name"}
-    basis = fingerprint_of(((model, rig.channels), treatment, estimated_names(rig), machine(), FORMAT))
-
-    def work() -> Iterator[FleetTask]:
-        nonlocal kept
-        for parts in source.blocks(block_size(source.count)):
-            key = fingerprint_of((basis, [part.checksum() for part in parts]))[:32]
-            order.append(key)
-            whole = None if folder is None else _read(folder, key, estimated_names(rig))
-            if whole is None:
-                yield FleetTask(key, rig, treatment, parts)
-                continue
-            finished[key] = whole
-            kept += len(whole["name"])
-
-    def tell() -> None:
-        if progress is not None:
-            progress(sum(len(block["name"]) for block in finished.values()), source.count)
-
-    tell()
-    for block in mapper(identify_block, work()):
-        if folder is not None:
-            label = {"key": block.key, "sha256": digest_of_columns(block.columns)}
-            write_table(folder / f"{block.key}.parquet", block.columns, json.dumps(label).encode())
-        finished[block.key] = block.columns
-        tell()
-    return [finished[key] for key in order], kept
-
-
-def _read(folder: Path, key: str, names: Sequence[str]) -> Columns | None:
-    """The columns of a block; None where it is absent, damaged or another's."""
-    try:
-        columns, metadata = read_table(folder / f"{key}.parquet")
-        label: Mapping[str, Any] = json.loads(metadata[METADATA])
-        if label["key"] != key or label["sha256"] != digest_of_columns(columns):
-            return None
-        if any(f"{name}:{kind}" not in columns for name in names for kind in WIDE):
-            return None
-    except Exception:  # damage may show anywhere between the file's first byte and the last key
-        return None
-    return columns
-
-
-def _make(folder: Path) -> None:
-    """Make the folder, or see that nothing else lies in it.  Raises UsageError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        foreign = [
-            path for path in folder.iterdir() if path.suffix != ".parquet" and not path.name.startswith(".")
-        ]
-    except OSError as error:
-        raise UsageError(
-            f"the folder cannot be used ({error.strerror or error})",
-            str(folder),
-            "name another file for the result",
-        ) from None
-    if foreign:
-        raise UsageError(
-            f"the folder for finished blocks holds {foreign[0].name}",
-            str(folder),
-            "name another file for the result",
-        )

@@ -1,18 +1,19 @@
-"""A scenario: one point of a study."""
+"""A scenario is one point of a study: a rig, a test, its noise and who identifies it; a study is grids of them."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from dashpot.arrays import Real, freeze
+from dashpot.arrays import Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.transients import lines_of_dwells, unsettled_dwells
@@ -20,18 +21,24 @@ from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.registry import method_class
+from dashpot.io.words import listed
 from dashpot.model.network import Model
+from dashpot.model.observation import with_relative_noise
+from dashpot.study.blocks import fields_of, fingerprint_of
 from dashpot.study.simulate import (
     Dwells,
     NoiseBasis,
     SettledMotion,
     clean_spectrum,
+    dwells,
     settled_motion,
     settled_spectrum,
     simulate_spectrum,
+    with_constant_noise,
     with_noise_drawn,
 )
-from dashpot.study.store import fields_of, fingerprint_of
+
+AUTO = "auto"  # among the methods: what `identify` does where no method is named
 
 
 @dataclass(frozen=True)
@@ -62,14 +69,9 @@ class Scenario:
         object.__setattr__(self, "channels", tuple(self.channels))
         object.__setattr__(self, "methods", tuple(self.methods))
 
-    def __getstate__(self) -> dict[str, object]:
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return values | {"factors": dict(self.factors)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "factors", MappingProxyType(dict(self.factors)))
+    def __reduce__(self) -> tuple[Any, ...]:
+        rest = [getattr(self, name) for name in self.__dataclass_fields__ if name != "factors"]
+        return Scenario, (dict(self.factors), *rest)  # a view of a dictionary cannot be sent
 
     @cached_property
     def name(self) -> str:
@@ -127,12 +129,10 @@ class Scenario:
         """
         if self.transients:
             return with_noise_drawn(self._unsettled, rng, draws)
-        moments = any(method_class(name).traits.moments for name in self.methods)
         if not len(self.model.nonlinear):
-            return simulate_spectrum(
-                self.model, self.p, self.channels, self.test, rng,
-                draws=draws, noise=self.noise, moments=moments, drift=self.drift,
-            )  # fmt: skip
+            moments = any(method_class(name).traits.moments for name in self.methods if name != AUTO)
+            how: Any = {"noise": self.noise, "moments": moments, "drift": self.drift}
+            return simulate_spectrum(self.model, self.p, self.channels, self.test, rng, draws=draws, **how)
         if self.noise != "given":
             raise UsageError(
                 "studies of nonlinear rigs need the noise to be given", cure='write covariance = "given"'
@@ -148,11 +148,197 @@ class Scenario:
                 cure='write covariance = "given" and no drift, or leave transients out',
             )
         test = self.test
+        drive = np.concatenate([test.U, test.f], axis=-1)
+        samples, steps = test.samples.tolist(), (test.periods / test.frequency_hz / test.samples).tolist()
         records = unsettled_dwells(
-            self.model, self.p, self.channels, test.frequency_hz, np.concatenate([test.U, test.f], axis=-1),
-            test.samples.tolist(), (test.periods / test.frequency_hz / test.samples).tolist(),
-        )  # fmt: skip
+            self.model, self.p, self.channels, test.frequency_hz, drive, samples, steps
+        )
         return lines_of_dwells(records, self.channels, joined=False)
 
     def _settled(self) -> SettledMotion:
         return settled_motion(self.model, self.theta, self.channels, self.test)
+
+
+# What a study varies, spread out into scenarios.
+
+
+NoiseKind = Literal["relative", "constant", "channels"]
+ALL = "all"  # the unknowns as the rig has them
+
+
+@dataclass(frozen=True)
+class TrueRig:
+    """A rig to simulate: its model, what its unknowns truly are, and its channels."""
+
+    model: Model
+    values: Mapping[str, float]
+    channels: tuple[Channel, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+        object.__setattr__(self, "channels", tuple(self.channels))
+
+
+@dataclass(frozen=True)
+class ScenarioGrid:
+    """Every combination of the entries; names refer to the tables of the Study.
+
+    noise       levels, as `kind` takes them: "relative" ρ × the channel's amplitude at each frequency (paper eq. 21),
+                "constant" ρ × its rms amplitude over the frequencies `reference`, the same at all frequencies, or
+                "channels" ρ × the noise that the rig's channels state
+    samples     per frequency, or in all where `in_all`
+    covariance  "given" or "estimated" from the residuals
+    """
+
+    rigs: tuple[str, ...]
+    frequencies: tuple[str, ...]
+    noise: tuple[float, ...]
+    samples: tuple[int, ...]
+    methods: tuple[str, ...]
+    draws: int
+    unknowns: tuple[str, ...] = (ALL,)
+    kind: NoiseKind = "relative"
+    reference: str | None = None
+    in_all: bool = False
+    covariance: tuple[NoiseBasis, ...] = ("given",)
+
+
+@dataclass(frozen=True)
+class Study:
+    """Tables that grids refer to, and the grids.
+
+    unknowns    sets of parameters that are to be found; all others are known exactly
+    amplitudes  of the inputs, SI units, 1 where not named;   periods  time of a dwell
+    drift       degree of the trend that the harmonic regression solves for, None for none
+    transients  whether dwells follow each other without settling, and are used whole
+    """
+
+    name: str
+    seed: int
+    rigs: Mapping[str, TrueRig]
+    frequencies: Mapping[str, tuple[float, ...]]
+    grids: tuple[ScenarioGrid, ...]
+    unknowns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    amplitudes: Mapping[str, complex] = field(default_factory=dict)
+    periods: float = 1.0
+    drift: int | None = None
+    transients: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("rigs", "frequencies", "unknowns", "amplitudes"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+
+def scenarios(study: Study) -> tuple[Scenario, ...]:
+    """All points of all grids, each once: what two grids share has the methods of both and the larger number of draws.
+
+    Raises UsageError or ModelError where a combination is none.
+    """
+    by_name: dict[str, Scenario] = {}
+    for grid in study.grids:
+        for point in points(study, grid):
+            earlier = by_name.get(point.name)
+            if earlier is None:
+                by_name[point.name] = point
+                continue
+            methods = tuple(dict.fromkeys((*earlier.methods, *point.methods)))
+            by_name[point.name] = replace(point, methods=methods, draws=max(point.draws, earlier.draws))
+    return tuple(by_name.values())
+
+
+def points(study: Study, grid: ScenarioGrid) -> Iterator[Scenario]:
+    """The points of one grid.  Raises UsageError or ModelError where a combination is none."""
+    ranges = (grid.rigs, grid.unknowns, grid.frequencies, grid.noise, grid.samples, grid.covariance)
+    for name, unknowns, frequencies, level, samples, basis in product(*ranges):
+        rig = study.rigs[name]
+        lines = study.frequencies[frequencies]
+        counts = share_out(samples, len(lines)) if grid.in_all else samples
+        model = rig.model if unknowns == ALL else with_unknowns(rig, study.unknowns[unknowns])
+        factors: dict[str, str | float | int] = {
+            "rig": name,
+            "unknowns": unknowns,
+            "frequencies": frequencies,
+            "kind": grid.kind,
+            "noise": float(level),
+            ("in_all" if grid.in_all else "samples"): int(samples),
+            "covariance": basis,
+        }
+        theta = model.theta({u.name: truth(rig, u.name) for u in model.unknowns})
+        channels, test = _channels(study, grid, rig, level), _test(study, rig, lines, counts)
+        how = (grid.methods, grid.draws, basis, study.drift, study.transients)
+        yield Scenario(factors, model, theta, channels, test, *how)
+
+
+def _test(study: Study, rig: TrueRig, lines: Sequence[float], counts: int | Ints) -> Dwells:
+    inputs = {source.name for source in rig.model.inputs}
+    amplitudes = {name: size for name, size in study.amplitudes.items() if name in inputs}
+    return dwells(rig.model, lines, counts, amplitudes=amplitudes, periods=study.periods)
+
+
+def _channels(study: Study, grid: ScenarioGrid, rig: TrueRig, level: float) -> tuple[Channel, ...]:
+    match grid.kind:
+        case "relative":
+            return with_relative_noise(rig.model, rig.channels, level)
+        case "channels":
+            if not any(c.noise or c.relative_noise for c in rig.channels):
+                cure = "add noise or relative_noise to its [channels]"
+                raise UsageError("no channel of the rig states its noise", cure=cure)
+            return tuple(
+                replace(c, noise=level * c.noise, relative_noise=level * c.relative_noise)
+                for c in rig.channels
+            )
+        case "constant":
+            if grid.reference is None:
+                cure = "name the frequencies of its reference amplitude"
+                raise UsageError("constant noise has no size", cure=cure)
+            model = rig.model
+            theta = model.theta({u.name: truth(rig, u.name) for u in model.unknowns})
+            reference = _test(study, rig, study.frequencies[grid.reference], 4)
+            return with_constant_noise(model, model.parameters(theta), rig.channels, level, reference)
+
+
+def share_out(samples: int, lines: int) -> Ints:
+    """So many samples in all over the lines, the first ones taking what is left over; (lines,).
+
+    Raises UsageError where there are fewer than two for each.
+    """
+    if samples < 2 * lines:
+        raise UsageError(
+            f"{samples} samples are too few for {lines} frequencies", cure=f"take {2 * lines} or more"
+        )
+    return np.full(lines, samples // lines) + (np.arange(lines) < samples % lines)
+
+
+def truth(rig: TrueRig, name: str) -> float:
+    """The true value of a parameter: as stated for the study, or the rig's own value or guess.
+
+    Raises UsageError where there is neither.
+    """
+    if name in rig.values:
+        return float(rig.values[name])
+    element = next(element for element in rig.model.elements if element.name == name)
+    for number in (element.value, element.guess):
+        if number is not None:
+            return float(number)
+    raise UsageError(f"the true value of {name} is not given", cure=f"add {name} to the values of the rig")
+
+
+def with_unknowns(rig: TrueRig, names: Sequence[str]) -> Model:
+    """The model with these parameters unknown and all others known exactly as they truly are.
+
+    Raises UsageError for a name that is not a parameter of its own.
+    """
+    parameters = [element.name for element in rig.model.elements if element.same_as is None]
+    for name in names:
+        if name not in parameters:
+            raise UsageError(f"{name} is not a parameter of the rig", cure=f"it has {listed(parameters)}")
+    elements = []
+    for element in rig.model.elements:
+        if element.same_as is not None:
+            elements.append(element)
+        elif element.name in names:
+            elements.append(replace(element, value=None, sd=None))
+        else:
+            value = truth(rig, element.name)
+            elements.append(replace(element, value=value, sd=None, guess=None, lower=None, upper=None))
+    return replace(rig.model, elements=tuple(elements))

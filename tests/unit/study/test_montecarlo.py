@@ -17,9 +17,9 @@ from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.study import montecarlo
-from dashpot.study.grid import ScenarioGrid, Study, TrueRig, scenarios, share_out, with_unknowns
-from dashpot.study.montecarlo import Repeats, summarise
-from dashpot.study.runner import rehearse, run_study
+from dashpot.study.blocks import BlockStore
+from dashpot.study.montecarlo import Repeats, rehearse, run_study, summarise
+from dashpot.study.scenario import ScenarioGrid, Study, TrueRig, scenarios, share_out, with_unknowns
 from dashpot.study.simulate import standard_channels
 
 MOTION = (Quantity.DISPLACEMENT, Quantity.VELOCITY)
@@ -147,7 +147,7 @@ def test_blocks_that_share_a_file_are_the_same_draws(study, tmp_path, monkeypatc
     assert grown.columns() == run_study(more, tmp_path / "whole", block=10).columns()
     names = ["000000", "000001", "000002", "000006", "000010"]
     assert [path.stem for path in sorted((tmp_path / "s" / "draws").rglob("*.parquet"))] == names
-    results = montecarlo.run_scenarios(scenarios(more), 7, block=10, folder=tmp_path / "s")
+    results = montecarlo.run_scenarios(scenarios(more), 7, block=10, store=BlockStore(tmp_path / "s"))
     assert bits(results) == alone
 
 

@@ -7,8 +7,7 @@ import pytest
 
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
-from dashpot.study.grid import scenarios
-from dashpot.study.scenario import Scenario
+from dashpot.study.scenario import Scenario, scenarios
 from dashpot.study.studyfile import parse_study
 
 RIG = """\

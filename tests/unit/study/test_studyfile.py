@@ -7,8 +7,8 @@ import pytest
 
 from dashpot.errors import UsageError
 from dashpot.reproduce.yamane1989 import rig as yamane1989
-from dashpot.study.grid import scenarios
-from dashpot.study.runner import run_study
+from dashpot.study.montecarlo import run_study
+from dashpot.study.scenario import scenarios
 from dashpot.study.studyfile import parse_study, read_study
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "07_studies"

@@ -145,7 +145,7 @@ def _write(outcome: FleetOutcome, out: str, json_out: str | None, quiet: bool) -
     from dashpot.io.json_document import to_json
     from dashpot.present.tables.fleet import show_fleet
     from dashpot.present.tables.layout import console
-    from dashpot.study.store import write_table
+    from dashpot.study.blocks import write_table
 
     summary = outcome.summary()
     write_table(Path(out), outcome.table(), json.dumps(summary).encode())

@@ -24,7 +24,7 @@ from dashpot.app.report_files import report_option
 from dashpot.errors import printable
 
 if TYPE_CHECKING:
-    from dashpot.study.runner import StudyOutcome
+    from dashpot.study.montecarlo import StudyOutcome
 
 FEW = 2000  # identifications below which starting processes costs more than they save
 
@@ -71,8 +71,8 @@ def command(
     from dashpot.present.figures.study import study_pictures
     from dashpot.present.tables.layout import console
     from dashpot.present.tables.study import show_study
-    from dashpot.study.grid import scenarios
-    from dashpot.study.runner import run_study
+    from dashpot.study.montecarlo import run_study
+    from dashpot.study.scenario import scenarios
 
     if draws is not None:
         description = replace(
@@ -84,7 +84,7 @@ def command(
         shared_out(dask, workers, work < FEW) as mapper,
         progress(description.name, quiet) as moved,
     ):
-        outcome = run_study(description, Path(folder), mapper=mapper, progress=moved, remote=dask is not None)
+        outcome = run_study(description, Path(folder), mapper=mapper, progress=moved)
     tell_notes(outcome.notes, quiet)
     pictures = study_pictures(outcome)
     written = write_pictures(folder, pictures)

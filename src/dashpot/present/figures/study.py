@@ -20,8 +20,7 @@ from dashpot.arrays import Real
 from dashpot.present.figures import study as draw
 from dashpot.present.figures.style import INK, MUTED, limit_axis, method_colour, png, style
 from dashpot.present.text.study import COUNTED_FACTORS, factor_text, varied_factors
-from dashpot.study.montecarlo import LEVELS, Summary
-from dashpot.study.runner import StudyOutcome, SummaryRow
+from dashpot.study.montecarlo import LEVELS, StudyOutcome, Summary, SummaryRow
 
 # Pictures of a Monte Carlo study: from its summaries to arrays to figures.
 

@@ -60,7 +60,7 @@ from dashpot.present.text.validation import (
     next_validation_steps,
     prediction_in_words,
 )
-from dashpot.study.runner import StudyOutcome
+from dashpot.study.montecarlo import StudyOutcome
 
 # The report of a check: what the channels and the data can determine.
 

@@ -9,8 +9,7 @@ from rich.console import Console
 
 from dashpot.present.tables.layout import TableColumn, show_paragraph, show_table
 from dashpot.present.text.study import COUNTED_FACTORS, LEGEND, NOTHING, factor_text, varied_factors
-from dashpot.study.montecarlo import Summary
-from dashpot.study.runner import StudyOutcome, SummaryRow
+from dashpot.study.montecarlo import StudyOutcome, Summary, SummaryRow
 
 RESULTS = ("bias", "spread", "bound", "ratio", "coverage", "failed")
 LABEL = 21  # characters of several factors in one column on a line: 80 columns hold the rest beside it

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from dashpot.study.montecarlo import Summary
-from dashpot.study.runner import SummaryRow
+from dashpot.study.montecarlo import Summary, SummaryRow
 
 NOTHING = "–"
 ENOUGH_DRAWS = 400  # by which a share of 95 % is known to a point

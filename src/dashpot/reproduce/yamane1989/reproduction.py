@@ -37,9 +37,9 @@ from dashpot.reproduce.yamane1989.tables import (
     table_3,
     table_4,
 )
-from dashpot.study.grid import scenarios
-from dashpot.study.montecarlo import LEVELS, Map, run_scenarios
-from dashpot.study.scenario import Scenario
+from dashpot.study.blocks import Map
+from dashpot.study.montecarlo import LEVELS, run_scenarios
+from dashpot.study.scenario import Scenario, scenarios
 
 # The paper's figures again, as data.
 

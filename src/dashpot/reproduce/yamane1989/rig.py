@@ -16,7 +16,7 @@ from dashpot.arrays import Complex, Real, frozen
 from dashpot.channel import Quantity
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
-from dashpot.study.grid import ScenarioGrid, Study, TrueRig
+from dashpot.study.scenario import ScenarioGrid, Study, TrueRig
 from dashpot.study.simulate import standard_channels
 
 # What the paper prints: its rig, its tables, and the corrections without which they cannot be read.

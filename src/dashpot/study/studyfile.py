@@ -18,7 +18,7 @@ from dashpot.io.toml_document import Place, Report, TomlDocument, Wanted, parse_
 from dashpot.io.words import did_you_mean, joined, listed, written
 from dashpot.model.rigfile import read_rig
 from dashpot.quantities import amount, frequencies, share
-from dashpot.study.grid import ALL, NoiseKind, ScenarioGrid, Study, TrueRig, points
+from dashpot.study.scenario import ALL, AUTO, NoiseKind, ScenarioGrid, Study, TrueRig, points
 from dashpot.study.simulate import NoiseBasis
 from dashpot.units import factor_between, scale
 
@@ -381,10 +381,10 @@ def _grid(values: StudyValues, place: Place, raw: Mapping[str, Any], tables: Tab
 
 def _methods(values: StudyValues, place: Place, raw: Mapping[str, Any]) -> tuple[str, ...]:
     if "methods" in raw:
-        return values.names((*place, "methods"), raw["methods"], METHODS, "method")
+        return values.names((*place, "methods"), raw["methods"], (AUTO, *METHODS), "method")
     if "methods" in values.document:
-        return values.names(("methods",), values.document["methods"], METHODS, "method")
-    return ("oiv",)
+        return values.names(("methods",), values.document["methods"], (AUTO, *METHODS), "method")
+    return (AUTO,)
 
 
 def _draws(values: StudyValues, place: Place, raw: Mapping[str, Any]) -> int:
@@ -484,7 +484,7 @@ def _study(document: TomlDocument) -> Study:
     study = Study(name, seed, rigs, lines, tuple(grids), unknowns, amplitudes, periods, drift, transients)
     for k, grid in enumerate(study.grids):
         try:
-            points(study, grid)
+            list(points(study, grid))
         except DashpotError as error:
             for problem in error.problems:
                 values.report.add(("grid", k), problem.what, problem.cure)

@@ -3,7 +3,7 @@
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,14 +13,18 @@ import pytest
 from dashpot.errors import DataError, UsageError
 from dashpot.io.atomic import LOCK, locked
 from dashpot.study import montecarlo
-from dashpot.study.grid import Study
-from dashpot.study.runner import run_study
-from dashpot.study.store import Label, read_block, state_of, write_block
+from dashpot.study.blocks import BlockStore, Columns, Key
+from dashpot.study.montecarlo import run_study
+from dashpot.study.scenario import Study
 from dashpot.study.studyfile import parse_study
 from tests.two_masses import RIG, TWO_SCENARIOS
 
 STUDY = TWO_SCENARIOS.replace("draws = 4", "draws = 30")
-LABEL = Label("f" * 64, 7, 3, 5, ("wls", "oiv"), 2, "1.0")
+LABEL = {
+    "fingerprint": "f" * 64, "seed": 7, "index": 3, "size": 5, "methods": ["wls", "oiv"], "unknowns": 2,
+    "version": "1.0",
+}  # fmt: skip
+KEY = Key("draws/here/000003", LABEL)
 
 
 @pytest.fixture
@@ -29,31 +33,52 @@ def study(tmp_path: Path) -> Study:
     return parse_study(STUDY, str(tmp_path / "study.toml"))
 
 
-def _block(seed: int = 0) -> dict[str, dict[str, np.ndarray]]:
+def computed(seed: int) -> Columns:
+    """A block's columns."""
     rng = np.random.default_rng(seed)
-    return {
-        name: {
-            "values": rng.normal(size=(5, 2)),
-            "sd": rng.random((5, 2)),
-            "half": rng.random((5, 2)),
-            "converged": rng.random(5) > 0.3,
-            "p": rng.random(5),
-        }
-        for name in LABEL.methods
-    }
+    numbers: Columns = {f"values_{i}": rng.normal(size=10) for i in range(2)}
+    numbers["values_0"][0] = np.nan
+    return {"method": np.repeat(["wls", "oiv"], 5), "converged": rng.random(10) > 0.3, **numbers}
 
 
-def _same(one: dict[str, dict[str, np.ndarray]], other: dict[str, dict[str, np.ndarray]]) -> bool:
-    return all(np.array_equal(one[m][key], other[m][key]) for m in one for key in one[m])
+def kept(folder: Path, key: Key = KEY) -> bytes:
+    """A block in a folder: what its file holds."""
+    list(BlockStore(folder).map(computed, [0], key=lambda _: key))
+    return (folder / f"{key.name}.parquet").read_bytes()
 
 
-def test_a_block_comes_back_as_it_went(tmp_path: Path) -> None:
-    block = _block()
-    block["wls"]["values"][0, 0] = np.nan
-    write_block(tmp_path / "b", block, LABEL)
-    back = read_block(tmp_path / "b", LABEL)
-    assert list(back) == list(block)
-    assert all(np.array_equal(back[m][k], block[m][k], equal_nan=True) for m in block for k in block[m])
+def found(folder: Path, key: Key = KEY) -> tuple[Columns | None, list[str]]:
+    """What lies in place of a block, and what it is; computed again it is another one."""
+    store = BlockStore(folder)
+    before = (folder / f"{KEY.name}.parquet").read_bytes()
+    (block,) = store.map(computed, [1], key=lambda _: key)
+    (folder / f"{KEY.name}.parquet").write_bytes(before)
+    return block.columns if block.kept else None, list(store.states)
+
+
+def same(one: Columns, other: Columns) -> bool:
+    return list(one) == list(other) and all(
+        np.array_equal(one[name], other[name], equal_nan=one[name].dtype.kind == "f") for name in one
+    )
+
+
+@pytest.mark.parametrize("folder", [True, False])
+def test_a_block_comes_back_as_it_went_whoever_computes_it(tmp_path: Path, folder: bool) -> None:
+    store = BlockStore(tmp_path if folder else None)
+
+    def key(seed: int) -> Key:
+        return replace(KEY, name=f"draws/{seed}")
+
+    def backwards(f: Callable[[object], object], work: Iterable[object]) -> list[object]:
+        return [f(task) for task in reversed(list(work))]
+
+    blocks = list(store.map(computed, [0, 1, 2], key=key, mapper=backwards))
+    assert [block.task for block in blocks] == [2, 1, 0]
+    again = list(store.map(computed, [0, 3, 1], key=key))
+    assert sorted((block.task, block.kept) for block in again) == [(0, True), (1, True), (3, False)]
+    for block in again:
+        assert same(block.columns, computed(block.task))
+        assert same(store.read(key(block.task)), block.columns)
 
 
 @pytest.mark.parametrize(
@@ -64,46 +89,40 @@ def test_a_block_comes_back_as_it_went(tmp_path: Path) -> None:
         ({"seed": 8}, "damaged"),
         ({"version": "0.9"}, "outdated"),
         ({"size": 4}, "other"),
-        ({"methods": ("oiv", "wls")}, "other"),
-        ({"methods": ("wls", "tls")}, "other"),
+        ({"methods": ["oiv", "wls"]}, "other"),
+        ({"methods": ["wls", "tls"]}, "other"),
     ],
 )
 def test_a_block_of_something_else_is_seen(tmp_path: Path, change: dict[str, object], state: str) -> None:
-    write_block(tmp_path / "b", _block(), LABEL)
-    wanted = replace(LABEL, **change)  # type: ignore[arg-type]
-    assert state_of(tmp_path / "b", wanted) == state
-    with pytest.raises(DataError, match=f"this block of a study is {state}"):
-        read_block(tmp_path / "b", wanted)
-    assert state_of(tmp_path / "b", LABEL) == "whole"
-    assert state_of(tmp_path / "none", LABEL) == "absent"
+    kept(tmp_path)
+    wanted = replace(KEY, label={**LABEL, **change})
+    with pytest.raises(DataError, match=state):
+        BlockStore(tmp_path).read(wanted)
+    assert found(tmp_path, wanted) == (None, [state])
+    assert found(tmp_path)[1] == ["whole"]
 
 
 def test_no_flipped_bit_passes_for_other_numbers(tmp_path: Path) -> None:
     """Every third byte of the file, one bit of it: found, or without any meaning."""
-    block, path = _block(), tmp_path / "b"
-    write_block(path, block, LABEL)
-    raw = path.read_bytes()
+    raw, path = kept(tmp_path), tmp_path / f"{KEY.name}.parquet"
     rng = np.random.default_rng(1)
-    found = 0
+    seen = 0
     for at in range(0, len(raw), 3):
         path.write_bytes(raw[:at] + bytes([raw[at] ^ (1 << int(rng.integers(8)))]) + raw[at + 1 :])
-        if state_of(path, LABEL) == "whole":
-            assert _same(read_block(path, LABEL), block), at
-        else:
-            found += 1
-    assert found > 0.5 * len(raw) / 3
+        columns, _ = found(tmp_path)
+        seen += columns is None
+        assert columns is None or same(columns, computed(0)), at
+    assert seen > 0.5 * len(raw) / 3
 
 
 @pytest.mark.parametrize("length", [16, 64])
 def test_no_zeroed_page_and_no_end_cut_off_passes(tmp_path: Path, length: int) -> None:
-    block, path = _block(), tmp_path / "b"
-    write_block(path, block, LABEL)
-    raw = path.read_bytes()
+    raw, path = kept(tmp_path), tmp_path / f"{KEY.name}.parquet"
     for at in range(0, len(raw), length):
         for changed in (raw[:at] + bytes(length) + raw[at + length :], raw[:at]):
             path.write_bytes(changed)
-            if state_of(path, LABEL) == "whole":
-                assert _same(read_block(path, LABEL), block), at
+            columns, _ = found(tmp_path)
+            assert columns is None or same(columns, computed(0)), at
 
 
 def _blocks(folder: Path) -> list[Path]:
