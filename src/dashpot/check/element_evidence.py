@@ -37,9 +37,9 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.nonlinear.record_problem import InputErrors, RecordProblem
+from dashpot.estimate.nonlinear.record_inference import FittedRecords
 from dashpot.estimate.nonlinear.records import RecordData, recorded_motion
-from dashpot.estimate.nonlinear.whole_record import FittedRecords, fit_records
+from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import FORMAT, Estimate
 from dashpot.io.json_document import to_json
@@ -259,46 +259,17 @@ class _Scored:
         return np.linalg.pinv(self.matrix[np.ix_(columns, columns)], rcond=1e-12) @ self.right[columns]
 
 
-def with_candidates(
-    problem: RecordProblem, psi: Real, candidates: Sequence[Element]
-) -> tuple[RecordProblem, Real, tuple[int, ...]]:
-    """The problem with candidates that do nothing yet, its ψ (M + count,), and where in it theirs are."""
-    base, m = problem.model, len(problem.model.unknowns)
-    bases = problem.records[0].bases
-    more = tuple(replace(e, guess=0.0) for e in candidates)
-    extended = replace(base, elements=(*base.elements, *(bases.beside(e) for e in more)))
-    before = dict(zip((u.name for u in base.unknowns), psi[:m].tolist(), strict=True))
-    names = [u.name for u in extended.unknowns]
-    rig = replace(problem.rig, elements=(*problem.rig.elements, *more))
-    larger = replace(problem, rig=rig, model=extended, last=problem.motions(), errors={}, covariances={})
-    own, free = psi[problem.inner :].reshape(-1, problem.states), problem.constants
-    laws = sum(e.force_law is not None and e.force_law.has_state for e in more)
-    if laws:  # with a state of their own, which begins with nothing
-        first = len(problem.begun[0])
-        larger.constants = replace(free, starts=np.append(free.starts, range(first, first + laws)))
-        larger.begun = tuple(np.append(start, np.zeros(laws)) for start in problem.begun)
-        larger.held = np.append(problem.held, np.ones(laws))
-        larger.last = problem.motions_of(extended)
-        own = np.insert(own, [len(free.starts)] * laws, 0.0, axis=1)
-    values = [before.get(name, 0.0) for name in names]
-    at = np.concatenate([values, psi[m : problem.inner], own.ravel()])
-    if problem.inputs is not None:
-        for k in range(len(problem.records)):
-            white = problem.errors_at(k, psi)
-            larger.errors[k] = InputErrors(at, white, np.zeros((*white.shape, len(at))))
-    return larger, at, tuple(names.index(e.name) for e in candidates)
-
-
 def _scored(fitted: FittedRecords, candidates: Sequence[Element]) -> _Scored | None:
     """What the slopes along the candidates say, None where no motion follows."""
-    larger, at, added = with_candidates(fitted.problem, fitted.psi, candidates)
+    larger, at, added = fitted.problem.with_elements(fitted.psi, candidates)
     gram, right = np.zeros((len(at), len(at))), np.zeros(len(at))
-    for residual, J in larger.sure_residuals(at):
+    for k, (residual, J) in enumerate(larger.sure_residuals(at)):
         if J is None:
             return None
-        flat = J.reshape(-1, len(at))
-        gram += flat.T @ flat
-        right += flat.T @ residual.ravel()
+        own = larger.columns(k)
+        flat = J.reshape(-1, len(own))
+        gram[np.ix_(own, own)] += flat.T @ flat
+        right[own] += flat.T @ residual.ravel()
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     kept = tuple(j for j in range(len(at)) if j not in added)
     return _Scored(gram / np.outer(scale, scale), right / scale, scale, kept, added)

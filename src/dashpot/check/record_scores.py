@@ -16,8 +16,8 @@ from scipy.special import stdtr
 from dashpot.arrays import Real
 from dashpot.check.diagnosis.nonlinear_elements import APART, CERTAIN, feeds_motion
 from dashpot.check.diagnosis.search import PARTS, missing_elements, steadiness, sums_of_parts
-from dashpot.check.element_evidence import record_candidates, with_candidates
-from dashpot.estimate.nonlinear.input_levels import all_linearised, cleared, drawn_noise, stated_precision
+from dashpot.check.element_evidence import record_candidates
+from dashpot.estimate.nonlinear.input_levels import all_linearised, cleared, drawn_noise
 from dashpot.estimate.nonlinear.record_inference import FollowedRecord
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
 from dashpot.estimate.nonlinear.records import RecordData, total_samples
@@ -89,7 +89,7 @@ def _columns_record_scores(
         own, at, each = replace(motion.problem, sd=np.where(sd > 0, sd, 1.0)), motion.psi, []
         residual, J = own.sure_residuals(at)[0]
         for first in range(0, len(candidates), TOGETHER):
-            larger, more, places = with_candidates(own, at, candidates[first : first + TOGETHER])
+            larger, more, places = own.with_elements(at, candidates[first : first + TOGETHER])
             slopes = larger.sure_residuals(more)[0][1]
             if J is None or slopes is None:
                 return None
@@ -125,7 +125,7 @@ def element_of_uncertain(problem: RecordProblem, psi: Real) -> CalledFor | None:
     columns = _columns(problem, psi, candidates)
     if not linear or columns is None:
         return None
-    prior = stated_precision(problem)
+    prior = problem.priors()[0]
     alone = [record.weighed(column) for record, column in zip(linear, columns, strict=True)]
     solved = cleared(linear, prior, columns)
     noise = drawn_noise(linear, prior)
@@ -153,7 +153,7 @@ def _columns(problem: RecordProblem, psi: Real, candidates: Sequence[Element]) -
     """Slopes of what the channels show along the candidates, (samples, channels, count) of each record."""
     parts: list[list[Real]] = [[] for _ in problem.records]
     for first in range(0, len(candidates), TOGETHER):
-        larger, at, places = with_candidates(problem, psi, candidates[first : first + TOGETHER])
+        larger, at, places = problem.with_elements(psi, candidates[first : first + TOGETHER])
         for k in range(len(problem.records)):
             slopes = larger.residual(k, at)[1]
             if slopes is None:

@@ -263,11 +263,11 @@ def _chi2(followed: FollowedRecord, noise: NoiseAtRest) -> tuple[Real, Real]:
     """
     data = followed.data
     known = known_inputs(data.inputs, np.sqrt(noise.inputs))
-    problem = replace(followed.problem, sd=noise.outputs, inputs=(known,), errors={}, covariances={})
-    residual, J = problem.residual(0, followed.psi)
-    if J is None:
+    problem = replace(followed.problem, sd=noise.outputs, inputs=(known,))
+    residual, J, V = problem.with_covariance(0, followed.psi)
+    if J is None or V is None:
         raise DataError("the motion cannot be followed", data.source, "check that it is a record of this rig")
-    V, starts = problem.covariances[0], np.arange(problem.inner, len(followed.psi))
+    starts = np.arange(problem.inner, len(followed.psi))
     chi2, dof = np.empty(len(data.names)), np.empty(len(data.names))
     for c in range(len(data.names)):
         only = np.array([c])
@@ -276,12 +276,10 @@ def _chi2(followed: FollowedRecord, noise: NoiseAtRest) -> tuple[Real, Real]:
         drifting = np.flatnonzero(np.array(data.drift)[only])
         linear = LinearisedRecord(by_itself, residual[:, only], J[:, only][..., starts], starts, drifting)
         try:
-            normal = linear.normal_equations()
+            free = np.linalg.lstsq(linear.matrix, linear.gradient, rcond=1e-12)[0]
+            chi2[c] = linear.cost - float(linear.gradient @ free)
         except NotSolvedError:
             chi2[c] = np.nan
-        else:
-            free = np.linalg.lstsq(normal.matrix, normal.gradient, rcond=1e-12)[0]
-            chi2[c] = normal.cost - float(normal.gradient @ free)
         dof[c] = data.samples - len(starts) - len(drifting)
     return chi2, dof
 

@@ -34,13 +34,14 @@ from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.nonlinear.objective import nonlinear_part
 from dashpot.estimate.nonlinear.record_inference import (
     CUT_RECORD,
+    FittedRecords,
     FollowedRecord,
     PredictedMotion,
     followed_record,
     followed_records,
 )
 from dashpot.estimate.nonlinear.search import linear_rig
-from dashpot.estimate.nonlinear.whole_record import FittedRecords, fit_records
+from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined

@@ -20,7 +20,7 @@ from dashpot.arrays import Complex, Ints, Real, frozen
 from dashpot.errors import ModelError, Problem, UsageError, printable
 from dashpot.io.words import counted, listed, shown
 from dashpot.model.elements import MATRICES, Element, Kind
-from dashpot.model.nonlinear.force_law import Constant, unit_of
+from dashpot.model.nonlinear.force_law import Constant, ForceLaw, unit_of
 from dashpot.quantities import LARGEST, SMALLEST
 
 # The unknowns of a rig, and parameters that are tied to others.
@@ -465,6 +465,11 @@ class Model:
     def nonlinear(self) -> Ints:
         """Indices of the elements with a nonlinear law, (e,)."""
         return frozen([i for i, e in enumerate(self.elements) if e.force_law is not None], np.int64)
+
+    @cached_property
+    def laws(self) -> tuple[ForceLaw, ...]:
+        """The laws of the nonlinear elements, in order, (e,)."""
+        return tuple(e.force_law for e in self.elements if e.force_law is not None)
 
     @cached_property
     def constants(self) -> tuple[tuple[Element, Constant], ...]:

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.element_evidence import with_candidates
 from dashpot.check.verdict import examined_records
 from dashpot.data.record import Record
 from dashpot.estimate.assessment import Assessment, applied
@@ -66,12 +65,11 @@ def test_candidates_with_a_state_are_found_from_the_motion_of_the_rig(
     fitted = fit_records(two_masses("cubic")[0], [data])
     slider = between("s", Kind.SPRING, "x1", "u")
     slider = replace(slider, force_law=force_law("jenkins", [Constant("slip", 3e-4)]))
-    afresh, at, (place,) = with_candidates(fitted.problem, fitted.psi, [slider])
-    afresh.last = {}
-    expected = afresh.sure_residuals(at)[0][1]
+    afresh, at, (place,) = fitted.problem.with_elements(fitted.psi, [slider])
+    expected = afresh.afresh().sure_residuals(at)[0][1]
     marched = []
     monkeypatch.setattr(shooting, "_marched", lambda *given: marched.append(given))
-    slopes = with_candidates(fitted.problem, fitted.psi, [slider])[0].sure_residuals(at)[0][1]
+    slopes = fitted.problem.with_elements(fitted.psi, [slider])[0].sure_residuals(at)[0][1]
     assert not marched
     column = expected[..., place]
     assert np.max(np.abs(slopes[..., place] - column)) < 1e-6 * np.max(np.abs(column))

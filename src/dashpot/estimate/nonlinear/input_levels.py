@@ -23,7 +23,6 @@ from dashpot.estimate.nonlinear.record_problem import (
     NotSolvedError,
     RecordProblem,
     begun_problem,
-    known_inputs,
 )
 from dashpot.estimate.nonlinear.records import NoiseAtRest, RecordData, base_travel, in_pieces
 from dashpot.model.network import Model
@@ -69,8 +68,7 @@ def unknowns_matrix(linear: Sequence[LinearisedRecord], prior: Real) -> Real:
     """Information on all unknowns, (M, M), from the records and the prior's precision (M,)."""
     matrix: Real = np.diag(prior)
     for record in linear:
-        part = record.normal_equations()
-        matrix[np.ix_(part.chosen, part.chosen)] += part.matrix
+        matrix[np.ix_(record.chosen, record.chosen)] += record.matrix
     return matrix
 
 
@@ -291,7 +289,7 @@ def despite_wander(
     try:
         end = descend(short, np.concatenate([psi[: problem.inner], starts]), LAST).x[0]
         psi = np.concatenate([end[: problem.inner], *(end[short.of_record(k)] for k in first)])
-        end = descend(_with_noise(problem, problem.sd, own.shown), psi, LAST)
+        end = descend(problem.with_noise(problem.sd, own.shown), psi, LAST)
     except NotSolvedError:
         return None
     return end.x[0] if np.isfinite(end.cost[0]) else None
@@ -303,7 +301,7 @@ def _of_known_sizes(
     """The search with the noise that a record at rest shows."""
     q = len(at_rest.inputs)
     if np.any(at_rest.inputs > 0):
-        problem = _with_noise(problem, at_rest.outputs, at_rest.inputs)
+        problem = problem.with_noise(at_rest.outputs, at_rest.inputs)
     else:
         problem = replace(problem, sd=at_rest.outputs)
     spread = np.zeros((len(problem.sd) + q, len(problem.sd) + q))
@@ -316,13 +314,14 @@ def _first_variances(problem: RecordProblem, psi: Real, own: OwnNoise) -> tuple[
     c = len(problem.sd)
     size = np.sqrt(np.mean(np.concatenate([data.inputs for data in problem.records]) ** 2, axis=0))
     unit = (LEAST * np.where(size > 0, size, 1.0)) ** 2
-    tried = _with_noise(problem, problem.sd, unit)
+    tried = problem.with_noise(problem.sd, unit)
     linear = all_linearised(tried, psi)
     if not linear:
         return np.zeros(len(unit)), np.zeros(len(unit), dtype=bool)
-    noise = drawn_noise(linear, stated_precision(problem))
-    slope = sizes_of_noise(linear, stated_precision(problem), noise).slope[c:]
-    information = information_on_inputs(linear, stated_precision(problem), noise)
+    prior = problem.priors()[0]
+    noise = drawn_noise(linear, prior)
+    slope = sizes_of_noise(linear, prior, noise).slope[c:]
+    information = information_on_inputs(linear, prior, noise)
     usable = information > 0
     times = slope / np.where(usable, information, 1.0)  # the unit, by Fisher's scoring from about 0
     shows = usable & (times * np.sqrt(information) > SHOWS)
@@ -351,12 +350,12 @@ class _Search:
         """Until the sizes settle; the last search is to its end."""
         sd = self.problem.sd
         for _ in range(20):  # at most
-            self.problem = _with_noise(self.problem, sd, self.variance)
+            self.problem = self.problem.with_noise(sd, self.variance)
             self.psi = self.descend(self.problem, self.psi, STEPS).x[0]
             linear = all_linearised(self.problem, self.psi)
             if not linear:
                 break
-            prior = stated_precision(self.problem)
+            prior = self.problem.priors()[0]
             self.sizes = sizes_of_noise(linear, prior, drawn_noise(linear, prior))
             change = self._step()
             c = len(sd)
@@ -364,7 +363,7 @@ class _Search:
             self.variance = self.variance * np.exp(change[c:])
             if np.max(np.abs(change)) / 2 < SETTLED:
                 break
-        self.problem = _with_noise(self.problem, sd, self.variance)
+        self.problem = self.problem.with_noise(sd, self.variance)
         return self.descend(self.problem, self.psi, LAST)
 
     def _step(self) -> Real:
@@ -414,24 +413,18 @@ def moves_with_sizes(problem: RecordProblem, psi: Real, noise: InputSizes) -> Re
         for way in (-CHANGED, CHANGED):
             change = np.where(np.arange(len(noise.spread)) == number, way, 0.0)
             sd, variance = problem.sd * np.exp(change[:c] / 2), noise.variance * np.exp(change[c:])
-            around = _with_noise(problem, sd, variance).quadratic(psi[None])
+            around = problem.with_noise(sd, variance).quadratic(psi[None])
             ends.append(solve_scaled(around.symmetric, around.gradient)[0])
         moves[:, number] = (ends[1] - ends[0]) / (2 * CHANGED)
     return np.nan_to_num(moves)
 
 
-def _with_noise(problem: RecordProblem, sd: Real, variance: Real) -> RecordProblem:
-    """The same with noise of channels, sd (channels,), and of inputs, variance (q,)."""
-    inputs = tuple(known_inputs(data.inputs, np.sqrt(variance)) for data in problem.records)
-    return replace(problem, sd=sd, inputs=inputs, last=dict(problem.last), errors={}, covariances={})
-
-
 def all_linearised(problem: RecordProblem, psi: Real) -> list[LinearisedRecord]:
     """All records around ψ; none where one has no motion."""
-    linear = [problem.linearised(k, psi) for k in range(len(problem.records))]
-    return [record for record in linear if record is not None] if None not in linear else []
-
-
-def stated_precision(problem: RecordProblem) -> Real:
-    """The precision that the unknowns of the problem are stated with, (M,)."""
-    return problem.priors()[0]
+    linear = []
+    for k in range(len(problem.records)):
+        record = problem.linearised(k, psi)
+        if record is None:
+            return []
+        linear.append(record)
+    return linear

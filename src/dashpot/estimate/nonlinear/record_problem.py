@@ -7,6 +7,7 @@ finds and leaves out.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -17,7 +18,6 @@ from dashpot.arrays import Ints, Real
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.nonlinear.records import (
     RecordData,
-    RecordedMotion,
     largest_states,
     laws_with_state,
     recorded_motion,
@@ -25,7 +25,7 @@ from dashpot.estimate.nonlinear.records import (
     start_of,
 )
 from dashpot.model.dynamics import matrices
-from dashpot.model.elements import Kind
+from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import operated_states
 from dashpot.model.nonlinear.integration import Integrator, Motion, forcing
@@ -34,12 +34,10 @@ from dashpot.model.nonlinear.shooting import ChainSolver, integrate, segment_len
 from dashpot.model.nonlinear.tangent import Tangent, tangent
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 
-# Which constants of whole records can be found: states at their starts, and constants that sensors of
-# inputs add.
+# Which constants of whole records can be found: states at their starts, and constants that sensors of inputs add.
 #
-# Where nothing joins the rig to the ground and no channel shows where it is, a base may be anywhere and
-# move at any steady velocity: only motion beside it counts. Such constants are no unknowns.
-
+# Where nothing joins the rig to the ground and no channel shows where it is, a base may be anywhere and move at any
+# steady velocity: only motion beside it counts. Such constants are no unknowns.
 
 NONE = 1e-9  # of numbers around 1: what is none but for rounding
 
@@ -64,63 +62,40 @@ class RecordConstants:
 
 def record_constants(model: Model, data: RecordData) -> RecordConstants:
     """Of the rig as it moves, bases behind its coordinates, and a record of it."""
-    bases = len(data.bases.names)
-    n, forces = model.n, model.S.shape[1] - bases
-    # What a constant displacement of each coordinate stretches or shows, (rows, n)
-    held = _linear_springs(model) + _laws_of_position(model)
-    shown = [
-        c
-        for c, (d, drift) in enumerate(zip(data.derivative, data.drift, strict=True))
-        if d == 0 and not drift
-    ]
-    no_position = _hidden(np.concatenate([model.B[held], data.on_x[shown]]), bases)
-    no_velocity = _hidden(_rows_of_velocity(model, data), bases)
-    states = sum(e.force_law is not None and e.force_law.has_state for e in model.elements)
+    bases, n = len(data.bases.names), model.n
+    rig, forces = n - bases, model.S.shape[1] - bases
+    active = [row for row, element in enumerate(model.elements) if not does_nothing(element)]
+    law_of = [element.force_law for element in model.elements]
+    springs = [row for row in active if model.kinds[row] is Kind.SPRING and law_of[row] is None]
+    positional = [row for row in active if (law := law_of[row]) is not None and "d" in law.expression.names]
+    channels = list(enumerate(zip(data.derivative, data.drift, strict=True)))
+    zeroed = [c for c, (order, drift) in channels if order == 0 and not drift]
+    no_position = _hidden(np.concatenate([model.B[[*springs, *positional]], data.on_x[zeroed]]), bases)
+    moved = [row for row in active if model.elements[row].law.power < 2]
+    shown = [c for c, (order, drift) in channels if order == 0 or (order == 1 and not drift)]
+    no_velocity = _hidden(np.concatenate([model.B[moved], data.on_x[shown]]), bases)
+    states = sum(law is not None and law.has_state for law in law_of)
     starts = np.delete(np.arange(2 * n + states), [*no_position, *(n + i for i in no_velocity)])
-    shows = [_shows(model, data, column) for column in range(forces)]
+    # A constant of a force, or of a base's acceleration that pulls at masses of size 1, leaves no trace beyond that
+    # of another start in a rig whose laws depend on motion alone and whose springs can carry none of it.
+    masses = model.B[list(model.by_matrix["M"])]
+    pushes = np.concatenate([model.S[:rig, :forces], masses[:, :rig].T @ masses[:, rig:]], axis=1)
+    K = model.B[springs, :rig].T @ model.B[springs, :rig]
+    missing = np.max(np.abs(K @ np.linalg.lstsq(K, pushes, rcond=None)[0] - pushes), axis=0, initial=0.0)
+    shows = bool(zeroed or positional) | (missing > NONE * np.max(np.abs(pushes), axis=0, initial=0.0))
     biases = [
         forces + j
         for j, order in enumerate(data.bases.orders)
-        if order == 2 and (n - bases + j not in no_velocity or _shows(model, data, forces + j))
+        if order == 2 and (rig + j not in no_velocity or shows[forces + j])
     ]
-    return RecordConstants(starts, np.flatnonzero(shows), np.array(biases, dtype=np.int64))
-
-
-def _rows_of_velocity(model: Model, data: RecordData) -> Real:
-    """What a constant velocity of each coordinate stretches or shows, (rows, n)."""
-    held = [
-        row
-        for row, e in enumerate(model.elements)
-        if e.law.power < 2 and not does_nothing(model.elements[row])
-    ]
-    shown = [
-        c for c, (d, drift) in enumerate(zip(data.derivative, data.drift, strict=True)) if d == 0 or not drift
-    ]
-    shown = [c for c in shown if data.derivative[c] < 2]
-    return np.concatenate([model.B[held], data.on_x[shown]])
-
-
-def _linear_springs(model: Model) -> list[int]:
-    """Springs without a law of their own that may push."""
-    return [
-        row
-        for row, (kind, element) in enumerate(zip(model.kinds, model.elements, strict=True))
-        if kind is Kind.SPRING and element.force_law is None and not does_nothing(element)
-    ]
-
-
-def _laws_of_position(model: Model) -> list[int]:
-    """Nonlinear elements whose force depends on where they are, not only on how they move."""
-    laws = [(int(row), model.elements[int(row)].force_law) for row in model.nonlinear]
-    return [
-        r
-        for r, law in laws
-        if law is not None and "d" in law.expression.names and not does_nothing(model.elements[r])
-    ]
+    return RecordConstants(starts, np.flatnonzero(shows[:forces]), np.array(biases, dtype=np.int64))
 
 
 def _hidden(rows: Real, bases: int) -> list[int]:
-    """Coordinates that may as well stand still, those of bases first: the others move alike without a trace."""
+    """Coordinates that may as well stand still, those of bases first: the others move alike without a trace.
+
+    rows (…, n): what a constant of each coordinate stretches or shows.
+    """
     size = np.linalg.norm(rows, axis=1, keepdims=True)
     n = rows.shape[1]
     _, values, directions = np.linalg.svd(rows / np.where(size > 0, size, 1.0))
@@ -132,46 +107,13 @@ def _hidden(rows: Real, bases: int) -> list[int]:
     return hidden
 
 
-def _shows(model: Model, data: RecordData, column: int) -> bool:
-    """Whether a constant of a force input leaves a trace beyond that of another start.
-
-    It does not in a rig whose laws depend on motion alone, and whose channels have no zeros.
-    """
-    shown = any(d == 0 and not drift for d, drift in zip(data.derivative, data.drift, strict=True))
-    if shown or _laws_of_position(model):
-        return True
-    n = model.n - len(data.bases.names)
-    B = model.B[_linear_springs(model), :n]
-    push = (
-        model.S[:n, column]
-        if column < model.S.shape[1] - len(data.bases.names)
-        else _carried(model, data, column)
-    )
-    rest = np.linalg.lstsq(B.T @ B, push, rcond=None)[0]
-    return bool(np.max(np.abs(B.T @ B @ rest - push), initial=0.0) > NONE * np.max(np.abs(push), initial=0.0))
-
-
-def _carried(model: Model, data: RecordData, column: int) -> Real:
-    """Inertia forces on the rig when a base accelerates, of masses of size 1, (n,)."""
-    n = model.n - len(data.bases.names)
-    base = n + column - (model.S.shape[1] - len(data.bases.names))
-    masses = model.B[list(model.by_matrix["M"])]
-    return masses[:, :n].T @ masses[:, base]
-
-
-# Inputs that were measured with noise: what is known of them, and what their noise does to the outputs
-# (THEORY §9).
+# Inputs that were measured with noise: what is known of them, and what their noise does to the outputs (THEORY §9).
 #
-# The true inputs are unknowns like others, as many as there are samples. Minimised away, to first order
-# around the motion that they give, they leave the residuals of the outputs with the covariance V = I + A
-# Aᵀ: A carries noise of the inputs to the channels, by the motion's own slopes. V is never formed:
-# conjugate gradients solve with it.
-
+# The true inputs are unknowns like others, as many as there are samples. Minimised away, to first order around the
+# motion that they give, they leave the residuals of the outputs with the covariance V = I + A Aᵀ: A carries noise of
+# the inputs to the channels, by the motion's own slopes. V is never formed: conjugate gradients solve with it.
 
 HALF_WINDOW = 60  # lines of a cosine transform over which an input's own spectrum is smoothed
-ENDS = 8  # samples by which the slopes at the ends of an input are told
-SOLVED = 1e-8  # of a column: what the conjugate gradients leave
-MOST = 200  # of their steps
 EXACT = 1e-9  # of an input's size: noise below it is none
 
 
@@ -197,24 +139,18 @@ def known_inputs(measured: Real, sd: Real) -> KnownInputs:
     Where a part of the band holds no more than noise the input is at rest there: each line is weighed by how far the
     spectrum around it stands out (Wiener 1949).
     """
-    lines, smooth = cosine_lines(measured)
-    moving = np.maximum(around(lines**2, HALF_WINDOW) - sd**2, 0.0)
-    total = moving + sd**2
-    share = np.where(total > 0, moving / np.where(total > 0, total, 1.0), 1.0)
-    return KnownInputs(smooth + idct(share * lines, axis=0, norm="ortho"), np.sqrt(share) * sd, sd)
-
-
-def cosine_lines(measured: Real) -> tuple[Real, Real]:
-    """Cosine transform of inputs less a smooth course, and that course, both (samples, q)."""
-    # The parabola whose slopes at the ends are those of the signal: less it, a cosine transform has no steps
+    # Less the parabola whose slopes are those of the 8 samples at either end, a cosine transform has no steps.
     N = len(measured)
-    count = min(ENDS, N)
+    count = min(8, N)
     basis = np.linalg.pinv(np.vander(np.arange(count) + 0.5, 3, increasing=True))
     first, last = basis[1] @ measured[:count], -basis[1] @ measured[::-1][:count]
     t = np.arange(N)[:, None]
     smooth = first * t + (last - first) * t**2 / (2 * max(N - 1, 1))
     lines: Real = dct(measured - smooth, axis=0, norm="ortho")
-    return lines, smooth
+    moving = np.maximum(around(lines**2, HALF_WINDOW) - sd**2, 0.0)
+    total = moving + sd**2
+    share = np.where(total > 0, moving / np.where(total > 0, total, 1.0), 1.0)
+    return KnownInputs(smooth + idct(share * lines, axis=0, norm="ortho"), np.sqrt(share) * sd, sd)
 
 
 def around(power: Real, half_window: int) -> Real:
@@ -249,21 +185,21 @@ class OutputCovariance:
         return self.known.spread[..., None] * dct(back, axis=0, norm="ortho")
 
     def solve(self, columns: Real) -> Real:
-        """V⁻¹ of columns (samples, channels, K).  Raises NotSolvedError."""
+        """V⁻¹ of columns (samples, channels, K), to 1e-8 of each.  Raises NotSolvedError."""
         z = np.zeros_like(columns)
-        size = np.sqrt(_squares(columns))
+        size = np.linalg.norm(columns, axis=(0, 1))
         active = np.flatnonzero(size > 0)
         left = columns[..., active]
         near = self._white.solve(left)
         way, gain = near, np.sum(left * near, axis=(0, 1))
-        for _ in range(MOST):
+        for _ in range(200):
             if not len(active):
                 return z
             pushed = way + self.reach(self.back(way))
             step = gain / np.sum(way * pushed, axis=(0, 1))
             z[..., active] += step * way
             left = left - step * pushed
-            open_ = np.sqrt(_squares(left)) > SOLVED * size[active]
+            open_ = np.linalg.norm(left, axis=(0, 1)) > 1e-8 * size[active]
             active, left, way, gain = active[open_], left[..., open_], way[..., open_], gain[open_]
             near = self._white.solve(left)
             after = np.sum(left * near, axis=(0, 1))
@@ -296,35 +232,32 @@ class InputErrors:
         return self.white + self.along @ (psi - self.psi)
 
 
-@dataclass(frozen=True)
-class NormalEquations:
-    """Of the unknowns `chosen` (P,): squared residuals, minus half their slope (P,), half their curvature (P, P)."""
-
-    chosen: Ints
-    cost: float
-    gradient: Real
-    matrix: Real
-
-
 @dataclass(frozen=True, eq=False)
 class LinearisedRecord:
     """Residuals (samples, channels) of the motion that the inputs give as they are known, to first order around the
     motion with their errors; slopes (samples, channels, P) of what is shown along the unknowns `chosen` (P,).
 
-    drifting: channels whose mean says nothing.
+    drifting: channels whose mean says nothing; inputs: what their noise does to the outputs, None where they are exact:
+    then V is 1, and residuals and slopes have no means in drifting channels.
     """
 
-    covariance: OutputCovariance
+    inputs: OutputCovariance | None
     residual: Real
     slopes: Real
     chosen: Ints
     drifting: Ints
 
+    @property
+    def covariance(self) -> OutputCovariance:
+        """What noise of inputs does that are uncertain."""
+        assert self.inputs is not None
+        return self.inputs
+
     def weighed(self, columns: Real) -> Real:
         """V⁻¹ of columns (samples, channels, K) less what constants of the drifting channels explain of them."""
-        return self._without_means(self.covariance.solve(columns))
-
-    def _without_means(self, solved: Real) -> Real:
+        if self.inputs is None:
+            return columns
+        solved = self.inputs.solve(columns)
         if not len(self.drifting):
             return solved
         matrix = np.sum(self._means, axis=0)[self.drifting]
@@ -352,6 +285,17 @@ class LinearisedRecord:
         """The least of squared residuals and squared errors of the inputs."""
         return float(np.sum(self.residual * self.score))
 
+    @property
+    def gradient(self) -> Real:
+        """Minus half the slope of the cost, (P,), the errors of the inputs being eliminated."""
+        return np.einsum("ncp,nc->p", self.slopes, self.score)
+
+    @cached_property
+    def matrix(self) -> Real:
+        """Half the curvature of the cost, (P, P), likewise."""
+        matrix = np.tensordot(self.slopes, self.weighed_slopes, axes=([0, 1], [0, 1]))
+        return (matrix + matrix.T) / 2
+
     def errors(self) -> Real:
         """The likeliest errors of the inputs, (samples, q)."""
         return self.covariance.back(self.score[..., None])[..., 0]
@@ -360,32 +304,25 @@ class LinearisedRecord:
         """Their slopes along the unknowns, (samples, q, P)."""
         return -self.covariance.back(self.weighed_slopes)
 
-    def normal_equations(self) -> NormalEquations:
-        """Those of the unknowns, the errors of the inputs being eliminated."""
-        gradient = np.einsum("ncp,nc->p", self.slopes, self.score)
-        matrix = np.tensordot(self.slopes, self.weighed_slopes, axes=([0, 1], [0, 1]))
-        return NormalEquations(self.chosen, self.cost, gradient, (matrix + matrix.T) / 2)
+
+@dataclass(frozen=True)
+class Trail:
+    """What the last evaluations of a problem have found, next to which the next ones begin: motions of the records, and
+    the likeliest errors of their inputs."""
+
+    motions: dict[int, Motion] = field(default_factory=dict)
+    errors: dict[int, InputErrors] = field(default_factory=dict)
 
 
-def _squares(columns: Real) -> Real:
-    return np.sum(columns**2, axis=(0, 1))
-
-
-STEP = 0.8  # of a step times the fastest rate of the linear rig
-ROUGH = 2  # more steps where laws are not smooth
-MOST_RECORD_PROBLEM = 1000  # steps between samples
-INNER = 6  # steps for the errors of the inputs at one ψ
-NEAR = 1e-3  # of χ², that another of them would lower
-
-
-@dataclass
+@dataclass(frozen=True)
 class RecordProblem:
-    """All that one evaluation needs; `last` holds the last motion of each record, from which the next is found.
+    """The misfit of whole records at any ψ = (θ, gains, offsets, unknowns of each record).
 
     rig: as it is declared; model: as it moves, with bases that are known by a rate as coordinates behind its own.
     begun: states at the starts of the records, of which those constants that cannot be found stay as they are.
-    held (laws with a state,): how large the states of laws may be, m.
-    Where inputs are uncertain, `errors` holds their last errors, and `covariances` what their noise did to the outputs.
+    held (laws with a state,): how large the states of laws may be, m; sd (channels,): of their noise; substeps: steps
+    between samples of each record; inputs: None where those measured are exact; pieces: into which each record was cut.
+    The trail is no part of what the problem is: it only tells where evaluations begin.
     """
 
     rig: Model
@@ -397,11 +334,9 @@ class RecordProblem:
     gains: int
     sd: Real
     substeps: tuple[int, ...]
-    last: dict[int, Motion] = field(default_factory=dict)
-    pieces: int = 1  # into which each record was cut
-    inputs: tuple[KnownInputs, ...] | None = None  # None: those measured are exact
-    errors: dict[int, InputErrors] = field(default_factory=dict)
-    covariances: dict[int, OutputCovariance] = field(default_factory=dict)
+    pieces: int = 1
+    inputs: tuple[KnownInputs, ...] | None = None
+    trail: Trail = field(default_factory=Trail, compare=False)
 
     @property
     def states(self) -> int:
@@ -418,16 +353,94 @@ class RecordProblem:
         first = self.inner + k * self.states
         return slice(first, first + self.states)
 
+    def columns(self, k: int) -> Ints:
+        """Places in ψ of all unknowns that a record depends on."""
+        own = self.of_record(k)
+        return np.concatenate([np.arange(self.inner), np.arange(own.start, own.stop)])
+
     def sizes(self) -> Real:
         """Root mean square of each channel over all records, (channels,)."""
         return np.sqrt(np.mean(np.concatenate([data.outputs for data in self.records]) ** 2, axis=0))
 
+    @property
+    def steps(self) -> int:
+        """Steps of all records together."""
+        return sum(data.samples * count for data, count in zip(self.records, self.substeps, strict=True))
+
+    # The same problem otherwise
+
+    def afresh(self) -> RecordProblem:
+        """The same without a trail."""
+        return replace(self, trail=Trail())
+
     def motions(self) -> dict[int, Motion]:
         """The last motions as starts for other rigs of the same states."""
-        return {k: replace(motion, along=None, forces={}) for k, motion in self.last.items()}
+        return {k: replace(motion, along=None, forces={}) for k, motion in self.trail.motions.items()}
 
-    def motions_of(self, larger: Model) -> dict[int, Motion]:
-        """The same for a model with further elements of stop or play behind its own, whose states follow the motion."""
+    def finer(self) -> RecordProblem:
+        """The same with half the steps."""
+        motions = {k: replace(motion, forces={}) for k, motion in self.trail.motions.items()}
+        trail = replace(self.trail, motions=motions)
+        return replace(self, substeps=tuple(2 * count for count in self.substeps), trail=trail)
+
+    def with_noise(self, sd: Real, variance: Real) -> RecordProblem:
+        """The same with noise of channels, sd (channels,), and of inputs, variance (q,)."""
+        inputs = tuple(known_inputs(data.inputs, np.sqrt(variance)) for data in self.records)
+        return replace(self, sd=sd, inputs=inputs, trail=Trail(dict(self.trail.motions)))
+
+    def only(self, k: int, psi: Real) -> tuple[RecordProblem, Real]:
+        """One record alone with the inputs that are taken for the true ones at ψ (M,), and its ψ; sd are 1."""
+        motions = self.motions()
+        one = replace(
+            self,
+            records=(self.data_at(k, psi),),
+            begun=(self.begun[k],),
+            substeps=(self.substeps[k],),
+            inputs=None,
+            sd=np.ones(len(self.sd)),
+            trail=Trail({0: motions[k]} if k in motions else {}),
+        )
+        return one, psi[self.columns(k)]
+
+    def with_elements(
+        self, psi: Real, elements: Sequence[Element]
+    ) -> tuple[RecordProblem, Real, tuple[int, ...]]:
+        """The problem with elements that do nothing yet, its ψ (M + count,), and where in it theirs are.
+
+        Laws with a state of their own begin with nothing.
+        """
+        m, free = len(self.model.unknowns), self.constants
+        more = tuple(replace(e, guess=0.0) for e in elements)
+        beside = (self.records[0].bases.beside(e) for e in more)
+        model = replace(self.model, elements=(*self.model.elements, *beside))
+        larger = replace(
+            self,
+            rig=replace(self.rig, elements=(*self.rig.elements, *more)),
+            model=model,
+            trail=Trail(self.motions()),
+        )
+        own = psi[self.inner :].reshape(-1, self.states)
+        laws = sum(e.force_law is not None and e.force_law.has_state for e in more)
+        if laws:
+            first = len(self.begun[0])
+            larger = replace(
+                larger,
+                constants=replace(free, starts=np.append(free.starts, range(first, first + laws))),
+                begun=tuple(np.append(start, np.zeros(laws)) for start in self.begun),
+                held=np.append(self.held, np.ones(laws)),
+                trail=Trail(self._motions_of(model)),
+            )
+            own = np.insert(own, [len(free.starts)] * laws, 0.0, axis=1)
+        before = dict(zip(self.model.unknown_names, psi[:m].tolist(), strict=True))
+        names = list(model.unknown_names)
+        at = np.concatenate([[before.get(name, 0.0) for name in names], psi[m : self.inner], own.ravel()])
+        for k in range(0 if self.inputs is None else len(self.records)):
+            white = self.errors_at(k, psi)
+            larger.trail.errors[k] = InputErrors(at, white, np.zeros((*white.shape, len(at))))
+        return larger, at, tuple(names.index(e.name) for e in elements)
+
+    def _motions_of(self, larger: Model) -> dict[int, Motion]:
+        """The last motions for a model with further elements of stop or play, whose states follow the motion."""
         moved = {}
         new = [(row, law) for row, law in laws_with_state(larger) if row >= len(self.model.elements)]
         for k, motion in self.motions().items():
@@ -443,59 +456,64 @@ class RecordProblem:
             moved[k] = replace(motion, state=np.hstack(states), starts=np.hstack(starts))
         return moved
 
-    @property
-    def steps(self) -> int:
-        """Steps of all records together."""
-        return sum(data.samples * count for data, count in zip(self.records, self.substeps, strict=True))
-
-    def finer(self) -> RecordProblem:
-        """The same with half the steps."""
-        last = {k: replace(motion, forces={}) for k, motion in self.last.items()}
-        return replace(self, substeps=tuple(2 * count for count in self.substeps), last=last)
+    # Evaluation
 
     def residuals(self, psi: Real, slopes: bool = True) -> list[tuple[Real, Real | None]]:
-        """For each record: measured less shown, in standard deviations, and slopes of what is shown, (…, unknowns)."""
+        """`residual` of each record."""
         return [self.residual(k, psi, slopes) for k in range(len(self.records))]
 
     def sure_residuals(self, psi: Real) -> list[tuple[Real, Real | None]]:
         """The same, followed from sample to sample where the last motions are too far off to lead to these."""
         reached = self.residuals(psi)
-        if self.last and any(slopes is None for _, slopes in reached):
-            self.last = {}
+        if self.trail.motions and any(slopes is None for _, slopes in reached):
+            self.trail.motions.clear()
             reached = self.residuals(psi)
         return reached
 
     def residual(self, k: int, psi: Real, slopes: bool = True) -> tuple[Real, Real | None]:
-        """Those of one record."""
+        """Measured less shown of a record, in standard deviations, and slopes of what is shown along its `columns`.
+
+        (samples, channels) and (samples, channels, columns); inf and None where no motion follows.
+        """
+        residual, along, _ = self._outputs(k, psi, slopes=slopes)
+        return residual, along
+
+    def with_covariance(self, k: int, psi: Real) -> tuple[Real, Real | None, OutputCovariance | None]:
+        """The same, and what noise of the inputs does to the outputs."""
+        return self._outputs(k, psi, covariance=True)
+
+    def _outputs(
+        self, k: int, psi: Real, *, slopes: bool = True, covariance: bool = False
+    ) -> tuple[Real, Real | None, OutputCovariance | None]:
         m = len(self.model.unknowns)
         gain = psi[m : m + self.gains]
         data = self.data_at(k, psi)
         machine, start = self.machine(k, psi, data)
-        motion = integrate(machine, start, self.last.get(k), slopes=slopes)
+        motion = integrate(machine, start, self.trail.motions.get(k), slopes=slopes)
         if not motion.closed:
-            return np.full_like(data.outputs, np.inf), None
+            return np.full_like(data.outputs, np.inf), None, None
         y, J = shown_outputs(machine, data, motion)
         factor = np.array([1.0 if g < 0 else gain[g] for g in data.gain])
-        residual = data.outputs - factor * y
         zero = np.array(data.drift)
-        residual = residual - np.where(zero, np.mean(residual, axis=0), 0.0)
+        residual = data.outputs - factor * y
+        residual = (residual - np.where(zero, np.mean(residual, axis=0), 0.0)) / self.sd
         if J is None:
-            return residual / self.sd, None
-        total = np.zeros((*J.shape[:2], len(psi)))
+            return residual, None, None
         free, by_theta = self.constants, machine.states
+        total = np.zeros((*J.shape[:2], self.inner + self.states))
         total[..., :m] = J[..., by_theta : by_theta + m]
         total[..., m + self.gains : self.inner] = J[..., by_theta + m + free.offsets]
-        total[..., self.of_record(k)] = J[..., [*free.starts, *(by_theta + m + free.biases)]]
+        total[..., self.inner :] = J[..., [*free.starts, *(by_theta + m + free.biases)]]
         total *= factor[:, None]
         for c, g in enumerate(data.gain):
             if g >= 0:
                 total[:, c, m + g] = y[:, c]
-        total = total - np.where(zero[:, None], np.mean(total, axis=0), 0.0)
-        self.last[k] = replace(motion, slope=None)
-        if self.inputs is not None:
-            along = tangent(machine, motion, data.on_x, data.on_q, data.derivative)
-            self.covariances[k] = OutputCovariance(along, factor / self.sd, self.inputs[k])
-        return residual / self.sd, total / self.sd[:, None]
+        total = (total - np.where(zero[:, None], np.mean(total, axis=0), 0.0)) / self.sd[:, None]
+        self.trail.motions[k] = replace(motion, slope=None)
+        if not covariance or self.inputs is None:
+            return residual, total, None
+        along = tangent(machine, motion, data.on_x, data.on_q, data.derivative)
+        return residual, total, OutputCovariance(along, factor / self.sd, self.inputs[k])
 
     def machine(self, k: int, psi: Real, data: RecordData) -> tuple[Integrator, Real]:
         """What integrates a record at ψ (M,) with the inputs of `data`, and the state (states,) at its start."""
@@ -540,7 +558,7 @@ class RecordProblem:
     def errors_at(self, k: int, psi: Real) -> Real:
         """The errors of a record's inputs that are likeliest at ψ, in standard deviations, (samples, q); 0 at first."""
         assert self.inputs is not None
-        known = self.errors.get(k)
+        known = self.trail.errors.get(k)
         return np.zeros_like(self.inputs[k].spread) if known is None else known.at(psi)
 
     def misfit(self, psi: Real) -> float:
@@ -554,58 +572,45 @@ class RecordProblem:
         """Cost with priors, slope and curvature at ψ (1, M)."""
         M = psi.shape[-1]
         cost, gradient, matrix = 0.0, np.zeros(M), np.zeros((M, M))
-        impossible = not np.all(np.isfinite(psi))
-        for k in range(0 if impossible else len(self.records)):
-            part = self.normal_equations(k, psi[0])
+        for k in range(len(self.records)):
+            part = self.linearised(k, psi[0]) if np.all(np.isfinite(psi)) else None
             if part is None:
-                impossible = True
-                break
+                nothing = np.full((1, M, M), np.nan)
+                return QuadraticModel(np.array([np.inf]), nothing[..., 0], nothing, nothing)
             cost += part.cost
             gradient[part.chosen] += part.gradient
             matrix[np.ix_(part.chosen, part.chosen)] += part.matrix
-        if impossible:
-            nothing = np.full((1, M, M), np.nan)
-            return QuadraticModel(np.array([np.inf]), nothing[..., 0], nothing, nothing)
         prior, mean = self.priors()
         away = np.where(np.isnan(mean), 0.0, psi[0] - mean)
         matrix += np.diag(prior)
         total = cost + float(np.sum(prior * away**2))
         return QuadraticModel(np.array([total]), (gradient - prior * away)[None], matrix[None], matrix[None])
 
-    def normal_equations(self, k: int, psi: Real) -> NormalEquations | None:
-        """Of one record at ψ (M,); None where no motion follows."""
-        if self.inputs is not None:
-            linear = self.linearised(k, psi)
-            return None if linear is None else linear.normal_equations()
-        residual, J = self.residual(k, psi)
-        if J is None:
-            return None
-        flat = J.reshape(-1, len(psi))
-        square = float(np.sum(residual**2))
-        return NormalEquations(np.arange(len(psi)), square, flat.T @ residual.ravel(), flat.T @ flat)
-
     def linearised(self, k: int, psi: Real) -> LinearisedRecord | None:
-        """A record with uncertain inputs around their likeliest values at ψ (M,); None where no motion follows.
+        """A record around ψ (M,), its inputs at their likeliest values there; None where no motion follows.
 
         Raises NotSolvedError where noise of the inputs does more than can be reckoned with.
         """
-        own = self.of_record(k)
-        chosen = np.concatenate([np.arange(self.inner), np.arange(own.start, own.stop)])
-        for turn in range(INNER):
-            white = self.errors_at(k, psi)
+        chosen = self.columns(k)
+        drifting = np.flatnonzero(self.records[k].drift)
+        if self.inputs is None:
             residual, J = self.residual(k, psi)
-            if J is None:
+            return None if J is None else LinearisedRecord(None, residual, J, chosen, drifting)
+        near = False
+        for left in reversed(range(6)):  # steps of Gauss and Newton for the errors of the inputs, at most
+            white = self.errors_at(k, psi)
+            residual, J, V = self.with_covariance(k, psi)
+            if J is None or V is None:
                 return None
-            V = self.covariances[k]
             free = residual + V.reach(white[..., None])[..., 0]
-            linear = LinearisedRecord(V, free, J[..., chosen], chosen, np.flatnonzero(self.records[k].drift))
+            linear = LinearisedRecord(V, free, J, chosen, drifting)
             likeliest = linear.errors()
             gained = float(np.sum(residual**2) + np.sum(white**2)) - linear.cost
-            near = gained < NEAR or turn == INNER - 1
+            near = gained < 1e-3 or not left  # of χ², that another step would lower
             along = np.zeros((*white.shape, len(psi)))
             if near:
                 along[..., chosen] = linear.errors_along()
-            self.errors[k] = InputErrors(psi, likeliest, along)
+            self.trail.errors[k] = InputErrors(psi, likeliest, along)
             if near:
                 break
         return linear
@@ -620,33 +625,35 @@ def begun_problem(
     Raises ConvergenceError where steps would be too many.
     """
     measured = [recorded_motion(rig, data) for data in records]
+    pairs = list(zip(records, measured, strict=True))
     substeps = tuple(
-        enough_for_record(rig, theta, data, at) for data, at in zip(records, measured, strict=True)
+        enough_substeps(rig, theta, data.step_s, None if at is None else (at.x, at.u)) for data, at in pairs
     )
     moving = moving_rig(rig, records[0].bases)
     if free is None:
         free = record_constants(moving, records[0])
-    begun = [start_of(rig, data, at) for data, at in zip(records, measured, strict=True)]
+    begun = [start_of(rig, data, at) for data, at in pairs]
     gains = max((g for data in records for g in data.gain), default=-1) + 1
     states = tuple(start.state for start in begun)
-    pairs = zip(records, measured, strict=True)
     held = np.max([largest_states(rig, theta, data, at) for data, at in pairs], axis=0)
     problem = RecordProblem(rig, moving, records, free, states, held, gains, sd, substeps)
     own = [part for start in begun for part in (start.state[free.starts], start.forces[free.biases])]
     return problem, np.concatenate(own)
 
 
+STEP = 0.8  # of a step times the fastest rate of the linear rig
+MOST_SUBSTEPS = 1000  # between samples
+
+
 def enough_substeps(model: Model, theta: Real, step_s: float, motion: tuple[Real, Real] | None = None) -> int:
-    """Steps between samples: enough for the fastest mode of the linear part, and for kinks of the laws.
+    """Steps between samples: enough for the fastest mode of the linear part, twice as many for kinks of the laws.
 
     theta (unknowns,); with a `motion`, coordinates (samples, n) and displacement inputs (samples, r), springs count as
-    stiff as they are anywhere in it.  Raises ConvergenceError where steps are more than MOST.
+    stiff as they are anywhere in it.  Raises ConvergenceError where steps are more than MOST_SUBSTEPS.
     """
     parts = matrices(model, model.parameters(theta))
-    n = model.n
-    K = parts.K
+    n, K, chosen = model.n, parts.K, model.nonlinear
     if motion is not None:
-        chosen = model.nonlinear
         K = K + (model.B[chosen].T * _stiffest(model, theta, step_s, *motion)) @ model.B[chosen]
     try:
         inverse = np.linalg.inv(parts.M)
@@ -654,18 +661,13 @@ def enough_substeps(model: Model, theta: Real, step_s: float, motion: tuple[Real
         return 1
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ K, -inverse @ parts.C]])
     fastest = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)) if np.all(np.isfinite(A)) else np.inf
-    if not fastest * step_s <= MOST_RECORD_PROBLEM * STEP:
+    if not fastest * step_s <= MOST_SUBSTEPS * STEP:
         raise ConvergenceError(
             f"the rig would move at {fastest:.3g} rad/s, far too fast for {1 / step_s:.3g} samples a second",
             cure="check its values, and give guesses of the unknowns",
         )
     rough = any(e.force_law is not None and not e.force_law.smooth for e in model.elements)
-    return max(1, int(np.ceil(fastest * step_s / STEP))) * (ROUGH if rough else 1)
-
-
-def enough_for_record(model: Model, theta: Real, data: RecordData, at: RecordedMotion | None) -> int:
-    """`enough_substeps` of a record of a rig, in its motion where that is measured."""
-    return enough_substeps(model, theta, data.step_s, None if at is None else (at.x, at.u))
+    return max(1, int(np.ceil(fastest * step_s / STEP))) * (2 if rough else 1)
 
 
 def _stiffest(model: Model, theta: Real, step_s: float, x: Real, u: Real) -> Real:
@@ -675,9 +677,7 @@ def _stiffest(model: Model, theta: Real, step_s: float, x: Real, u: Real) -> Rea
     v = np.gradient(d, step_s, axis=0)
     p, constants = model.parameters(theta)[chosen], model.inner_constants(theta)
     stiffest = np.zeros(len(chosen))
-    for row, (index, inner) in enumerate(zip(chosen, model.constant_slices, strict=True)):
-        law = model.elements[int(index)].force_law
-        assert law is not None
+    for row, (law, inner) in enumerate(zip(model.laws, model.constant_slices, strict=True)):
         at = law(d[:, row], v[:, row], np.zeros(len(d)), constants[inner])
         slopes = p[row] * np.broadcast_to(at.slopes.get("d", 0.0), len(d))
         stiffest[row] = np.max(slopes, initial=0.0, where=np.isfinite(slopes))

@@ -20,9 +20,6 @@ from dashpot.model.nonlinear.integration import Integrator, Motion
 from dashpot.model.nonlinear.moving_base import NO_BASES, Bases, bases_of
 from dashpot.model.observation import measures_input, observation_model
 
-UNIFORM = 1e-3  # of the step: how far sample times may lie off
-EXACT = 1e-9  # of an input: how much of others may be in what channels show of it
-
 
 @dataclass(frozen=True)
 class RecordData:
@@ -80,11 +77,17 @@ def arranged(model: Model, record: Record) -> RecordData:
         )
     by_force = bool(len(model.force_inputs))
     data = RecordData(
-        record.source, step, tuple(record.channels[i].name for i in outputs), shown.values, values[:, outputs],
-        view.on_x[outputs], view.on_q[outputs], tuple(int(view.derivative[i]) for i in outputs),
-        tuple(int(view.gain[i]) for i in outputs),
-        tuple(int(view.derivative[i]) > 0 or not by_force for i in outputs),
-    )  # fmt: skip
+        record.source,
+        step,
+        tuple(record.channels[i].name for i in outputs),
+        shown.values,
+        values[:, outputs],
+        view.on_x[outputs],
+        view.on_q[outputs],
+        derivative=tuple(int(view.derivative[i]) for i in outputs),
+        gain=tuple(int(view.gain[i]) for i in outputs),
+        drift=tuple(int(view.derivative[i]) > 0 or not by_force for i in outputs),
+    )
     return beside_bases(model, data, shown.orders)
 
 
@@ -103,10 +106,9 @@ def beside_bases(model: Model, data: RecordData, orders: Sequence[int]) -> Recor
     inputs[:, first:] -= np.mean(inputs[:, first:], axis=0)
     on_base = data.on_x @ bases.matrix(model.coordinates) + on_q[:, first:]
     on_q[:, first:] = 0.0
-    return replace(
-        data, inputs=inputs, on_x=np.concatenate([data.on_x, on_base], axis=1), on_q=on_q, bases=bases,
-        rated=(*[False] * first, *(orders[j] == 1 for j in moved)),
-    )  # fmt: skip
+    rated = (*[False] * first, *(orders[j] == 1 for j in moved))
+    on_x = np.concatenate([data.on_x, on_base], axis=1)
+    return replace(data, inputs=inputs, on_x=on_x, on_q=on_q, bases=bases, rated=rated)
 
 
 def in_pieces(data: RecordData) -> list[RecordData]:
@@ -153,7 +155,7 @@ def _input_channels(model: Model, record: Record) -> tuple[Real, tuple[int, ...]
         if not C.size:
             continue
         inverse = np.linalg.pinv(C)
-        told = open_ & (np.max(np.abs(inverse @ C - np.eye(q)), axis=1) < EXACT)
+        told = open_ & (np.max(np.abs(inverse @ C - np.eye(q)), axis=1) < 1e-9)
         weights[np.ix_(told, usable)] = inverse[told]
         orders[told] = order
     if np.any(orders < 0):
@@ -199,7 +201,7 @@ def uniform_step(record: Record) -> float:
     """The sampling step, s.  Raises DataError where samples are not evenly spaced."""
     step = float((record.time[-1] - record.time[0]) / (len(record.time) - 1))
     slip = np.max(np.abs(record.time - record.time[0] - step * np.arange(len(record.time))))
-    if slip > UNIFORM * step * max(1.0, 0.01 * len(record.time)) and slip > 0.5 * step:
+    if slip > 0.5 * step and slip > 1e-3 * step * max(1.0, 0.01 * len(record.time)):
         raise DataError(
             "the samples are not evenly spaced",
             record.source,
@@ -294,7 +296,7 @@ class Start:
 
 def recorded_motion(model: Model, data: RecordData) -> RecordedMotion | None:
     """The motion of a rig; None where channels of displacement with known gains do not show all its coordinates."""
-    C = data.on_x[_displacements(data)][:, : model.n]
+    C = data.on_x[displacement_channels(data)][:, : model.n]
     if np.linalg.matrix_rank(C) < model.n if C.size else True:
         return None
     bases = data.bases
@@ -330,8 +332,7 @@ def start_of(model: Model, data: RecordData, at: RecordedMotion | None) -> Start
 
 def laws_with_state(model: Model) -> list[tuple[int, ForceLaw]]:
     """Elements whose laws carry a state, by their rows, in order."""
-    laws = [(row, element.force_law) for row, element in enumerate(model.elements)]
-    return [(row, law) for row, law in laws if law is not None and law.has_state]
+    return [(int(row), law) for row, law in zip(model.nonlinear, model.laws, strict=True) if law.has_state]
 
 
 def largest_states(model: Model, theta: Real, data: RecordData, at: RecordedMotion | None) -> Real:
@@ -367,7 +368,7 @@ def base_travel(model: Model, data: RecordData) -> BaseTravel:
     for j, order in enumerate(data.bases.orders):
         travel[:, j] = CubicSpline(time, measured[:, j]).antiderivative(order)(time)
         start[j, 1] = measured[0, j] if order == 1 else 0.0
-    chosen = _displacements(data)
+    chosen = displacement_channels(data)
     reach = np.linalg.pinv(data.on_x[chosen][:, : model.n]) @ data.on_x[chosen][:, model.n :]  # (n, bases)
     beside = _beside(model, data, travel)
     if not chosen:  # nothing shows where the bases are: they travel as little as they may
@@ -403,14 +404,14 @@ def _courses(data: RecordData) -> tuple[Real, Real]:
     return spline(time), np.stack([spline(0.0), spline(0.0, 1), np.zeros(len(padded) - 4)], axis=1)
 
 
-def _displacements(data: RecordData) -> list[int]:
+def displacement_channels(data: RecordData) -> list[int]:
     """Channels of displacement with known gains."""
     return [c for c in range(len(data.names)) if data.derivative[c] == 0 and data.gain[c] < 0]
 
 
 def _beside(model: Model, data: RecordData, travel: Real) -> Real:
     """Coordinates from where the bases carry them, (samples, n), as channels of displacement show them."""
-    chosen = _displacements(data)
+    chosen = displacement_channels(data)
     seen = data.outputs[:, chosen] - data.inputs @ data.on_q[chosen].T
     seen = seen - travel @ data.on_x[chosen][:, model.n :].T
     return seen @ np.linalg.pinv(data.on_x[chosen][:, : model.n]).T

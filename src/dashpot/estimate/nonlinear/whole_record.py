@@ -9,26 +9,22 @@ residuals have for the intervals (a sandwich with their spectrum).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real
+from dashpot.arrays import Real
 from dashpot.data.conditioning.still import Still
 from dashpot.data.record import Record
 from dashpot.errors import DataError, UsageError
-from dashpot.estimate.nonlinear.input_levels import (
-    InputSizes,
-    despite_wander,
-    steadied,
-    with_uncertain_inputs,
-)
+from dashpot.estimate.nonlinear.input_levels import despite_wander, steadied, with_uncertain_inputs
 from dashpot.estimate.nonlinear.objective import must_be_positive
-from dashpot.estimate.nonlinear.record_inference import record_estimate
+from dashpot.estimate.nonlinear.record_inference import FittedRecords
 from dashpot.estimate.nonlinear.record_problem import (
     NotSolvedError,
     RecordConstants,
     RecordProblem,
+    Trail,
     begun_problem,
     record_constants,
 )
@@ -37,6 +33,7 @@ from dashpot.estimate.nonlinear.records import (
     NoiseAtRest,
     RecordData,
     arranged,
+    displacement_channels,
     noise_of_channels,
     total_samples,
 )
@@ -45,163 +42,16 @@ from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.moving_base import moving_rig
-from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
+from dashpot.numerics.levenberg_marquardt import OptimizeResult, minimise
 from dashpot.numerics.small_systems import solve_scaled
 
-# Starts far from the end of a whole record: the motion is held near the measured one, less and less.
-#
-# Of a motion that is integrated freely the misfit has many valleys where the rig is strongly nonlinear.
-# Springs and dampers between what a channel shows of the rig and what it measured keep the motion near;
-# with them the misfit has one wide valley, whose bottom moves to that of the free motion as they are
-# weakened. Source: Vyasarayani, Uchida, Carvalho and McPhee (2012), Multibody System Dynamics 26, 411.
-
-
-HOLDS = (3.0, 1.0, 0.3, 0.1, 0.03)  # natural frequency of a channel on its spring over that of its motion
-DAMPING = 0.7  # of that spring
-NEAR = 4.0  # misfit of the free motion over that of the held one at which it need be held no more
-FOLLOWED = 30.0  # the same of pieces, which are short enough for the search to go on from there
-CUTS = 5  # halvings of a record, at most
-SHORTEST = 32  # samples of a piece
-
-
-def released(
-    problem: RecordProblem, psi: Real, descend: Callable[[RecordProblem, Real], OptimizeResult]
-) -> tuple[RecordProblem, Real]:
-    """(problem, ψ) from which the free motion's misfit leads to its least; `descend` finds the least of a held problem.
-
-    Records whose free motion is lost between one end and the other are cut into pieces with starts of their own.  As
-    given where no channel shows a displacement with a known gain.
-    """
-    shown = _shown(problem.records[0])
-    if not len(shown):
-        return problem, psi
-    records = tuple(_with_measured_motion(problem.model, data, shown) for data in problem.records)
-    least = np.inf
-    for hold in HOLDS:
-        held = replace(
-            problem, model=_held(problem, psi, shown, hold), records=records, last=problem.motions()
-        )
-        if not np.isfinite(held.misfit(psi)):
-            held.last = {}
-        end = descend(held, psi)
-        if not (end.converged[0] and end.cost[0] < NEAR * least):  # too weak to hold this motion
-            break
-        psi, least, problem.last = end.x[0], float(end.cost[0]), held.motions()
-        if problem.misfit(psi) < NEAR * least:
-            return problem, psi
-    states = [problem.last[k].state for k in range(len(problem.records)) if k in problem.last]
-    problem.last = {}  # the free motion may be far from the last one that was held
-    for _ in range(CUTS if states else 0):
-        if min(data.samples for data in problem.records) < 2 * SHORTEST:
-            break
-        problem, psi, states = _halved(problem, psi, states)
-        if problem.misfit(psi) < FOLLOWED * least:
-            break
-    return problem, psi
-
-
-def _halved(problem: RecordProblem, psi: Real, states: list[Real]) -> tuple[RecordProblem, Real, list[Real]]:
-    """The same with each record cut in two, and likewise the states (samples, states) of their motions."""
-    free = problem.constants
-    records, parts, own = [], [], [psi[: problem.inner]]
-    for k, (data, state) in enumerate(zip(problem.records, states, strict=True)):
-        middle = data.samples // 2
-        for part in (slice(0, middle), slice(middle, data.samples)):
-            records.append(replace(data, inputs=data.inputs[part], outputs=data.outputs[part]))
-            parts.append(state[part])
-            own += [state[part][0, free.starts], psi[problem.of_record(k)][len(free.starts) :]]
-    begun = tuple(part[0] for part in parts)
-    substeps = tuple(count for count in problem.substeps for _ in range(2))
-    return (
-        replace(problem, records=tuple(records), begun=begun, substeps=substeps, pieces=2 * problem.pieces),
-        np.concatenate(own),
-        parts,
-    )
-
-
-def _shown(data: RecordData) -> list[int]:
-    """Outputs that are displacements with known gains, and move."""
-    moves = np.ptp(data.outputs, axis=0) > 0
-    return [c for c in range(len(data.names)) if data.derivative[c] == 0 and data.gain[c] < 0 and moves[c]]
-
-
-def _with_measured_motion(model: Model, data: RecordData, shown: list[int]) -> RecordData:
-    """The record with what channels show of the coordinates as further displacement inputs."""
-    r = model.D.shape[1]
-    motion = data.outputs[:, shown] - data.inputs @ data.on_q[shown].T
-    inputs = np.concatenate([data.inputs[:, :r], motion, data.inputs[:, r:]], axis=1)
-    on_q = np.insert(data.on_q, r, np.zeros((len(shown), 1)), axis=1)
-    rated = (*data.rated[:r], *[False] * len(shown), *data.rated[r:]) if data.rated else ()
-    return replace(data, inputs=inputs, on_q=on_q, rated=rated)
-
-
-def _held(problem: RecordProblem, psi: Real, shown: list[int], hold: float) -> Model:
-    """The rig with a spring and a damper from each of the channels to its own measurement."""
-    model, data = problem.model, problem.records[0]
-    inverse = np.linalg.inv(matrices(model, model.parameters(psi[: len(model.unknowns)])).M)
-    inputs, elements = [], []
-    for c in shown:
-        seen = data.on_x[c]
-        mass = 1 / float(seen @ inverse @ seen)
-        signal = data.outputs[:, c] - np.mean(data.outputs[:, c])
-        rate = np.sqrt(np.sum(np.diff(signal) ** 2) / np.sum(signal**2)) / data.step_s
-        omega = hold * float(rate)
-        name = f"{data.names[c]} as measured"
-        along = dict(zip(model.coordinates, seen.tolist(), strict=True)) | {name: -1.0}
-        along = {point: factor for point, factor in along.items() if factor}
-        inputs.append(Input(name))
-        elements.append(Element(f"{name}, spring", Kind.SPRING, along, value=mass * omega**2))
-        elements.append(Element(f"{name}, damper", Kind.DAMPER, along, value=2 * DAMPING * mass * omega))
-    forces = [source for source in model.inputs if source.kind == "force"]
-    moved = [source for source in model.inputs if source.kind != "force"]
-    return replace(model, inputs=(*moved, *inputs, *forces), elements=(*model.elements, *elements))
-
-
-METHOD = "ml"  # what the search is
-LIMIT = 60  # iterations
-ROUNDS = 3  # of the search, with the noise that the one before has left
 FIRST_NOISE = 0.01  # of a channel's rms: its noise before anything is known
-UNLIKE = 0.2  # of the channels' rms: residuals of the first motion that is far off
-HELD, ROUGHLY = 12, 0.1  # iterations with a held motion, and the standard deviations at which they end
 EXACT = 1e-6  # of a channel's rms: residuals below it count no less
-TOLERANCE = 1e-4  # standard deviations
+LIMIT, TOLERANCE = 60, 1e-4  # iterations of a search, and the standard deviations at which it ends
 HALVINGS = 6  # of the integration's steps, at most
 MOST_STEPS = 10**6  # of all records, which halving must not exceed
-MOVED = 0.05  # standard deviations by which half steps may move an estimate
-SHORTEST_WHOLE_RECORD = 1e-6  # of a start: the least that lengths and speeds inside laws may become
-QUIETER = 0.5  # of the noise so far: residuals with finer steps, which coarser ones had made
-ERRORS_OF_STEPS = 0.1  # of the squared residuals: what halving the steps changes where these are too long
-FAR = 3.0  # standard deviations beyond which one step of Gauss and Newton is not enough
 
-
-@dataclass(frozen=True)
-class FittedRecords:
-    """Where the search over whole records ended: ψ (M,) of the problem, θ after each round, bounds.
-
-    noise: of the inputs, None where they show none or are `held` at what was measured, whose errors defy reckoning.
-    """
-
-    problem: RecordProblem
-    psi: Real
-    converged: bool
-    iterations: int
-    history: Real
-    limits: tuple[Real, Real]
-    noise: InputSizes | None = None
-    held: bool = False
-
-    def estimate(self) -> Estimate:
-        """Values with intervals.  Raises DataError and IdentifiabilityError."""
-        return record_estimate(
-            self.problem,
-            self.psi,
-            self.converged,
-            self.iterations,
-            self.history,
-            self.limits,
-            self.noise,
-            self.held,
-        )
+Progress = Callable[[int, int], None]
 
 
 def identify_records(
@@ -210,7 +60,7 @@ def identify_records(
     method: str | None = None,
     *,
     still: Still | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Estimate:
     """Estimate the unknowns of a nonlinear rig from whole records of any excitation, by maximum likelihood.
 
@@ -229,13 +79,22 @@ def fit_records(
     *,
     still: Still | None = None,
     exact_inputs: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> FittedRecords:
     """The most likely ψ; still: the noise that a record at rest shows.
 
     exact_inputs: with the measured inputs for the true ones, whatever their noise.  Raises as `identify_records`.
     """
-    _require_able(model, method)
+    if method not in (None, "ml"):
+        raise UsageError(
+            f"the method {method} cannot handle whole records of nonlinear rigs", cure="use the method ml"
+        )
+    model.require_unknowns()
+    if not len(model.nonlinear):
+        raise UsageError(
+            "the rig has no nonlinear element",
+            cure="use `identify`, which knows whole records of linear rigs",
+        )
     data = tuple(arranged(model, record) for record in records)
     if len({(record.names, record.bases.names, record.bases.orders) for record in data}) > 1:
         raise DataError(
@@ -252,28 +111,23 @@ def fit_records(
     return _refined(ended) if ended.converged else ended
 
 
-def _with_exact_inputs(
-    problem: RecordProblem, psi: Real, progress: Callable[[int, int], None] | None
-) -> FittedRecords:
+def _with_exact_inputs(problem: RecordProblem, psi: Real, progress: Progress | None) -> FittedRecords:
     """The fit with the measured inputs for the true ones, from ψ (M,) or wherever a start must be looked for."""
-    model, data = problem.rig, problem.records
-    before = replace(problem, last={})  # a search changes the noise and the last motions of its problem
-    # Whether the motion at the start ψ (M,) is so unlike the measured one that the search might end anywhere
-    power = problem.misfit(psi) * FIRST_NOISE**2 / total_samples(problem.records)
-    far = not power < UNLIKE**2
+    model, data, before = problem.rig, problem.records, problem.afresh()
+    # Where the motion at the start is off by a fifth of the measured one, the search might end anywhere.
+    far = not problem.misfit(psi) * FIRST_NOISE**2 / total_samples(data) < 0.2**2
     if far:
         linear = mostly_linear_values(model, data)  # noise makes laws of what the motion hardly shows
         if linear is not None:
             problem, psi = _from_linear(model, data, linear)
-            before, far = replace(problem, last={}), False
+            before, far = problem.afresh(), False
     if far:
         problem, psi = _released(problem, psi)
-    search = _searched(problem, psi, progress)
+    problem, search = _searched(problem, psi, progress)
     if not search.converged[0]:
         problem, search = _with_finer_steps(problem, search, progress)
     if not (far or search.converged[0]):
-        problem, psi = _released(before, psi)
-        search = _searched(problem, psi, progress)
+        problem, search = _searched(*_released(before, psi), progress)
     limits = _bounds(problem, search.x[0])
     return FittedRecords(
         problem, search.x[0], bool(search.converged[0]), int(search.iterations[0]), search.history, limits
@@ -284,12 +138,10 @@ def _despite_wander(
     problem: RecordProblem, psi: Real, measured: Sequence[RecordData], at_rest: NoiseAtRest | None
 ) -> FittedRecords | None:
     """The fit where noise of bases carries the rig far from where it was; None where it does not."""
-    problem = replace(problem, last={})
-
-    def descend(held: RecordProblem, x: Real, limit: int) -> OptimizeResult:
-        return _descended(held, x, _bounds(held, x), limit)
-
-    begun = despite_wander(problem, psi, measured, descend)
+    problem = problem.afresh()
+    begun = despite_wander(
+        problem, psi, measured, lambda held, x, limit: _descended(held, x, _bounds(held, x), limit)
+    )
     if begun is None:
         return None
     exact = FittedRecords(problem, begun, True, 0, psi[None, : problem.inner], _bounds(problem, psi))
@@ -297,31 +149,18 @@ def _despite_wander(
     return None if ended.noise is None else ended
 
 
-def _require_able(model: Model, method: str | None) -> None:
-    """Raises UsageError where another method is named or the rig is linear, ModelError where nothing is unknown."""
-    if method not in (None, METHOD):
-        raise UsageError(
-            f"the method {method} cannot handle whole records of nonlinear rigs",
-            cure=f"use the method {METHOD}",
-        )
-    model.require_unknowns()
-    if not len(model.nonlinear):
-        raise UsageError(
-            "the rig has no nonlinear element",
-            cure="use `identify`, which knows whole records of linear rigs",
-        )
-
-
 def _with_true_inputs(
     exact: FittedRecords, measured: Sequence[RecordData], at_rest: NoiseAtRest | None
 ) -> FittedRecords:
     """The fit with the true inputs unknown, where those measured show noise; as it is where they show none."""
-
-    def descend(problem: RecordProblem, psi: Real, limit: int) -> OptimizeResult:
-        return _descended(problem, psi, exact.limits, limit)
-
     try:
-        better = with_uncertain_inputs(exact.problem, exact.psi, measured, descend, at_rest)
+        better = with_uncertain_inputs(
+            exact.problem,
+            exact.psi,
+            measured,
+            lambda problem, psi, limit: _descended(problem, psi, exact.limits, limit),
+            at_rest,
+        )
     except NotSolvedError:
         return replace(exact, held=True)
     if better is None:
@@ -332,128 +171,25 @@ def _with_true_inputs(
     return FittedRecords(problem, end.x[0], bool(end.converged[0]), iterations, history, exact.limits, noise)
 
 
-def _released(problem: RecordProblem, psi: Real) -> tuple[RecordProblem, Real]:
-    """The problem, perhaps in pieces, and ψ (M,) that follow from holding the motion near the measured one."""
-    limits = _bounds(problem, psi)
-    return released(problem, psi, lambda held, x: _descended(held, x, limits, HELD, ROUGHLY))
+# Starts
 
 
-def _searched(
-    problem: RecordProblem,
-    psi: Real,
-    progress: Callable[[int, int], None] | None,
-) -> OptimizeResult:
-    """The least misfit from ψ (M,) on, and the noise of the channels, which `problem` learns.
+def _begun(
+    model: Model,
+    records: tuple[RecordData, ...],
+    values: Real | None = None,
+    free: RecordConstants | None = None,
+) -> tuple[RecordProblem, Real]:
+    """The problem and where its search starts: at θ (unknowns,), or where the motion itself suggests.
 
-    history (rounds + 1, unknowns before the starts).
+    free: which constants of the records are unknown; those that can be found where it is not given.
     """
-    limits = _bounds(problem, psi)
-    history = [psi[: problem.inner]]
-    sizes = problem.sd / FIRST_NOISE
-    for turn in range(ROUNDS):
-        end = _descended(problem, psi, limits)
-        psi = end.x[0]
-        history.append(psi[: problem.inner])
-        left = np.concatenate([residual for residual, _ in problem.residuals(psi, slopes=False)])
-        ratio = np.sqrt(np.mean(left**2, axis=0))
-        if not np.all(np.isfinite(ratio)):
-            break
-        problem.sd = np.maximum(problem.sd * ratio, EXACT * sizes)
-        if progress is not None:
-            progress(turn + 1, ROUNDS)
-        if len(problem.sd) == 1 or np.all(np.abs(ratio / ratio[0] - 1) < 0.02):
-            break
-    return replace(end, history=np.array(history))
-
-
-def _with_finer_steps(
-    problem: RecordProblem, search: OptimizeResult, progress: Callable[[int, int], None] | None
-) -> tuple[RecordProblem, OptimizeResult]:
-    """A search that did not end, gone on with halved steps while what is left over is mostly their error.
-
-    Corners of laws within steps make the misfit a staircase, on whose last steps a search of exact data goes round.
-    """
-    for _ in range(HALVINGS):
-        finer, psi = problem.finer(), search.x[0]
-        if search.converged[0] or finer.steps > MOST_STEPS or not _steps_are_coarse(problem, finer, psi):
-            break
-        problem = finer
-        search = _searched(problem, psi, progress)
-    return problem, search
-
-
-def _steps_are_coarse(problem: RecordProblem, finer: RecordProblem, psi: Real) -> bool:
-    """Whether steps half as long move what channels show by as much as it is off, at ψ (M,)."""
-    coarse, fine = (
-        np.concatenate([residual for residual, _ in each.residuals(psi, slopes=False)])
-        for each in (problem, finer)
-    )
-    with np.errstate(invalid="ignore"):  # a motion that does not close is no number
-        return bool(np.sum((fine - coarse) ** 2) > ERRORS_OF_STEPS * np.sum(coarse**2))
-
-
-def _descended(
-    problem: RecordProblem,
-    psi: Real,
-    limits: tuple[Real, Real],
-    limit: int = LIMIT,
-    tolerance: float = TOLERANCE,
-) -> OptimizeResult:
-    """The least misfit from ψ (M,) on, within bounds."""
-
-    def evaluate(x: Real, rows: Ints) -> QuadraticModel:
-        del rows
-        return problem.quadratic(x)
-
-    lower, upper = limits
-    return minimise(
-        evaluate, psi[None], limit=limit, tolerance=tolerance, lower=lower, upper=upper, patience=limit
-    )
-
-
-def _refined(fitted: FittedRecords) -> FittedRecords:
-    """The fit with steps halved until that moves the estimate no more.
-
-    Kinks of laws make the integration's error fall with the square of the step only.
-    """
-    problem, psi = fitted.problem, fitted.psi
-    for _ in range(HALVINGS):
-        finer = problem.finer()
-        if finer.steps > MOST_STEPS:
-            break
-        around = finer.quadratic(psi[None])
-        step = solve_scaled(around.symmetric, around.gradient)[0]
-        moved = np.max(np.abs(step) / around.sd[0])
-        if not moved > MOVED:
-            break
-        problem = finer
-        if moved < FAR:
-            psi = np.clip(psi + step, *fitted.limits)
-        else:
-            psi = _descended(finer, psi, fitted.limits).x[0]
-        _quietened(problem, psi)
-    history = np.concatenate([fitted.history, psi[None, : problem.inner]])
-    return replace(fitted, problem=problem, psi=psi, history=history)
-
-
-def _quietened(problem: RecordProblem, psi: Real) -> None:
-    """Let the problem know less noise where the residuals at ψ (M,) were errors of coarser steps."""
-    if problem.inputs is not None:
-        return
-    left = np.concatenate([residual for residual, _ in problem.residuals(psi, slopes=False)])
-    ratio = np.sqrt(np.mean(left**2, axis=0))
-    if np.all(ratio < QUIETER):
-        problem.sd = np.maximum(problem.sd * ratio, EXACT * problem.sizes())
-
-
-def _bounds(problem: RecordProblem, psi: Real) -> tuple[Real, Real]:
-    lower, upper = np.full(len(psi), -np.inf), np.full(len(psi), np.inf)
-    m = len(problem.model.unknowns)
-    lower[:m], upper[:m] = problem.model.bounds
-    # A law may be even in a length or a speed inside it; what is at 0 divides by it.
-    lengths = np.any(problem.model.constants_map[0][must_be_positive(problem.model)] > 0, axis=0)
-    lower[:m] = np.where(lengths, np.maximum(lower[:m], SHORTEST_WHOLE_RECORD * np.abs(psi[:m])), lower[:m])
-    return lower, upper
+    theta = first_record_values(model, records) if values is None else values
+    sd = np.sqrt(np.mean(np.concatenate([record.outputs for record in records]) ** 2, axis=0))
+    sd = np.where(sd > 0, FIRST_NOISE * sd, 1.0)
+    problem, own = begun_problem(model, records, theta, sd, free)
+    gains, offsets = np.ones(problem.gains), np.zeros(len(problem.constants.offsets))
+    return problem, np.concatenate([theta, gains, offsets, own])
 
 
 def _from_linear(model: Model, records: tuple[RecordData, ...], theta: Real) -> tuple[RecordProblem, Real]:
@@ -463,7 +199,7 @@ def _from_linear(model: Model, records: tuple[RecordData, ...], theta: Real) -> 
     idle = replace(model, elements=tuple(_idle(element, values) for element in model.elements))
     free = record_constants(moving_rig(model, records[0].bases), records[0])
     problem, psi = _begun(idle, records, np.array([values[name] for name in idle.unknown_names]), free)
-    end = _searched(problem, psi, None).x[0]
+    end = _searched(problem, psi, None)[1].x[0]
     values |= dict(zip(idle.unknown_names, end.tolist(), strict=False))
     begun, start = _begun(model, records, np.array([values[name] for name in names]))
     start[len(names) :] = end[len(idle.unknowns) :]
@@ -481,20 +217,214 @@ def _idle(element: Element, values: Mapping[str, float]) -> Element:
     return replace(element, value=0.0, sd=None, guess=None, force_law=law.with_constants(constants))
 
 
-def _begun(
-    model: Model,
-    records: tuple[RecordData, ...],
-    values: Real | None = None,
-    free: RecordConstants | None = None,
-) -> tuple[RecordProblem, Real]:
-    """The problem and where its search starts: at θ (unknowns,), or where the motion itself suggests.
+# Starts far from the end of a whole record: the motion is held near the measured one, less and less.
+#
+# Of a motion that is integrated freely the misfit has many valleys where the rig is strongly nonlinear. Springs and
+# dampers between what a channel shows of the rig and what it measured keep the motion near; with them the misfit has
+# one wide valley, whose bottom moves to that of the free motion as they are weakened. Source: Vyasarayani, Uchida,
+# Carvalho and McPhee (2012), Multibody System Dynamics 26, 411.
 
-    free: which constants of the records are unknown; those that can be found where it is not given.
+HOLDS = (3.0, 1.0, 0.3, 0.1, 0.03)  # natural frequency of a channel on its spring over that of its motion
+NEAR = 4.0  # misfit of the free motion over that of the held one at which it need be held no more
+FOLLOWED = 30.0  # the same of pieces, which are short enough for the search to go on from there
+
+
+def _released(problem: RecordProblem, psi: Real) -> tuple[RecordProblem, Real]:
+    """The problem and ψ (M,) from which the free motion's misfit leads to its least.
+
+    Records whose free motion is lost between one end and the other are cut into pieces with starts of their own.  As
+    given where no channel shows a displacement with a known gain that moves.
     """
-    theta = first_record_values(model, records) if values is None else values
-    sd = np.sqrt(np.mean(np.concatenate([record.outputs for record in records]) ** 2, axis=0))
-    sd = np.where(sd > 0, FIRST_NOISE * sd, 1.0)
-    problem, own = begun_problem(model, records, theta, sd, free)
-    return problem, np.concatenate(
-        [theta, np.ones(problem.gains), np.zeros(len(problem.constants.offsets)), own]
+    first, limits = problem.records[0], _bounds(problem, psi)
+    shown = [c for c in displacement_channels(first) if np.ptp(first.outputs[:, c]) > 0]
+    if not shown:
+        return problem, psi
+    records = tuple(_with_measured_motion(problem.model, data, shown) for data in problem.records)
+    least = np.inf
+    for hold in HOLDS:
+        model = _held(problem, psi, shown, hold)
+        held = replace(problem, model=model, records=records, trail=Trail(problem.motions()))
+        if not np.isfinite(held.misfit(psi)):
+            held = held.afresh()
+        end = _descended(held, psi, limits, 12, 0.1)  # roughly
+        if not (end.converged[0] and end.cost[0] < NEAR * least):  # too weak to hold this motion
+            break
+        psi, least = end.x[0], float(end.cost[0])
+        problem = replace(problem, trail=Trail(held.motions()))
+        if problem.misfit(psi) < NEAR * least:
+            return problem, psi
+    motions = problem.trail.motions
+    states = [motions[k].state for k in range(len(problem.records)) if k in motions]
+    problem = problem.afresh()  # the free motion may be far from the last one that was held
+    for _ in range(5 if states else 0):  # times that a record is cut, into pieces of 32 samples at least
+        if min(data.samples for data in problem.records) < 64:
+            break
+        problem, psi, states = _halved(problem, psi, states)
+        if problem.misfit(psi) < FOLLOWED * least:
+            break
+    return problem, psi
+
+
+def _halved(problem: RecordProblem, psi: Real, states: list[Real]) -> tuple[RecordProblem, Real, list[Real]]:
+    """The same with each record cut in two, and likewise the states (samples, states) of their motions."""
+    free = problem.constants
+    records, parts, own = [], [], [psi[: problem.inner]]
+    for k, (data, state) in enumerate(zip(problem.records, states, strict=True)):
+        middle = data.samples // 2
+        for part in (slice(0, middle), slice(middle, data.samples)):
+            records.append(replace(data, inputs=data.inputs[part], outputs=data.outputs[part]))
+            parts.append(state[part])
+            own += [state[part][0, free.starts], psi[problem.of_record(k)][len(free.starts) :]]
+    cut = replace(
+        problem,
+        records=tuple(records),
+        begun=tuple(part[0] for part in parts),
+        substeps=tuple(count for count in problem.substeps for _ in range(2)),
+        pieces=2 * problem.pieces,
     )
+    return cut, np.concatenate(own), parts
+
+
+def _with_measured_motion(model: Model, data: RecordData, shown: list[int]) -> RecordData:
+    """The record with what channels show of the coordinates as further displacement inputs."""
+    r = model.D.shape[1]
+    motion = data.outputs[:, shown] - data.inputs @ data.on_q[shown].T
+    inputs = np.concatenate([data.inputs[:, :r], motion, data.inputs[:, r:]], axis=1)
+    on_q = np.insert(data.on_q, r, np.zeros((len(shown), 1)), axis=1)
+    rated = (*data.rated[:r], *[False] * len(shown), *data.rated[r:]) if data.rated else ()
+    return replace(data, inputs=inputs, on_q=on_q, rated=rated)
+
+
+def _held(problem: RecordProblem, psi: Real, shown: list[int], hold: float) -> Model:
+    """The rig with a spring and a damper (ratio 0.7) from each of the channels to its own measurement."""
+    model, data = problem.model, problem.records[0]
+    inverse = np.linalg.inv(matrices(model, model.parameters(psi[: len(model.unknowns)])).M)
+    inputs, elements = [], []
+    for c in shown:
+        seen = data.on_x[c]
+        mass = 1 / float(seen @ inverse @ seen)
+        signal = data.outputs[:, c] - np.mean(data.outputs[:, c])
+        rate = np.sqrt(np.sum(np.diff(signal) ** 2) / np.sum(signal**2)) / data.step_s
+        omega = hold * float(rate)
+        name = f"{data.names[c]} as measured"
+        along = dict(zip(model.coordinates, seen.tolist(), strict=True)) | {name: -1.0}
+        along = {point: factor for point, factor in along.items() if factor}
+        inputs.append(Input(name))
+        elements.append(Element(f"{name}, spring", Kind.SPRING, along, value=mass * omega**2))
+        elements.append(Element(f"{name}, damper", Kind.DAMPER, along, value=2 * 0.7 * mass * omega))
+    forces = [source for source in model.inputs if source.kind == "force"]
+    moved = [source for source in model.inputs if source.kind != "force"]
+    return replace(model, inputs=(*moved, *inputs, *forces), elements=(*model.elements, *elements))
+
+
+# The search
+
+
+def _searched(
+    problem: RecordProblem, psi: Real, progress: Progress | None
+) -> tuple[RecordProblem, OptimizeResult]:
+    """The least misfit from ψ (M,) on, and the problem with the noise of the channels that this leaves.
+
+    history (rounds + 1, unknowns before the starts).
+    """
+    limits = _bounds(problem, psi)
+    history = [psi[: problem.inner]]
+    sizes = problem.sd / FIRST_NOISE
+    for turn in range(3):  # rounds, with the noise that the one before has left
+        end = _descended(problem, psi, limits)
+        psi = end.x[0]
+        history.append(psi[: problem.inner])
+        ratio = _residuals_over_noise(problem, psi)
+        if not np.all(np.isfinite(ratio)):
+            break
+        problem = replace(problem, sd=np.maximum(problem.sd * ratio, EXACT * sizes))
+        if progress is not None:
+            progress(turn + 1, 3)
+        if len(problem.sd) == 1 or np.all(np.abs(ratio / ratio[0] - 1) < 0.02):
+            break
+    return problem, replace(end, history=np.array(history))
+
+
+def _residuals_over_noise(problem: RecordProblem, psi: Real) -> Real:
+    """Rms of the residuals of each channel over its standard deviation, (channels,)."""
+    left = np.concatenate([residual for residual, _ in problem.residuals(psi, slopes=False)])
+    return np.sqrt(np.mean(left**2, axis=0))
+
+
+def _with_finer_steps(
+    problem: RecordProblem, search: OptimizeResult, progress: Progress | None
+) -> tuple[RecordProblem, OptimizeResult]:
+    """A search that did not end, gone on with halved steps while what is left over is mostly their error.
+
+    Corners of laws within steps make the misfit a staircase, on whose last steps a search of exact data goes round.
+    """
+    for _ in range(HALVINGS):
+        finer, psi = problem.finer(), search.x[0]
+        if search.converged[0] or finer.steps > MOST_STEPS:
+            break
+        coarse, fine = (
+            np.concatenate([residual for residual, _ in each.residuals(psi, slopes=False)])
+            for each in (problem, finer)
+        )
+        with np.errstate(invalid="ignore"):  # a motion that does not close is no number
+            if not np.sum((fine - coarse) ** 2) > 0.1 * np.sum(coarse**2):
+                break
+        problem, search = _searched(finer, psi, progress)
+    return problem, search
+
+
+def _refined(fitted: FittedRecords) -> FittedRecords:
+    """The fit with steps halved until that moves no unknown by 0.05 of its standard deviation.
+
+    Kinks of laws make the integration's error fall with the square of the step only.
+    """
+    problem, psi = fitted.problem, fitted.psi
+    for _ in range(HALVINGS):
+        finer = problem.finer()
+        if finer.steps > MOST_STEPS:
+            break
+        around = finer.quadratic(psi[None])
+        step = solve_scaled(around.symmetric, around.gradient)[0]
+        moved = np.max(np.abs(step) / around.sd[0])
+        if not moved > 0.05:
+            break
+        problem = finer
+        if moved < 3.0:  # near enough for one step of Gauss and Newton
+            psi = np.clip(psi + step, *fitted.limits)
+        else:
+            psi = _descended(finer, psi, fitted.limits).x[0]
+        if problem.inputs is None:
+            ratio = _residuals_over_noise(problem, psi)
+            if np.all(ratio < 0.5):  # most of what was left were errors of coarser steps
+                problem = replace(problem, sd=np.maximum(problem.sd * ratio, EXACT * problem.sizes()))
+    history = np.concatenate([fitted.history, psi[None, : problem.inner]])
+    return replace(fitted, problem=problem, psi=psi, history=history)
+
+
+def _descended(
+    problem: RecordProblem,
+    psi: Real,
+    limits: tuple[Real, Real],
+    limit: int = LIMIT,
+    tolerance: float = TOLERANCE,
+) -> OptimizeResult:
+    """The least misfit from ψ (M,) on, within bounds."""
+    return minimise(
+        lambda x, _: problem.quadratic(x),
+        psi[None],
+        limit=limit,
+        tolerance=tolerance,
+        lower=limits[0],
+        upper=limits[1],
+        patience=limit,
+    )
+
+
+def _bounds(problem: RecordProblem, psi: Real) -> tuple[Real, Real]:
+    """The rig's for ψ (M,); lengths and speeds inside laws stay above 0, where laws would divide by them."""
+    lower, upper = np.full(len(psi), -np.inf), np.full(len(psi), np.inf)
+    m = len(problem.model.unknowns)
+    lower[:m], upper[:m] = problem.model.bounds
+    lengths = np.any(problem.model.constants_map[0][must_be_positive(problem.model)] > 0, axis=0)
+    lower[:m] = np.where(lengths, np.maximum(lower[:m], 1e-6 * np.abs(psi[:m])), lower[:m])
+    return lower, upper

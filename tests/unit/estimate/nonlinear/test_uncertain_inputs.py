@@ -12,7 +12,7 @@ from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.still import noise_at_rest
 from dashpot.data.record import Record
 from dashpot.estimate.nonlinear.input_levels import InputSizes, own_noise
-from dashpot.estimate.nonlinear.record_inference import uncertain_covariances
+from dashpot.estimate.nonlinear.record_inference import record_covariances
 from dashpot.estimate.nonlinear.record_problem import RecordProblem, begun_problem, known_inputs
 from dashpot.estimate.nonlinear.records import arranged
 from dashpot.estimate.nonlinear.whole_record import fit_records
@@ -151,6 +151,6 @@ def test_white_residuals_are_not_taken_for_coloured_ones_in_short_records() -> N
         problem = replace(problem, substeps=(2,), inputs=inputs)
         near = problem.quadratic(psi[None])
         fitted = psi + np.linalg.solve(near.symmetric[0], near.gradient[0])
-        white, coloured, _ = uncertain_covariances(problem, fitted, sizes)
+        white, coloured, _ = record_covariances(problem, fitted, sizes)
         ratios.append((np.diagonal(coloured) / np.diagonal(white))[:3])
     assert np.all(np.abs(np.mean(ratios, axis=0) - 1) < 0.06)
