@@ -15,11 +15,17 @@ from pathlib import Path
 import numpy as np
 
 from dashpot.channel import Quantity
-from dashpot.design.criteria import AOptimal
-from dashpot.design.plan import plan
-from dashpot.design.robust import UniformBox, in_the_worst_case, worst_scenario
-from dashpot.design.schedule import Budget, FrequencyGrid, band_grid, natural_band
-from dashpot.design.test_setup import ShakerLimits, TestSetup, nominal_setup
+from dashpot.design.allocation import Criterion
+from dashpot.design.plan import Budget, plan
+from dashpot.design.robust import UniformBox, robust, worst_scenario
+from dashpot.design.test_setup import (
+    FrequencyGrid,
+    ShakerLimits,
+    TestSetup,
+    band_grid,
+    natural_band,
+    nominal_setup,
+)
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the random rigs of the tests
 from tests.rigs import channels, random_rig
@@ -49,10 +55,10 @@ def ratio(own: TestSetup) -> float:
     def grid_of(wide: TestSetup) -> FrequencyGrid:
         return band_grid(wide, low, high)
 
-    nominal = plan(own, AOptimal(), Budget(samples=1e4), grid_of(own))
-    safe = in_the_worst_case(own, AOptimal(), Budget(samples=1e4), DOUBT, grid_of)
+    nominal = plan(own, Criterion("A"), Budget(samples=1e4), grid_of(own))
+    safe = robust(own, Criterion("A"), Budget(samples=1e4), DOUBT, grid_of)
     before, after = (
-        worst_scenario(safe.setup, AOptimal(), lines, DOUBT, count=1000, seed=99)[0]
+        worst_scenario(safe.setup, Criterion("A"), lines, DOUBT, count=1000, seed=99)[0]
         for lines in (nominal.schedule, safe.plan.schedule)
     )
     return before / after

@@ -17,11 +17,10 @@ import numpy as np
 
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum, merge_repeats
-from dashpot.design.criteria import Minimax
-from dashpot.design.robust import shortest
-from dashpot.design.schedule import Budget, band_grid
-from dashpot.design.stopping import enough, known_after, values_after
-from dashpot.design.test_setup import nominal_setup
+from dashpot.design.allocation import Criterion
+from dashpot.design.plan import Budget, shortest
+from dashpot.design.stopping import after, enough, values_after
+from dashpot.design.test_setup import band_grid, nominal_setup
 from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.model.elements import Kind, between, mass
@@ -83,16 +82,19 @@ def uniform(model: Model, data: Spectrum, rng: np.random.Generator) -> Spectrum:
 def sequential(model: Model, data: Spectrum, rng: np.random.Generator) -> Spectrum:
     """The shortest test to the target as far as is known, of which at most as much is run as there are samples."""
     while missing(model, data) > 0:
-        own, known = nominal_setup(model, sensors(), GUESS), None
+        own = nominal_setup(model, sensors(), GUESS)
         try:
             estimate = identify(model, data)
-            own = nominal_setup(model, sensors(), values_after(model, estimate, GUESS))
-            known = own.known(known_after(own, estimate))
+            own = after(nominal_setup(model, sensors(), values_after(model, estimate, GUESS)), estimate)
         except (IdentifiabilityError, UsageError):
             pass  # the data say nothing yet: design for the guesses
         total = int(np.sum(data.samples))
         test = shortest(
-            own, Minimax(), 0.98 * TARGET, Budget(samples=total), band_grid(own, *BAND), known=known
+            own,
+            Criterion("minimax"),
+            0.98 * TARGET,
+            Budget(samples=total),
+            band_grid(own, *BAND),
         )
         if test is None:
             test_f, share, wanted = [float(np.mean(BAND))], np.ones(1), 16.0

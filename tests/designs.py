@@ -5,7 +5,7 @@ import numpy as np
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.advise import Answer, Question, answer
-from dashpot.design.criteria import AOptimal
+from dashpot.design.allocation import Criterion
 from dashpot.design.test_setup import ShakerLimits, TestSetup, nominal_setup
 from dashpot.quantities import frequencies
 from dashpot.study.simulate import dwells, simulate_spectrum
@@ -61,7 +61,7 @@ def advised(own: TestSetup, settle: float, time: float = 40.0) -> Answer:
     """The planner's answer for its dwells within `time` s, each after `settle` s."""
     return answer(
         Question(
-            model=own.model, channels=own.channels, criterion=AOptimal(), band=(3.0, 20.0), rate=RATE, time=time,
+            model=own.model, channels=own.channels, criterion=Criterion("A"), band=(3.0, 20.0), rate=RATE, time=time,
             values=dict(zip(own.model.unknown_names, own.theta[0].tolist(), strict=True)), settle=settle,
             amplitude=AMPLITUDE,
         )

@@ -10,10 +10,16 @@ from dashpot.channel import Channel
 from dashpot.data.conditioning.lines import spectrum as conditioned
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.advise import compare_tests
-from dashpot.design.criteria import AOptimal
-from dashpot.design.plan import plan
-from dashpot.design.schedule import Budget, Schedule, band_grid, even_schedule
-from dashpot.design.test_setup import ShakerLimits, TestSetup, nominal_setup
+from dashpot.design.allocation import Criterion
+from dashpot.design.plan import Budget, plan
+from dashpot.design.test_setup import (
+    Schedule,
+    ShakerLimits,
+    TestSetup,
+    band_grid,
+    even_schedule,
+    nominal_setup,
+)
 from dashpot.design.transients import sample_noise, unsettled_dwells
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
@@ -45,7 +51,7 @@ def spread(
 def test_the_predicted_error_comes_true(noise: tuple[float, float, float], at_most: float) -> None:
     """Within 2 %: 8,000 draws, whose rms over six parameters is itself known to about 0.5 % (1 sd)."""
     own = paper_setup(None, *noise)
-    found = plan(own, AOptimal(), Budget(samples=1400), band_grid(own, 0.25, 25))
+    found = plan(own, Criterion("A"), Budget(samples=1400), band_grid(own, 0.25, 25))
     assert found.predicted.figure <= at_most
     rms, each = spread(own, found.schedule, 8000, 20)
     assert rms == pytest.approx(found.predicted.figure, rel=0.02)
@@ -56,8 +62,8 @@ def test_the_predicted_error_comes_true(noise: tuple[float, float, float], at_mo
 def test_the_papers_test_and_method_give_what_the_comparison_says(noise: tuple[float, float, float]) -> None:
     """CASE 3 of 1,400 samples, by oiv and by iv: within 4 %, of which 1.2 % (1 sd) is the 1,500 draws' own."""
     own = paper_setup(None, *noise)
-    found = plan(own, AOptimal(), Budget(samples=1400), band_grid(own, 0.25, 25))
-    beside = compare_tests(own, AOptimal(), found, even_schedule(frequencies(CASE3), 1400))
+    found = plan(own, Criterion("A"), Budget(samples=1400), band_grid(own, 0.25, 25))
+    beside = compare_tests(own, Criterion("A"), found, even_schedule(frequencies(CASE3), 1400))
     best, _ = spread(own, beside.schedule, 1500, 21)
     paper, _ = spread(own, beside.schedule, 1500, 22, InstrumentalVariables())
     assert best == pytest.approx(beside.predicted.figure, rel=0.04)
@@ -70,8 +76,8 @@ def test_the_test_for_one_parameter_gives_it_better(name: str) -> None:
     """3,000 draws: its spread is as predicted (4 %: 3 sd), and below that of the test for all."""
     own = paper_setup()
     grid, j = band_grid(own, 0.25, 25), own.names.index(name)
-    alone = plan(own, AOptimal((name,)), Budget(samples=1400), grid)
-    together = plan(own, AOptimal(), Budget(samples=1400), grid)
+    alone = plan(own, Criterion("A", (name,)), Budget(samples=1400), grid)
+    together = plan(own, Criterion("A"), Budget(samples=1400), grid)
     _, each = spread(own, alone.schedule, 3000, 23)
     assert each[j] == pytest.approx(alone.predicted.relative[j], rel=0.04)
     assert alone.predicted.relative[j] < together.predicted.relative[j]
@@ -85,7 +91,9 @@ def test_amplitudes_at_the_shakers_limits_come_true() -> None:
         rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta,
         limits=ShakerLimits(stroke=0.02, velocity=0.3, acceleration=8.0),
     )  # fmt: skip
-    found = plan(own, AOptimal(), Budget(time=60, rate=100, settle=own.settling()), band_grid(own, 0.5, 25))
+    found = plan(
+        own, Criterion("A"), Budget(time=60, rate=100, settle=own.settling()), band_grid(own, 0.5, 25)
+    )
     p, rng = own.p[0], np.random.default_rng(3)
     parts = [
         simulate_spectrum(

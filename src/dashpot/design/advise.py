@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -11,51 +10,43 @@ from typing import Literal
 
 import numpy as np
 
-from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
-from dashpot.design.allocation import optimise
-from dashpot.design.criteria import (
-    Criterion,
-    ExpectedPrecision,
-    Robustness,
-    criterion_value,
-    expected_precision,
-)
-from dashpot.design.plan import Plan, plan
+from dashpot.design.allocation import Criterion, ExpectedPrecision, expected_precision, optimise
+from dashpot.design.plan import NYQUIST, Budget, Plan
 from dashpot.design.robust import (
-    GaussianPrior,
     Map,
     Robust,
-    UniformBox,
-    gaussian_prior_of,
-    in_the_worst_case,
-    on_average,
-    shortest,
-    shortest_in_the_worst_case,
+    Uncertainty,
+    best_or_shortest,
+    robust,
     slowest_settling,
     uniform_box_of,
-)
-from dashpot.design.schedule import (
-    NYQUIST,
-    Budget,
-    FrequencyGrid,
-    Schedule,
-    band_grid,
-    even_schedule,
-    natural_band,
 )
 from dashpot.design.stopping import (
     SequentialEstimates,
     Verdict,
+    after,
     amplitude_from,
     enough,
-    known_after,
+    gaussian_prior_of,
+    least_factor,
     noise_from,
     sequential_estimates,
     values_after,
 )
-from dashpot.design.test_setup import ShakerLimits, TestSetup, drive_units, nominal_setup
+from dashpot.design.test_setup import (
+    FrequencyGrid,
+    Robustness,
+    Schedule,
+    ShakerLimits,
+    TestSetup,
+    band_grid,
+    drive_units,
+    even_schedule,
+    natural_band,
+    nominal_setup,
+)
 from dashpot.design.transients import UnsettledTest, unsettled_test
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
@@ -65,42 +56,34 @@ from dashpot.model.network import Model
 from dashpot.model.observation import calibration_names, measures_input, noise_sd, with_relative_noise
 from dashpot.numerics.small_systems import scaled_inverse
 
-# At which drive the nonlinear elements of a rig show in a planned test.
+FIRST_SAMPLES, FIRST_TIME = 1000.0, 60.0  # where the search for the shortest test starts
 
 
-SHARES = np.geomspace(0.01, 1.0, 17)  # of the planned drive
-CLEAR = 3.0  # standard deviations at which a law shows
-
-
-def drives_that_show(setup: TestSetup, schedule: Schedule, known: Real) -> list[str]:
-    """A sentence for each nonlinear element: from which share of the planned drive its parameter is clear of zero.
-
-    known (scenarios, q, q): what is known before the test, in parts of the sizes.
-    """
+def drives_that_show(setup: TestSetup, schedule: Schedule) -> list[str]:
+    """A sentence for each nonlinear element: from which share of the planned drive its parameter is clear of zero."""
     model, names = setup.model, setup.names
     planned = setup.drive(schedule.frequency_hz, schedule.pattern)
-    clear = np.zeros((len(SHARES), len(names)), dtype=bool)
-    for row, share in enumerate(SHARES):
+    shares = np.geomspace(0.01, 1.0, 17)
+    clear = np.zeros((len(shares), len(names)), dtype=bool)
+    for row, share in enumerate(shares):
         each = setup.per_sample(schedule.frequency_hz, share * planned)
-        M = known[0] + np.einsum("i,iab->ab", schedule.samples, each[0])
+        M = setup.prior[0] + np.einsum("i,iab->ab", schedule.samples, each[0])
         with np.errstate(all="ignore"):
-            relative = np.sqrt(np.diagonal(scaled_inverse(M)))
-        clear[row] = CLEAR * relative < 1
+            clear[row] = 3 * np.sqrt(np.diagonal(scaled_inverse(M))) < 1  # three standard deviations
     sentences = []
     unit = "/".join(dict.fromkeys(drive_units(model).values()))
     size = float(np.max(np.abs(planned)))
-    for index in model.nonlinear:
-        for j in np.flatnonzero(model.T[index]):
-            rows = np.flatnonzero(clear[:, j])
-            if not len(rows):
-                sentences.append(f"{names[j]} does not show at this drive: drive further, or measure longer")
-            elif rows[0]:
-                share = float(SHARES[rows[0]])
-                sentences.append(
-                    f"{names[j]} shows (three standard deviations) from about {100 * share:.2g} % of the drive on, "
-                    f"{share * size:.2g} {unit} at most"
-                )
-    return list(dict.fromkeys(sentences))
+    for j in np.flatnonzero(np.any(model.T[model.nonlinear], axis=0)):
+        rows = np.flatnonzero(clear[:, j])
+        if not len(rows):
+            sentences.append(f"{names[j]} does not show at this drive: drive further, or measure longer")
+        elif rows[0]:
+            share = float(shares[rows[0]])
+            sentences.append(
+                f"{names[j]} shows (three standard deviations) from about {100 * share:.2g} % of the drive on, "
+                f"{share * size:.2g} {unit} at most"
+            )
+    return sentences
 
 
 # Another test beside a plan: what it would give, and how many times the samples it takes.
@@ -109,36 +92,36 @@ def drives_that_show(setup: TestSetup, schedule: Schedule, known: Real) -> list[
 def spread_of_iv(setup: TestSetup, schedule: Schedule) -> ExpectedPrecision | None:
     """What the paper's bootstrap instrumental variables would give from the same test (the sandwich of THEORY §5).
 
-    None where they cannot be used: some coordinate is not seen, a calibration is unknown, or an element is nonlinear.
+    Beside earlier data, where there are some.  None where they cannot be used: some coordinate is not seen, a
+    calibration is unknown, or an element is nonlinear.
     """
     if calibration_names(setup.channels) or len(setup.model.nonlinear):
         return None
     seen = setup.seen(schedule.frequency_hz, schedule.pattern)
-    sd = noise_sd(setup.channels, seen.Y)
-    variance = 4 * sd**2 / schedule.samples[:, None]
-    V = (variance[..., None] * np.eye(len(setup.channels))).astype(np.complex128)
+    variance = 4 * noise_sd(setup.channels, seen.Y) ** 2 / schedule.samples[:, None]
     count = len(schedule.frequency_hz)
     spectrum = Spectrum(
-        setup.channels, schedule.frequency_hz, seen.Y, V, np.maximum(schedule.samples, 1).astype(np.int64),
-        np.full(count, np.inf), ("given",) * count, np.zeros(count, dtype=np.int64),
-    )  # fmt: skip
+        setup.channels,
+        schedule.frequency_hz,
+        seen.Y,
+        (variance[..., None] * np.eye(len(setup.channels))).astype(np.complex128),
+        np.maximum(schedule.samples, 1).astype(np.int64),
+        np.full(count, np.inf),
+        ("given",) * count,
+        np.zeros(count, dtype=np.int64),
+    )
     try:
         estimate = identify(setup.model, spectrum, InstrumentalVariables())
     except DashpotError:
         return None
-    size = np.abs(np.where(estimate.values == 0, 1.0, estimate.values))
-    C = estimate.noise_covariance
+    size, C = setup.sizes[0], estimate.noise_covariance
+    if setup.earlier is None:
+        size = np.abs(np.where(estimate.values == 0, 1.0, estimate.values))
+    else:
+        outer = np.outer(size, size)
+        C = np.linalg.inv(np.linalg.inv(C / outer) + setup.prior[0]) * outer
     rms = float(np.sqrt(np.mean(np.diagonal(C) / size**2)))
     return ExpectedPrecision(estimate.names, estimate.units, estimate.values, np.sqrt(np.diagonal(C)), C, rms)
-
-
-def _beside(setup: TestSetup, found: ExpectedPrecision, known: Real) -> ExpectedPrecision:
-    """An estimate weighed with what is known, (scenarios, q, q) in parts of the sizes, at the nominal values."""
-    size = setup.sizes[0]
-    outer = np.outer(size, size)
-    C = np.linalg.inv(np.linalg.inv(found.covariance / outer) + known[0]) * outer
-    rms = float(np.sqrt(np.mean(np.diagonal(C) / size**2)))
-    return replace(found, sd=np.sqrt(np.diagonal(C)), covariance=C, figure=rms)
 
 
 @dataclass(frozen=True)
@@ -148,7 +131,7 @@ class Alternative:
     predicted   what it would give with the optimal estimator, from as many samples as it has
     iv          the same with the paper's bootstrap; None where that cannot be used
     factor      how many times the plan's samples it takes to be as good as the plan; inf where it never is
-    factor_iv   the same with the paper's bootstrap
+    factor_iv   the same with the paper's bootstrap; None after data
     """
 
     schedule: Schedule
@@ -158,53 +141,28 @@ class Alternative:
     factor_iv: float | None
 
 
-def compare_tests(
-    setup: TestSetup,
-    criterion: Criterion,
-    plan: Plan,
-    other: Schedule,
-    *,
-    known: Real | None = None,
-    robustness: Robustness = "worst",
-) -> Alternative:
+def compare_tests(setup: TestSetup, criterion: Criterion, plan: Plan, other: Schedule) -> Alternative:
     """Another test against a plan.
 
     Raises IdentifiabilityError where it does not determine the unknowns, whatever the number of its samples.
-    known (unknowns, unknowns): information in SI units.
     """
-    prior = setup.prior if known is None else known
     M = other.information(setup)
-    predicted = expected_precision(setup, criterion, prior + M, robustness)
-    terms = criterion.terms(setup, robustness)
-    aim = criterion_value(terms, prior + plan.schedule.information(setup)).F
-    times = _times_as_long(lambda t: criterion_value(terms, prior + t * M).F, aim)
+    predicted = expected_precision(setup, criterion, M)
+    terms = criterion.terms(setup)
+    aim = terms.at(setup.prior + plan.schedule.information(setup)).F
+    times = least_factor(lambda factor: aim >= terms.at(setup.prior + factor * M).F)
     ratio = float(np.sum(other.samples)) / max(float(np.sum(plan.schedule.samples)), 1.0)
-    iv = spread_of_iv(setup, other)
-    factor_iv = None
-    if iv is not None and known is None:
+    iv, factor_iv = spread_of_iv(setup, other), None
+    if iv is not None and setup.earlier is None:
         names = [u.name for u in setup.model.unknowns]
         factor_iv = ratio * (iv.rms(names) / plan.predicted.rms(names)) ** 2
-    if iv is not None and known is not None:
-        iv = _beside(setup, iv, known)
     return Alternative(other, predicted, iv, ratio * times, factor_iv)
-
-
-def _times_as_long(F: Callable[[float], float], aim: float) -> float:
-    """The factor at which a falling F reaches `aim`, between e⁻²⁰ and e⁴⁰; inf beyond."""
-    low, high = -20.0, 40.0
-    if aim < F(float(np.exp(high))):
-        return math.inf
-    for _ in range(80):
-        middle = (low + high) / 2
-        low, high = (middle, high) if aim < F(float(np.exp(middle))) else (low, middle)
-    return float(np.exp(high))
 
 
 # Which sensors to mount: the best few of those that could be.
 
 
 EXACT = 300  # sets that are all tried
-COARSE = 60  # points of the grid on which sets are ranked
 
 Sensors = tuple[str, ...]  # names of channels
 
@@ -216,11 +174,11 @@ class Choice:
     `complete` says whether all sets were tried; else a greedy choice was improved by exchanges.
     """
 
-    ranking: tuple[tuple[tuple[str, ...], float], ...]
+    ranking: tuple[tuple[Sensors, float], ...]
     complete: bool
 
     @property
-    def best(self) -> tuple[str, ...]:
+    def best(self) -> Sensors:
         """Names of the best set."""
         return self.ranking[0][0]
 
@@ -232,44 +190,50 @@ def choose(
     grid: FrequencyGrid,
     count: int,
     among: Sequence[str] = (),
-    *,
-    known: Real | None = None,
-    robustness: Robustness = "worst",
 ) -> Choice:
     """The best `count` of the channels `among` (by default all that see more than inputs); the others stay.
 
     Raises UsageError for names that are no channels, IdentifiabilityError where no set determines the unknowns.
     """
-    pool = _pool(setup, count, among, after_data=known is not None)
-    step = max(1, len(grid.frequency_hz) // COARSE)
+    names = [channel.name for channel in setup.channels]
+    pool = list(among) or output_names(setup)
+    for name in pool:
+        if name not in names:
+            raise UsageError(f"the rig has no channel {name}", cure=f"it has {', '.join(names)}")
+    if not 0 < count <= len(pool):
+        raise UsageError(f"{count} of {len(pool)} sensors", cure=f"pick between 1 and {len(pool)}")
+    if setup.earlier is not None and len(setup.names) > len(setup.model.unknowns):
+        raise UsageError(
+            "sensors with unknown calibrations cannot be chosen after data", cure="calibrate them"
+        )
+    step = max(1, len(grid.frequency_hz) // 60)  # points of the grid on which sets are ranked
     coarse = FrequencyGrid(grid.frequency_hz[::step], grid.pattern[::step], free=False)
     figures: dict[Sensors, float] = {}
 
     def figure(chosen: Sensors, grid: FrequencyGrid) -> float:
         kept = [c for c in setup.channels if c.name not in pool or c.name in chosen]
         try:
-            chosen_setup = setup.with_channels(kept)
-            prior = chosen_setup.prior if known is None else known
-            terms = criterion.terms(chosen_setup, robustness)
-            return criterion.figure(optimise(chosen_setup.information, terms, prior, samples, grid).F)
+            mounted = setup.with_channels(kept)
+            return criterion.figure(optimise(mounted, criterion.terms(mounted), samples, grid).F)
         except (IdentifiabilityError, UsageError):
             return np.inf
 
-    def score(chosen: Sensors) -> float:
-        if chosen not in figures:
-            figures[chosen] = figure(chosen, coarse)
-        return figures[chosen]
+    def score(chosen: frozenset[str]) -> float:
+        ordered = tuple(name for name in pool if name in chosen)
+        if ordered not in figures:
+            figures[ordered] = figure(ordered, coarse)
+        return figures[ordered]
 
     complete = comb(len(pool), count) <= EXACT
     if complete:
         for chosen in combinations(pool, count):
-            score(chosen)
+            score(frozenset(chosen))
     else:
-        _exchange(pool, count, score)
+        _exchange(frozenset(pool), count, score)
     sets = sorted((chosen for chosen in figures if len(chosen) == count), key=figures.__getitem__)
     figures |= {chosen: figure(chosen, grid) for chosen in sets[:3]}
     ranking = sorted(((c, figures[c]) for c in sets if np.isfinite(figures[c])), key=lambda entry: entry[1])
-    if not ranking or not np.isfinite(ranking[0][1]):
+    if not ranking:
         raise IdentifiabilityError(
             f"no {count} of these sensors determine the unknowns",
             cure="mount more, or give a parameter its value",
@@ -277,45 +241,23 @@ def choose(
     return Choice(tuple(ranking), complete)
 
 
-def _pool(setup: TestSetup, count: int, among: Sequence[str], after_data: bool) -> list[str]:
-    """Names of the sensors to choose from."""
-    names = [channel.name for channel in setup.channels]
-    pool = list(among) if among else [c.name for c in setup.channels if not measures_input(setup.model, c)]
-    for name in pool:
-        if name not in names:
-            raise UsageError(f"the rig has no channel {name}", cure=f"it has {', '.join(names)}")
-    if not 0 < count <= len(pool):
-        raise UsageError(f"{count} of {len(pool)} sensors", cure=f"pick between 1 and {len(pool)}")
-    if after_data and len(setup.names) > len(setup.model.unknowns):
-        raise UsageError(
-            "sensors with unknown calibrations cannot be chosen after data", cure="calibrate them"
-        )
-    return pool
+def output_names(setup: TestSetup) -> list[str]:
+    """Names of the channels that see more than inputs."""
+    return [c.name for c in setup.channels if not measures_input(setup.model, c)]
 
 
-def _exchange(pool: Sequence[str], count: int, score: Callable[[Sensors], float]) -> None:
+def _exchange(pool: frozenset[str], count: int, score: Callable[[frozenset[str]], float]) -> None:
     """Leave out the least useful sensor until `count` are left, then exchange one by one while that helps."""
-    order = {name: i for i, name in enumerate(pool)}
-
-    def figure(names: set[str]) -> float:
-        return score(tuple(sorted(names, key=order.__getitem__)))
-
-    chosen = set(pool)
+    chosen = pool
     while len(chosen) > count:
-        chosen = min((chosen - {name} for name in chosen), key=figure)
-    lowest = figure(chosen)
+        chosen = min((chosen - {name} for name in sorted(chosen)), key=score)
+    lowest = score(chosen)
     for _ in range(10):
-        swaps = [(chosen - {a}) | {b} for a in chosen for b in set(pool) - chosen]
-        best = min(swaps, key=figure)
-        if figure(best) >= lowest * (1 - 1e-9):
+        swaps = [(chosen - {a}) | {b} for a in sorted(chosen) for b in sorted(pool - chosen)]
+        best = min(swaps, key=score)
+        if score(best) >= lowest * (1 - 1e-9):
             return
-        chosen, lowest = best, figure(best)
-
-
-ASSUMED = 0.01  # relative noise where no channel states any
-FIRST_SAMPLES, FIRST_TIME = 1000.0, 60.0  # where the search for the shortest test starts
-
-Uncertainty = UniformBox | GaussianPrior
+        chosen, lowest = best, score(best)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -357,7 +299,7 @@ class Question:
     drives: tuple[str, ...] = ()
     uncertainty: float | Uncertainty | Literal["estimate"] | None = None
     robustness: Robustness = "worst"
-    pick: tuple[int, tuple[str, ...]] | None = None
+    pick: tuple[int, Sensors] | None = None
     against: tuple[float, ...] | Spectrum | None = None
 
 
@@ -365,14 +307,13 @@ class Question:
 class Answer:
     """What is advised; `plan` is None where the target is reached already.
 
-    known (scenarios, q, q) is the information before the test, in parts of the setup's sizes; unsettled, what the same
-    test tells from all samples, None where that cannot be said.
+    The setup holds the scenarios and what was known before the test; `unsettled` is what the same test tells from all
+    samples, None where that cannot be said.
     """
 
     setup: TestSetup
     criterion: Criterion
     grid: FrequencyGrid
-    known: Real
     plan: Plan | None
     comparison: Alternative | None
     choice: Choice | None
@@ -380,25 +321,8 @@ class Answer:
     estimate: Estimate | None
     so_far: SequentialEstimates | None
     verdict: Verdict | None
-    robustness: Robustness
     notes: tuple[str, ...]
     unsettled: UnsettledTest | None = None
-
-
-@dataclass(frozen=True)
-class _Knowledge:
-    """What earlier data say: an estimate, and its information (q, q) in SI units; None where there are none."""
-
-    estimate: Estimate | None
-    information: Real | None
-
-    def of(self, setup: TestSetup) -> Real:
-        """What is known before the test, (scenarios, q, q) in parts of the sizes."""
-        return setup.prior if self.information is None else setup.known(self.information)
-
-    def from_data(self, setup: TestSetup) -> Real | None:
-        """The same; None where nothing but the rig's priors is known."""
-        return None if self.information is None else setup.known(self.information)
 
 
 def answer(question: Question, *, mapper: Map = map) -> Answer:
@@ -407,17 +331,24 @@ def answer(question: Question, *, mapper: Map = map) -> Answer:
     Raises UsageError where the question lacks something, IdentifiabilityError where no test determines the unknowns.
     """
     notes: list[str] = []
-    setup, knowledge = _start(question, notes)
-    rate = question.rate if question.rate is not None else _rate(setup.channels)
-    low, high = question.band if question.band is not None else natural_band(setup, rate)
+    criterion = question.criterion
+    setup, estimate = _start(question, notes)
+    rates = [c.rate for c in setup.channels if c.rate is not None]
+    rate = min(rates, default=None) if question.rate is None else question.rate
+    low, high = natural_band(setup, rate) if question.band is None else question.band
     if question.band is None:
         notes.append(f"no band is given: {low:.4g} to {high:.4g} Hz, around the rig's resonances, is used")
     choice = None
     if question.pick is not None:
-        choice = _pick(question, setup, band_grid(setup, low, high, question.step), knowledge, rate)
-        dropped = set(question.pick[1] or _outputs(setup)) - set(choice.best)
+        count, among = question.pick
+        samples = FIRST_SAMPLES if question.samples is None else question.samples
+        if question.time is not None and rate is not None:
+            samples = question.time * rate
+        grid = band_grid(setup, low, high, question.step)
+        choice = choose(setup, criterion, samples, grid, count, among)
+        dropped = set(among or output_names(setup)) - set(choice.best)
         setup = setup.with_channels([c for c in setup.channels if c.name not in dropped])
-    uncertainty = _uncertainty(question, setup, knowledge.estimate)
+    uncertainty = _uncertainty(question, setup, estimate)
     budget = _budget(question, setup, rate, uncertainty)
     if rate is not None and question.band is None:
         high = min(high, NYQUIST * rate)
@@ -425,68 +356,99 @@ def answer(question: Question, *, mapper: Map = map) -> Answer:
     def grid_of(setup: TestSetup) -> FrequencyGrid:
         return band_grid(setup, low, high, question.step)
 
-    advised, robust = _test(question, setup, budget, grid_of, knowledge, uncertainty, mapper)
-    setup = setup if robust is None else robust.setup
-    robustness: Robustness = "worst" if robust is None else question.robustness
-    comparison = _comparison(question, setup, advised, knowledge, robustness, notes)
-    so_far, verdict = _stopping(question, knowledge.estimate)
-    unsettled = None
+    target = question.target if question.samples is None and question.time is None else None
+    found = None
+    if uncertainty is None:
+        advised = best_or_shortest(setup, criterion, budget, grid_of(setup), target)
+    else:
+        setup = replace(setup, over=question.robustness)
+        found = robust(setup, criterion, budget, uncertainty, grid_of, target=target, mapper=mapper)
+        advised, setup = found.plan, found.setup
+    comparison = unsettled = None
+    if advised is not None and question.against is not None:
+        try:
+            other = _other(question.against, advised.samples)
+            comparison = compare_tests(setup, criterion, advised, other)
+        except IdentifiabilityError:
+            notes.append("the other test does not determine the unknowns, however many samples it takes")
+    so_far, verdict = _stopping(question, estimate)
     if advised is not None:
         notes += advised.notes
-        unsettled = unsettled_test(setup, question.criterion, advised, rate, knowledge.of(setup))
-    if advised is not None and len(setup.model.nonlinear):
-        notes += drives_that_show(setup, advised.schedule, knowledge.of(setup))
+        unsettled = unsettled_test(setup, criterion, advised, rate)
+        if len(setup.model.nonlinear):
+            notes += drives_that_show(setup, advised.schedule)
     return Answer(
-        setup, question.criterion, grid_of(setup), knowledge.of(setup), advised, comparison, choice, robust,
-        knowledge.estimate, so_far, verdict, robustness, tuple(dict.fromkeys(notes)), unsettled,
-    )  # fmt: skip
+        setup,
+        criterion,
+        grid_of(setup),
+        advised,
+        comparison,
+        choice,
+        found,
+        estimate,
+        so_far,
+        verdict,
+        tuple(dict.fromkeys(notes)),
+        unsettled,
+    )
 
 
-def _start(question: Question, notes: list[str]) -> tuple[TestSetup, _Knowledge]:
-    """The setup at the values to design for, and what earlier data say."""
+def _start(question: Question, notes: list[str]) -> tuple[TestSetup, Estimate | None]:
+    """The setup at the values to design for, with what earlier data say, and their estimate."""
     model, estimate, channels = question.model, question.estimate, question.channels
     if question.after is not None:
         estimate = identify(model, question.after)
         channels = noise_from(channels, question.after)
-    channels = _noisy(model, channels, notes)
+    if not any(c.noise > 0 or c.relative_noise > 0 for c in channels):
+        notes.append(
+            "no channel states its noise: 1 % of each output's amplitude is assumed; intervals are proportional to it, "
+            "the frequencies do not depend on its size"
+        )
+        channels = with_relative_noise(model, channels, 0.01)
     setup = nominal_setup(
-        model, channels, _nominal(question, estimate), limits=question.limits,
-        amplitude=_amplitude(question, channels, notes), drives=question.drives,
-    )  # fmt: skip
-    if estimate is not None and bool(np.any(estimate.fit.rejected)):
+        model,
+        channels,
+        _nominal(question, estimate),
+        limits=question.limits,
+        amplitude=_amplitude(question, channels, notes),
+        drives=question.drives,
+    )
+    if estimate is None:
+        return setup, None
+    if bool(np.any(estimate.fit.rejected)):
         notes.append(
             "the model does not fit the earlier data: expected intervals count the sensors' noise alone, and what the "
             "model lacks will make the true ones wider"
         )
-    return setup, _Knowledge(estimate, None if estimate is None else known_after(setup, estimate))
+    return after(setup, estimate), estimate
 
 
-def _comparison(
-    question: Question,
-    setup: TestSetup,
-    advised: Plan | None,
-    knowledge: _Knowledge,
-    robustness: Robustness,
-    notes: list[str],
-) -> Alternative | None:
-    if advised is None or question.against is None:
-        return None
-    other, known = _other(question.against, advised), knowledge.from_data(setup)
-    try:
-        return compare_tests(setup, question.criterion, advised, other, known=known, robustness=robustness)
-    except IdentifiabilityError:
-        notes.append("the other test does not determine the unknowns, however many samples it takes")
-        return None
+def _nominal(question: Question, estimate: Estimate | None) -> dict[str, float]:
+    """Values of the unknowns by name: as stated, else as estimated."""
+    values = {} if estimate is None else values_after(question.model, estimate)
+    values |= question.values
+    missing = [
+        u.name
+        for u in question.model.unknowns
+        if u.name not in values and u.prior is None and u.guess is None
+    ]
+    if missing:
+        raise UsageError(
+            f"{', '.join(missing)}: no value to design the test for",
+            cure=f"state a rough value of {missing[0]}, put guess = … into the rig file, or give an estimate",
+        )
+    return values
 
 
 def _amplitude(question: Question, channels: tuple[Channel, ...], notes: list[str]) -> float:
+    """Size of the drive where no limit is given: as stated, else as measured, else 1, which is told if it matters."""
     if question.amplitude is not None:
         return question.amplitude
-    floors = [c.name for c in channels if c.noise > 0]
-    if question.limits.given or not (floors or len(question.model.nonlinear)):
+    floors, nonlinear = [c.name for c in channels if c.noise > 0], len(question.model.nonlinear) > 0
+    if question.limits.given or not (floors or nonlinear):
         return 1.0
     measured = None if question.after is None else amplitude_from(question.model, question.after)
-    if measured is None and len(question.model.nonlinear):
+    if measured is None and nonlinear:
         raise UsageError(
             "the motion of a rig with nonlinear elements depends on the size of its drive",
             cure="state the drive's amplitude or the shaker's limits",
@@ -502,60 +464,22 @@ def _amplitude(question: Question, channels: tuple[Channel, ...], notes: list[st
 
 
 def _uncertainty(question: Question, setup: TestSetup, estimate: Estimate | None) -> Uncertainty | None:
-    if question.uncertainty is None or isinstance(question.uncertainty, UniformBox | GaussianPrior):
-        return question.uncertainty
-    if isinstance(question.uncertainty, float | int):
-        return uniform_box_of(setup.model, setup.theta[0], question.uncertainty)
-    if estimate is None:
-        raise UsageError(
-            "there is no estimate to take the uncertainty from", cure="state it, for example 30 %"
-        )
-    return gaussian_prior_of(setup.model, estimate)
-
-
-def _outputs(setup: TestSetup) -> list[str]:
-    return [c.name for c in setup.channels if not measures_input(setup.model, c)]
-
-
-def _noisy(model: Model, channels: tuple[Channel, ...], notes: list[str]) -> tuple[Channel, ...]:
-    """Channels with noise; 1 % of the amplitude where none states any."""
-    if any(c.noise > 0 or c.relative_noise > 0 for c in channels):
-        return channels
-    notes.append(
-        "no channel states its noise: 1 % of each output's amplitude is assumed; intervals are proportional to it, "
-        "the frequencies do not depend on its size"
-    )
-    return with_relative_noise(model, channels, ASSUMED)
-
-
-def _nominal(question: Question, estimate: Estimate | None) -> dict[str, float]:
-    """Values of the unknowns by name: as stated, else as estimated."""
-    values = dict(question.values)
-    if estimate is not None:
-        for name, value in values_after(question.model, estimate).items():
-            values.setdefault(name, value)
-    missing = [
-        u.name
-        for u in question.model.unknowns
-        if u.name not in values and u.prior is None and u.guess is None
-    ]
-    if missing:
-        raise UsageError(
-            f"{', '.join(missing)}: no value to design the test for",
-            cure=f"state a rough value of {missing[0]}, put guess = … into the rig file, or give an estimate",
-        )
-    return values
-
-
-def _rate(channels: tuple[Channel, ...]) -> float | None:
-    rates = [c.rate for c in channels if c.rate is not None]
-    return min(rates) if rates else None
+    given = question.uncertainty
+    if given == "estimate":
+        if estimate is None:
+            raise UsageError(
+                "there is no estimate to take the uncertainty from", cure="state it, for example 30 %"
+            )
+        return gaussian_prior_of(setup.model, estimate)
+    if isinstance(given, float | int):
+        return uniform_box_of(setup.model, setup.theta[0], given)
+    return given
 
 
 def _budget(
     question: Question, setup: TestSetup, rate: float | None, uncertainty: Uncertainty | None
 ) -> Budget:
-    samples, time = question.samples, question.time
+    samples, time, settle = question.samples, question.time, question.settle
     if samples is None and time is None:
         if question.target is None:
             raise UsageError(
@@ -563,73 +487,23 @@ def _budget(
                 cure="state a number of samples, a time, or the precision to reach",
             )
         samples, time = (FIRST_SAMPLES, None) if rate is None else (None, FIRST_TIME)
-    settle = question.settle
-    if settle is None and samples is None:
-        settle = _settling(setup, uncertainty)
+    if settle is None and samples is not None and rate is None:
+        settle = 0.0
     if settle is None:
-        settle = 0.0 if rate is None else _settling_or_none(setup, uncertainty)
+        try:
+            settle = setup.settling() if uncertainty is None else slowest_settling(setup, uncertainty)
+        except UsageError:
+            if samples is None:
+                raise
+            settle = 0.0  # of a test that is counted in samples it is told alone
     return Budget(samples, time, rate, settle, question.min_dwell, question.most)
 
 
-def _settling(setup: TestSetup, uncertainty: Uncertainty | None) -> float:
-    """Settling time, s; of uncertain values, that of the slowest rig."""
-    return setup.settling() if uncertainty is None else slowest_settling(setup, uncertainty)
-
-
-def _settling_or_none(setup: TestSetup, uncertainty: Uncertainty | None) -> float:
-    """Settling for a test that is counted in samples: told where it is known, 0 where nothing damps the rig."""
-    try:
-        return _settling(setup, uncertainty)
-    except UsageError:
-        return 0.0
-
-
-def _test(
-    question: Question,
-    setup: TestSetup,
-    budget: Budget,
-    grid_of: Callable[[TestSetup], FrequencyGrid],
-    knowledge: _Knowledge,
-    uncertainty: Uncertainty | None,
-    mapper: Map,
-) -> tuple[Plan | None, Robust | None]:
-    """The plan (None: nothing is needed) and, of uncertain values, what it rests on."""
-    criterion, information = question.criterion, knowledge.information
-    target = question.target if question.samples is None and question.time is None else None
-    if uncertainty is None:
-        known, grid = knowledge.from_data(setup), grid_of(setup)
-        if target is None:
-            return plan(setup, criterion, budget, grid, known=known), None
-        return shortest(setup, criterion, target, budget, grid, known=known), None
-    if question.robustness == "average":
-        robust = on_average(setup, criterion, budget, uncertainty, grid_of, target=target, known=information)
-    elif target is not None:
-        robust = shortest_in_the_worst_case(
-            setup, criterion, target, budget, uncertainty, grid_of, known=information, mapper=mapper
-        )
-    else:
-        robust = in_the_worst_case(
-            setup, criterion, budget, uncertainty, grid_of, known=information, mapper=mapper
-        )
-    return robust.plan, robust
-
-
-def _pick(
-    question: Question, setup: TestSetup, grid: FrequencyGrid, knowledge: _Knowledge, rate: float | None
-) -> Choice:
-    assert question.pick is not None
-    count, names = question.pick
-    samples = question.samples if question.samples is not None else FIRST_SAMPLES
-    if question.time is not None and rate is not None:
-        samples = question.time * rate
-    return choose(setup, question.criterion, samples, grid, count, names, known=knowledge.from_data(setup))
-
-
-def _other(against: tuple[float, ...] | Spectrum, advised: Plan) -> Schedule:
+def _other(against: tuple[float, ...] | Spectrum, samples: int) -> Schedule:
     """The test to compare with, of as many samples as the plan."""
     if isinstance(against, Spectrum):
-        return even_schedule(against.frequency_hz.tolist(), advised.samples, against.samples.tolist())
-    return even_schedule(against, advised.samples)
+        return even_schedule(against.frequency_hz.tolist(), samples, against.samples.tolist())
+    return even_schedule(against, samples)
 
 
 def _stopping(
@@ -641,6 +515,6 @@ def _stopping(
     if question.target is None:
         return so_far, None
     targets = question.criterion.targets_for(question.model, question.target)
-    reading = "each" if len(targets) == 1 else question.criterion.reading
+    kind = "minimax" if len(targets) == 1 else question.criterion.kind
     known = np.diag(question.model.prior_precision)
-    return so_far, enough(estimate, targets, int(np.sum(question.after.samples)), known, reading)
+    return so_far, enough(estimate, targets, int(np.sum(question.after.samples)), known, kind)

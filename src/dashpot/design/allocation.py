@@ -1,4 +1,11 @@
-"""Time at each frequency: a convex programme, solved and certified (THEORY §6).
+"""What a test is to be good for, and the time at each frequency that is best for it: solved and certified (THEORY §6).
+
+With C_s = M_s⁻¹ the covariance of relative errors in scenario s, a criterion is
+
+    F = max_k Φ_k,      Φ_k = Σ_s,j a_ksj (C_s)_jj      or      Σ_s a_ks ln det (C_s)_II / |I|,
+
+convex in the information, hence in the time at each frequency (Silvey, Optimal Design, 1980, ch. 2-3; Pukelsheim,
+Optimal Design of Experiments, 2006, ch. 5).  The test is
 
     min F(M₀ + N Σ_i w_i M_i)   over   w ≥ 0, Σ w = 1
 
@@ -9,30 +16,185 @@ when none exceeds its mean, and that what the largest exceeds it by bounds what 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real
-from dashpot.design.criteria import (
-    CriterionValue,
-    Terms,
-    criterion_curvature,
-    criterion_slopes,
-    criterion_value,
-)
-from dashpot.design.schedule import FrequencyGrid
-from dashpot.errors import IdentifiabilityError
+from dashpot.arrays import Ints, Real, freeze
+from dashpot.design.test_setup import FrequencyGrid, Schedule, TestSetup
+from dashpot.errors import IdentifiabilityError, UsageError
+from dashpot.model.network import Model
+from dashpot.model.observation import calibration_names
 
-# Shares of the time at few frequencies: a convex programme by a primal-dual interior point method.
-#
-# min F(M₀ + Σ_i w_i M_i) over w ≥ 0, Σ w = 1
-#
-# with slacks t − Φ_k of the parts of F (Boyd and Vandenberghe 2004, §11.7).
+Kind = Literal["A", "minimax", "D"]
+
+NAMES: Mapping[Kind, str] = {
+    "A": "mean relative error (A)",
+    "minimax": "worst relative error (minimax)",
+    "D": "volume of the confidence region (D)",
+}
 
 
-TOLERANCE = 1e-9  # of the duality gap inside
+@dataclass(frozen=True)
+class Criterion:
+    """What to make small.
+
+    kind     A: the mean relative variance (of one unknown, c-optimal), read as the rms relative standard deviation;
+             minimax: the largest relative variance; D: the volume of the confidence region, read as its mean radius
+    names    of the unknowns; without names those that no sd makes known already
+    targets  relative standard deviations by name, in parts of which minimax counts; they name the unknowns
+    """
+
+    kind: Kind
+    names: tuple[str, ...] = ()
+    targets: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        for name, target in (self.targets or {}).items():
+            if not (np.isfinite(target) and target > 0):
+                raise UsageError(
+                    f"a target of {target:g} for {name}", cure="give a positive relative sd, such as 2%"
+                )
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return NAMES[self.kind] if self.targets is None else "worst error in parts of the targets (minimax)"
+
+    def terms(self, setup: TestSetup) -> Terms:
+        """The criterion over the scenarios of a setup.  UsageError for unknown names."""
+        i = self._chosen(setup.model)
+        rows, block = np.ones((1, 1)), i if self.kind == "D" else None
+        if self.kind == "A":
+            rows = np.zeros((1, len(setup.names)))
+            rows[0, i] = 1 / len(i)
+        elif self.kind == "minimax":
+            rows = np.zeros((len(i), len(setup.names)))
+            rows[range(len(i)), i] = [target**-2 for target in self.targets_for(setup.model, 1.0).values()]
+        count = len(setup.theta)
+        if setup.over == "average":
+            return Terms(rows[:, None, :] * np.full((count, 1), 1 / count), block)
+        each = np.einsum("kq,ts->tksq", rows, np.eye(count)).reshape(-1, count, rows.shape[1])
+        return Terms(each, block)
+
+    def targets_for(self, model: Model, figure: float) -> dict[str, float]:
+        """Relative standard deviations by name that the figure asks of the unknowns."""
+        names = [model.unknowns[int(j)].name for j in self._chosen(model)]
+        return {name: figure * (1.0 if self.targets is None else self.targets[name]) for name in names}
+
+    def _chosen(self, model: Model) -> Ints:
+        """Indices of the unknowns that count.  Raises UsageError for names that are no unknowns."""
+        unknowns = [u.name for u in model.unknowns]
+        names = self.names if self.targets is None else tuple(self.targets)
+        for name in names:
+            if name not in unknowns:
+                raise UsageError(
+                    f"'{name}' is not an unknown of this rig", cure=f"its unknowns are {', '.join(unknowns)}"
+                )
+        if names:
+            return np.array(sorted({unknowns.index(name) for name in names}))
+        free = [i for i, u in enumerate(model.unknowns) if u.sd is None]
+        return np.array(free if free else range(len(unknowns)))
+
+    def figure(self, value: float) -> float:
+        """What people read for a value of F: a relative standard deviation; of D, the geometric mean of semi-axes."""
+        return float(np.exp(value / 2) if self.kind == "D" else np.sqrt(value))
+
+
+@dataclass(frozen=True)
+class Terms:
+    """A criterion over the scenarios of a setup.
+
+    weights  (K, scenarios, q): a_ksj; for a determinant (K, scenarios, 1): a_ks
+    block    indices I of a determinant; None for sums of variances
+    """
+
+    weights: Real
+    block: Ints | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    def unit(self, F: float) -> float:
+        """What losses count in: parts of F; of determinants, whose F is a logarithm, 1."""
+        return F if self.block is None else 1.0
+
+    def of(self, M0: Real, w: Real, Mi: Real) -> CriterionValue:
+        """`at` shares w (lines,) of what the lines tell, Mi (scenarios, lines, q, q), beside M0 (scenarios, q, q)."""
+        return self.at(M0 + np.einsum("i,siab->sab", w, Mi))
+
+    def at(self, M: Real) -> CriterionValue:
+        """F of the information M (scenarios, q, q); infinite where M does not determine the unknowns."""
+        q = M.shape[-1]
+        scale = np.sqrt(np.maximum(np.diagonal(M, axis1=-2, axis2=-1), 1e-300))
+        outer = scale[:, :, None] * scale[:, None, :]
+        rest = np.zeros_like(M)
+        try:
+            L = np.linalg.cholesky(M / outer)
+        except np.linalg.LinAlgError:
+            L = rest
+        # Whether Cholesky notices is up to the rounding of the machine.
+        if np.min(np.diagonal(L, axis1=-2, axis2=-1)) ** 2 < 10 * np.finfo(float).eps * q:
+            return CriterionValue(
+                self, np.inf, np.full(len(self.weights), np.inf), np.full_like(M, np.nan), rest
+            )
+        root = np.linalg.solve(L, np.broadcast_to(np.eye(q), M.shape))
+        C = np.swapaxes(root, -1, -2) @ root / outer
+        if self.block is None:
+            parts = np.einsum("ksj,sjj->k", self.weights, C)
+            return CriterionValue(self, float(np.max(parts)), parts, C, rest)
+        other = np.setdiff1d(np.arange(q), self.block)
+        logdet = -np.linalg.slogdet(M)[1]
+        if len(other):
+            square = np.ix_(np.arange(len(M)), other, other)
+            logdet = logdet + np.linalg.slogdet(M[square])[1]
+            rest[square] = np.linalg.inv(M[square])
+        parts = self.weights[..., 0] @ logdet / len(self.block)
+        return CriterionValue(self, float(np.max(parts)), parts, C, rest)
+
+
+@dataclass(frozen=True)
+class CriterionValue:
+    """F at one M, its parts Φ_k (K,), the covariances C (scenarios, q, q) and, for determinants, those of the rest."""
+
+    terms: Terms
+    F: float
+    parts: Real
+    C: Real
+    rest: Real
+
+    def slopes(self, Mi: Real) -> Real:
+        """−∂Φ_k/∂w_i (for N = 1), (K, lines), ≥ 0."""
+        weights, block = self.terms.weights, self.terms.block
+        if block is not None:
+            trace = np.sum(self.C[:, None] * Mi, axis=(-1, -2)) - np.sum(
+                self.rest[:, None] * Mi, axis=(-1, -2)
+            )
+            return weights[..., 0] @ trace / len(block)
+        K, S, q = weights.shape
+        if K == 1:  # Σ a_j (C M C)_jj is the inner product of M with C diag(a) C
+            return np.einsum("sab,slab->l", (self.C * weights[0][:, None]) @ self.C, Mi)[None]
+        # (C M C)_jj, row by row
+        gain = np.sum((self.C[:, None] @ Mi) * np.swapaxes(self.C, -1, -2)[:, None], axis=-1)
+        return weights.reshape(K, S * q) @ np.swapaxes(gain, 1, 2).reshape(S * q, -1)
+
+    def curvature(self, Mi: Real, y: Real) -> Real:
+        """Hessian of Σ y_k Φ_k over w (for N = 1), (lines, lines)."""
+        lines = Mi.shape[1]
+        flat = Mi.reshape(len(Mi), lines, -1)
+        H = np.zeros((lines, lines))
+        weights = np.einsum("k,ksj->sj", y, self.terms.weights)
+        for s in np.flatnonzero(np.any(weights, axis=1)):
+            C, rest = self.C[s], self.rest[s]
+            if self.terms.block is None:
+                H += 2 * ((C * weights[s]) @ C @ Mi[s] @ C).reshape(lines, -1) @ flat[s].T
+                continue
+            for inverse, sign in ((C, 1.0), (rest, -1.0)):
+                share = sign * weights[s, 0] / len(self.terms.block)
+                H += share * ((inverse @ Mi[s] @ inverse).reshape(lines, -1) @ flat[s].T)
+        return (H + H.T) / 2
 
 
 @dataclass(frozen=True)
@@ -48,7 +210,7 @@ class Shares:
 class _Iterate:
     """Shares w, bound t of the parts, their slacks s, and the multipliers: y of s, z of w, ν of Σ w = 1.
 
-    t and s are in units of `unit`, the size of F at the start.
+    t and s are in units of the size of F at the start.
     """
 
     w: Real
@@ -62,25 +224,29 @@ class _Iterate:
         """As far along a step as all that must stay positive does."""
         primal = min(1.0, 0.99 * _reach(self.w, step.w), 0.99 * _reach(self.s, step.s))
         dual = min(1.0, 0.99 * min(_reach(self.z, step.z), _reach(self.y, step.y)))
-        return _Iterate(
-            self.w + primal * step.w, self.t + primal * step.t, self.s + primal * step.s,
-            self.y + dual * step.y, self.z + dual * step.z, self.nu + dual * step.nu,
-        )  # fmt: skip
+        w, t, s = self.w + primal * step.w, self.t + primal * step.t, self.s + primal * step.s
+        return _Iterate(w, t, s, self.y + dual * step.y, self.z + dual * step.z, self.nu + dual * step.nu)
 
 
-def optimal_shares(terms: Terms, M0: Real, Mi: Real, tolerance: float = TOLERANCE) -> Shares:
+def _reach(x: Real, dx: Real) -> float:
+    down = dx < 0
+    return float(np.min(-x[down] / dx[down], initial=np.inf))
+
+
+def optimal_shares(terms: Terms, M0: Real, Mi: Real) -> Shares:
     """Near-optimal shares of candidates with information Mi (scenarios, lines, q, q) beside M0 (scenarios, q, q).
 
-    Where the iteration stalls it returns the best that it had, and the caller's gap says how good that is.
+    By slacks t − Φ_k of the parts of F (Boyd and Vandenberghe 2004, §11.7).  Where the iteration stalls it returns the
+    best that it had, and the caller's gap says how good that is.
     """
     lines, K = Mi.shape[1], len(terms.weights)
     w, y = np.full(lines, 1 / lines), np.full(K, 1 / K)
-    at = criterion_value(terms, M0 + np.einsum("i,siab->sab", w, Mi))
+    at = terms.of(M0, w, Mi)
     if not np.isfinite(at.F):
         return Shares(w, y, at.F)
-    unit = 1.0 if terms.block is not None else max(at.F, 1e-300)
+    unit = max(terms.unit(at.F), 1e-300)
     t = float(np.max(at.parts)) / unit + 0.1
-    g = -criterion_slopes(terms, at, Mi) / unit
+    g = -at.slopes(Mi) / unit
     nu = float(-(y @ g) @ w)
     x = _Iterate(w, t, t - at.parts / unit, y, np.maximum(y @ g + nu, 0.0) + 0.1, nu)
     best, closest = Shares(w, y, at.F), np.inf
@@ -92,23 +258,23 @@ def optimal_shares(terms: Terms, M0: Real, Mi: Real, tolerance: float = TOLERANC
         gap = float(np.max(parts) - share @ parts + h @ x.w - np.min(h))
         if gap < closest:
             best, closest = Shares(x.w, x.y, at.F), gap
-        if gap < tolerance * (1.0 if terms.block is not None else at.F / unit):
-            return best
-        step = _newton_step(x, at.parts / unit, g, criterion_curvature(terms, at, Mi, x.y) / unit)
+        if gap < 1e-9 * terms.unit(at.F) / unit:
+            break
+        step = _newton_step(x, parts, g, at.curvature(Mi, x.y) / unit)
         if step is None:
             break
         x = x.moved(step)
-        at = criterion_value(terms, M0 + np.einsum("i,siab->sab", x.w, Mi))
+        at = terms.of(M0, x.w, Mi)
         if not np.isfinite(at.F):
             break
-        g = -criterion_slopes(terms, at, Mi) / unit
+        g = -at.slopes(Mi) / unit
     return best
 
 
 def _newton_step(x: _Iterate, parts: Real, g: Real, curvature: Real) -> _Iterate | None:
     """Newton's step to the central path a tenth ahead; None where its equations are singular.
 
-    parts (K,) and g (K, lines): Φ_k and its slopes by w; curvature (lines, lines) of Σ y_k Φ_k; all over `unit`.
+    parts (K,) and g (K, lines): Φ_k and its slopes by w; curvature (lines, lines) of Σ y_k Φ_k; all over the unit.
     Unknowns dw, dt, dν; dz = μ/w − z − z dw/w, dy = (μ − y s − y ds)/s with ds = (dt − g·dw) + residual.
     """
     w, s, y, z = x.w, x.s, x.y, x.z
@@ -136,16 +302,6 @@ def _newton_step(x: _Iterate, parts: Real, g: Real, curvature: Real) -> _Iterate
     return _Iterate(dw, dt, ds, (mu - y * s - y * ds) / s, mu / w - z - z * dw / w, dnu)
 
 
-def _reach(x: Real, dx: Real) -> float:
-    down = dx < 0
-    return float(np.min(-x[down] / dx[down], initial=np.inf))
-
-
-Information = Callable[[Real, Ints], Real]  # (frequencies, patterns) → (scenarios, lines, q, q)
-
-ZOOM = 13  # points of a bracket at once
-
-
 @dataclass(frozen=True)
 class Allocation:
     """The best shares of a test.
@@ -165,99 +321,89 @@ class Allocation:
     gap: float
     curve: tuple[Real, Ints, Real]
 
+    def schedule(self, samples: float) -> Schedule:
+        """The test of so many samples, without what hardly counts."""
+        kept = self.share > 1e-6
+        return Schedule(self.frequency_hz[kept], self.pattern[kept], samples * self.share[kept])
 
-def optimise(
-    information: Information,
-    terms: Terms,
-    prior: Real,
-    samples: float,
-    grid: FrequencyGrid,
-    tolerance: float = 1e-7,
-) -> Allocation:
-    """The shares of `samples` over the frequencies of a band that make F smallest.
 
-    `information` is of one sample; `prior` (scenarios, q, q) is what is known before.  Raises IdentifiabilityError
-    where no test in the band determines the unknowns.
+def optimise(setup: TestSetup, terms: Terms, samples: float, grid: FrequencyGrid) -> Allocation:
+    """The shares of `samples` over the frequencies of a band that make F smallest, beside what is known before.
+
+    Raises IdentifiabilityError where no test in the band determines the unknowns.
     """
-    on_grid = samples * information(grid.frequency_hz, grid.pattern)
-    spread = prior + np.mean(on_grid, axis=1)
-    if not np.isfinite(criterion_value(terms, spread).F):
+    on_grid = samples * setup.information(grid.frequency_hz, grid.pattern)
+    if not np.isfinite(terms.at(setup.prior + np.mean(on_grid, axis=1)).F):
         raise IdentifiabilityError(
             "no test in this band determines the unknowns",
             cure="give an unknown a value, add a sensor, or widen the band",
         )
-    search = _Columns(information, terms, prior, samples, grid, on_grid)
-    return search.run(tolerance)
+    return _Columns(setup, terms, samples, grid, on_grid).run()
 
 
 class _Columns:
     """Column generation: few candidates, joined by those at which the directional derivative is largest."""
 
+    tolerance = 1e-7  # of the gap
+
     def __init__(
-        self,
-        information: Information,
-        terms: Terms,
-        prior: Real,
-        samples: float,
-        grid: FrequencyGrid,
-        on_grid: Real,
+        self, setup: TestSetup, terms: Terms, samples: float, grid: FrequencyGrid, on_grid: Real
     ) -> None:
-        self.information, self.terms, self.prior = information, terms, prior
-        self.samples, self.grid, self.on_grid = samples, grid, on_grid
-        step = max(1, len(grid.frequency_hz) // 60)
-        some = np.arange(0, len(grid.frequency_hz), step)
+        self.setup, self.terms, self.samples, self.grid, self.on_grid = setup, terms, samples, grid, on_grid
+        some = np.arange(0, len(grid.frequency_hz), max(1, len(grid.frequency_hz) // 60))
         self.f, self.k, self.M = grid.frequency_hz[some], grid.pattern[some], on_grid[:, some]
-        if not np.isfinite(criterion_value(terms, prior + np.mean(self.M, axis=1)).F):
+        if not self._determined(self.M):
             self.f, self.k, self.M = grid.frequency_hz, grid.pattern, on_grid
 
-    def run(self, tolerance: float) -> Allocation:
+    def run(self) -> Allocation:
         """Add columns until the gap is closed, then join the pairs that stand for one frequency."""
         best: Allocation | None = None
         try_below = 1e-5
         for turn in range(30):
-            weights = optimal_shares(self.terms, self.prior, self.M)
+            weights = optimal_shares(self.terms, self.setup.prior, self.M)
             trial, peaks = self._certified(weights)
             if best is None or trial.gap < best.gap:
                 best = trial
-            if trial.gap < tolerance:
+            if trial.gap < self.tolerance:
                 break
             if self.grid.free and trial.gap < try_below:
                 try_below = 0.03 * trial.gap
                 # Columns that crowd around one frequency slow the search down: one column that moves is better.
                 columns = self.f, self.k, self.M
-                joined = self._joined(best, tolerance)
+                joined = self._joined(best)
                 if joined is not None:
                     return joined
                 self.f, self.k, self.M = columns
             self._exchange(weights.w, peaks, keep=1e-9 if turn else 1e-6)
         assert best is not None
-        joined = self._joined(best, tolerance) if self.grid.free else None
+        joined = self._joined(best) if self.grid.free else None
         return best if joined is None else joined
 
-    def _slope(self, at: CriterionValue, share: Real, f: Real, k: Ints) -> Real:
-        return share @ criterion_slopes(self.terms, at, self.samples * self.information(f, k))
+    def _information(self, f: Real, k: Ints) -> Real:
+        return self.samples * self.setup.information(f, k)
+
+    def _determined(self, M: Real) -> bool:
+        return bool(np.isfinite(self.terms.at(self.setup.prior + np.mean(M, axis=1)).F))
 
     def _certified(self, weights: Shares) -> tuple[Allocation, tuple[Real, Ints]]:
         """The design with its gap over the whole band, and the frequencies at which the derivative peaks."""
         w, share = weights.w, weights.y / np.sum(weights.y)
-        at = criterion_value(self.terms, self.prior + np.einsum("i,siab->sab", w, self.M))
-        at_columns = share @ criterion_slopes(self.terms, at, self.M)
+        at = self.terms.of(self.setup.prior, w, self.M)
+        at_columns = share @ at.slopes(self.M)
         mean = float(at_columns @ w)
-        curve = share @ criterion_slopes(self.terms, at, self.on_grid)
+        curve = share @ at.slopes(self.on_grid)
         f, k, height = self._peaks(at, share, curve, np.max(at_columns))
         top = max(float(np.max(curve)), float(np.max(height, initial=0.0)))
-        lost = at.F - float(share @ at.parts) + top - mean
-        gap = lost if self.terms.block is not None else lost / at.F
+        gap = (at.F - float(share @ at.parts) + top - mean) / self.terms.unit(at.F)
         kept = w > 1e-7 * np.max(w)
-        allocation = Allocation(
-            self.f[kept], self.k[kept], w[kept] / np.sum(w[kept]), at.F, max(gap, 0.0),
-            (self.grid.frequency_hz, self.grid.pattern, curve / mean if mean > 0 else curve),
-        )  # fmt: skip
-        return allocation, (f, k)
+        over = (self.grid.frequency_hz, self.grid.pattern, curve / mean if mean > 0 else curve)
+        share_kept = w[kept] / np.sum(w[kept])
+        found = Allocation(self.f[kept], self.k[kept], share_kept, at.F, max(gap, 0.0), over)
+        return found, (f, k)
 
     def _peaks(self, at: CriterionValue, share: Real, curve: Real, own: float) -> tuple[Real, Ints, Real]:
         """Local maxima of the derivative in each pattern, between grid points where frequencies are free."""
-        found_f, found_k, found_h = [], [], []
+        found: list[tuple[Real, Ints, Real]] = [(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0))]
         for pattern in np.unique(self.grid.pattern):
             rows = np.flatnonzero(self.grid.pattern == pattern)
             f, h = self.grid.frequency_hz[rows], curve[rows]
@@ -265,34 +411,28 @@ class _Columns:
             top = np.flatnonzero((h >= padded[:-2]) & (h >= padded[2:]) & (h > 0.9 * own))
             if len(top) == 0:
                 continue
-            if not self.grid.free or len(f) < 2:
-                found_f.append(f[top])
-                found_h.append(h[top])
-            else:
+            at_f, height = f[top], h[top]
+            if self.grid.free and len(f) > 1:
                 low, high = f[np.maximum(top - 1, 0)], f[np.minimum(top + 1, len(f) - 1)]
-                x, height = self._highest(at, share, low, high, int(pattern))
-                ends = np.array([f[top], x])
-                better = (height > h[top]).astype(int)
-                found_f.append(ends[better, np.arange(len(top))])
-                found_h.append(np.maximum(height, h[top]))
-            found_k.append(np.full(len(top), pattern, dtype=np.int64))
-        if not found_f:
-            return np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0)
-        return np.concatenate(found_f), np.concatenate(found_k), np.concatenate(found_h)
+                between, higher = self._highest(at, share, low, high, int(pattern))
+                at_f, height = np.where(higher > height, between, at_f), np.maximum(higher, height)
+            found.append((at_f, np.full(len(top), pattern, dtype=np.int64), height))
+        f, k, height = (np.concatenate(part) for part in zip(*found, strict=True))
+        return f, k, height
 
     def _highest(
         self, at: CriterionValue, share: Real, low: Real, high: Real, pattern: int
     ) -> tuple[Real, Real]:
-        """The highest point of each bracket: zoom in on the best of several points, all brackets at once, over ln f."""
+        """The highest point of each bracket: zoom in on the best of 13 points, all brackets at once, over ln f."""
         a, b = np.log(low), np.log(high)
-        rows = np.arange(len(a))
-        part = np.linspace(0, 1, ZOOM)
+        rows, part = np.arange(len(a)), np.linspace(0, 1, 13)
         for _ in range(5):
             x = a[:, None] + (b - a)[:, None] * part
             f = np.clip(np.exp(x.ravel()), self.grid.low, self.grid.high)
-            h = self._slope(at, share, f, np.full(f.size, pattern, dtype=np.int64)).reshape(x.shape)
+            M = self._information(f, np.full(f.size, pattern, dtype=np.int64))
+            h = (share @ at.slopes(M)).reshape(x.shape)
             top = np.argmax(h, axis=1)
-            a, b = x[rows, np.maximum(top - 1, 0)], x[rows, np.minimum(top + 1, ZOOM - 1)]
+            a, b = x[rows, np.maximum(top - 1, 0)], x[rows, np.minimum(top + 1, len(part) - 1)]
         best = f.reshape(x.shape)[rows, top]
         # exp(ln f) misses the ends of the band by rounding.
         for end in (self.grid.low, self.grid.high):
@@ -302,23 +442,17 @@ class _Columns:
     def _exchange(self, w: Real, peaks: tuple[Real, Ints], keep: float) -> None:
         """Keep what has weight, add the peaks."""
         kept = w > keep * np.max(w)
-        if not np.isfinite(criterion_value(self.terms, self.prior + np.mean(self.M[:, kept], axis=1)).F):
+        if not self._determined(self.M[:, kept]):
             kept[:] = True  # the best test for some leaves others open: the search must not start from there
         f, k = peaks
-        new = [
-            i
-            for i in range(len(f))
-            if not np.any((k[i] == self.k[kept]) & (np.abs(self.f[kept] / f[i] - 1) < 1e-10))
-        ]
-        f, k = f[new], k[new]
-        if len(f) == 0:
-            self.f, self.k, self.M = self.f[kept], self.k[kept], self.M[:, kept]
-            return
-        more = self.samples * self.information(f, k)
+        same = (k[:, None] == self.k[kept]) & (np.abs(self.f[kept] / f[:, None] - 1) < 1e-10)
+        f, k = f[~np.any(same, axis=1)], k[~np.any(same, axis=1)]
         self.f, self.k = np.concatenate([self.f[kept], f]), np.concatenate([self.k[kept], k])
-        self.M = np.concatenate([self.M[:, kept], more], axis=1)
+        self.M = self.M[:, kept]
+        if len(f):
+            self.M = np.concatenate([self.M, self._information(f, k)], axis=1)
 
-    def _joined(self, best: Allocation, tolerance: float) -> Allocation | None:
+    def _joined(self, best: Allocation) -> Allocation | None:
         """Neighbours within a step of the grid stand for one frequency between them: join them while the gap allows."""
         steps = np.diff(np.log(np.unique(self.grid.frequency_hz)))
         width = float(np.median(steps)) if len(steps) else 0.0
@@ -329,34 +463,30 @@ class _Columns:
             if len(f) != last:
                 last = len(f)
                 self.f, self.k = f, k
-                joined = self._settle(tolerance)
+                joined = self._settle()
                 if joined is not None:
                     return joined
             width /= 4
         return None
 
-    def _settle(self, tolerance: float) -> Allocation | None:
+    def _settle(self) -> Allocation | None:
         """Shift each frequency to the peak near it and weigh again until the gap is closed; None: it stays open."""
         best: Allocation | None = None
         for _ in range(12):
-            self.M = self.samples * self.information(self.f, self.k)
-            if not np.isfinite(criterion_value(self.terms, self.prior + np.mean(self.M, axis=1)).F):
+            self.M = self._information(self.f, self.k)
+            if not self._determined(self.M):
                 break
-            trial, (f, k) = self._certified(optimal_shares(self.terms, self.prior, self.M))
+            trial, (f, k) = self._certified(optimal_shares(self.terms, self.setup.prior, self.M))
             if best is not None and trial.gap > 0.5 * best.gap:
                 break
             best = trial
-            if trial.gap < 0.1 * tolerance:
+            if trial.gap < 0.1 * self.tolerance:
                 break
-            moved = self.f.copy()
-            for i in range(len(moved)):
-                near = np.flatnonzero(k == self.k[i])
-                if len(near):
-                    nearest = f[near[np.argmin(np.abs(np.log(f[near] / moved[i])))]]
-                    if abs(np.log(nearest / moved[i])) < 0.05:
-                        moved[i] = nearest
-            self.f = moved
-        return best if best is not None and best.gap < tolerance else None
+            for i, at in enumerate(self.f):
+                away = np.where(k == self.k[i], np.abs(np.log(f / at)), np.inf)
+                if np.min(away, initial=np.inf) < 0.05:
+                    self.f[i] = f[np.argmin(away)]
+        return best if best is not None and best.gap < self.tolerance else None
 
 
 def clusters(
@@ -367,21 +497,79 @@ def clusters(
     Its frequency is their weighted mean in ln f or, unless it may lie between them, that of the largest share.
     All (lines,).
     """
-    f, k, w = [], [], []
-    for drive in np.unique(pattern):
-        rows = np.flatnonzero(pattern == drive)
-        rows = rows[np.argsort(frequency_hz[rows])]
-        x = np.log(frequency_hz[rows])
-        group = np.concatenate([[0], np.cumsum(np.diff(x) > width)])
-        for g in np.unique(group):
-            members = rows[group == g]
-            total = float(np.sum(share[members]))
-            mean = float(np.exp(np.sum(x[group == g] * share[members]) / total))
-            f.append(
-                mean
-                if between and len(members) > 1
-                else float(frequency_hz[members[np.argmax(share[members])]])
-            )
-            k.append(int(drive))
-            w.append(total)
-    return np.array(f), np.array(k, dtype=np.int64), np.array(w)
+    order = np.lexsort((frequency_hz, pattern))
+    x, k, w = np.log(frequency_hz[order]), pattern[order], share[order]
+    first = np.flatnonzero(np.concatenate([[True], (np.diff(x) > width) | (np.diff(k) != 0)]))
+    total = np.add.reduceat(w, first)
+    f = np.exp(np.add.reduceat(x * w, first) / total)
+    for i, (start, end) in enumerate(zip(first, [*first[1:], len(x)], strict=True)):
+        if end == start + 1 or not between:
+            f[i] = frequency_hz[order[start + int(np.argmax(w[start:end]))]]
+    return f, k[first], total
+
+
+# What a test will tell: standard deviations of the unknowns, and what each frequency adds to them.
+
+
+@dataclass(frozen=True)
+class ExpectedPrecision:
+    """What a test will tell, at the nominal values.
+
+    sd, relative  (q,)    standard deviations of ψ in SI units, and in parts of the values
+    covariance    (q, q)  SI units
+    figure        the criterion, as a relative standard deviation
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Real
+    sd: Real
+    covariance: Real
+    figure: float
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def relative(self) -> Real:
+        """sd in parts of |value| (of 1 where the value is 0)."""
+        return self.sd / np.where(self.values == 0, 1.0, np.abs(self.values))
+
+    def rms(self, names: Sequence[str] = ()) -> float:
+        """Root mean square of the relative standard deviations of all (or some) of the parameters."""
+        chosen = [self.names.index(name) for name in names] if names else list(range(len(self.names)))
+        return float(np.sqrt(np.mean(self.relative[chosen] ** 2)))
+
+
+def expected_precision(
+    setup: TestSetup, criterion: Criterion, information: Real | float
+) -> ExpectedPrecision:
+    """What a test's information (scenarios, q, q) in parts of the sizes, beside what is known before, will give.
+
+    Raises IdentifiabilityError where it leaves some parameter open.
+    """
+    at = criterion.terms(setup).at(setup.prior + information)
+    if not np.isfinite(at.F):
+        raise IdentifiabilityError(
+            "this test does not determine the unknowns", cure="give it more frequencies, or another sensor"
+        )
+    size = setup.sizes[0]
+    C = at.C[0] * size[:, None] * size
+    # Calibrations are errors of ln gain and of delay; their value is 1 and 0.
+    late = [name.endswith(".delay") for name in calibration_names(setup.channels)]
+    units = (*(u.unit for u in setup.model.unknowns), *("s" if delay else "1" for delay in late))
+    values = np.concatenate([setup.theta[0], [0.0 if delay else 1.0 for delay in late]])
+    return ExpectedPrecision(setup.names, units, values, np.sqrt(np.diagonal(C)), C, criterion.figure(at.F))
+
+
+def information_gain(
+    setup: TestSetup, criterion: Criterion, schedule: Schedule, frequency_hz: Real, pattern: Ints
+) -> Real:
+    """How much a sample at each frequency adds to what is known of each parameter, (frequencies, q).
+
+    (C M(f) C)_jj / C_jj at the nominal values, times the test's samples: 1 is what its average sample adds.
+    """
+    C = criterion.terms(setup).at(setup.prior + schedule.information(setup)).C[0]
+    each = setup.information(frequency_hz, pattern)[0]
+    gain = np.einsum("ja,iab,bj->ij", C, each, C)
+    return float(np.sum(schedule.samples)) * gain / np.diagonal(C)

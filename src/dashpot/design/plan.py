@@ -3,223 +3,99 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dashpot.arrays import Ints, Real
-from dashpot.design.allocation import Allocation, clusters, optimal_shares, optimise
-from dashpot.design.criteria import (
-    AOptimal,
+from dashpot.design.allocation import (
+    Allocation,
     Criterion,
     ExpectedPrecision,
-    Robustness,
     Terms,
-    criterion_value,
+    clusters,
     expected_precision,
     information_gain,
+    optimal_shares,
+    optimise,
 )
-from dashpot.design.schedule import (
-    MIN_SAMPLES,
-    Budget,
-    Dwell,
-    FrequencyGrid,
-    Schedule,
-    band_grid,
-    require_rate,
-)
-from dashpot.design.test_setup import TestSetup
+from dashpot.design.test_setup import FrequencyGrid, Schedule, TestSetup, band_grid
 from dashpot.errors import UsageError
 from dashpot.io.words import joined
 
-# From shares of any size to dwells of whole periods: fewer frequencies, then whole numbers of samples.
-
-
-SIMPLER = 1e-4  # of the variance: what it may cost to join dwells that crowd around one frequency
-CROWDS = (0.1, 0.03, 0.01, 0.003)  # distances in ln f within which they are joined
+MIN_SAMPLES = 8  # of a dwell: offset, drift and a harmonic leave some residual
+NYQUIST = 0.45  # highest frequency in parts of the sampling rate
+ENOUGH = 1e9  # samples or seconds; more is a mistake
 
 
 @dataclass(frozen=True)
-class DesignProblem:
-    """What a test is to be good for, on what setup, within which budget and band; `prior` (scenarios, q, q)."""
+class Budget:
+    """How much test there is: `samples` in all, or `time` in s, settling included.
 
-    setup: TestSetup
-    terms: Terms
-    prior: Real
-    budget: Budget
-    grid: FrequencyGrid
+    rate        samples a second; None: each dwell spreads its samples over whole periods as it likes
+    settle      s before each dwell
+    min_dwell   s of measuring at least, in each dwell
+    most        at most that many dwells
 
-    def F(self, schedule: Schedule) -> float:
-        """The criterion of a test beside what is known."""
-        return criterion_value(self.terms, self.prior + schedule.information(self.setup)).F
+    Raises UsageError where both or neither are stated, or a number makes no sense.
+    """
 
-    def optimum(self, samples: float) -> Allocation:
-        """The best shares of so many samples.  Raises IdentifiabilityError where none determine the unknowns."""
-        return optimise(self.setup.information, self.terms, self.prior, samples, self.grid)
+    samples: float | None = None
+    time: float | None = None
+    rate: float | None = None
+    settle: float = 0.0
+    min_dwell: float = 0.0
+    most: int | None = None
 
-
-class DwellShares:
-    """Shares of a test that lose frequencies one by one, and their rounding to whole periods."""
-
-    def __init__(self, problem: DesignProblem, ideal: Allocation) -> None:
-        self.setup, self.terms, self.prior = problem.setup, problem.terms, problem.prior
-        self.budget, self.grid = problem.budget, problem.grid
-        kept = ideal.share > 1e-6
-        self.f, self.k = ideal.frequency_hz[kept].copy(), ideal.pattern[kept].copy()
-        self.w = ideal.share[kept] / np.sum(ideal.share[kept])
+    def __post_init__(self) -> None:
+        if (self.samples is None) == (self.time is None):
+            raise UsageError(
+                "the budget is either samples or time", cure="state a number of samples or a time"
+            )
+        stated = "state the rate, here or for the channels in the rig file"
+        if self.time is not None and self.rate is None:
+            raise UsageError(
+                "a budget of time needs the sampling rate", cure=f"{stated}, or a number of samples"
+            )
+        if self.min_dwell > 0 and self.rate is None:
+            raise UsageError("a shortest dwell needs the sampling rate", cure=stated)
+        for name in ("samples", "time", "rate"):
+            number = getattr(self, name)
+            if number is not None and not 0 < number <= ENOUGH:
+                raise UsageError(f"{name} of {number:g}", cure=f"give a positive number up to {ENOUGH:g}")
+        for name, number in (("settling time", self.settle), ("shortest dwell", self.min_dwell)):
+            if not 0 <= number <= ENOUGH:
+                raise UsageError(f"a {name} of {number:g} s", cure="give a time of 0 s or more")
+        if self.most is not None and self.most < 1:
+            raise UsageError(f"at most {self.most} frequencies", cure="allow at least one")
 
     @property
-    def count(self) -> int:
-        """Number of dwells."""
-        """Number of dwells."""
-        """Number of dwells."""
-        return len(self.f)
+    def amount(self) -> float:
+        """Samples, or s."""
+        return float(self.samples or self.time or 0.0)
 
-    def may_gain(self, schedule: Schedule | None) -> bool:
-        """Whether fewer dwells could be better: settling costs time, or some dwell is shorter than is allowed."""
-        if schedule is None or (self.budget.time is not None and self.budget.settle > 0):
-            return True
-        samples = max(self.budget.measured(self.count), 1.0)
-        return bool(np.any(self.w * samples < self._least()))
+    def of(self, amount: float) -> Budget:
+        """The same budget of another amount: samples, or s."""
+        return replace(self, time=amount) if self.samples is None else replace(self, samples=amount)
 
-    def join(self) -> None:
-        """One dwell for those that crowd around a frequency, where that costs next to nothing.
+    def measured(self, dwells: int) -> float:
+        """Samples that are left for measuring with that many dwells; not positive where settling eats the time."""
+        if self.samples is not None:
+            return float(self.samples)
+        return (self.amount - dwells * self.settle) * (self.rate or 0.0)
 
-        The optimum is flat there, and what finds it spreads the time over neighbours.
-        """
-        samples = max(self.budget.measured(self.count), self.budget.measured(0) / 2)
-        before = self.f, self.k, self.w
-        now = self._F(samples)
-        for width in CROWDS:
-            self.f, self.k, self.w = clusters(*before, width, self.grid.free)
-            if self.count == len(before[0]):
-                return
-            self._improve(samples)
-            slack = SIMPLER * (1.0 if self.terms.block is not None else now)
-            if self._F(samples) <= now + slack:
-                return
-        self.f, self.k, self.w = before
 
-    def _F(self, samples: float) -> float:
-        M = self.setup.information(self.f, self.k)
-        return criterion_value(self.terms, self.prior + samples * np.einsum("i,siab->sab", self.w, M)).F
+@dataclass(frozen=True)
+class Dwell:
+    """One line of the test: amplitudes of the inputs (SI), whole periods, samples, times in s (None: no rate)."""
 
-    def _least(self) -> Real:
-        """Fewest samples of each dwell."""
-        least = np.full(self.count, float(MIN_SAMPLES))
-        if self.budget.rate is not None:
-            least = np.floor(self._least_periods() * self.budget.rate / self.f + 1e-9)
-        return least
-
-    def _least_periods(self) -> Real:
-        rate = self.budget.rate
-        assert rate is not None
-        long = np.maximum(self.budget.min_dwell, MIN_SAMPLES / rate)
-        return np.maximum(np.ceil(long * self.f - 1e-9), 1.0)
-
-    def thin(self, count: int) -> None:
-        """Down to `count` frequencies: drop those that cost least, then shift the others."""
-        if count >= self.count:
-            return
-        samples = self.budget.measured(count)
-        if samples <= 0:
-            samples = self.budget.measured(0)
-        while self.count > count:
-            M = samples * self.setup.information(self.f, self.k)
-            tries = []
-            for out in range(self.count):
-                rest = np.delete(np.arange(self.count), out)
-                w = self.w[rest] / np.sum(self.w[rest])
-                tries.append(
-                    criterion_value(self.terms, self.prior + np.einsum("i,siab->sab", w, M[:, rest])).F
-                )
-            rest = np.delete(np.arange(self.count), int(np.argmin(tries)))
-            self.f, self.k, self.w = self.f[rest], self.k[rest], self.w[rest] / np.sum(self.w[rest])
-        self._improve(samples)
-
-    def _improve(self, samples: float) -> None:
-        """Shares and frequencies in turn, each frequency by zooming in on the best of several places."""
-        last = np.inf
-        for _ in range(8):
-            M = samples * self.setup.information(self.f, self.k)
-            if not np.isfinite(criterion_value(self.terms, self.prior + np.mean(M, axis=1)).F):
-                return
-            self.w = optimal_shares(self.terms, self.prior, M).w
-            # With many dwells left each matters little: their shares make up for the one that went.
-            # dwells up to which frequencies shift when one is dropped
-            if self.grid.free and self.grid.high > self.grid.low and self.count <= 8:
-                for i in range(self.count):
-                    M = self._shift(i, M, samples)
-            F = criterion_value(self.terms, self.prior + np.einsum("i,siab->sab", self.w, M)).F
-            gain = last - F if self.terms.block is not None else (last - F) / F
-            if gain < 1e-6:
-                return
-            last = F
-
-    def _shift(self, i: int, M: Real, samples: float) -> Real:
-        rest = self.prior + np.einsum("i,siab->sab", np.delete(self.w, i), np.delete(M, i, axis=1))
-        low, high, places = self.grid.low, self.grid.high, 33
-        best, lowest = M[:, i], criterion_value(self.terms, rest + self.w[i] * M[:, i]).F
-        for _ in range(4):
-            f = np.geomspace(low, high, places)
-            moved = samples * self.setup.information(f, np.full(places, self.k[i]))
-            F = np.array(
-                [criterion_value(self.terms, rest + self.w[i] * moved[:, j]).F for j in range(places)]
-            )
-            top = int(np.argmin(F))
-            if F[top] < lowest:
-                self.f[i], best, lowest = f[top], moved[:, top], F[top]
-            low, high, places = f[max(top - 1, 0)], f[min(top + 1, places - 1)], 9
-        M = M.copy()
-        M[:, i] = best
-        return M
-
-    def rounded(self) -> Schedule | None:
-        """Whole periods (samples where there is no rate) within the budget; None where they do not fit."""
-        rate = self.budget.rate
-        if self.grid.free:
-            f = np.array([float(f"{f:.6g}") for f in self.f])  # what a controller can be told
-            self.f = np.clip(f, self.grid.low, self.grid.high)
-        order = np.lexsort((self.f, self.k))
-        self.f, self.k, self.w = self.f[order], self.k[order], self.w[order]
-        total = self.budget.measured(self.count)
-        # In samples of measuring time; a dwell's own samples are the whole ones among them.
-        unit = np.ones(self.count) if rate is None else rate / self.f
-        least = self._least() if rate is None else self._least_periods()
-        units = self._cut(total, unit, least)
-        if units is None:
-            return None
-        units = self._filled(total, unit, units)
-        return Schedule(self.f, self.k, np.floor(units * unit + 1e-9))
-
-    def _cut(self, total: float, unit: Real, least: Real) -> Real | None:
-        """Whole units of each dwell, at most its share and at least `least`; None where these do not fit."""
-        ideal = self.w * total
-        units = np.maximum(np.floor(ideal / unit + 1e-9), least)
-        while np.sum(units * unit) > total * (1 + 1e-12):
-            spare = units > least
-            if not np.any(spare):
-                return None
-            over = np.where(spare, units * unit / np.maximum(ideal, 1e-300), -np.inf)
-            i = int(np.argmax(over))
-            units[i] -= max(1.0, min(units[i] - least[i], np.floor((np.sum(units * unit) - total) / unit[i])))
-        return units
-
-    def _filled(self, total: float, unit: Real, units: Real) -> Real:
-        """What the rounding left over, given to the dwells that gain most from it."""
-        each = self.setup.information(self.f, self.k)
-        for _ in range(4 * self.count):
-            left = total * (1 + 1e-12) - np.sum(units * unit)
-            fits = np.flatnonzero(unit <= left)
-            if len(fits) == 0:
-                break
-            M = self.prior + np.einsum("i,siab->sab", np.floor(units * unit + 1e-9), each)
-            F = [criterion_value(self.terms, M + unit[i] * each[:, i]).F for i in fits]
-            now = criterion_value(self.terms, M).F
-            # What is won for what it takes.
-            gain = [(now - F[j]) / unit[i] if np.isfinite(now) else -F[j] for j, i in enumerate(fits)]
-            units[fits[int(np.argmax(gain))]] += 1
-        return units
+    frequency_hz: float
+    amplitudes: Mapping[str, complex]
+    samples: int
+    periods: int | None
+    time_s: float | None
+    settle_s: float
 
 
 @dataclass(frozen=True)
@@ -254,31 +130,23 @@ class Plan:
         return sum((dwell.time_s or 0.0) + dwell.settle_s for dwell in self.dwells)
 
 
-def plan(
-    setup: TestSetup,
-    criterion: Criterion,
-    budget: Budget,
-    grid: FrequencyGrid,
-    *,
-    known: Real | None = None,
-    robustness: Robustness = "worst",
-) -> Plan:
-    """The best test within a budget.
-
-    `known` (scenarios, q, q) is information from earlier data, in parts of the setup's sizes, the rig's priors
-    included; without it, those priors alone.
+def plan(setup: TestSetup, criterion: Criterion, budget: Budget, grid: FrequencyGrid) -> Plan:
+    """The best test within a budget, beside what is known before.
 
     Raises UsageError where the budget holds no test, IdentifiabilityError where no test determines the unknowns.
     """
-    require_rate(grid, budget)
-    prior = setup.prior if known is None else known
-    problem = DesignProblem(setup, criterion.terms(setup, robustness), prior, budget, grid)
-    ideal = _continuous(problem)
-    if problem.terms.block is None and not np.isfinite(problem.F(_sampled(ideal, budget.measured(1)))):
+    if budget.rate is not None and grid.high > NYQUIST * budget.rate:
+        raise UsageError(
+            f"the band ends at {grid.high:g} Hz, too near half the sampling rate of {budget.rate:g} Hz",
+            cure=f"end the band at {NYQUIST * budget.rate:.4g} Hz, or sample faster",
+        )
+    problem = DesignProblem(setup, criterion.terms(setup), budget, grid)
+    ideal = problem.ideal()
+    if problem.terms.block is None and not np.isfinite(problem.F(ideal.schedule(budget.measured(1)))):
         # One parameter's best test may leave the others open; a test that identifies must not.
-        every = np.mean(AOptimal().terms(setup, robustness).weights, axis=0)
+        every = np.mean(Criterion("A").terms(setup).weights, axis=0)
         problem = replace(problem, terms=Terms(problem.terms.weights + 1e-3 * every))
-        ideal = _continuous(problem)
+        ideal = problem.ideal()
     schedule = _rounded(problem, ideal)
     samples = budget.measured(len(schedule.frequency_hz))
     if budget.time is not None and budget.settle > 0:
@@ -287,8 +155,117 @@ def plan(
     F = problem.F(schedule)
     if grid.free and ideal.F - 1e-9 * abs(ideal.F) > F:
         # Between the points of a coarse grid lies a better test than the search saw: let it see.
-        ideal = replace(problem, grid=_with(grid, schedule)).optimum(samples)
-    return _assembled(problem, criterion, robustness, ideal, schedule)
+        f = np.concatenate([grid.frequency_hz, schedule.frequency_hz])
+        k = np.concatenate([grid.pattern, schedule.pattern])
+        _, first = np.unique(np.stack([k, f]), axis=1, return_index=True)
+        ideal = replace(problem, grid=FrequencyGrid(f[first], k[first])).optimum(samples)
+    predicted = expected_precision(setup, criterion, schedule.information(setup))
+    bound = criterion.figure(ideal.F)
+    loss = predicted.figure / bound - 1
+    dwells = _dwells(setup, budget, schedule)
+    return Plan(
+        criterion, dwells, schedule, predicted, bound, ideal.gap, loss, ideal, _remarks(setup, schedule)
+    )
+
+
+def shortest(
+    setup: TestSetup, criterion: Criterion, figure: float, budget: Budget, grid: FrequencyGrid
+) -> Plan | None:
+    """The shortest test whose criterion's figure is at most `figure`; None where what is known suffices already.
+
+    `budget` says what is short (samples or time) and is a first guess of how much.  Raises UsageError where more than
+    1e9 would be needed.
+    """
+    if not (np.isfinite(figure) and figure > 0):
+        raise UsageError(
+            f"a target of {figure:g}", cure="state a positive fraction of the value, such as 1 %"
+        )
+    already = criterion.figure(criterion.terms(setup).at(setup.prior).F)
+    if already <= figure:
+        return None
+    known = already**-2 if np.isfinite(already) else 0.0
+    counted, amount, best = budget.samples is not None, budget.amount, None
+    low, high = 0.0, math.inf  # the largest amount that was too little, the smallest that sufficed
+    for _ in range(40):
+        trial = _plan_if_any(setup, criterion, budget.of(min(amount, ENOUGH)), grid)
+        reached = math.inf if trial is None else trial.predicted.figure
+        if trial is not None and reached <= figure:
+            best = trial if best is None or _cost(trial) <= _cost(best) else best
+            high = amount
+            if reached > 0.997 * figure or high - low <= max(1.0 if counted else 0.0, 2e-3 * high):
+                break
+        else:
+            low = amount
+        if low >= ENOUGH:
+            unit = "samples" if counted else "s"
+            raise UsageError(f"the target takes more than {ENOUGH:g} {unit}", cure="ask for less precision")
+        guess = 4 * amount
+        if trial is not None:
+            # Information, 1 / variance, grows from what is known about evenly with the test.
+            gained = max(reached**-2 - known, 1e-300)
+            guess = amount * (1.001 * figure**-2 - known) / gained
+        if not low < guess < high:
+            guess = (low + high) / 2 if np.isfinite(high) else 2 * low
+        amount = math.ceil(guess) if counted else guess
+        if counted and amount >= high:
+            break
+    if best is None:
+        raise UsageError("no test in this band reaches the target", cure="ask for less precision")
+    return best
+
+
+def _plan_if_any(setup: TestSetup, criterion: Criterion, budget: Budget, grid: FrequencyGrid) -> Plan | None:
+    """The best test of that budget; None where it is too small for one."""
+    try:
+        return plan(setup, criterion, budget, grid)
+    except UsageError:
+        if budget.settle == 0 and budget.min_dwell == 0 and budget.amount > 1e6:
+            raise
+        return None
+
+
+def _cost(trial: Plan) -> float:
+    return float(trial.samples) if trial.time_s is None else trial.time_s
+
+
+@dataclass(frozen=True)
+class DesignProblem:
+    """What a test is to be good for, on what setup, within which budget and band."""
+
+    setup: TestSetup
+    terms: Terms
+    budget: Budget
+    grid: FrequencyGrid
+
+    def F(self, schedule: Schedule) -> float:
+        """The criterion of a test beside what is known."""
+        return self.terms.at(self.setup.prior + schedule.information(self.setup)).F
+
+    def optimum(self, samples: float) -> Allocation:
+        """The best shares of so many samples.  Raises IdentifiabilityError where none determine the unknowns."""
+        return optimise(self.setup, self.terms, samples, self.grid)
+
+    def ideal(self) -> Allocation:
+        """The optimum without rounding; settling is counted for as many dwells as it has."""
+        budget = self.budget
+        most = 10**6 if budget.most is None else budget.most
+        dwells = max(1, min((len(self.setup.names) + 1) // 2, most))
+        for _ in range(4):
+            samples = budget.measured(dwells)
+            while samples <= 0 and dwells > 1:
+                dwells -= 1
+                samples = budget.measured(dwells)
+            if samples <= 0:
+                raise UsageError(
+                    f"settling alone takes {budget.settle:.3g} s, the whole test",
+                    cure="allow more time, or state a shorter settling time",
+                )
+            ideal = self.optimum(samples)
+            count = min(len(ideal.share), most)
+            if budget.time is None or budget.settle == 0 or count >= dwells:
+                break
+            dwells = count
+        return ideal
 
 
 def _rounded(problem: DesignProblem, ideal: Allocation) -> Schedule:
@@ -317,74 +294,174 @@ def _rounded(problem: DesignProblem, ideal: Allocation) -> Schedule:
     return best
 
 
-def _continuous(problem: DesignProblem) -> Allocation:
-    """The optimum without rounding; settling is counted for as many dwells as it has."""
-    budget = problem.budget
-    most = 10**6 if budget.most is None else budget.most
-    dwells = max(1, min((len(problem.setup.names) + 1) // 2, most))
-    for _ in range(4):
-        samples = budget.measured(dwells)
-        while samples <= 0 and dwells > 1:
-            dwells -= 1
-            samples = budget.measured(dwells)
+class DwellShares:
+    """Shares of a test that lose frequencies one by one, and their rounding to whole periods."""
+
+    def __init__(self, problem: DesignProblem, ideal: Allocation) -> None:
+        self.problem = problem
+        start = ideal.schedule(1.0)
+        self.f, self.k = start.frequency_hz.copy(), start.pattern.copy()
+        self.w = start.samples / np.sum(start.samples)
+
+    @property
+    def count(self) -> int:
+        """Number of dwells."""
+        return len(self.f)
+
+    def _each(self) -> Real:
+        return self.problem.setup.information(self.f, self.k)
+
+    def _F(self, w: Real, M: Real) -> float:
+        return self.problem.terms.of(self.problem.setup.prior, w, M).F
+
+    def may_gain(self, schedule: Schedule | None) -> bool:
+        """Whether fewer dwells could be better: settling costs time, or some dwell is shorter than is allowed."""
+        budget = self.problem.budget
+        if schedule is None or (budget.time is not None and budget.settle > 0):
+            return True
+        least, unit = self._least()
+        shortest = least if budget.rate is None else np.floor(least * unit + 1e-9)
+        return bool(np.any(self.w * max(budget.measured(self.count), 1.0) < shortest))
+
+    def _least(self) -> tuple[Real, Real]:
+        """Fewest periods of each dwell and the samples of a period; samples and 1 where there is no rate."""
+        rate = self.problem.budget.rate
+        if rate is None:
+            return np.full(self.count, float(MIN_SAMPLES)), np.ones(self.count)
+        long = np.maximum(self.problem.budget.min_dwell, MIN_SAMPLES / rate)
+        return np.maximum(np.ceil(long * self.f - 1e-9), 1.0), rate / self.f
+
+    def join(self) -> None:
+        """One dwell for those that crowd around a frequency, where that costs less than 1e-4 of the variance.
+
+        The optimum is flat there, and what finds it spreads the time over neighbours.
+        """
+        budget, unit = self.problem.budget, self.problem.terms.unit
+        samples = max(budget.measured(self.count), budget.measured(0) / 2)
+        before = self.f, self.k, self.w
+        now = self._F(samples * self.w, self._each())
+        for width in (0.1, 0.03, 0.01, 0.003):  # in ln f
+            self.f, self.k, self.w = clusters(*before, width, self.problem.grid.free)
+            if self.count == len(before[0]):
+                return
+            self._improve(samples)
+            if self._F(samples * self.w, self._each()) <= now + 1e-4 * unit(now):
+                return
+        self.f, self.k, self.w = before
+
+    def thin(self, count: int) -> None:
+        """Down to `count` frequencies: drop those that cost least, then shift the others."""
+        if count >= self.count:
+            return
+        budget = self.problem.budget
+        samples = budget.measured(count)
         if samples <= 0:
-            raise UsageError(
-                f"settling alone takes {budget.settle:.3g} s, the whole test",
-                cure="allow more time, or state a shorter settling time",
-            )
-        ideal = problem.optimum(samples)
-        count = min(len(ideal.share), most)
-        if budget.time is None or budget.settle == 0 or count >= dwells:
-            return ideal
-        dwells = count
-    return ideal
+            samples = budget.measured(0)
+        while self.count > count:
+            M = samples * self._each()
+            tries = []
+            for out in range(self.count):
+                w = np.delete(self.w, out)
+                tries.append(self._F(w / np.sum(w), np.delete(M, out, axis=1)))
+            out = int(np.argmin(tries))
+            kept = np.arange(self.count) != out
+            self.f, self.k, self.w = self.f[kept], self.k[kept], self.w[kept] / np.sum(self.w[kept])
+        self._improve(samples)
 
+    def _improve(self, samples: float) -> None:
+        """Shares and frequencies in turn, each frequency by zooming in on the best of several places."""
+        terms, prior, grid = self.problem.terms, self.problem.setup.prior, self.problem.grid
+        last = np.inf
+        for _ in range(8):
+            M = samples * self._each()
+            if not np.isfinite(terms.at(prior + np.mean(M, axis=1)).F):
+                return
+            self.w = optimal_shares(terms, prior, M).w
+            # With many dwells left each matters little: their shares make up for the one that went.
+            if grid.free and grid.high > grid.low and self.count <= 8:
+                for i in range(self.count):
+                    self._shift(i, M, samples)
+            F = self._F(self.w, M)
+            if (last - F) / terms.unit(F) < 1e-6:
+                return
+            last = F
 
-def _with(grid: FrequencyGrid, schedule: Schedule) -> FrequencyGrid:
-    """The grid with the frequencies of a test."""
-    f, k = (
-        np.concatenate([grid.frequency_hz, schedule.frequency_hz]),
-        np.concatenate([grid.pattern, schedule.pattern]),
-    )
-    _, first = np.unique(np.stack([k, f]), axis=1, return_index=True)
-    return FrequencyGrid(f[first], k[first], grid.free)
+    def _shift(self, i: int, M: Real, samples: float) -> None:
+        """Move dwell i to where F is least, and what it tells in M (scenarios, lines, q, q) with it."""
+        terms, setup, grid = self.problem.terms, self.problem.setup, self.problem.grid
+        others = np.delete(np.arange(self.count), i)
+        rest = setup.prior + np.einsum("i,siab->sab", self.w[others], M[:, others])
+        low, high, places = grid.low, grid.high, 33
+        lowest = terms.at(rest + self.w[i] * M[:, i]).F
+        for _ in range(4):
+            f = np.geomspace(low, high, places)
+            moved = samples * setup.information(f, np.full(places, self.k[i]))
+            F = [terms.at(rest + self.w[i] * moved[:, j]).F for j in range(places)]
+            top = int(np.argmin(F))
+            if F[top] < lowest:
+                self.f[i], M[:, i], lowest = f[top], moved[:, top], F[top]
+            low, high, places = f[max(top - 1, 0)], f[min(top + 1, places - 1)], 9
 
+    def rounded(self) -> Schedule | None:
+        """Whole periods (samples where there is no rate) within the budget; None where they do not fit."""
+        grid = self.problem.grid
+        if grid.free:
+            f = np.array([float(f"{f:.6g}") for f in self.f])  # what a controller can be told
+            self.f = np.clip(f, grid.low, grid.high)
+        order = np.lexsort((self.f, self.k))
+        self.f, self.k, self.w = self.f[order], self.k[order], self.w[order]
+        # In samples of measuring time; a dwell's own samples are the whole ones among them.
+        total = self.problem.budget.measured(self.count)
+        least, unit = self._least()
+        units = self._cut(total, unit, least)
+        if units is None:
+            return None
+        units = self._filled(total, unit, units)
+        return Schedule(self.f, self.k, np.floor(units * unit + 1e-9))
 
-def _sampled(ideal: Allocation, samples: float) -> Schedule:
-    """An allocation as a test of so many samples, without what hardly counts."""
-    kept = ideal.share > 1e-6
-    return Schedule(ideal.frequency_hz[kept], ideal.pattern[kept], samples * ideal.share[kept])
+    def _cut(self, total: float, unit: Real, least: Real) -> Real | None:
+        """Whole units of each dwell, at most its share and at least `least`; None where these do not fit."""
+        ideal = self.w * total
+        units = np.maximum(np.floor(ideal / unit + 1e-9), least)
+        while np.sum(units * unit) > total * (1 + 1e-12):
+            spare = units > least
+            if not np.any(spare):
+                return None
+            over = np.where(spare, units * unit / np.maximum(ideal, 1e-300), -np.inf)
+            i = int(np.argmax(over))
+            units[i] -= max(1.0, min(units[i] - least[i], np.floor((np.sum(units * unit) - total) / unit[i])))
+        return units
 
-
-def _assembled(
-    problem: DesignProblem,
-    criterion: Criterion,
-    robustness: Robustness,
-    ideal: Allocation,
-    schedule: Schedule,
-) -> Plan:
-    setup = problem.setup
-    information = problem.prior + schedule.information(setup)
-    predicted = expected_precision(setup, criterion, information, robustness)
-    bound = criterion.figure(ideal.F)
-    return Plan(
-        criterion, _dwells(setup, problem.budget, schedule), schedule, predicted, bound, ideal.gap,
-        predicted.figure / bound - 1, ideal, _remarks(setup, schedule),
-    )  # fmt: skip
+    def _filled(self, total: float, unit: Real, units: Real) -> Real:
+        """What the rounding left over, given to the dwells that gain most from it."""
+        terms, each = self.problem.terms, self._each()
+        for _ in range(4 * self.count):
+            left = total * (1 + 1e-12) - np.sum(units * unit)
+            fits = np.flatnonzero(unit <= left)
+            if len(fits) == 0:
+                break
+            M = self.problem.setup.prior + np.einsum("i,siab->sab", np.floor(units * unit + 1e-9), each)
+            now = terms.at(M).F
+            F = [terms.at(M + unit[i] * each[:, i]).F for i in fits]
+            # What is won for what it takes.
+            gain = [(now - F[j]) / unit[i] if np.isfinite(now) else -F[j] for j, i in enumerate(fits)]
+            units[fits[int(np.argmax(gain))]] += 1
+        return units
 
 
 def _dwells(setup: TestSetup, budget: Budget, schedule: Schedule) -> tuple[Dwell, ...]:
     names = [*setup.model.displacement_inputs, *setup.model.force_inputs]
     drive = setup.drive(schedule.frequency_hz, schedule.pattern)
     dwells = []
-    for f, count, q in zip(schedule.frequency_hz, schedule.samples, drive, strict=True):
+    for f, count, q in zip(schedule.frequency_hz.tolist(), schedule.samples, drive, strict=True):
         amplitudes = {name: complex(z) for name, z in zip(names, q, strict=True)}
         periods = time = None
         if budget.rate is not None:
-            periods = round((count + 0.5) * f / budget.rate) if count * f / budget.rate >= 1 else 1
-            periods = max(periods, math.ceil(count * f / budget.rate - 1e-9))
-            time = float(periods / f)
-        dwells.append(Dwell(float(f), amplitudes, int(count), periods, time, budget.settle))
+            exact = count * f / budget.rate
+            periods = round((count + 0.5) * f / budget.rate) if exact >= 1 else 1
+            periods = max(periods, math.ceil(exact - 1e-9))
+            time = periods / f
+        dwells.append(Dwell(f, amplitudes, int(count), periods, time, budget.settle))
     return tuple(dwells)
 
 
@@ -392,14 +469,12 @@ def _remarks(setup: TestSetup, schedule: Schedule) -> tuple[str, ...]:
     """What the user should know of the sensors at the chosen frequencies of a linear rig."""
     if len(setup.model.nonlinear):
         return ()
-    seen = setup.seen(schedule.frequency_hz, schedule.pattern)
-    size = np.abs(seen.Y)
-    largest = np.max(size, axis=0, initial=0.0)
+    size = np.abs(setup.seen(schedule.frequency_hz, schedule.pattern).Y)
+    faint = (size > 0) & (size < 1e-3 * np.max(size, axis=0, initial=0.0))
     still: dict[float, list[str]] = {}
     for i, channel in enumerate(setup.channels):
-        faint = (size[:, i] > 0) & (size[:, i] < 1e-3 * largest[i])
-        if channel.noise == 0 and channel.relative_noise > 0 and np.any(faint):
-            first = float(schedule.frequency_hz[int(np.argmax(faint))])
+        if channel.noise == 0 and channel.relative_noise > 0 and np.any(faint[:, i]):
+            first = float(schedule.frequency_hz[int(np.argmax(faint[:, i]))])
             still.setdefault(first, []).append(channel.name)
     return tuple(
         f"{joined(names)} hardly {'moves' if len(names) == 1 else 'move'} at {f:.4g} Hz, where noise "
@@ -408,16 +483,9 @@ def _remarks(setup: TestSetup, schedule: Schedule) -> tuple[str, ...]:
     )
 
 
-# What a plan rests on, over the band: the directional derivative, and what each frequency says of each
-# parameter.
-
-
-MOST_POINTS = 400  # of the frequency axis
-
-
 @dataclass(frozen=True)
 class PlanCurves:
-    """Curves of a plan over the band.
+    """What a plan rests on over the band.
 
     frequency_hz  (points,)
     patterns      (curves,)              pattern of the drive of each curve
@@ -432,19 +500,16 @@ class PlanCurves:
     gain: Real
 
 
-def plan_curves(
-    setup: TestSetup, criterion: Criterion, plan: Plan, known: Real, low: float, high: float
-) -> PlanCurves:
-    """Curves between `low` and `high` (Hz); known (scenarios, q, q) is the information before the test."""
+def plan_curves(setup: TestSetup, criterion: Criterion, plan: Plan, low: float, high: float) -> PlanCurves:
+    """Curves between `low` and `high` (Hz)."""
     grid = band_grid(setup, low, high)
     f = grid.frequency_hz[grid.pattern == 0]
-    if len(f) > MOST_POINTS:
-        f = f[:: int(np.ceil(len(f) / MOST_POINTS))]
+    f = f[:: math.ceil(len(f) / 400)]  # points that a figure can show
     at, pattern, derivative = plan.allocation.curve
     patterns = np.unique(pattern)[:4]
     curves = [np.interp(f, at[pattern == k], derivative[pattern == k]) for k in patterns]
     driven = [
-        information_gain(setup, criterion, plan.schedule, known, f, np.full(len(f), k, dtype=np.int64))
+        information_gain(setup, criterion, plan.schedule, f, np.full(len(f), k, dtype=np.int64))
         for k in np.unique(plan.schedule.pattern).tolist()
     ]
     return PlanCurves(f, patterns, np.array(curves), np.max(driven, axis=0))

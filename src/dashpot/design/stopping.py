@@ -10,7 +10,8 @@ import numpy as np
 from dashpot.arrays import Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
-from dashpot.design.criteria import Reading
+from dashpot.design.allocation import Kind
+from dashpot.design.robust import GaussianPrior
 from dashpot.design.test_setup import TestSetup
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.identify import automatic, identify
@@ -20,17 +21,34 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input, observation_model
 
-ROUNDING = 1e-12  # of the eigenvalues of a correlation matrix
-VAGUE = 0.5  # relative sd above which an estimate says less than a guess
 
-
-def known_after(setup: TestSetup, estimate: Estimate) -> Real:
-    """Information that an estimate holds, SI units of ψ, (q, q): the inverse of its covariance.
+def after(setup: TestSetup, estimate: Estimate) -> TestSetup:
+    """The setup with what an estimate tells: the inverse of its covariance is known before the next test.
 
     Priors of the rig were in the estimate already.  Calibrations that are unknown are taken as unknown again.
     Raises UsageError where the estimate is of other unknowns.
     """
-    names = setup.model.unknown_names
+    C = _covariance_of_unknowns(setup.model, estimate)
+    size = np.sqrt(np.diagonal(C))
+    known, q = len(C), len(setup.names)
+    information = np.zeros((q, q))
+    # Rounding may make tiny eigenvalues negative; a little less information than there is does no harm.
+    values, vectors = np.linalg.eigh(C / np.outer(size, size))
+    root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) / size[:, None]
+    information[:known, :known] = root @ root.T
+    return replace(setup, earlier=information)
+
+
+def gaussian_prior_of(model: Model, estimate: Estimate) -> GaussianPrior:
+    """The uncertainty that an estimate leaves in the unknowns of the rig, by their names.
+
+    Raises UsageError where it is of other unknowns, or has no finite covariance.
+    """
+    return GaussianPrior(_covariance_of_unknowns(model, estimate))
+
+
+def _covariance_of_unknowns(model: Model, estimate: Estimate) -> Real:
+    names = model.unknown_names
     missing = [name for name in names if name not in estimate.names]
     if missing:
         raise UsageError(
@@ -39,19 +57,12 @@ def known_after(setup: TestSetup, estimate: Estimate) -> Real:
         )
     i = [estimate.names.index(name) for name in names]
     C = estimate.covariance[np.ix_(i, i)]
-    size = np.sqrt(np.diagonal(C))
-    if not np.all(np.isfinite(C)) or np.any(size <= 0):
+    if not np.all(np.isfinite(C)) or np.any(np.diagonal(C) <= 0):
         raise UsageError(
             "the estimate's covariance is not finite and positive",
-            cure="state the values to design for instead of an estimate",
+            cure="state the values to design for, and their uncertainty, instead of an estimate",
         )
-    q = len(setup.names)
-    information = np.zeros((q, q))
-    # Rounding may make tiny eigenvalues negative; a little less information than there is does no harm.
-    values, vectors = np.linalg.eigh(C / np.outer(size, size))
-    root = vectors / np.sqrt(np.maximum(values, ROUNDING * values[-1])) / size[:, None]
-    information[: len(names), : len(names)] = root @ root.T
-    return information
+    return C
 
 
 def values_after(
@@ -62,16 +73,16 @@ def values_after(
     An estimate says something where its sd is below half its size.  Guesses are those given, then the rig's; where
     there is none, the estimate's size stands, or its sd where that is larger.
     """
-    given = {} if guesses is None else guesses
+    found = {
+        n: (float(v), float(s)) for n, v, s in zip(estimate.names, estimate.values, estimate.sd, strict=True)
+    }
     values = {}
     for unknown in model.unknowns:
-        if unknown.name not in estimate.names:
-            continue
-        j = estimate.names.index(unknown.name)
-        value, sd = float(estimate.values[j]), float(estimate.sd[j])
-        guess = given.get(unknown.name, unknown.guess)
-        vague = not (sd < VAGUE * abs(value))
-        values[unknown.name] = value if not vague else guess if guess is not None else max(abs(value), sd)
+        if unknown.name in found:
+            value, sd = found[unknown.name]
+            guess = (guesses or {}).get(unknown.name, unknown.guess)
+            vague = max(abs(value), sd) if guess is None else guess
+            values[unknown.name] = value if sd < 0.5 * abs(value) else vague
     return values
 
 
@@ -85,29 +96,22 @@ def noise_from(channels: Sequence[Channel], spectrum: Spectrum) -> tuple[Channel
     index = {channel.name: i for i, channel in enumerate(spectrum.channels)}
     noisy = []
     for channel in channels:
+        noisy.append(channel)
         i = index.get(channel.name)
         if channel.noise > 0 or channel.relative_noise > 0 or i is None:
-            noisy.append(channel)
             continue
         V = spectrum.covariance[..., i, i].real
         power = np.abs(spectrum.amplitudes[..., i]) ** 2
-        axes = tuple(range(V.ndim - 1))
-        variance = np.mean(V, axis=axes) * spectrum.samples / 4
+        variance = np.mean(V, axis=tuple(range(V.ndim - 1))) * spectrum.samples / 4
         power = np.mean(power, axis=tuple(range(power.ndim - 1)))
         usable = np.isfinite(variance) & (variance > 0) & np.isfinite(power)
         if not np.any(usable):
-            noisy.append(channel)
             continue
         rows = np.stack([np.ones(int(np.sum(usable))), power[usable]], axis=1) / variance[usable, None]
         scale = np.max(rows, axis=0)
         (floor, relative), _ = nnls(rows / scale, np.ones(len(rows)))
-        noisy.append(
-            replace(
-                channel,
-                noise=float(np.sqrt(floor / scale[0])) * abs(channel.factor) / channel.scale,
-                relative_noise=float(np.sqrt(relative / scale[1])),
-            )
-        )
+        floor_sd = float(np.sqrt(floor / scale[0])) * abs(channel.factor) / channel.scale
+        noisy[-1] = replace(channel, noise=floor_sd, relative_noise=float(np.sqrt(relative / scale[1])))
     return tuple(noisy)
 
 
@@ -130,7 +134,6 @@ class SequentialEstimates:
 
     samples  (steps,)           samples behind each estimate
     values   (steps, unknowns)  NaN where the data did not determine them yet
-    low, high (steps, unknowns) 95 % intervals
     sd       (steps, unknowns)
     """
 
@@ -138,8 +141,6 @@ class SequentialEstimates:
     samples: Ints
     values: Real
     sd: Real
-    low: Real
-    high: Real
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -147,8 +148,7 @@ class SequentialEstimates:
     @property
     def relative(self) -> Real:
         """sd in parts of |value|, (steps, unknowns)."""
-        size = np.where(self.values == 0, 1.0, np.abs(self.values))
-        return self.sd / size
+        return self.sd / np.where(self.values == 0, 1.0, np.abs(self.values))
 
     def extrapolated(self, times: float, points: int = 30) -> tuple[Real, Real]:
         """Relative sds if the same test went on: (samples (points,), relative sd (points, unknowns)).
@@ -167,7 +167,6 @@ def sequential_estimates(
     *,
     whole: Estimate | None = None,
     steps: int = 12,
-    watch: Callable[[int, int], None] | None = None,
 ) -> SequentialEstimates:
     """Identify from the first lines, more lines, … all lines, in the order of the spectrum (no batch axes).
 
@@ -178,8 +177,6 @@ def sequential_estimates(
     if spectrum.batch:
         raise UsageError("progress is of one test, not of a batch", cure="give one repeat")
     counts = np.unique(np.linspace(1, spectrum.lines, min(steps, spectrum.lines)).round().astype(int))
-    m = len(model.unknowns)
-    values, sd, low, high = (np.full((len(counts), m), np.nan) for _ in range(4))
     if whole is not None:
         unknowns = {unknown.name for unknown in model.unknowns if unknown.prior is None}
         guesses = {n: float(v) for n, v in zip(whole.names, whole.values, strict=True) if n in unknowns}
@@ -187,6 +184,7 @@ def sequential_estimates(
         model = replace(model, elements=elements)
         if method is None and isinstance(automatic(model, spectrum), MaximumLikelihood):
             method = MaximumLikelihood(starts=4, candidates=4, rounds=1)
+    values, sd = (np.full((len(counts), len(model.unknowns)), np.nan) for _ in range(2))
     for k, count in enumerate(counts):
         try:
             estimate = identify(model, spectrum.select(np.arange(count)), method)
@@ -195,16 +193,10 @@ def sequential_estimates(
                 raise
             continue
         if bool(estimate.converged):
-            columns = [
-                estimate.names.index(unknown.name) for unknown in model.unknowns
-            ]  # not the calibrations
+            columns = [estimate.names.index(name) for name in model.unknown_names]  # not the calibrations
             values[k], sd[k] = estimate.values[columns], estimate.sd[columns]
-            low[k], high[k] = (ends[columns] for ends in estimate.interval())
-        if watch is not None:
-            watch(k + 1, len(counts))
     total = np.cumsum(spectrum.samples)[counts - 1]
-    names = model.unknown_names
-    return SequentialEstimates(names, total, values, sd, low, high)
+    return SequentialEstimates(model.unknown_names, total, values, sd)
 
 
 @dataclass(frozen=True)
@@ -230,13 +222,14 @@ def enough(
     targets: Mapping[str, float],
     samples: int,
     known: Real | None = None,
-    reading: Reading = "each",
+    kind: Kind = "minimax",
 ) -> Verdict:
     """The stopping rule: sd ∝ 1/√samples for more of the same (paper §3.3), from the estimate so far.
 
-    `targets` are relative standard deviations by name.  `known` is information (unknowns, unknowns), SI, that did not
-    come from these samples (priors); it does not grow with them.  Where the model does not fit, the intervals count
-    its misfit, which no number of samples lowers.  Raises IdentifiabilityError where an unknown is not determined.
+    `targets` are relative standard deviations by name, to be reached as the criterion of that kind is read.  `known`
+    is information (unknowns, unknowns), SI, that did not come from these samples (priors); it does not grow with them.
+    Where the model does not fit, the intervals count its misfit, which no number of samples lowers.  Raises
+    IdentifiabilityError where an unknown is not determined.
     """
     size = np.where(estimate.values == 0, 1.0, np.abs(estimate.values))
     j = [estimate.names.index(name) for name in targets]
@@ -247,23 +240,24 @@ def enough(
         raise IdentifiabilityError(f"the data do not determine {worst}", cure="add frequencies or sensors")
 
     def excess_of(C: Real) -> float:
-        return _excess(C[np.ix_(j, j)] / np.outer(unit, unit), reading)
+        """Largest sd, rms of the sds, or mean radius, in units of the targets."""
+        relative = C[np.ix_(j, j)] / np.outer(unit, unit)
+        if kind == "D":
+            return float(np.exp(np.linalg.slogdet(relative)[1] / 2 / len(relative)))
+        variance = np.diagonal(relative)
+        return float(np.sqrt(np.max(variance) if kind == "minimax" else np.mean(variance)))
 
     excess = excess_of(estimate.covariance)
-    what = {
-        "each": worst,
-        "rms": "the rms of the relative standard deviations",
-        "volume": "the confidence region",
-    }[reading]
+    what = {"A": "the rms of the relative standard deviations", "D": "the confidence region"}.get(kind, worst)
     if excess <= 1:
-        narrow = "every interval is" if reading == "each" else f"{what} is"
+        narrow = "every interval is" if kind == "minimax" else f"{what} is"
         return Verdict(True, worst, excess, 0.0, f"{narrow} as small as was asked")
     if bool(np.any(estimate.fit.rejected)):
         reason = "the model does not fit: more samples will not narrow what its misfit leaves open"
         return Verdict(False, worst, excess, np.inf, reason)
-    covariance_after = _with_more_samples(estimate, known, size)
-    times = _least_times(lambda t: excess_of(covariance_after(t)) <= 1)
-    if times is None:
+    covariance_with = _with_more_samples(estimate, known, size)
+    times = least_factor(lambda factor: excess_of(covariance_with(factor)) <= 1)
+    if not np.isfinite(times):
         return Verdict(False, worst, excess, np.inf, "more of the same test does not reach the target")
     more = float(np.ceil((times - 1) * samples))
     return Verdict(False, worst, excess, more, f"{what} is {excess:.3g} times its target")
@@ -285,22 +279,12 @@ def _with_more_samples(estimate: Estimate, known: Real | None, size: Real) -> Ca
     return covariance
 
 
-def _excess(C: Real, reading: Reading) -> float:
-    """What is read of a covariance in units of the targets: largest sd, rms of the sds, or mean radius."""
-    if reading == "volume":
-        return float(np.exp(np.linalg.slogdet(C)[1] / 2 / len(C)))
-    variance = np.diagonal(C)
-    return float(np.sqrt(np.max(variance) if reading == "each" else np.mean(variance)))
-
-
-def _least_times(met: Callable[[float], bool]) -> float | None:
-    """The smallest factor above 1 at which `met` holds; None where it is beyond 1e12."""
-    low, high = 1.0, 2.0
-    while not met(high) and high < 1e12:
-        low, high = high, 2 * high
-    if high >= 1e12:
-        return None
-    for _ in range(60):
+def least_factor(met: Callable[[float], bool]) -> float:
+    """The smallest factor of a number of samples from which `met` holds, of 1e-9 to 1e12; inf where it is beyond."""
+    low, high = np.log(1e-9), np.log(1e12)
+    if not met(float(np.exp(high))):
+        return np.inf
+    for _ in range(64):
         middle = (low + high) / 2
-        low, high = (low, middle) if met(middle) else (middle, high)
-    return high
+        low, high = (low, middle) if met(float(np.exp(middle))) else (middle, high)
+    return float(np.exp(high))

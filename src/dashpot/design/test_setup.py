@@ -1,20 +1,26 @@
-"""The test setup: a rig, its sensors and its shaker, and the information in one sample at any frequency."""
+"""The test setup: a rig, its sensors and its shaker, where it may dwell, and what a sample there tells (THEORY §4, §6).
+
+A channel is y = C(ω, p) (X, U, f) + noise, force channels included: the force in element i is p_i φ_i δ_i, the reaction
+at a displacement input u is Dᵀ (p ∘ a).  With J = ∂Y/∂ψ the information of amplitudes with covariance V = E[Δ Δᴴ] is
+2 Re Jᴴ V⁻¹ J; inputs that are measured with noise, or not at all, are unknowns of each line and are projected out.
+ψ are the unknowns θ and then the unknown gains and delays of the channels, which all lines share.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze, frozen, hermitian
+from dashpot.arrays import Complex, Ints, Real, freeze, frozen, hermitian
 from dashpot.channel import Channel
-from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, ModelError, UsageError
 from dashpot.estimate.nonlinear.dwells import FEWEST, DwellLines, WarmStart
-from dashpot.estimate.nonlinear.objective import Evaluated, NonlinearPart, evaluate
+from dashpot.estimate.nonlinear.objective import NonlinearPart, evaluate
 from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.model.observation import (
@@ -28,12 +34,21 @@ from dashpot.model.observation import (
     transfer,
 )
 
-# Fisher information of dwells of rigs with nonlinear elements: harmonics of the settled motion at a given
-# drive.
+CHUNK = 300_000  # complex numbers at once: they stay in the cache
+UNDAMPED = 1e-7  # damping ratio that is rounding
+ORDERS = 5  # harmonics of a nonlinear rig's motion that are measured
+
+Robustness = Literal["average", "worst"]
 
 
-ORDERS = 5  # harmonics that are measured
-EXACT = 1e-9  # of the largest amplitude: noise of inputs without noise beside noisy ones
+def _without_noise(name: str) -> UsageError:
+    return UsageError(
+        f"channel {name} has no noise, which makes its information infinite",
+        cure="state its noise (or relative_noise) in the rig file, or leave the channel out",
+    )
+
+
+# Rigs with nonlinear elements: harmonics of the settled motion at a given drive.
 
 
 def dwell_information(
@@ -45,50 +60,41 @@ def dwell_information(
     a covariance 4 R / N.  A dwell without a settled motion, or on a fold, tells nothing.  Raises UsageError for a
     channel of motion without noise.
     """
-    moving = np.array([not measures_input(model, channel) for channel in channels])
-    exact = [
-        c.name for c, moves in zip(channels, moving, strict=True) if moves and not c.noise + c.relative_noise
-    ]
-    if exact:
-        raise UsageError(
-            f"channel {exact[0]} has no noise, which makes its information infinite",
-            cure="state its noise (or relative_noise) in the rig file, or leave the channel out",
-        )
-    noisy = any(
-        c.noise + c.relative_noise > 0 for c, moves in zip(channels, moving, strict=True) if not moves
+    K, R, orders = len(theta), len(omega), np.arange(1, ORDERS + 1)
+    noisy_inputs = False
+    for channel in channels:
+        noisy = channel.noise + channel.relative_noise > 0
+        if measures_input(model, channel):
+            noisy_inputs |= noisy
+        elif not noisy:
+            raise _without_noise(channel.name)
+    smooth = all(e.force_law is None or e.force_law.smooth for e in model.elements)
+    lines = DwellLines(
+        frozen(omega, np.float64),
+        np.repeat(np.arange(R), ORDERS),
+        np.tile(orders, R),
+        np.tile(orders - 1, R),
+        ORDERS,
+        max(FEWEST[smooth], 2 * ORDERS + 1),
     )
-    at = _evaluated(model, theta, channels, omega, drive, noisy)
-    K, R = len(theta), len(omega)
+    view = observation_model(model, channels, np.outer(omega, orders).ravel())
+    q = np.zeros((K, R * ORDERS, drive.shape[-1]), dtype=np.complex128)
+    q[:, ::ORDERS] = drive
+    psi = np.concatenate([theta, np.ones((K, view.gains)), np.zeros((K, view.delays))], axis=1)
+    part = NonlinearPart(lines, None, q, np.arange(K), WarmStart())
+    at = evaluate(view, part, psi, np.ones((K, len(channels))), q, None, noisy_inputs)
     Y = at.predicted.reshape(K, R, ORDERS, -1)
     sd = noise_sd(channels, Y[:, :, 0])[:, :, None]
-    sd = np.maximum(sd, EXACT * np.max(np.abs(Y), axis=(1, 2), keepdims=True))
+    # Beside noisy inputs, those without noise have next to none.
+    sd = np.maximum(sd, 1e-9 * np.max(np.abs(Y), axis=(1, 2), keepdims=True))
     A = _rows(at.J.reshape(*Y.shape, -1), sd)
-    B = _rows(at.G.reshape(*Y.shape, -1), sd) if noisy else A[..., :0]
+    B = _rows(at.G.reshape(*Y.shape, -1), sd) if noisy_inputs else A[..., :0]
     finite = np.all(np.isfinite(A), axis=(2, 3)) & np.all(np.isfinite(B), axis=(2, 3))  # not so on a fold
     settled = (finite & at.converged.reshape(K, R))[..., None, None]
-    if noisy:
+    if noisy_inputs:
         A, B = np.where(settled, A, 0.0), np.where(settled, B, 0.0)
         A = A - B @ (np.linalg.pinv(B) @ A)
     return np.where(settled, np.swapaxes(A, -1, -2) @ A, 0.0)
-
-
-def _evaluated(
-    model: Model, theta: Real, channels: Sequence[Channel], omega: Real, drive: Complex, noisy: bool
-) -> Evaluated:
-    """Channels at the harmonics of all dwells, (scenarios, dwells · ORDERS, channels), and their slopes."""
-    dwells, orders = len(omega), np.arange(1, ORDERS + 1)
-    smooth = all(e.force_law is None or e.force_law.smooth for e in model.elements)
-    lines = DwellLines(
-        frozen(omega, np.float64), np.repeat(np.arange(dwells), ORDERS), np.tile(orders, dwells),
-        np.tile(orders - 1, dwells), ORDERS, max(FEWEST[smooth], 2 * ORDERS + 1),
-    )  # fmt: skip
-    view = observation_model(model, channels, np.outer(omega, orders).ravel())
-    q = np.zeros((len(theta), dwells * ORDERS, drive.shape[-1]), dtype=np.complex128)
-    q[:, ::ORDERS] = drive
-    part = NonlinearPart(lines, None, q, np.arange(len(theta)), WarmStart())
-    calibrations = np.concatenate([np.ones(view.gains), np.zeros(view.delays)])
-    psi = np.concatenate([theta, np.tile(calibrations, (len(theta), 1))], axis=1)
-    return evaluate(view, part, psi, np.ones((len(theta), len(channels))), q, None, noisy)
 
 
 def _rows(slopes: Complex, sd: Real) -> Real:
@@ -98,16 +104,7 @@ def _rows(slopes: Complex, sd: Real) -> Real:
     return both.reshape(*both.shape[:2], -1, both.shape[-1])
 
 
-# Fisher information of a planned test, for any linear set of channels (THEORY §4, §6).
-#
-# A channel is y = C(ω, p) (X, U, f) + noise, force channels included: the force in element i is p_i φ_i
-# δ_i, the reaction at a displacement input u is Dᵀ (p ∘ a). With J = ∂Y/∂ψ the information of amplitudes
-# with covariance V = E[Δ Δᴴ] is 2 Re Jᴴ V⁻¹ J; inputs that are measured with noise, or not at all, are
-# unknowns of each line and are projected out. ψ are the unknowns θ and then the unknown gains and delays of
-# the channels, which all lines share.
-
-
-NONE = 1e-9  # of a channel's largest sensitivity: below it, a channel does not see the parameters
+# Linear rigs, with any set of channels.
 
 
 @dataclass(frozen=True)
@@ -158,50 +155,38 @@ def fisher(J: Complex, G: Complex, V: Complex, names: Sequence[str]) -> Real:
     channel with zero variance is exact: it must not depend on the parameters (it fixes inputs).  Rows of zeros are
     no measurement.  Raises UsageError for an exact channel that depends on them; `names` are the channels'.
     """
-    variance = np.diagonal(V, axis1=-2, axis2=-1).real
+    lead = np.broadcast_shapes(*(part.shape[:-2] for part in (J, G, V)))
+    flat = [np.broadcast_to(part, (*lead, *part.shape[-2:])) for part in (J, G, V)]
+    J, G, V = (part.reshape(math.prod(lead), *part.shape[-2:]) for part in flat)
     silent = ~np.any(J != 0, axis=-1) & ~np.any(G != 0, axis=-1)
-    exact = (variance == 0) & ~silent
-    count = exact.shape[-1]
-    patterns = np.concatenate([exact, silent], axis=-1)
-    flat = patterns.reshape(-1, patterns.shape[-2], patterns.shape[-1])
-    if np.any(flat != flat[:1]):  # repeats that differ in what they measure: one by one
-        lead = J.shape[:-3]
-        whole = [np.broadcast_to(part, (*lead, *part.shape[-3:])) for part in (J, G, V)]
-        parts = [fisher(whole[0][k], whole[1][k], whole[2][k], names) for k in np.ndindex(lead)]
-        return np.stack(parts).reshape(*lead, *parts[0].shape)
-    total = np.zeros((*J.shape[:-2], J.shape[-1], J.shape[-1]))
-    for pattern in np.unique(flat[0], axis=0):
-        lines = np.flatnonzero(np.all(flat[0] == pattern, axis=-1))
-        at_exact, unused = pattern[:count], pattern[count:]
-        noisy = ~at_exact & ~unused
-        part = J[..., lines, :, :]
-        seen = part[..., at_exact, :]
-        size = np.max(np.abs(part), initial=0.0)
-        if seen.size and np.max(np.abs(seen)) > NONE * size:
-            worst = np.flatnonzero(at_exact)[
-                int(np.argmax(np.max(np.abs(seen), axis=(*range(seen.ndim - 2), -1))))
-            ]
-            raise UsageError(
-                f"channel {names[worst]} has no noise, which makes its information infinite",
-                cure="state its noise (or relative_noise) in the rig file, or leave the channel out",
-            )
-        free = _free_inputs(G[..., lines, :, :][..., at_exact, :])
-        W = V[..., lines, :, :][..., noisy, :][..., noisy]
-        total[..., lines, :, :] = _projected(
-            part[..., noisy, :], G[..., lines, :, :][..., noisy, :] @ free, W
-        )
-    return total
+    exact = (np.diagonal(V, axis1=-2, axis2=-1).real == 0) & ~silent
+    kinds = np.concatenate([exact, silent], axis=-1)
+    total = np.zeros((len(J), J.shape[-1], J.shape[-1]))
+    for kind in (
+        kinds[:1] if np.all(kinds == kinds[:1]) else np.unique(kinds, axis=0)
+    ):  # lines that measure alike
+        fixing, unused = np.split(kind, 2)
+        noisy = ~(fixing | unused)
+        alike = np.flatnonzero(np.all(kinds == kind, axis=-1))
+        part, inputs = J[alike], G[alike]
+        each = np.max(np.abs(part), axis=(0, 2), initial=0.0)
+        if np.any(each[fixing] > 1e-9 * np.max(each)):
+            raise _without_noise(names[int(np.argmax(np.where(fixing, each, -1.0)))])
+        free = _free_inputs(inputs[:, fixing])
+        W = V[alike][:, noisy][:, :, noisy]
+        total[alike] = _projected(part[:, noisy], inputs[:, noisy] @ free, W)
+    return total.reshape(*lead, *total.shape[1:])
 
 
 def _free_inputs(E: Complex) -> Complex:
-    """Orthonormal directions of the inputs that exact channels leave free, (..., lines, inputs, directions)."""
+    """Orthonormal directions of the inputs that exact channels leave free, (lines, inputs, directions)."""
     inputs = E.shape[-1]
     if E.shape[-2] == 0 or inputs == 0:
-        return np.broadcast_to(np.eye(inputs, dtype=complex), (*E.shape[:-2], inputs, inputs))
+        return np.broadcast_to(np.eye(inputs, dtype=complex), (len(E), inputs, inputs))
     size = np.max(np.abs(E), axis=-1, keepdims=True)
     _, s, Vh = np.linalg.svd(E / np.where(size > 0, size, 1.0), full_matrices=True)
     rank = int(np.min(np.sum(s > 1e-9, axis=-1)))
-    return hermitian(Vh[..., rank:, :])
+    return hermitian(Vh[:, rank:])
 
 
 def _projected(J: Complex, G: Complex, V: Complex) -> Real:
@@ -209,8 +194,7 @@ def _projected(J: Complex, G: Complex, V: Complex) -> Real:
     sd = np.sqrt(np.diagonal(V, axis1=-2, axis2=-1).real)
     J, G = J / sd[..., None], G / sd[..., None]
     R = V / (sd[..., :, None] * sd[..., None, :])
-    correlated: Bools = R * (1 - np.eye(R.shape[-1])) != 0
-    if np.any(correlated):
+    if np.any(R * (1 - np.eye(R.shape[-1])) != 0):
         try:
             root = np.linalg.cholesky(R)
         except np.linalg.LinAlgError:
@@ -229,46 +213,25 @@ def _projected(J: Complex, G: Complex, V: Complex) -> Real:
     return information
 
 
-def per_sample(channels: Sequence[Channel], seen: Outputs) -> Real:
+def per_sample(model: Model, channels: Sequence[Channel], seen: Outputs) -> Real:
     """Information that one sample of each line adds, (..., lines, parameters, parameters), in SI units of ψ.
 
     N samples of a dwell give amplitudes with V = 4 R / N, R the covariance of one sample (white noise, whole periods
     or many).  What the size of relative noise itself tells about the parameters is left out, as the estimators do.
     """
     sd = noise_sd(channels, seen.Y)
-    dumb = _without_signal(
-        channels, seen, np.any(np.abs(seen.by_parameter) > 0, axis=(*range(seen.Y.ndim - 1), -1))
-    )
-    # Relative noise of a channel that does not move is no noise, but no signal either: the channel is left out.
-    J = np.where(dumb[..., None], 0.0, seen.by_parameter)
-    G = np.where(dumb[..., None], 0.0, seen.by_input)
+    # Relative noise of a channel that does not move is no noise, but no signal either: the channel is left out, except
+    # where it shows that an input rests.
+    relative = [
+        c.relative_noise > 0
+        and c.noise == 0
+        and (c.gain is None or c.delay is None or not measures_input(model, c))
+        for c in channels
+    ]
+    seeing = (~(np.array(relative) & (sd == 0)))[..., None]
     V = ((4 * sd**2)[..., None] * np.eye(len(channels))).astype(np.complex128)
+    J, G = np.where(seeing, seen.by_parameter, 0.0), np.where(seeing, seen.by_input, 0.0)
     return fisher(J, G, V, [channel.name for channel in channels])
-
-
-def _without_signal(channels: Sequence[Channel], seen: Outputs, sees: Bools | bool) -> Bools:
-    """Channels that see the rig move (not only its inputs), have relative noise and are silent at a line."""
-    relative = np.array([c.relative_noise > 0 and c.noise == 0 for c in channels])
-    return relative & sees & (noise_sd(channels, seen.Y) == 0)
-
-
-def spectrum_information(model: Model, p: Real, spectrum: Spectrum, drive: Complex) -> Real:
-    """Information of each line of existing data at parameters p, (lines, parameters, parameters), SI units of ψ.
-
-    `drive` (lines, r + s) are the amplitudes of the inputs.  The noise is the spectrum's covariance.
-    """
-    seen = outputs(model, p, spectrum.channels, spectrum.omega, drive)
-    present = np.isfinite(spectrum.amplitudes)
-    J = np.where(present[..., None], seen.by_parameter, 0.0)
-    G = np.where(present[..., None], seen.by_input, 0.0)
-    names = [channel.name for channel in spectrum.channels]
-    return fisher(J, G, np.where(np.isnan(spectrum.covariance), 0.0, spectrum.covariance), names)
-
-
-UNDAMPED = 1e-7  # damping ratio that is rounding
-CHUNK = 300_000  # complex numbers at once: they stay in the cache
-LINES = 300_000  # slopes of channels at once, complex numbers: 5 MB, of which there are several copies
-SETTLED = 1e-3  # what is left of a transient when a dwell starts
 
 
 @dataclass(frozen=True)
@@ -292,13 +255,7 @@ class ShakerLimits:
     @property
     def given(self) -> dict[str, float]:
         """The limits that are there, by name, SI units."""
-        every = {
-            "stroke": self.stroke,
-            "velocity": self.velocity,
-            "acceleration": self.acceleration,
-            "force": self.force,
-        }
-        return {name: value for name, value in every.items() if value is not None}
+        return {name: value for name, value in vars(self).items() if value is not None}
 
     def use(self, omega: Real, motion: Complex, force: Complex) -> Real:
         """Largest part of a limit that is used, (..., lines), of motion and force (..., lines, inputs), SI units.
@@ -309,20 +266,20 @@ class ShakerLimits:
         w = omega[:, None]
         sizes = {"stroke": X, "velocity": w * X, "acceleration": w**2 * X, "force": F}
         parts = [np.max(sizes[name], axis=-1) / value for name, value in self.given.items()]
-        if not parts:
-            return np.zeros(X.shape[:-1])
-        return np.max(np.stack(parts), axis=0)
+        return np.max(parts, axis=0) if parts else np.zeros(X.shape[:-1])
 
 
 @dataclass(frozen=True)
 class TestSetup:
     """What stays the same from dwell to dwell.
 
-    theta        (scenarios, unknowns)  values that the unknowns may have; the first is the nominal one
-    probability  (scenarios,)           how likely each is; sums to 1
-    channels     the sensors, with their noise
-    drives       (patterns, r + s)      which inputs move together, and how; scaled to the limits
-    amplitude    size of a drive where no limit is given, m or N
+    channels   the sensors, with their noise
+    theta      (scenarios, unknowns)  values that the unknowns may have, equally likely; the first is the nominal one
+    drives     (patterns, r + s)      which inputs move together, and how; scaled to the limits
+    amplitude  size of a drive where no limit is given, m or N
+    earlier    (q, q)                 what earlier data tell about ψ, SI units, the rig's priors included; None: these
+                                      alone are known
+    over       whether the worst of the scenarios counts, or their average
     """
 
     __test__: ClassVar[bool] = False  # pytest takes classes of such a name for tests
@@ -330,10 +287,11 @@ class TestSetup:
     model: Model
     channels: tuple[Channel, ...]
     theta: Real
-    probability: Real
     drives: Complex
     limits: ShakerLimits = field(default_factory=ShakerLimits)
     amplitude: float = 1.0
+    earlier: Real | None = None
+    over: Robustness = "worst"
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -348,11 +306,6 @@ class TestSetup:
             )
 
     @property
-    def scenarios(self) -> int:
-        """Number of scenarios."""
-        return len(self.theta)
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Names of ψ: the unknowns, then the calibrations that are estimated with them."""
         return self.model.unknown_names + calibration_names(self.channels)
@@ -365,56 +318,58 @@ class TestSetup:
     @cached_property
     def sizes(self) -> Real:
         """What errors are relative to, (scenarios, parameters), SI units: |θ|, 1 for ln gain and where θ is 0."""
-        return self.sizes_of(self.theta)
-
-    def sizes_of(self, theta: Real) -> Real:
-        """What errors at θ (scenarios, unknowns) are relative to, (scenarios, parameters), SI units."""
-        size = np.where(theta == 0, 1.0, np.abs(theta))
+        size = np.where(self.theta == 0, 1.0, np.abs(self.theta))
         return np.concatenate([size, np.ones((len(size), len(self.names) - size.shape[1]))], axis=1)
 
-    def known(self, information: Real) -> Real:
+    def relative(self, information: Real) -> Real:
         """An information (q, q) in SI units of ψ, in parts of the sizes of each scenario, (scenarios, q, q)."""
         return information * self.sizes[:, :, None] * self.sizes[:, None, :]
+
+    @cached_property
+    def prior(self) -> Real:
+        """What is known before the test, in parts of the sizes, (scenarios, q, q)."""
+        if self.earlier is not None:
+            return self.relative(self.earlier)
+        extra = np.zeros(len(self.names) - len(self.model.unknowns))
+        precision = np.concatenate([self.model.prior_precision, extra])
+        return (precision * self.sizes**2)[..., None] * np.eye(len(precision))
 
     def with_channels(self, channels: Sequence[Channel]) -> TestSetup:
         """The same setup with other sensors."""
         return replace(self, channels=tuple(channels))
 
-    def with_scenarios(self, theta: Real, probability: Real | None = None) -> TestSetup:
-        """The same setup with other values of the unknowns, theta (scenarios, unknowns), SI units.
-
-        They are equally likely without a probability (scenarios,).
-        """
-        p = np.full(len(theta), 1 / len(theta)) if probability is None else probability
-        return replace(self, theta=theta, probability=p)
+    def with_scenarios(self, theta: Real) -> TestSetup:
+        """The same setup with other values of the unknowns, theta (scenarios, unknowns), SI units."""
+        return replace(self, theta=theta)
 
     def drive(self, frequency_hz: Real, pattern: Ints) -> Complex:
         """Amplitudes (U, f) of each line, (lines, r + s), SI units: at the first limit met in any scenario.
 
-        frequency_hz and pattern (lines,).  Raises UsageError where the shaker meets none of its limits, DataError where
-        a channel shares a gain that is known.
+        frequency_hz and pattern (lines,).  Raises UsageError where the shaker meets none of its limits, or one of what
+        is not proportional to the drive of a nonlinear rig, DataError where a channel shares a gain that is known.
         """
-        omega = 2 * np.pi * frequency_hz
-        unit = self.drives[pattern]
+        omega, unit = 2 * np.pi * frequency_hz, self.drives[pattern]
         if not self.limits.given:
             return self.amplitude * unit
         if len(self.model.nonlinear):
-            return self._driven_directly(frequency_hz, unit)
-        scale = np.full(len(omega), np.inf)
-        step = max(1, CHUNK // max(1, len(omega) * len(self.model.elements) * self.model.n))
-        for first in range(0, len(self.p), step):
-            seen = outputs(self.model, self.p[first : first + step], (), omega, unit)
-            with np.errstate(divide="ignore"):
-                use = self.limits.use(omega, np.broadcast_to(seen.motion, seen.force.shape), seen.force)
-                scale = np.minimum(scale, 1 / np.max(use, axis=0))
-        return _scaled(frequency_hz, unit, scale)
+            use = self._used_directly(omega, unit)
+        else:
+            use = np.zeros(len(omega))
+            step = max(1, CHUNK // max(1, len(omega) * len(self.model.elements) * self.model.n))
+            for first in range(0, len(self.p), step):
+                seen = outputs(self.model, self.p[first : first + step], (), omega, unit)
+                motion = np.broadcast_to(seen.motion, seen.force.shape)
+                use = np.maximum(use, np.max(self.limits.use(omega, motion, seen.force), axis=0))
+        if not np.all(use > 0):
+            raise UsageError(
+                f"at {frequency_hz[int(np.argmin(use > 0))]:.4g} Hz the shaker meets none of its limits",
+                cure="give its stroke too",
+            )
+        return unit * (1 / use * (1 - 1e-12))[:, None]
 
-    def _driven_directly(self, frequency_hz: Real, unit: Complex) -> Complex:
-        """`drive` of a nonlinear rig, whose motions and reactions are not proportional to it.
-
-        Raises UsageError where a limit holds for such.
-        """
-        r, omega = len(self.model.displacement_inputs), 2 * np.pi * frequency_hz
+    def _used_directly(self, omega: Real, unit: Complex) -> Real:
+        """What a unit drive uses of the limits that hold for the inputs themselves, (lines,), of a nonlinear rig."""
+        r = len(self.model.displacement_inputs)
         moved = [name for name in self.limits.given if name != "force"]
         if (r < unit.shape[1] and moved) or (r and self.limits.force is not None):
             wrong, right = (moved[0], "force") if r < unit.shape[1] and moved else ("force", "stroke")
@@ -424,16 +379,15 @@ class TestSetup:
             )
         motion, force = unit.copy(), unit.copy()
         motion[:, r:], force[:, :r] = 0.0, 0.0
-        with np.errstate(divide="ignore"):
-            return _scaled(frequency_hz, unit, 1 / self.limits.use(omega, motion, force))
+        return self.limits.use(omega, motion, force)
 
-    def seen(self, frequency_hz: Real, pattern: Ints, scenario: int = 0) -> Outputs:
-        """What the channels show at each line; frequency_hz and pattern (lines,).
+    def seen(self, frequency_hz: Real, pattern: Ints) -> Outputs:
+        """What the channels show at each line, at the nominal values; frequency_hz and pattern (lines,).
 
         Raises UsageError as `drive`, DataError where a channel measures what the rig has not.
         """
         drive = self.drive(frequency_hz, pattern)
-        return outputs(self.model, self.p[scenario], self.channels, 2 * np.pi * frequency_hz, drive)
+        return outputs(self.model, self.p[0], self.channels, 2 * np.pi * frequency_hz, drive)
 
     def information(self, frequency_hz: Real, pattern: Ints) -> Real:
         """What one sample at each line tells about ψ in parts of its size, (scenarios, lines, q, q).
@@ -443,9 +397,14 @@ class TestSetup:
         where all parameters are 0.
         """
         every = self.per_sample(frequency_hz, self.drive(frequency_hz, pattern))
-        for f in self.undamped:
+        for f in self._undamped:
             every[:, np.abs(frequency_hz / f - 1) < 0.01] = 0.0
         return every
+
+    @cached_property
+    def _undamped(self) -> tuple[float, ...]:
+        """Resonances, Hz, that nothing damps in some scenario."""
+        return tuple(f for f, zeta in self.resonances() if zeta < UNDAMPED)
 
     def per_sample(self, frequency_hz: Real, drive: Complex) -> Real:
         """`information` (scenarios, lines, q, q) at a given drive (lines, r + s), SI units, near resonances as well.
@@ -453,60 +412,38 @@ class TestSetup:
         frequency_hz (lines,).  Raises DataError where a channel measures what the rig has not, UsageError where one
         has noise in proportion to an amplitude that is 0.
         """
-        omega = 2 * np.pi * frequency_hz
-        lines, q = len(omega), len(self.names)
-        numbers = max(1, lines * (len(self.channels) * q + len(self.model.elements) * self.model.n))
-        step = max(1, CHUNK // numbers)
+        model, channels, omega = self.model, self.channels, 2 * np.pi * frequency_hz
+        lines, q, elements = len(omega), len(self.names), len(self.model.elements)
+        scenarios = max(1, CHUNK // max(1, lines * (len(channels) * q + elements * model.n)))
+        at_once = max(1, CHUNK // max(1, min(scenarios, len(self.p)) * len(channels) * (q + elements)))
         parts = [np.zeros((0, lines, q, q))]
-        for first in range(0, self.scenarios, step):
-            if len(self.model.nonlinear):
-                theta = self.theta[first : first + step]
-                parts.append(dwell_information(self.model, theta, self.channels, omega, drive))
+        for first in range(0, len(self.p), scenarios):
+            some = slice(first, first + scenarios)
+            if len(model.nonlinear):
+                parts.append(dwell_information(model, self.theta[some], channels, omega, drive))
                 continue
-            parts.append(self._of_lines(self.p[first : first + step], omega, drive))
+            pieces = [np.zeros((len(self.p[some]), 0, q, q))]
+            for line in range(0, lines, at_once):  # the slopes of all lines would fill the memory
+                few = slice(line, line + at_once)
+                seen = outputs(model, self.p[some], channels, omega[few], drive[few])
+                pieces.append(per_sample(model, channels, seen))
+            parts.append(np.concatenate(pieces, axis=1))
         every = np.concatenate(parts)
         every *= self.sizes[:, None, :, None] * self.sizes[:, None, None, :]
         return every
-
-    def _of_lines(self, p: Real, omega: Real, drive: Complex) -> Real:
-        """`per_sample` at parameters p (scenarios, elements), some lines at a time: slopes of all would fill memory.
-
-        Where a channel with noise in proportion alone is silent, lines are looked at together: whether it sees the rig
-        shows at some.
-        """
-        each = len(p) * max(len(self.channels) * (len(self.names) + len(self.model.elements)), 1)
-        step, parts = max(1, LINES // each), []
-        for first in range(0, max(len(omega), 1), step):
-            some = slice(first, first + step)
-            seen = outputs(self.model, p, self.channels, omega[some], drive[some])
-            if step < len(omega) and np.any(_without_signal(self.channels, seen, sees=True)):
-                return per_sample(self.channels, outputs(self.model, p, self.channels, omega, drive))
-            parts.append(per_sample(self.channels, seen))
-        return np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
-
-    @cached_property
-    def undamped(self) -> tuple[float, ...]:
-        """Resonances, Hz, that nothing damps in some scenario.  Raises ModelError where all parameters are 0."""
-        return tuple(f for f, zeta in self.resonances() if zeta < UNDAMPED)
-
-    @cached_property
-    def prior(self) -> Real:
-        """Information of parameters that are known with an sd, in parts of their size, (scenarios, q, q)."""
-        extra = np.zeros(len(self.names) - len(self.model.unknowns))
-        precision = np.concatenate([self.model.prior_precision, extra])
-        return (precision * self.sizes**2)[..., None] * np.eye(len(precision))
 
     def resonances(self) -> list[tuple[float, float]]:
         """(frequency in Hz, damping ratio) of all oscillating modes of all scenarios.
 
         Raises ModelError where all parameters are 0.
         """
-        every = []
+        every: list[tuple[float, float]] = []
         for p in self.p:
             rig = modes(self.model, p)
-            for value, f, zeta in zip(rig.eigenvalues, rig.frequency_hz, rig.damping_ratio, strict=True):
-                if value.imag > 0:
-                    every.append((float(f), float(zeta)))
+            swinging = rig.eigenvalues.imag > 0
+            every += zip(
+                rig.frequency_hz[swinging].tolist(), rig.damping_ratio[swinging].tolist(), strict=True
+            )
         return every
 
     def settling(self) -> float:
@@ -520,8 +457,6 @@ class TestSetup:
         for p in self.p:
             values = modes(self.model, p).eigenvalues
             moving = values[np.abs(values) > 0]
-            if moving.size == 0:
-                continue
             decay = -moving.real
             if np.any(decay <= 1e-12 * np.abs(moving)):
                 f = np.abs(moving[int(np.argmin(decay))]) / 2 / np.pi
@@ -529,19 +464,8 @@ class TestSetup:
                     f"the mode at {f:.4g} Hz never settles: nothing damps it",
                     cure="state the settling time",
                 )
-            slowest = min(slowest, float(np.min(decay)))
-        return float(-np.log(SETTLED) / slowest) if np.isfinite(slowest) else 0.0
-
-
-def _scaled(frequency_hz: Real, unit: Complex, scale: Real) -> Complex:
-    """Drives (lines, r + s) times what brings them to their limits, (lines,).  Raises UsageError where nothing does."""
-    if not np.all(np.isfinite(scale)):
-        line = int(np.argmin(np.isfinite(scale)))
-        raise UsageError(
-            f"at {frequency_hz[line]:.4g} Hz the shaker meets none of its limits",
-            cure="give its stroke too",
-        )
-    return unit * (scale * (1 - 1e-12))[:, None]
+            slowest = min(slowest, float(np.min(decay, initial=np.inf)))
+        return float(np.log(1e3) / slowest)
 
 
 def drive_units(model: Model) -> dict[str, str]:
@@ -599,7 +523,125 @@ def nominal_setup(
     nominal = model.theta(theta) if isinstance(theta, Mapping) else np.asarray(theta, dtype=float)
     if nominal.shape != (len(model.unknowns),):
         raise ModelError(f"{len(model.unknowns)} values are needed, not {nominal.size}")
-    return TestSetup(
-        model, tuple(channels), nominal[None], np.ones(1), drive_patterns(model, drives),
-        ShakerLimits() if limits is None else limits, amplitude,
-    )  # fmt: skip
+    patterns = drive_patterns(model, drives)
+    limits = ShakerLimits() if limits is None else limits
+    return TestSetup(model, tuple(channels), nominal[None], patterns, limits, amplitude)
+
+
+# Where a test may dwell, and where it does.
+
+
+@dataclass(frozen=True)
+class FrequencyGrid:
+    """Where to look for frequencies: points (g,), with their patterns (g,); `free` lets frequencies move off them."""
+
+    frequency_hz: Real
+    pattern: Ints
+    free: bool = True
+
+    @property
+    def low(self) -> float:
+        """Lower end of the band, Hz."""
+        return float(np.min(self.frequency_hz))
+
+    @property
+    def high(self) -> float:
+        """Upper end of the band, Hz."""
+        return float(np.max(self.frequency_hz))
+
+
+def band_grid(setup: TestSetup, low: float, high: float, step: float | None = None) -> FrequencyGrid:
+    """Points in low … high (Hz) for every pattern of the drive: multiples of `step`, or about 2 % apart and free.
+
+    Without a step, points crowd around each resonance of each scenario, where lightly damped rigs change fast.
+    Raises UsageError for a band that is none.
+    """
+    if not (np.isfinite(low) and np.isfinite(high) and 0 < low <= high):
+        raise UsageError(
+            f"{low:g} to {high:g} Hz is not a band", cure="give two positive frequencies, the lower first"
+        )
+    if step is None:
+        f = np.geomspace(
+            low, high, int(np.clip(np.log(high / low) / 0.02, 2, 400)) if high > low else 1
+        )
+        widths = np.array([0, 0.3, 0.6, 1, 1.5, 2.2, 3.3, 5, 8])  # half-widths of a resonance, on both sides
+        around = np.concatenate([widths, -widths])
+        for resonance, zeta in _distinct(setup.resonances()):
+            if UNDAMPED < zeta < 0.1:  # narrower than the grid resolves
+                near = resonance * np.exp(around * max(zeta, 1e-5))
+                f = np.concatenate([f, near[(near > low) & (near < high)]])
+        f = np.unique(f)
+    else:
+        if not (np.isfinite(step) and step > 0):
+            raise UsageError(f"a grid step of {step:g} Hz", cure="give a positive step")
+        count = np.arange(int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9)) + 1)
+        if len(count) > 20_000:
+            raise UsageError(f"{len(count)} grid points", cure="give a larger step or a narrower band")
+        if len(count) == 0:
+            raise UsageError(
+                f"no multiple of {step:g} Hz lies in {low:g} to {high:g} Hz", cure="give a smaller step"
+            )
+        f = step * count.astype(float)
+    patterns = len(setup.drives)
+    return FrequencyGrid(np.tile(f, patterns), np.repeat(np.arange(patterns), len(f)), step is None)
+
+
+def _distinct(found: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Resonances that differ by more than half a half-width; at most 60."""
+    kept: list[tuple[float, float]] = []
+    for f, zeta in sorted(found):
+        if not kept or f > kept[-1][0] * (1 + max(zeta, 1e-5) / 2):
+            kept.append((f, zeta))
+    return kept if len(kept) <= 60 else [kept[i] for i in np.linspace(0, len(kept) - 1, 60).astype(int)]
+
+
+def natural_band(setup: TestSetup, rate: float | None = None) -> tuple[float, float]:
+    """A band about the rig's resonances: a fifth of the lowest to three times the highest, Hz, to three digits.
+
+    Raises UsageError where the rig has none.
+    """
+    resonances = [f for f, _ in setup.resonances()]
+    if not resonances:
+        raise UsageError("the rig has no resonance to take the band from", cure="state the band")
+    high = 3 * max(resonances) if rate is None else min(3 * max(resonances), 0.4 * rate)
+    return float(f"{min(0.2 * min(resonances), high / 10):.3g}"), float(f"{high:.3g}")
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """A test as the information sees it: frequency, pattern of the drive and samples of each line; () is none."""
+
+    frequency_hz: Real
+    pattern: Ints
+    samples: Real
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    def information(self, setup: TestSetup) -> Real:
+        """Of all lines together, (scenarios, q, q)."""
+        if len(self.frequency_hz) == 0:
+            return np.zeros_like(setup.prior)
+        each = setup.information(self.frequency_hz, self.pattern)
+        return np.einsum("i,siab->sab", self.samples, each)
+
+
+NO_TEST = Schedule(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0))
+
+
+def even_schedule(
+    frequencies: Sequence[float], samples: float, weights: Sequence[float] | None = None
+) -> Schedule:
+    """A test of given frequencies that share the samples evenly, or as `weights` say.
+
+    Raises UsageError where there is no frequency, or one is not positive.
+    """
+    f = np.asarray(frequencies, dtype=float)
+    if len(f) == 0:
+        raise UsageError(
+            "the test to compare with has no frequencies", cure="list them in Hz, such as 1,1.5,2"
+        )
+    if np.any(~np.isfinite(f) | (f <= 0)):
+        raise UsageError("a frequency that is not positive", cure="write frequencies in Hz, such as 1,1.5,2")
+    w = np.ones(len(f)) if weights is None else np.asarray(weights, dtype=float)
+    return Schedule(f, np.zeros(len(f), dtype=np.int64), samples * w / np.sum(w))

@@ -17,7 +17,7 @@ from dashpot.data.conditioning.transients import continuous, dwells_with_transie
 from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
-from dashpot.design.criteria import Criterion, ExpectedPrecision, expected_precision
+from dashpot.design.allocation import Criterion, ExpectedPrecision, expected_precision
 from dashpot.design.plan import Plan
 from dashpot.design.test_setup import TestSetup
 from dashpot.errors import DashpotError
@@ -26,9 +26,6 @@ from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Model
 from dashpot.model.observation import noise_sd, observation_model, small
-
-SMOOTH = 20  # samples in a period from which on a spline through the drive is the drive
-MOST_NUMBERS = 50_000_000  # samples × channels × (loads at the ends + channels): 400 MB of slopes and noise
 
 
 @dataclass(frozen=True)
@@ -48,9 +45,9 @@ class UnsettledTest:
 
 
 def unsettled_test(
-    setup: TestSetup, criterion: Criterion, plan: Plan, rate: float | None, known: Real
+    setup: TestSetup, criterion: Criterion, plan: Plan, rate: float | None
 ) -> UnsettledTest | None:
-    """The test of a plan, used whole at the nominal values, beside what is `known` (scenarios, q, q).
+    """The test of a plan, used whole at the nominal values, beside what is known before.
 
     None where nothing can be said: no sampling rate, a rig with nonlinear elements, hysteretic dampers or coordinates
     without mass, a test too long to compute, a large rig (its 2 n loads at the ends of a record cost lines × channels ×
@@ -59,13 +56,12 @@ def unsettled_test(
     if rate is None or len(setup.model.nonlinear) or not plan.dwells or not small(setup.model):
         return None
     counts = [round((dwell.settle_s + (dwell.time_s or 0.0)) * rate) for dwell in plan.dwells]
-    if sum(counts) * len(setup.channels) * (2 * setup.model.n + len(setup.channels)) > MOST_NUMBERS:
-        return None
+    if sum(counts) * len(setup.channels) * (2 * setup.model.n + len(setup.channels)) > 50_000_000:
+        return None  # 400 MB of slopes by the loads at the ends, and of noise
     frequency = np.array([dwell.frequency_hz for dwell in plan.dwells])
     drive = setup.drive(frequency, plan.schedule.pattern)
     joined = not any(channel.relative_noise > 0 for channel in setup.channels)
     nominal = setup.with_scenarios(setup.theta[:1])
-    prior = known[:1]
     try:
         records = unsettled_dwells(
             setup.model, setup.p[0], setup.channels, frequency, drive, counts, [1 / rate] * len(counts)
@@ -77,8 +73,8 @@ def unsettled_test(
         psi = np.concatenate([setup.theta[0], gains, np.zeros(data.view.delays)])
         at = local(data.view, measured(data), psi[None], np.ones((1, len(lines.channels))))
         information = at.symmetric[0] - np.diag(prior_precision(data.view))  # which the lines do not tell
-        predicted = expected_precision(nominal, criterion, prior + nominal.known(information))
-        settled = expected_precision(nominal, criterion, prior + plan.schedule.information(nominal))
+        predicted = expected_precision(nominal, criterion, nominal.relative(information))
+        settled = expected_precision(nominal, criterion, plan.schedule.information(nominal))
     except DashpotError:
         return None
     thrown_away = 1 - (predicted.figure / settled.figure) ** 2
@@ -104,7 +100,7 @@ def unsettled_dwells(
     state, begin, records = np.zeros(2 * model.n), 0.0, []
     before = (0.0, np.zeros(drive.shape[1], dtype=complex))
     for f, q, count, step in zip(frequency_hz.tolist(), drive, samples, step_s, strict=True):
-        finer = max(1, int(np.ceil(SMOOTH * f * step)))
+        finer = max(1, int(np.ceil(20 * f * step)))  # so that a spline through the drive is the drive
         time = np.arange(count * finer + 1, dtype=float) * (step / finer)
         share = (1 - np.cos(np.pi * np.minimum(time * f, 1.0)))[:, None] / 2
         inputs = share * _waves(time, f, q) + (1 - share) * _waves(time, *before)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from dashpot.design.advise import Question, answer
-from dashpot.design.criteria import AOptimal
+from dashpot.design.allocation import Criterion
 from tests.designs import paper_setup
 
 
@@ -17,7 +17,7 @@ def test_a_doubt_of_nothing_asks_for_the_test_of_the_values() -> None:
     asked = Question(
         model=own.model,
         channels=own.channels,
-        criterion=AOptimal(),
+        criterion=Criterion("A"),
         values=values,
         samples=1000,
         band=(0.5, 25),

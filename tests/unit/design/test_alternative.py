@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.design.advise import compare_tests
-from dashpot.design.criteria import AOptimal
-from dashpot.design.plan import plan
-from dashpot.design.schedule import Budget, band_grid, even_schedule
-from dashpot.design.test_setup import nominal_setup
+from dashpot.design.allocation import Criterion
+from dashpot.design.plan import Budget, plan
+from dashpot.design.test_setup import band_grid, even_schedule, nominal_setup
 from dashpot.quantities import frequencies
 from tests.designs import BAND, CASE3, paper_setup
 from tests.rigs import paper_rig
@@ -19,8 +20,8 @@ from tests.rigs import paper_rig
 def test_case_3_takes_many_times_the_samples() -> None:
     """The paper's CASE 3: 1.42 % at the bound, 2.76 % by its instrumental variables (their Monte Carlo: 2.7 %)."""
     own = paper_setup()
-    found = plan(own, AOptimal(), Budget(samples=1400), band_grid(own, *BAND))
-    beside = compare_tests(own, AOptimal(), found, even_schedule(frequencies(CASE3), 1400))
+    found = plan(own, Criterion("A"), Budget(samples=1400), band_grid(own, *BAND))
+    beside = compare_tests(own, Criterion("A"), found, even_schedule(frequencies(CASE3), 1400))
     assert beside.predicted.figure == pytest.approx(0.0142, abs=1e-4)
     assert beside.iv.rms() == pytest.approx(0.0276, abs=3e-4)
     assert beside.factor == pytest.approx((beside.predicted.figure / found.predicted.figure) ** 2, rel=1e-6)
@@ -36,9 +37,9 @@ def test_case_3_under_constant_noise() -> None:
         for x in ("x1", "x2")
     ]
     own = nominal_setup(rig.model, [*sensors, Channel("u", {"u": 1.0})], rig.theta)
-    found = plan(own, AOptimal(), Budget(samples=1400), band_grid(own, *BAND))
+    found = plan(own, Criterion("A"), Budget(samples=1400), band_grid(own, *BAND))
     assert found.predicted.figure <= 0.0092
-    beside = compare_tests(own, AOptimal(), found, even_schedule(frequencies(CASE3), 1400))
+    beside = compare_tests(own, Criterion("A"), found, even_schedule(frequencies(CASE3), 1400))
     assert beside.predicted.figure == pytest.approx(0.0120, abs=1e-4)
     assert beside.iv.rms() == pytest.approx(0.0268, abs=1e-4)
     assert beside.factor == pytest.approx(1.75, abs=0.02)
@@ -48,11 +49,11 @@ def test_case_3_under_constant_noise() -> None:
 def test_another_test_after_data_counts_them_too() -> None:
     """Optimal or by the paper's bootstrap: what is known already is weighed with it."""
     own = paper_setup()
-    found = plan(own, AOptimal(), Budget(samples=1400), band_grid(own, *BAND))
+    found = plan(own, Criterion("A"), Budget(samples=1400), band_grid(own, *BAND))
     other = even_schedule(frequencies(CASE3), 1400)
-    alone = compare_tests(own, AOptimal(), found, other)
-    known = own.known(np.diag((0.01 * own.theta[0]) ** -2.0))
-    both = compare_tests(own, AOptimal(), found, other, known=known)
+    alone = compare_tests(own, Criterion("A"), found, other)
+    known = replace(own, earlier=np.diag((0.01 * own.theta[0]) ** -2.0))
+    both = compare_tests(known, Criterion("A"), found, other)
     C = np.linalg.inv(np.linalg.inv(alone.iv.covariance) + np.diag((0.01 * own.theta[0]) ** -2.0))
     assert both.iv.sd == pytest.approx(np.sqrt(np.diagonal(C)), rel=1e-9)
     assert both.factor_iv is None

@@ -6,19 +6,15 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel
-from dashpot.design.allocation import optimise
-from dashpot.design.criteria import AOptimal
-from dashpot.design.schedule import band_grid
-from dashpot.design.test_setup import ShakerLimits, drive_patterns, nominal_setup
+from dashpot.design.allocation import Criterion, optimise
+from dashpot.design.test_setup import ShakerLimits, band_grid, drive_patterns, nominal_setup
 from dashpot.errors import UsageError
 from tests.designs import paper_setup
 
 
 def test_only_multiples_of_a_step() -> None:
     own = paper_setup()
-    found = optimise(
-        own.information, AOptimal().terms(own, "worst"), own.prior, 1, band_grid(own, 0.25, 25, 0.25)
-    )
+    found = optimise(own, Criterion("A").terms(own), 1, band_grid(own, 0.25, 25, 0.25))
     assert np.allclose(found.frequency_hz / 0.25, np.round(found.frequency_hz / 0.25))
     assert found.gap < 1e-6
 
@@ -30,7 +26,7 @@ def test_bad_bands_and_names() -> None:
     with pytest.raises(UsageError, match="no multiple"):
         band_grid(own, 5.1, 5.2, 1.0)
     with pytest.raises(UsageError, match="'k9' is not an unknown"):
-        AOptimal(("k9",)).terms(own, "worst")
+        Criterion("A", ("k9",)).terms(own)
     with pytest.raises(UsageError, match="no input 'v'"):
         drive_patterns(own.model, ["u,v"])
     with pytest.raises(UsageError, match="stroke"):
@@ -46,7 +42,5 @@ def test_undamped_resonances_are_no_place_to_dwell() -> None:
     model = Model(("x",), (Input("u"),), elements)
     own = nominal_setup(model, [Channel("x", {"x": 1.0}, noise=1e-3), Channel("u", {"u": 1.0})], {"m": 1.0})
     resonance = 20 / 2 / np.pi
-    found = optimise(
-        own.information, AOptimal().terms(own, "worst"), own.prior, 100, band_grid(own, 1.0, 9.0)
-    )
+    found = optimise(own, Criterion("A").terms(own), 100, band_grid(own, 1.0, 9.0))
     assert np.all(np.abs(found.frequency_hz / resonance - 1) > 0.0099)

@@ -9,8 +9,7 @@ import pytest
 
 from dashpot.design import test_setup as harmonic_information
 from dashpot.design.advise import drives_that_show
-from dashpot.design.schedule import Schedule
-from dashpot.design.test_setup import ShakerLimits, dwell_information, nominal_setup
+from dashpot.design.test_setup import Schedule, ShakerLimits, dwell_information, nominal_setup
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.nonlinear.objective import evaluate
@@ -63,9 +62,9 @@ def test_a_weak_drive_does_not_show_a_law():
     setup = nominal_setup(model, with_noise(2e-6, 2e-6, 0.0), theta, amplitude=1e-3)
     count = len(FREQUENCIES)
     schedule = Schedule(FREQUENCIES, np.zeros(count, dtype=np.int64), np.full(count, 100.0))
-    assert "q shows" in drives_that_show(setup, schedule, setup.prior)[0]
+    assert "q shows" in drives_that_show(setup, schedule)[0]
     faint = replace(setup, amplitude=1e-6)
-    assert "q does not show" in drives_that_show(faint, schedule, setup.prior)[0]
+    assert "q does not show" in drives_that_show(faint, schedule)[0]
 
 
 def test_limits_of_what_is_not_proportional_to_the_drive_are_refused():

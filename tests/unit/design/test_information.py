@@ -9,7 +9,7 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
-from dashpot.design.test_setup import fisher, outputs, per_sample, spectrum_information
+from dashpot.design.test_setup import fisher, outputs, per_sample
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
@@ -32,6 +32,13 @@ def everything(rig: Rig) -> tuple[Channel, ...]:
     found.append(Channel("loose", {model.coordinates[0]: 1.0}, gain=None, delay=None))
     found.append(Channel("shared", {model.coordinates[-1]: 1.0}, gain=None, same_gain_as="loose"))
     return tuple(replace(c, relative_noise=0.05) for c in found)
+
+
+def information_of(rig: Rig, spectrum: Spectrum) -> np.ndarray:
+    """What the lines of data tell with the noise that they state, (lines, q, q)."""
+    drive = np.concatenate([rig.U, rig.f], axis=-1)
+    seen = outputs(rig.model, rig.p, spectrum.channels, spectrum.omega, drive)
+    return fisher(seen.by_parameter, seen.by_input, spectrum.covariance, [c.name for c in spectrum.channels])
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -91,7 +98,7 @@ def test_all_sensors_as_the_estimators_count_them(inputs: float, monkeypatch: py
         chosen = channels(rig, (Quantity.DISPLACEMENT, Quantity.ACCELERATION))
         V = covariance(rig, chosen, 0.05, inputs=inputs, correlation=0.3 if inputs else 0.0)
         spectrum = perfect(rig, chosen, V)
-        own = spectrum_information(rig.model, rig.p, spectrum, np.concatenate([rig.U, rig.f], axis=-1))
+        own = information_of(rig, spectrum)
         theirs = information(rig.model, auxiliary(rig.model, rig.p, states(rig.model, spectrum, V)))
         size = np.sqrt(np.diagonal(np.sum(theirs, axis=0)))
         assert np.max(np.abs(own - theirs) / np.outer(size, size)) < 1e-10
@@ -114,7 +121,7 @@ def test_few_sensors_as_maximum_likelihood_counts_them() -> None:
         np.zeros(lines, dtype=int),
     )  # fmt: skip
     estimate = identify(rig.model, spectrum, MaximumLikelihood())
-    total = np.sum(spectrum_information(rig.model, rig.p, spectrum, rig.U), axis=0)
+    total = np.sum(information_of(rig, spectrum), axis=0)
     bound = np.sqrt(np.diagonal(np.linalg.inv(total)))
     own = [estimate.names.index(u.name) for u in rig.model.unknowns]
     assert np.allclose(estimate.values[own], rig.theta, rtol=1e-5)
@@ -140,7 +147,7 @@ def test_exact_channels() -> None:
     exact = (Channel("x1", {"x1": 1.0}), Channel("u", {"u": 1.0}), Channel("x2", {"x2": 1.0}, noise=1.0))
     seen = outputs(rig.model, rig.p, exact, rig.omega, rig.U)
     with pytest.raises(UsageError, match="x1 has no noise"):
-        per_sample(exact, seen)
+        per_sample(rig.model, exact, seen)
 
 
 def test_perfectly_correlated_noise_is_refused() -> None:
@@ -161,10 +168,16 @@ def test_relative_noise_makes_information_independent_of_amplitude() -> None:
         replace(c, relative_noise=0.1) if set(c.of) != {"u"} else c
         for c in channels(rig, tuple(Quantity)[:2])
     )
-    M = [per_sample(relative, outputs(rig.model, rig.p, relative, rig.omega, a * rig.U)) for a in (1.0, 1e-4)]
+    M = [
+        per_sample(rig.model, relative, outputs(rig.model, rig.p, relative, rig.omega, a * rig.U))
+        for a in (1.0, 1e-4)
+    ]
     assert np.allclose(M[0], M[1], rtol=1e-10)
     floors = tuple(replace(c, noise=0.1, relative_noise=0.0) if c.relative_noise else c for c in relative)
-    M = [per_sample(floors, outputs(rig.model, rig.p, floors, rig.omega, a * rig.U)) for a in (1.0, 2.0)]
+    M = [
+        per_sample(rig.model, floors, outputs(rig.model, rig.p, floors, rig.omega, a * rig.U))
+        for a in (1.0, 2.0)
+    ]
     assert np.allclose(4 * M[0], M[1], rtol=1e-10)
 
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dashpot.design.criteria import AOptimal, expected_precision
-from dashpot.design.plan import plan
-from dashpot.design.schedule import Budget, band_grid
-from dashpot.design.stopping import known_after, values_after
-from dashpot.design.test_setup import nominal_setup
+from dashpot.design.allocation import Criterion, expected_precision
+from dashpot.design.plan import Budget, plan
+from dashpot.design.stopping import after, values_after
+from dashpot.design.test_setup import band_grid, nominal_setup
 from dashpot.estimate.identify import identify
 from tests.designs import BAND, measured, paper_setup
 from tests.rigs import paper_rig
 
 
 def test_samples_are_spent_to_the_last() -> None:
-    found = plan(paper_setup(), AOptimal(), Budget(samples=1400), band_grid(paper_setup(), *BAND))
+    found = plan(paper_setup(), Criterion("A"), Budget(samples=1400), band_grid(paper_setup(), *BAND))
     assert found.samples == 1400
     assert found.predicted.figure <= 0.0090
     assert 0 <= found.loss < 1e-4
@@ -26,7 +25,7 @@ def test_samples_are_spent_to_the_last() -> None:
 def test_time_counts_settling_and_whole_periods() -> None:
     own = paper_setup()
     budget = Budget(time=30, rate=100, settle=own.settling(), min_dwell=2.0)
-    found = plan(own, AOptimal(), budget, band_grid(own, *BAND))
+    found = plan(own, Criterion("A"), budget, band_grid(own, *BAND))
     assert found.time_s is not None
     assert 29 < found.time_s <= 30
     for dwell in found.dwells:
@@ -39,10 +38,10 @@ def test_time_counts_settling_and_whole_periods() -> None:
 def test_long_settling_and_few_dwells() -> None:
     """With settling of a third of the time fewer dwells are better; never more than are allowed."""
     own, grid = paper_setup(), band_grid(paper_setup(), *BAND)
-    free = plan(own, AOptimal(), Budget(time=60, rate=100, settle=0.1), grid)
-    slow = plan(own, AOptimal(), Budget(time=60, rate=100, settle=20.0), grid)
+    free = plan(own, Criterion("A"), Budget(time=60, rate=100, settle=0.1), grid)
+    slow = plan(own, Criterion("A"), Budget(time=60, rate=100, settle=20.0), grid)
     assert len(slow.dwells) < len(free.dwells)
-    two = plan(own, AOptimal(), Budget(samples=1400, most=2), grid)
+    two = plan(own, Criterion("A"), Budget(samples=1400, most=2), grid)
     assert len(two.dwells) == 2
     # No pair of frequencies of a grid with any split does better.
     f = np.geomspace(*BAND, 25)
@@ -63,7 +62,7 @@ def test_long_settling_and_few_dwells() -> None:
 def test_the_best_test_for_each_parameter(name: str, percent: float) -> None:
     """What examples/06_design says; no test of three dwells drawn at random does better."""
     own = paper_setup()
-    found = plan(own, AOptimal((name,)), Budget(samples=1400), band_grid(own, *BAND))
+    found = plan(own, Criterion("A", (name,)), Budget(samples=1400), band_grid(own, *BAND))
     assert found.gap < 1e-6
     assert 100 * found.predicted.figure == pytest.approx(percent, abs=1e-3)
     rng = np.random.default_rng(0)
@@ -80,11 +79,11 @@ def test_existing_data_count() -> None:
     own = paper_setup()
     estimate = identify(own.model, measured(own))
     here = nominal_setup(own.model, own.channels, values_after(own.model, estimate))
-    known = here.known(known_after(here, estimate))
-    before = expected_precision(here, AOptimal(), known)
+    known = after(here, estimate)
+    before = expected_precision(known, Criterion("A"), 0.0)
     assert np.allclose(before.sd, estimate.sd, rtol=1e-6)
-    found = plan(here, AOptimal(), Budget(samples=700), band_grid(here, *BAND), known=known)
-    alone = plan(here, AOptimal(), Budget(samples=700), band_grid(here, *BAND))
+    found = plan(known, Criterion("A"), Budget(samples=700), band_grid(here, *BAND))
+    alone = plan(here, Criterion("A"), Budget(samples=700), band_grid(here, *BAND))
     assert found.predicted.figure < min(before.figure, alone.predicted.figure)
     assert found.gap < 1e-6
 
@@ -94,9 +93,12 @@ def test_known_with_an_sd_is_known() -> None:
     rig = paper_rig()
     tight = rig.knowing({"m2": {"value": 2.7, "sd": 1e-6}})
     own = nominal_setup(tight.model, paper_setup().channels, tight.theta)
-    found = plan(own, AOptimal(), Budget(samples=1400), band_grid(own, *BAND))
+    found = plan(own, Criterion("A"), Budget(samples=1400), band_grid(own, *BAND))
     assert found.predicted.sd[found.predicted.names.index("m2")] == pytest.approx(1e-6, rel=1e-3)
     free = plan(
-        paper_setup(), AOptimal(("m1", "c1", "c2", "c3", "c4")), Budget(samples=1400), band_grid(own, *BAND)
+        paper_setup(),
+        Criterion("A", ("m1", "c1", "c2", "c3", "c4")),
+        Budget(samples=1400),
+        band_grid(own, *BAND),
     )
     assert found.predicted.figure < free.predicted.figure

@@ -10,22 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dashpot.design.criteria import AOptimal
-from dashpot.design.plan import plan
+from dashpot.design.allocation import Criterion
+from dashpot.design.plan import Budget, plan, shortest
 from dashpot.design.robust import (
     GaussianPrior,
     UniformBox,
-    gaussian_prior_of,
-    in_the_worst_case,
-    on_average,
-    shortest,
-    shortest_in_the_worst_case,
+    robust,
     slowest_settling,
     uniform_box_of,
     worst_scenario,
 )
-from dashpot.design.schedule import Budget, band_grid
-from dashpot.design.test_setup import TestSetup
+from dashpot.design.stopping import gaussian_prior_of
+from dashpot.design.test_setup import TestSetup, band_grid
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.result import Estimate
@@ -41,15 +37,16 @@ def replace_names(estimate: Estimate) -> Estimate:
 def test_the_worst_case_is_the_same_whoever_searches_for_it() -> None:
     """Scenarios sent in pieces, as to other processes, and coming back in another order."""
     own = paper_setup()
-    lines = plan(own, AOptimal(), Budget(samples=1400), band_grid(own, *BAND)).schedule
+    lines = plan(own, Criterion("A"), Budget(samples=1400), band_grid(own, *BAND)).schedule
 
     def elsewhere(function: Any, tasks: Iterable[Any]) -> list[Any]:
         sent = [pickle.loads(pickle.dumps((function, task))) for task in tasks]
         return [there(task) for there, task in reversed(sent)]
 
+    aim = Criterion("minimax", targets={"c2": 0.02, "m1": 0.01})
     for prior in (UniformBox(0.3), GaussianPrior(np.diag((0.1 * own.theta[0]) ** 2))):
-        here = worst_scenario(own, AOptimal(), lines, prior, seed=3)
-        there = worst_scenario(own, AOptimal(), lines, prior, seed=3, mapper=elsewhere)
+        here = worst_scenario(own, aim, lines, prior, seed=3)
+        there = worst_scenario(own, aim, lines, prior, seed=3, mapper=elsewhere)
         assert here[0] == there[0]
         np.testing.assert_array_equal(here[1], there[1])
 
@@ -60,21 +57,25 @@ def test_robust_tests() -> None:
     def grid_of(wide: TestSetup):  # type: ignore[no-untyped-def]
         return band_grid(wide, *BAND)
 
-    nominal = plan(own, AOptimal(), Budget(samples=1400), grid_of(own))
+    nominal = plan(own, Criterion("A"), Budget(samples=1400), grid_of(own))
     box = UniformBox(0.3)
-    before, at = worst_scenario(own, AOptimal(), nominal.schedule, box)
+    before, at = worst_scenario(own, Criterion("A"), nominal.schedule, box)
     assert np.all(np.abs(at / own.theta[0] - 1) <= 0.3 + 1e-12)
-    safe = in_the_worst_case(own, AOptimal(), Budget(samples=1400), box, grid_of)
+    safe = robust(own, Criterion("A"), Budget(samples=1400), box, grid_of)
     assert safe.worst < before
     assert safe.plan.gap < 1e-6
-    after, _ = worst_scenario(own, AOptimal(), safe.plan.schedule, box, count=2000, seed=9)
+    after, _ = worst_scenario(own, Criterion("A"), safe.plan.schedule, box, count=2000, seed=9)
     assert after <= safe.worst * 1.005
-    calm = on_average(
-        own, AOptimal(), Budget(samples=1400), GaussianPrior(np.diag((0.1 * own.theta[0]) ** 2)), grid_of
+    calm = robust(
+        replace(own, over="average"),
+        Criterion("A"),
+        Budget(samples=1400),
+        GaussianPrior(np.diag((0.1 * own.theta[0]) ** 2)),
+        grid_of,
     )
     assert calm.plan.gap < 1e-6
     with pytest.raises(UsageError, match="between 0 and 100"):
-        in_the_worst_case(own, AOptimal(), Budget(samples=1400), UniformBox(1.5), grid_of)
+        robust(own, Criterion("A"), Budget(samples=1400), UniformBox(1.5), grid_of)
 
 
 def test_the_shortest_robust_test() -> None:
@@ -85,16 +86,16 @@ def test_the_shortest_robust_test() -> None:
         return band_grid(wide, *BAND)
 
     box, budget = UniformBox(0.2), Budget(samples=1000)
-    nominal = shortest(own, AOptimal(), 0.02, budget, grid_of(own))
-    safe = shortest_in_the_worst_case(own, AOptimal(), 0.02, budget, box, grid_of)
-    calm = on_average(own, AOptimal(), budget, box, grid_of, target=0.02)
+    nominal = shortest(own, Criterion("A"), 0.02, budget, grid_of(own))
+    safe = robust(own, Criterion("A"), budget, box, grid_of, target=0.02)
+    calm = robust(replace(own, over="average"), Criterion("A"), budget, box, grid_of, target=0.02)
     assert nominal.samples < calm.plan.samples < safe.plan.samples
     assert safe.worst <= 0.02
-    after, _ = worst_scenario(own, AOptimal(), safe.plan.schedule, box, count=1000, seed=9)
+    after, _ = worst_scenario(own, Criterion("A"), safe.plan.schedule, box, count=1000, seed=9)
     assert 0.0195 < after < 0.02 * 1.003
-    assert worst_scenario(own, AOptimal(), nominal.schedule, box)[0] > 0.021
-    known = np.diag((1e-3 * own.theta[0]) ** -2.0)
-    assert shortest_in_the_worst_case(own, AOptimal(), 0.02, budget, box, grid_of, known=known).plan is None
+    assert worst_scenario(own, Criterion("A"), nominal.schedule, box)[0] > 0.021
+    known = replace(own, earlier=np.diag((1e-3 * own.theta[0]) ** -2.0))
+    assert robust(known, Criterion("A"), budget, box, grid_of, target=0.02).plan is None
 
 
 def test_doubts_of_the_rig_file_and_of_an_estimate() -> None:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dashpot.design.criteria import Minimax, MinimaxTargets
-from dashpot.design.plan import plan
-from dashpot.design.robust import shortest
-from dashpot.design.schedule import Budget, band_grid
+from dashpot.design.allocation import Criterion
+from dashpot.design.plan import Budget, plan, shortest
+from dashpot.design.test_setup import band_grid
 from tests.designs import BAND, paper_setup
 
 
@@ -16,16 +15,20 @@ from tests.designs import BAND, paper_setup
 def test_the_shortest_test_just_reaches_its_target(target: float) -> None:
     own = paper_setup()
     grid = band_grid(own, *BAND)
-    found = shortest(own, Minimax(), target, Budget(samples=100), grid)
+    found = shortest(own, Criterion("minimax"), target, Budget(samples=100), grid)
     assert 0.99 * target < np.max(found.predicted.relative) <= target
-    fewer = plan(own, Minimax(), Budget(samples=round(0.98 * found.samples)), grid)
+    fewer = plan(own, Criterion("minimax"), Budget(samples=round(0.98 * found.samples)), grid)
     assert np.max(fewer.predicted.relative) > target
 
 
 def test_targets_by_name() -> None:
     own = paper_setup()
     found = shortest(
-        own, MinimaxTargets({"c2": 0.02, "m1": 0.005}), 1.0, Budget(samples=100), band_grid(own, *BAND)
+        own,
+        Criterion("minimax", targets={"c2": 0.02, "m1": 0.005}),
+        1.0,
+        Budget(samples=100),
+        band_grid(own, *BAND),
     )
     by_name = dict(zip(found.predicted.names, found.predicted.relative, strict=True))
     assert by_name["c2"] <= 0.02

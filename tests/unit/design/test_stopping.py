@@ -58,17 +58,17 @@ def test_the_stopping_rule_reads_what_the_goal_reads() -> None:
     names = estimate.names[:6]
     C = estimate.covariance[:6, :6] / np.outer(estimate.values[:6], estimate.values[:6])
     targets = dict.fromkeys(names, 0.01)
-    rms = enough(estimate, targets, 1400, reading="rms")
+    rms = enough(estimate, targets, 1400, kind="A")
     assert rms.excess == pytest.approx(np.sqrt(np.trace(C) / 6) / 0.01)
     assert rms.more == pytest.approx(1400 * (rms.excess**2 - 1), abs=2)
-    volume = enough(estimate, targets, 1400, reading="volume")
+    volume = enough(estimate, targets, 1400, kind="D")
     assert volume.excess == pytest.approx(np.exp(np.log(np.linalg.det(C)) / 12) / 0.01)
     each = enough(estimate, targets, 1400)
     assert volume.excess < rms.excess < each.excess
     prior = np.zeros((6, 6))
     prior[0, 0] = 0.5 / estimate.covariance[0, 0]
     assert enough(estimate, {"m1": 0.003}, 1400, prior).more > enough(estimate, {"m1": 0.003}, 1400).more
-    assert enough(estimate, dict.fromkeys(names, 0.5), 1400, reading="rms").reached
+    assert enough(estimate, dict.fromkeys(names, 0.5), 1400, kind="A").reached
 
 
 def test_vague_estimates_give_way_to_guesses() -> None:

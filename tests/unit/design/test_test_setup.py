@@ -45,5 +45,5 @@ def test_lines_some_at_a_time_are_lines_all_together(
     f = np.linspace(0.5, 25.0, 37)
     pattern = np.zeros(37, dtype=np.int64)
     together = setup.information(f, pattern)
-    monkeypatch.setattr(test_setup, "LINES", 60)
+    monkeypatch.setattr(test_setup, "CHUNK", 60)
     np.testing.assert_allclose(setup.information(f, pattern), together, rtol=1e-12)

@@ -7,8 +7,8 @@ import pytest
 
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.design.advise import Answer, Question, answer
-from dashpot.design.criteria import AOptimal
-from dashpot.design.schedule import Schedule
+from dashpot.design.allocation import Criterion
+from dashpot.design.test_setup import Schedule
 from dashpot.design.transients import lines_of_dwells, unsettled_dwells
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
@@ -64,7 +64,7 @@ def test_waiting_is_called_a_waste_where_it_is() -> None:
 def test_nothing_is_said_of_rigs_without_a_motion_in_time() -> None:
     own = light_setup(2e-3, 0.0)
     question = Question(
-        model=own.model, channels=own.channels, criterion=AOptimal(), band=(3.0, 20.0), samples=2000,
+        model=own.model, channels=own.channels, criterion=Criterion("A"), band=(3.0, 20.0), samples=2000,
         values=dict(zip(own.model.unknown_names, own.theta[0].tolist(), strict=True)), amplitude=AMPLITUDE,
     )  # fmt: skip
     assert answer(question).unsettled is None  # no sampling rate

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from dashpot.channel import Channel
     from dashpot.data.spectrum import Spectrum
     from dashpot.design.advise import Answer, Question
-    from dashpot.design.criteria import Criterion
+    from dashpot.design.allocation import Criterion
     from dashpot.design.robust import GaussianPrior
     from dashpot.design.test_setup import ShakerLimits
     from dashpot.estimate.result import Estimate
@@ -311,7 +311,7 @@ def _require_masses(rig: Rig, values: Mapping[str, float]) -> None:
 
 def _criterion(wanted: str, target: float | Mapping[str, float] | None) -> tuple[Criterion, float | None]:
     """The criterion of --for and --target, and the figure to reach."""
-    from dashpot.design.criteria import AOptimal, DOptimal, Minimax, MinimaxTargets
+    from dashpot.design.allocation import Criterion
     from dashpot.errors import UsageError
 
     if isinstance(target, Mapping):
@@ -320,14 +320,18 @@ def _criterion(wanted: str, target: float | Mapping[str, float] | None) -> tuple
                 "--for and a --target by names are both given",
                 cure="the targets already say what should be precise",
             )
-        return MinimaxTargets(target), 1.0
-    criteria: dict[str, Criterion] = {"all": AOptimal(), "worst": Minimax(), "volume": DOptimal()}
+        return Criterion("minimax", targets=target), 1.0
+    criteria: dict[str, Criterion] = {
+        "all": Criterion("A"),
+        "worst": Criterion("minimax"),
+        "volume": Criterion("D"),
+    }
     if wanted in criteria:
         return criteria[wanted], target
     unknowns = names(wanted)
     if not unknowns:
         raise UsageError("--for names nothing", cure="write all, worst, volume, or names such as c2,m1")
-    return AOptimal(unknowns), target
+    return Criterion("A", unknowns), target
 
 
 def _limits(rig: Rig, options: Mapping[str, Any]) -> ShakerLimits:
@@ -352,7 +356,7 @@ def _uncertainty(
     rig: Rig, options: Mapping[str, Any], estimate: Estimate | None
 ) -> float | GaussianPrior | Literal["estimate"] | None:
     """A share of every value, or the covariance of --estimate, or of what --after says."""
-    from dashpot.design.robust import gaussian_prior_of
+    from dashpot.design.stopping import gaussian_prior_of
     from dashpot.errors import UsageError
 
     doubt: float | None = options["doubt"]

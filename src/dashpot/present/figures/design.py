@@ -35,7 +35,7 @@ def planned_test_figure(answer: Answer) -> Figure:
     """Dwells on the directional derivative, information of each frequency about each parameter, intervals."""
     assert answer.plan is not None
     plan, setup = answer.plan, answer.setup
-    curves = plan_curves(setup, answer.criterion, plan, answer.known, answer.grid.low, answer.grid.high)
+    curves = plan_curves(setup, answer.criterion, plan, answer.grid.low, answer.grid.high)
     names = drive_names([*setup.model.displacement_inputs, *setup.model.force_inputs], setup.drives)
     labelled = [(names[k], curve) for k, curve in zip(curves.patterns, curves.derivative, strict=True)]
     timed = plan.time_s is not None

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from rich.console import Console
 
 from dashpot.design.advise import Answer
-from dashpot.design.criteria import ExpectedPrecision
+from dashpot.design.allocation import ExpectedPrecision
 from dashpot.design.plan import Plan
 from dashpot.design.plan_files import phase_deg
 from dashpot.design.test_setup import drive_units

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from dashpot.design.advise import Answer
-from dashpot.design.criteria import Criterion
+from dashpot.design.allocation import Criterion
 from dashpot.design.plan import Plan
 from dashpot.design.transients import UnsettledTest
 from dashpot.io.words import joined
@@ -21,13 +20,13 @@ def plan_in_words(answer: Answer, plan: Plan) -> list[str]:
     """What the test gives by its criterion, how close to optimal it is, and how it compares."""
     predicted = plan.predicted
     name = plan.criterion.name
-    names: Sequence[str] = getattr(plan.criterion, "names", ())
+    names = plan.criterion.names
     of = f" of {joined(names)}" if names else ""
     if len(names) == 1:
         name = "relative standard deviation"  # a mean of one
     over = ""
     if answer.robust is not None:
-        over = f", {_SCENARIOS[answer.robustness]} {answer.setup.scenarios} scenarios"
+        over = f", {_SCENARIOS[answer.setup.over]} {len(answer.setup.theta)} scenarios"
     figure = figure_in_words(plan.criterion, plan.predicted.figure)
     lines = [f"{name[0].upper()}{name[1:]}{of}{over}: {figure}.", _optimality(plan)]
     if len(predicted.names) > 1:
@@ -38,7 +37,7 @@ def plan_in_words(answer: Answer, plan: Plan) -> list[str]:
             f"Rms of the relative standard deviations of all {len(predicted.names)} parameters{including}: {rms} %."
         )
     if answer.robust is not None:
-        where = "found by search" if answer.robustness == "worst" else "of these scenarios"
+        where = "found by search" if answer.setup.over == "worst" else "of these scenarios"
         lines.append(f"Worst case ({where}): {figure_in_words(plan.criterion, answer.robust.worst)}.")
     if answer.comparison is not None:
         other = answer.comparison
@@ -88,7 +87,7 @@ def _optimality(plan: Plan) -> str:
 
 def figure_in_words(criterion: Criterion, value: float) -> str:
     """A criterion's figure: a relative standard deviation; of targets, in multiples of them."""
-    return f"{short(value)} × target" if criterion.in_targets else f"{short(100 * value)} %"
+    return f"{short(value)} × target" if criterion.targets is not None else f"{short(100 * value)} %"
 
 
 def _times(factor: float) -> str:
