@@ -561,9 +561,7 @@ def band_grid(setup: TestSetup, low: float, high: float, step: float | None = No
             f"{low:g} to {high:g} Hz is not a band", cure="give two positive frequencies, the lower first"
         )
     if step is None:
-        f = np.geomspace(
-            low, high, int(np.clip(np.log(high / low) / 0.02, 2, 400)) if high > low else 1
-        )
+        f = np.geomspace(low, high, int(np.clip(np.log(high / low) / 0.02, 2, 400)) if high > low else 1)
         widths = np.array([0, 0.3, 0.6, 1, 1.5, 2.2, 3.3, 5, 8])  # half-widths of a resonance, on both sides
         around = np.concatenate([widths, -widths])
         for resonance, zeta in _distinct(setup.resonances()):
