@@ -52,11 +52,6 @@ class ExportFormat:
     writer: str
     takes: tuple[str, ...] = ()
 
-    def write(self, rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
-        """Write the file.  Raises ModelError where it cannot hold the rig, DataError where it cannot be written."""
-        module, _, function = self.writer.partition(".")
-        return cast(Written, getattr(import_module(f"dashpot.export.{module}"), function)(rig, path, options))
-
     def require_use(self, path: str, given: Iterable[str]) -> None:
         """Raises UsageError where it does not look at one of the options that are given."""
         for name in given:
@@ -88,32 +83,27 @@ def export_rig(
     chosen = format_of(target, content)
     options = ExportOptions() if options is None else options
     chosen.require_use(target, [name for name in IN_WORDS if getattr(options, name) is not None])
-    return chosen.write(rig, target, options)
+    module, _, function = chosen.writer.partition(".")
+    return cast(Written, getattr(import_module(f"dashpot.export.{module}"), function)(rig, target, options))
 
 
 def format_of(path: str, content: str | None = None) -> ExportFormat:
     """The format of a file to be written.  Raises UsageError where there is none."""
     suffix = Path(path).suffix.lower()
-    fitting = [each for each in FORMATS if suffix in each.suffixes]
+    meant = [each for each in FORMATS if content in (None, each.content)]
+    if not meant:
+        raise UsageError(f"nothing is exported as {content}", cure=f"there are {', '.join(contents())}")
+    for each in meant:
+        if suffix in each.suffixes:
+            return each
     if content is not None:
-        of_content = [each for each in FORMATS if each.content == content]
-        if not of_content:
-            raise UsageError(f"nothing is exported as {content}", cure=f"there are {', '.join(contents())}")
-        fitting = [each for each in of_content if suffix in each.suffixes]
-        if not fitting:
-            ends = sorted({end for each in of_content for end in each.suffixes})
-            raise UsageError(
-                f"{content} is not written to {suffix or 'this'} files", path, f"use {', '.join(ends)}"
-            )
-    if not fitting:
-        ends = sorted({end for each in FORMATS for end in each.suffixes})
-        cause = (
-            f"no export has the extension {suffix}"
-            if suffix
-            else "the name has no extension to tell the format"
-        )
-        raise UsageError(cause, path, f"use {', '.join(ends)}")
-    return fitting[0]
+        cause = f"{content} is not written to {suffix or 'this'} files"
+    elif suffix:
+        cause = f"no export has the extension {suffix}"
+    else:
+        cause = "the name has no extension to tell the format"
+    ends = sorted({end for each in meant for end in each.suffixes})
+    raise UsageError(cause, path, f"use {', '.join(ends)}")
 
 
 def contents() -> tuple[str, ...]:
@@ -123,17 +113,22 @@ def contents() -> tuple[str, ...]:
 
 # The first with an ending is what it means without more words.
 FORMATS: tuple[ExportFormat, ...] = (
-    ExportFormat("state-space", (".json",), "writers.export_state_space_json", ("given",)),
-    ExportFormat("state-space", (".mat",), "writers.export_state_space_mat", ("given",)),
-    ExportFormat("transfer-functions", (".json",), "writers.export_transfer_functions", ("given",)),
-    ExportFormat("parameters", (".csv", ".parquet", ".m"), "writers.export_parameters"),
+    ExportFormat("state-space", (".json", ".mat"), "state_space.write_state_space", ("given",)),
+    ExportFormat("transfer-functions", (".json",), "transfer_functions.write_transfer_functions", ("given",)),
+    ExportFormat("parameters", (".csv", ".parquet", ".m"), "parameter_tables.write_parameters"),
     ExportFormat(
-        "frequency-responses", (".csv",), "writers.export_frequency_responses", ("frequency_hz", "data")
+        "frequency-responses",
+        (".csv",),
+        "transfer_functions.write_frequency_responses",
+        ("frequency_hz", "data"),
     ),
-    ExportFormat("matrices", (".mtx",), "writers.export_matrices"),
+    ExportFormat("matrices", (".mtx",), "parameter_tables.write_matrices"),
     ExportFormat(
-        "universal-file", (".uff", ".unv"), "writers.export_universal_file", ("frequency_hz", "data")
+        "universal-file",
+        (".uff", ".unv"),
+        "universal_file.write_rig_universal_file",
+        ("frequency_hz", "data"),
     ),
-    ExportFormat("fmu", (".fmu",), "writers.export_fmu", ("given",)),
-    ExportFormat("mujoco", (".xml",), "writers.export_mujoco"),
+    ExportFormat("fmu", (".fmu",), "fmu.write_fmu", ("given",)),
+    ExportFormat("mujoco", (".xml",), "mujoco.write_mujoco"),
 )

@@ -1,50 +1,41 @@
-"""Parameters of a rig as tables: CSV, Parquet, and a MATLAB script whose variables Simscape blocks refer to."""
+"""Parameters of a rig as tables (CSV, Parquet, a MATLAB script for Simscape blocks), and its matrices."""
 
 from __future__ import annotations
 
 import keyword
-import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.data.readers.text import write_rows
+from dashpot.export.formats import ExportOptions, Written
 from dashpot.export.identified_rig import IdentifiedRig
+from dashpot.export.texts import distinct
 from dashpot.io.atomic import write_bytes, write_text
+from dashpot.io.json_document import to_json
 from dashpot.model.dynamics import matrices
 
 # Matrices of a rig as Matrix Market files.
 
 
-SYMMETRIC = "MCKH"
 MEANING = {
-    "M": "mass", "C": "damping", "K": "stiffness", "H": "hysteretic stiffness",
-    "F": "force per velocity of the inputs", "G": "force per displacement of the inputs",
-    "J": "force per acceleration of the inputs", "S": "where the force inputs act",
-}  # fmt: skip
+    "M": "mass",
+    "C": "damping",
+    "K": "stiffness",
+    "H": "hysteretic stiffness",
+    "F": "force per velocity of the inputs",
+    "G": "force per displacement of the inputs",
+    "J": "force per acceleration of the inputs",
+    "S": "where the force inputs act",
+}
 
 
-def matrix_texts(rig: IdentifiedRig) -> Mapping[str, str]:
-    """The text of each matrix of M ẍ + C ẋ + K x = F u̇ + G u + J ü + S f: M, C and K, and H, F, G, J, S where not 0.
-
-    Raises ModelError for nonlinear elements.
-    """
-    rig.require_linear("a matrix")
-    parts = matrices(rig.model, rig.p)
-    found = {letter: getattr(parts, letter) for letter in "MCKHFGJ"} | {"S": rig.model.S}
-    return {
-        letter: _text(rig, letter, matrix)
-        for letter, matrix in found.items()
-        if letter in "MCK" or (matrix.size and np.any(matrix))
-    }
-
-
-def write_matrix_market(rig: IdentifiedRig, path: str | os.PathLike[str]) -> list[str]:
-    """Write each matrix as NAME_M.mtx, NAME_C.mtx … beside `path`, NAME.mtx; the names of the files.
+def write_matrices(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
+    """Write each matrix as NAME_M.mtx, NAME_C.mtx … beside `path`, NAME.mtx.
 
     Raises ModelError for nonlinear elements, DataError where a file cannot be written.
     """
@@ -54,40 +45,53 @@ def write_matrix_market(rig: IdentifiedRig, path: str | os.PathLike[str]) -> lis
     }
     for name, text in texts.items():
         write_text(name, text)
-    return list(texts)
+    return Written(tuple(texts))
 
 
-def _text(rig: IdentifiedRig, letter: str, matrix: Real) -> str:
-    symmetric = letter in SYMMETRIC
-    kept = np.tril(matrix) if symmetric else matrix
-    rows, columns = np.nonzero(kept)
-    order = np.lexsort((rows, columns))
-    across = rig.model.coordinates
+def matrix_texts(rig: IdentifiedRig) -> Mapping[str, str]:
+    """The text of each matrix of M ẍ + C ẋ + K x = F u̇ + G u + J ü + S f: M, C and K, and H, F, G, J, S where not 0.
+
+    Raises ModelError for nonlinear elements.
+    """
+    rig.require_linear("a matrix")
+    parts = matrices(rig.model, rig.p)
+    found = {letter: rig.model.S if letter == "S" else getattr(parts, letter) for letter in "MCKHFGJS"}
+    return {
+        letter: _matrix_text(rig, letter, matrix)
+        for letter, matrix in found.items()
+        if letter in "MCK" or (matrix.size and np.any(matrix))
+    }
+
+
+def _matrix_text(rig: IdentifiedRig, letter: str, matrix: Real) -> str:
+    symmetric, across = letter in "MCKH", rig.model.coordinates
     if not symmetric:
         across = rig.model.force_inputs if letter == "S" else rig.model.displacement_inputs
+    kept = np.tril(matrix) if symmetric else matrix
+    columns, rows = np.nonzero(kept.T)
     lines = [
         f"%%MatrixMarket matrix coordinate real {'symmetric' if symmetric else 'general'}",
         f"% {letter}: {MEANING[letter]}, SI units",
         f"% rows: {_names(rig.model.coordinates)}",
         f"% columns: {_names(across)}",
         f"{matrix.shape[0]} {matrix.shape[1]} {len(rows)}",
+        *(f"{i + 1} {j + 1} {float(kept[i, j])!r}" for i, j in zip(rows, columns, strict=True)),
     ]
-    lines += [f"{rows[k] + 1} {columns[k] + 1} {float(kept[rows[k], columns[k]])!r}" for k in order.tolist()]
     return "\n".join(lines) + "\n"
 
 
 def _names(names: tuple[str, ...]) -> str:
     """Names on one line of a comment, which may not be long."""
-    text = ", ".join(" ".join(name.split()) for name in names)
+    text = ", ".join(map(_comment, names))
     return text if len(text) <= 900 else text[:900] + " …"
 
 
+def _comment(text: str) -> str:
+    """Text on one line."""
+    return " ".join(text.split())
+
+
 COLUMNS = ("parameter", "kind", "value", "sd", "low95", "high95", "unit", "known", "between")
-NORMAL95 = 1.959963984540054  # quantile of the normal distribution
-MATLAB_WORDS = {
-    "break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if",
-    "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try", "while",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,8 @@ class ExportedParameter:
     kind: str
     value: float
     sd: float
-    interval95: tuple[float, float]
+    low95: float
+    high95: float
     unit: str
     known: bool
     between: str
@@ -116,11 +121,12 @@ def exported_parameters(rig: IdentifiedRig) -> list[ExportedParameter]:
             continue
         value, sd = float(p[i]), float(spread[i])
         root = of_unknowns.get(model.elements[tie.root].name)
-        interval = _interval(value, sd) if root is None else _scaled(root.interval95, tie.times)
+        ends = None if root is None else sorted(tie.times * end for end in root.interval95)
         joined = " ".join(_term(name, factor) for name, factor in element.along.items()).removeprefix("+ ")
         known, unit = not np.any(model.T[i]), model.unit(element)
+        low, high = _interval(value, sd) if ends is None else ends
         rows.append(
-            ExportedParameter(element.name, str(element.kind), value, sd, interval, unit, known, joined)
+            ExportedParameter(element.name, str(element.kind), value, sd, low, high, unit, known, joined)
         )
     constants = model.inner_constants(rig.theta)
     slope, _ = model.constants_map
@@ -128,21 +134,15 @@ def exported_parameters(rig: IdentifiedRig) -> list[ExportedParameter]:
         name, value = f"{element.name}.{constant.name}", float(constants[k])
         sd = float(np.abs(slope[k]) @ sd_theta)
         estimated = of_unknowns.get(name)
-        interval = _interval(value, sd) if estimated is None else estimated.interval95
-        unit = model.constant_unit(element, constant)
-        rows.append(
-            ExportedParameter(name, "constant", value, sd, interval, unit, not constant.unknown, element.name)
-        )
+        low, high = _interval(value, sd) if estimated is None else estimated.interval95
+        known, unit = not constant.unknown, model.constant_unit(element, constant)
+        rows.append(ExportedParameter(name, "constant", value, sd, low, high, unit, known, element.name))
     return rows
 
 
 def _interval(value: float, sd: float) -> tuple[float, float]:
-    return value - NORMAL95 * sd, value + NORMAL95 * sd
-
-
-def _scaled(interval: tuple[float, float], times: float) -> tuple[float, float]:
-    low, high = sorted(times * end for end in interval)
-    return low, high
+    normal95 = 1.959963984540054  # quantile of the normal distribution
+    return value - normal95 * sd, value + normal95 * sd
 
 
 def _term(name: str, factor: float) -> str:
@@ -150,48 +150,40 @@ def _term(name: str, factor: float) -> str:
     return f"{'-' if factor < 0 else '+'} {size}{name}"
 
 
-def write_parameter_csv(rig: IdentifiedRig, path: str | os.PathLike[str]) -> None:
-    """One row for each parameter (COLUMNS).  Raises DataError where the file cannot be written."""
-    columns = list(zip(*(_cells(row) for row in exported_parameters(rig)), strict=True))
-    numeric = [
-        np.array(column, dtype=float) if 2 <= k <= 5 else [str(cell) for cell in column]
-        for k, column in enumerate(columns)
-    ]
-    write_rows(path, COLUMNS, numeric)
+def write_parameters(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
+    """Write a row for each parameter (COLUMNS), or by the ending `matlab_script`.
+
+    Parquet holds the covariance of the unknowns as JSON in its metadata (`covariance`, `order`).  Raises DataError
+    where the file cannot be written.
+    """
+    rows, ending = exported_parameters(rig), Path(path).suffix.lower()
+    if ending == ".m":
+        write_text(path, matlab_script(rig, rows))
+        return Written((path,))
+    columns = dict(zip(COLUMNS, map(list, zip(*map(astuple, rows), strict=True)), strict=True))
+    if ending == ".parquet":
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        metadata = {"model": rig.model.name, "order": to_json(list(rig.names))}
+        metadata["covariance"] = to_json(rig.covariance.tolist())
+        sink = pa.BufferOutputStream()
+        pq.write_table(pa.table(columns).replace_schema_metadata(metadata), sink)
+        write_bytes(path, sink.getvalue().to_pybytes())
+    else:
+        numeric = ("value", "sd", "low95", "high95")
+        cells = [np.array(c, dtype=float) if n in numeric else list(map(str, c)) for n, c in columns.items()]
+        write_rows(path, COLUMNS, cells)
+    return Written((path,))
 
 
-def write_parameter_parquet(rig: IdentifiedRig, path: str | os.PathLike[str]) -> None:
-    """The same as Parquet, the covariance of the unknowns as JSON in the file's metadata (`covariance`, `order`)."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    from dashpot.io.json_document import to_json
-
-    columns = [
-        list(column) for column in zip(*(_cells(row) for row in exported_parameters(rig)), strict=True)
-    ]
-    table = pa.table(dict(zip(COLUMNS, columns, strict=True)))
-    metadata = {"model": rig.model.name, "order": to_json(list(rig.names))}
-    metadata["covariance"] = to_json(rig.covariance.tolist())
-    sink = pa.BufferOutputStream()
-    pq.write_table(table.replace_schema_metadata(metadata), sink)
-    write_bytes(path, sink.getvalue().to_pybytes())
-
-
-def _cells(row: ExportedParameter) -> tuple[str | float | bool, ...]:
-    return (row.name, row.kind, row.value, row.sd, *row.interval95, row.unit, row.known, row.between)
-
-
-def write_matlab_parameters(rig: IdentifiedRig, path: str | os.PathLike[str]) -> None:
+def matlab_script(rig: IdentifiedRig, rows: Sequence[ExportedParameter]) -> str:
     """A MATLAB script: a variable for each parameter, for the fields of Simscape blocks, and their covariance.
 
-    Names that MATLAB does not take are changed, with the name of the rig file beside them.  Raises DataError where the
-    file cannot be written.
+    Names that MATLAB does not take are changed, with the name of the rig file beside them.
     """
-    rows = exported_parameters(rig)
-    variables = matlab_names([row.name for row in rows])
     lines = [f"% {_comment(rig.model.name or 'Rig')}: parameters in SI units, by dashpot"]
-    for row, variable in zip(rows, variables, strict=True):
+    for row, variable in zip(rows, matlab_names([row.name for row in rows]), strict=True):
         doubt = "known" if row.known else f"sd {row.sd:.3g}"
         origin = "" if variable == row.name else f", {_comment(row.name)}"
         lines.append(f"{variable} = {row.value!r};  % {row.unit}, {doubt}, {row.kind}{origin}")
@@ -202,26 +194,27 @@ def write_matlab_parameters(rig: IdentifiedRig, path: str | os.PathLike[str]) ->
         "parameter_names = {" + ", ".join(f"'{name}'" for name in order) + "};",
         f"parameter_covariance = [{table}];",
     ]
-    write_text(path, "\n".join(lines) + "\n")
+    return "\n".join(lines) + "\n"
 
 
 def matlab_names(names: Sequence[str]) -> list[str]:
     """Each name as a variable of MATLAB (and Python): letters, digits, _, at most 63, all different."""
-    taken: set[str] = {"parameter_names", "parameter_covariance"}
+    words = {
+        "case",
+        "catch",
+        "classdef",
+        "end",
+        "function",
+        "otherwise",
+        "parfor",
+        "persistent",
+        "spmd",
+        "switch",
+    }
     variables = []
     for name in names:
         variable = re.sub(r"[^A-Za-z0-9_]", "_", name)[:60]
-        if not re.match(r"[A-Za-z]", variable) or variable in MATLAB_WORDS or keyword.iskeyword(variable):
+        if not re.match(r"[A-Za-z]", variable) or variable in words or keyword.iskeyword(variable):
             variable = f"p_{variable}"
-        unique, count = variable, 1
-        while unique in taken:
-            count += 1
-            unique = f"{variable}_{count}"
-        taken.add(unique)
-        variables.append(unique)
-    return variables
-
-
-def _comment(text: str) -> str:
-    """Text on one line."""
-    return " ".join(text.split())
+        variables.append(variable)
+    return distinct(variables, taken=("parameter_names", "parameter_covariance"))

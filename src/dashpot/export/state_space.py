@@ -1,9 +1,21 @@
-"""State spaces of identified rigs, with what the uncertainty of the parameters makes of them."""
+"""State spaces of identified rigs, with what the uncertainty of the parameters makes of them.
+
+M ẍ + C ẋ + K x = F u̇ + G u + J ü + S f is made a state space whose matrices are proper, whatever the base is given as.
+A damper to the base needs u̇ and a mass that hangs on it ü, so that a channel may depend on derivatives of what is
+given.  The input is therefore u, u̇ or ü, w = u^(d); lower derivatives are states, and higher ones are taken out of the
+states by shifts:
+
+    x = ξ + β₀ w      ẋ = η + β₁ w + β₀ ẇ      z = (ξ, η, lower derivatives of u)
+
+With d = 0, β₀ = M⁻¹J, β₁ = M⁻¹F − M⁻¹C β₀; with d = 1, β₀ = 0, β₁ = M⁻¹J; with d = 2 both vanish.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -11,27 +23,18 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Quantity
 from dashpot.errors import ModelError, UsageError
+from dashpot.export.formats import ExportOptions, Written
 from dashpot.export.identified_rig import IdentifiedRig
+from dashpot.io.atomic import write_bytes, write_text
 from dashpot.io.json_document import optional_library, to_json
 from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, channel_unit, observation_model
 from dashpot.units import si_unit
 
-# The equation of motion as a state space whose matrices are proper, whatever the base is given as.
-#
-# M ẍ + C ẋ + K x = F u̇ + G u + J ü + S f. A damper to the base needs u̇ and a mass that hangs on it ü, so
-# that a channel may depend on derivatives of what is given. The input is therefore u, u̇ or ü, w = u^(d);
-# lower derivatives are states, and higher ones are taken out of the states by shifts:
-#
-# x = ξ + β₀ w ẋ = η + β₁ w + β₀ ẇ z = (ξ, η, lower derivatives of u)
-#
-# With d = 0, β₀ = M⁻¹J, β₁ = M⁻¹F − M⁻¹C β₀; with d = 1, β₀ = 0, β₁ = M⁻¹J; with d = 2 both vanish.
-
-
-SINGULAR = 1e13  # condition of the scaled mass matrix
-ROUNDING = 1e-12  # relative: below it a coefficient is one of rounding
 DERIVATIVES = {"K": 0, "C": 1, "M": 2}
+MOTIONS = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
+SUFFIXES = ("", "_rate", "_acceleration")  # of an input's name, by what is given of it
 
 Matrix = np.ndarray[Any, Any]  # real, or complex where a slope is taken by a complex step
 
@@ -54,7 +57,7 @@ class Signals:
     def improper(self) -> Bools:
         """Which inputs have derivatives in which signals, (signals, inputs)."""
         size = np.max(np.abs(self.W), axis=(-3, -2), keepdims=True)
-        return np.any((np.abs(self.W) > ROUNDING * size)[..., 1:, :, :], axis=-3)
+        return np.any((np.abs(self.W) > 1e-12 * size)[..., 1:, :, :], axis=-3)  # else of rounding
 
     @property
     def direct(self) -> Matrix:
@@ -66,13 +69,11 @@ class Signals:
 class Realisation:
     """ż = A z + B w and the motion: x, ẋ, ẍ of coordinates, u, u̇, ü of moved points, f.
 
-    A (..., states, states), B (..., states, inputs); `orders` (r,) of the derivatives that are given;
-    `shifts` (β₀, β₁), each (..., n, r).
+    A (..., states, states), B (..., states, inputs); `shifts` (β₀, β₁), each (..., n, r).
     """
 
     A: Matrix
     B: Matrix
-    orders: Ints
     coordinates: tuple[Signals, Signals, Signals]
     moved: tuple[Signals, Signals, Signals]
     shifts: tuple[Matrix, Matrix]
@@ -88,7 +89,7 @@ def realisation(model: Model, p: Matrix, orders: Ints) -> Realisation:
     rig = matrices(model, p)
     size = np.sqrt(np.abs(np.diagonal(rig.M, axis1=-2, axis2=-1)))
     if np.any(size == 0) or np.any(
-        np.linalg.cond(rig.M / (size[..., :, None] * size[..., None, :])) > SINGULAR
+        np.linalg.cond(rig.M / (size[..., :, None] * size[..., None, :])) > 1e13  # singular but for rounding
     ):
         raise ModelError(
             "the rig has a coordinate without mass: its motion in time is not determined by its state",
@@ -123,7 +124,7 @@ def realisation(model: Model, p: Matrix, orders: Ints) -> Realisation:
         Signals(rows[n:], np.stack([of_inputs[1], of_inputs[0], nothing], axis=-3)),
         Signals(A[..., n : 2 * n, :], np.stack([B[..., n : 2 * n, :], of_inputs[1], of_inputs[0]], axis=-3)),
     )
-    return Realisation(A, B, orders, coordinates, moved, (beta0, beta1))
+    return Realisation(A, B, coordinates, moved, (beta0, beta1))
 
 
 def _moved_points(orders: Ints, n: int, states: int, inputs: int) -> tuple[Signals, Signals, Signals]:
@@ -145,21 +146,16 @@ def _moved_points(orders: Ints, n: int, states: int, inputs: int) -> tuple[Signa
 def channel_signals(view: ObservationModel, p: Matrix, rig: Realisation) -> Signals:
     """What the channels show, calibrations left out: one signal each."""
     model = view.model
-    r = len(rig.orders)
-    states, inputs = rig.A.shape[-1], rig.B.shape[-1]
-    applied = np.zeros((len(view.channels), inputs))
-    applied[:, r:] = view.on_q[:, r:]
-    nothing = np.zeros_like(applied)
-    total = Signals(np.zeros((len(view.channels), states)), np.stack([applied, nothing, nothing]))
-    for d in range(3):
-        at = (view.derivative == d)[:, None]
-        total = total + rig.coordinates[d].times(view.on_x * at) + rig.moved[d].times(view.on_q[:, :r] * at)
-    for letter, derivative in DERIVATIVES.items():
+    r, outputs = len(model.displacement_inputs), len(view.channels)
+    W = np.zeros((3, outputs, rig.B.shape[-1]))
+    W[0, :, r:] = view.on_q[:, r:]
+    total = Signals(np.zeros((outputs, rig.A.shape[-1])), W)
+    for letter, d in DERIVATIVES.items():
+        at, x, u = (view.derivative == d)[:, None], rig.coordinates[d], rig.moved[d]
+        total = total + x.times(view.on_x * at) + u.times(view.on_q[:, :r] * at)
         index = model.by_matrix[letter]
         if len(index) and view.has_forces:
-            elongation = rig.coordinates[derivative].times(model.B[index]) + rig.moved[derivative].times(
-                model.D[index]
-            )
+            elongation = x.times(model.B[index]) + u.times(model.D[index])
             total = total + elongation.times(view.force[:, index] * p[..., None, index])
     return total
 
@@ -168,18 +164,11 @@ def proper_orders(view: ObservationModel, p: Real, least: Sequence[int]) -> Ints
     """The least derivatives of the moved points, `least` (r,) at least, by which every channel is proper."""
     orders = np.array(least, dtype=np.int64)
     while True:
-        improper = np.any(channel_signals(view, p, realisation(view.model, p, orders)).improper, axis=0)[
-            : len(orders)
-        ]
-        raised = np.minimum(orders + improper, 2)
+        improper = channel_signals(view, p, realisation(view.model, p, orders)).improper
+        raised = np.minimum(orders + np.any(improper, axis=0)[: len(orders)], 2)
         if np.array_equal(raised, orders):
             return orders
         orders = raised
-
-
-MOTIONS = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
-SUFFIXES = ("", "_rate", "_acceleration")  # of an input's name, by what is given of it
-STEP = 1e-25  # of complex steps, relative
 
 
 @dataclass(frozen=True)
@@ -235,16 +224,16 @@ class StateSpace:
         )
         return response + self.D
 
-    def content(self) -> dict[str, Any]:
-        """What the JSON file holds."""
+    def to_json(self) -> str:
+        """The matrices, names and units, values and covariance of the parameters, and slopes by them as JSON."""
         letters = "ABCD"
-        return {
+        content = {
             "dashpot": "state space",
             "model": self.name,
             **{letter: getattr(self, letter).tolist() for letter in letters},
             "states": list(self.states),
-            "inputs": [_row(port) for port in self.inputs],
-            "outputs": [_row(port) for port in self.outputs],
+            "inputs": [vars(port) for port in self.inputs],
+            "outputs": [vars(port) for port in self.outputs],
             "parameters": dict(zip(self.parameters, self.values.tolist(), strict=True)),
             "order": list(self.parameters),
             "covariance": self.covariance.tolist(),
@@ -253,27 +242,17 @@ class StateSpace:
             },
             "shifts": [part.tolist() for part in self.shifts],
         }
-
-    def to_json(self) -> str:
-        """The matrices, names and units, values and covariance of the parameters, and slopes by them as JSON."""
-        return to_json(self.content())
+        return to_json(content)
 
     def to_mat(self) -> bytes:
         """The same as a MATLAB file (version 5): A, B, C, D, names as cell arrays, dA … as (…, …, parameters)."""
-        from io import BytesIO
-
         from scipy.io import savemat
-
-        def cells(texts: list[str]) -> np.ndarray[Any, Any]:
-            out = np.empty((len(texts), 1), dtype=object)
-            out[:, 0] = texts
-            return out
 
         content: dict[str, Any] = {letter: getattr(self, letter) for letter in "ABCD"}
         for what, ports in (("input", self.inputs), ("output", self.outputs)):
             for field in ("name", "quantity", "unit"):
-                content[f"{what}_{field}"] = cells([getattr(port, field) for port in ports])
-        content |= {"state_name": cells(list(self.states)), "parameter_name": cells(list(self.parameters))}
+                content[f"{what}_{field}"] = _cells(getattr(port, field) for port in ports)
+        content |= {"state_name": _cells(self.states), "parameter_name": _cells(self.parameters)}
         content |= {"parameter_value": self.values[:, None], "parameter_covariance": self.covariance}
         content |= {f"d{a}": np.moveaxis(part, 0, -1) for a, part in zip("ABCD", self.slopes, strict=True)}
         content |= {"beta0": self.shifts[0], "beta1": self.shifts[1], "model": self.name}
@@ -292,8 +271,19 @@ class StateSpace:
         return control.ss(self.A, self.B, self.C, self.D, **names)
 
 
-def _row(port: Port) -> dict[str, str]:
-    return {"name": port.name, "quantity": port.quantity, "unit": port.unit}
+def _cells(texts: Iterable[str]) -> np.ndarray[Any, Any]:
+    """Texts as a cell array of MATLAB, a column."""
+    return np.array([*texts, None], dtype=object)[:-1, None]
+
+
+def write_state_space(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
+    """Write the state space as JSON or, by its ending, as a MATLAB file.  Raises as `state_space_of`."""
+    system = state_space_of(rig, options.given)
+    if Path(path).suffix.lower() == ".mat":
+        write_bytes(path, system.to_mat())
+    else:
+        write_text(path, system.to_json())
+    return Written((path,))
 
 
 def state_space_of(rig: IdentifiedRig, given: str | Mapping[str, str] | None = None) -> StateSpace:
@@ -313,26 +303,41 @@ def state_space_of(rig: IdentifiedRig, given: str | Mapping[str, str] | None = N
             cure="list channels of the coordinates",
         )
     view = observation_model(model, channels, np.zeros(1))
-    asked = _asked(model, given)
-    measured = _measured_orders(rig)
+    asked, measured = _asked(model, given), _measured_orders(rig)
     least = [
-        measured[name] if asked.get(name) is None else MOTIONS.index(Quantity(asked[name]))
+        MOTIONS.index(Quantity(asked[name])) if name in asked else measured.get(name, 0)
         for name in model.displacement_inputs
     ]
     orders = proper_orders(view, rig.p, least)
     for name, order, start in zip(model.displacement_inputs, orders.tolist(), least, strict=True):
-        if order != start and asked.get(name) is not None:
+        if order != start and name in asked:
             raise UsageError(
                 f"some channel depends on the {MOTIONS[order]} of {name}",
                 cure=f"give {name} as {MOTIONS[order]}",
             )
-    realised = realisation(model, rig.p, orders)
-    seen = channel_signals(view, rig.p, realised)
+    parts, shifts = _matrices(view, rig.p, orders)
+    states, inputs = [*model.coordinates, *(f"{name}_rate" for name in model.coordinates)], []
+    for name, order in zip(model.displacement_inputs, orders.tolist(), strict=True):
+        states += [name, f"{name}_rate"][:order]
+        quantity = MOTIONS[order].value
+        unit = si_unit(quantity, name in model.angles)
+        inputs.append(Port(f"{name}{SUFFIXES[order]}", quantity, unit))
+    for source in model.inputs:
+        if source.kind == "force":
+            unit = si_unit("force", bool(source.at) and set(source.at) <= set(model.angles))
+            inputs.append(Port(source.name, "force", unit))
     return StateSpace(
-        model.name, realised.A, realised.B, seen.Z, seen.direct, _state_names(model, orders), _inputs(model, orders),
+        model.name,
+        *parts,
+        tuple(states),
+        tuple(inputs),
         tuple(Port(c.name, c.quantity.value, channel_unit(model, c)) for c in channels),
-        rig.names, rig.theta, rig.covariance, _slopes(rig, realised, seen, orders), realised.shifts,
-    )  # fmt: skip
+        rig.names,
+        rig.theta,
+        rig.covariance,
+        _slopes(rig, view, orders, parts),
+        shifts,
+    )
 
 
 def _asked(model: Model, given: str | Mapping[str, str] | None) -> Mapping[str, str]:
@@ -342,60 +347,41 @@ def _asked(model: Model, given: str | Mapping[str, str] | None) -> Mapping[str, 
         if name not in model.displacement_inputs:
             cure = f"there are {', '.join(model.displacement_inputs) or 'none'}"
             raise UsageError(f"{name} is not a displacement input of the rig", cure=cure)
-        if quantity not in [motion.value for motion in MOTIONS]:
-            cure = f"give {', '.join(motion.value for motion in MOTIONS)}"
-            raise UsageError(f"an input cannot be given as {quantity}", cure=cure)
+        if quantity not in MOTIONS:
+            raise UsageError(f"an input cannot be given as {quantity}", cure=f"give {', '.join(MOTIONS)}")
     return named
 
 
 def _measured_orders(rig: IdentifiedRig) -> dict[str, int]:
-    """How often each displacement input is differentiated in its own channel; 0 where it has none."""
+    """How often a point is differentiated in its own channel, by name, where it has one."""
     orders: dict[str, int] = {}
     for channel in rig.channels:
         if channel.quantity is not Quantity.FORCE and len(channel.of) == 1:
             (name,) = channel.of
             orders[name] = min(channel.quantity.derivative, orders.get(name, 2))
-    return {name: orders.get(name, 0) for name in rig.model.displacement_inputs}
+    return orders
 
 
-def _state_names(model: Model, orders: Ints) -> tuple[str, ...]:
-    names = [*model.coordinates, *(f"{name}_rate" for name in model.coordinates)]
-    for name, order in zip(model.displacement_inputs, orders.tolist(), strict=True):
-        names += [name, f"{name}_rate"][:order]
-    return tuple(names)
+Parts = tuple[Matrix, Matrix, Matrix, Matrix]
 
 
-def _inputs(model: Model, orders: Ints) -> tuple[Port, ...]:
-    ports = []
-    for name, order in zip(model.displacement_inputs, orders.tolist(), strict=True):
-        quantity = MOTIONS[order].value
-        ports.append(Port(f"{name}{SUFFIXES[order]}", quantity, si_unit(quantity, name in model.angles)))
-    for source in model.inputs:
-        if source.kind == "force":
-            angular = bool(source.at) and set(source.at) <= set(model.angles)
-            ports.append(Port(source.name, "force", si_unit("force", angular)))
-    return tuple(ports)
+def _matrices(view: ObservationModel, p: Matrix, orders: Ints) -> tuple[Parts, tuple[Matrix, Matrix]]:
+    """(A, B, C, D) and the shifts at parameters p (..., elements)."""
+    found = realisation(view.model, p, orders)
+    seen = channel_signals(view, p, found)
+    return (found.A, found.B, seen.Z, seen.direct), found.shifts
 
 
-def _slopes(
-    rig: IdentifiedRig, found: Realisation, seen: Signals, orders: Ints
-) -> tuple[Real, Real, Real, Real]:
+def _slopes(rig: IdentifiedRig, view: ObservationModel, orders: Ints, parts: Parts) -> Parts:
     """∂A, ∂B, ∂C and ∂D by the unknowns, (m, …), by complex steps: exact to rounding."""
-    model, m = rig.model, len(rig.theta)
+    m = len(rig.theta)
     if not m:
-        empty = [np.zeros((0, *part.shape)) for part in (found.A, found.B, seen.Z, seen.direct)]
-        return empty[0], empty[1], empty[2], empty[3]
-    step = STEP * np.where(rig.theta == 0, 1.0, np.abs(rig.theta))
-    p = rig.p + 1j * (model.T * step).T
-    view = observation_model(model, rig.outputs, np.zeros(1))
-    moved = realisation(model, p, orders)
-    shown = channel_signals(view, p, moved)
-    parts = []
-    for part, shape in (
-        (moved.A, found.A.shape),
-        (moved.B, found.B.shape),
-        (shown.Z, seen.Z.shape),
-        (shown.direct, seen.direct.shape),
-    ):
-        parts.append(np.broadcast_to(part, (m, *shape)).imag / step[:, None, None])
-    return parts[0], parts[1], parts[2], parts[3]
+        A, B, C, D = (np.zeros((0, *part.shape)) for part in parts)
+        return A, B, C, D
+    step = 1e-25 * np.where(rig.theta == 0, 1.0, np.abs(rig.theta))
+    moved, _ = _matrices(view, rig.p + 1j * (rig.model.T * step).T, orders)
+    A, B, C, D = (
+        np.broadcast_to(part, (m, *at.shape)).imag / step[:, None, None]
+        for part, at in zip(moved, parts, strict=True)
+    )
+    return A, B, C, D

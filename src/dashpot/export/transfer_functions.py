@@ -9,15 +9,16 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real, frozen
 from dashpot.channel import Channel
+from dashpot.data.readers.text import write_rows
 from dashpot.errors import UsageError
+from dashpot.export.formats import ExportOptions, Written
 from dashpot.export.identified_rig import IdentifiedRig
-from dashpot.export.state_space import Port, StateSpace
+from dashpot.export.state_space import Port, StateSpace, state_space_of
+from dashpot.io.atomic import write_text
 from dashpot.io.json_document import optional_library, to_json
 from dashpot.model.dynamics import no_steady_response
 from dashpot.model.observation import channel_unit, input_channels, observation_model, transfer
 from dashpot.model.rigfile.rig import is_electrical
-
-NEGLIGIBLE = 1e-10  # of a Markov parameter, relative
 
 
 @dataclass(frozen=True)
@@ -63,16 +64,12 @@ class TransferFunctions:
 
     def to_json(self) -> str:
         """Poles, zeros, gains and polynomials as JSON; complex numbers are [re, im]."""
-
-        def pairs(values: Complex) -> list[list[float]]:
-            return [[float(value.real), float(value.imag)] for value in values]
-
         rows = [
             {
                 "output": seen.name,
                 "input": source.name,
                 "gain": float(self.gain[i, j]),
-                "zeros": pairs(self.zeros[i][j]),
+                "zeros": _pairs(self.zeros[i][j]),
                 "numerator": self.numerator(i, j).tolist(),
             }
             for i, seen in enumerate(self.outputs)
@@ -83,7 +80,7 @@ class TransferFunctions:
             "model": self.name,
             "inputs": [vars(port) for port in self.inputs],
             "outputs": [vars(port) for port in self.outputs],
-            "poles": pairs(self.poles),
+            "poles": _pairs(self.poles),
             "denominator": self.denominator.tolist(),
             "functions": rows,
         }
@@ -102,6 +99,10 @@ class TransferFunctions:
         return control.tf(numerators, denominators, **names)
 
 
+def _pairs(values: Complex) -> list[list[float]]:
+    return np.stack([values.real, values.imag], axis=-1).tolist()
+
+
 def transfer_functions_of(system: StateSpace) -> TransferFunctions:
     """The transfer functions of a state space.
 
@@ -118,8 +119,14 @@ def transfer_functions_of(system: StateSpace) -> TransferFunctions:
             found, gain[i, j] = _zeros(system.A, system.B[:, j], system.C[i], float(system.D[i, j]))
             row.append(found)
         zeros.append(tuple(row))
-    return TransferFunctions(system.name, system.inputs, system.outputs, frozen(poles, np.complex128), tuple(zeros),
-                             frozen(gain, np.float64))  # fmt: skip
+    poles, gain = frozen(poles, np.complex128), frozen(gain, np.float64)
+    return TransferFunctions(system.name, system.inputs, system.outputs, poles, tuple(zeros), gain)
+
+
+def write_transfer_functions(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
+    """Write transfer functions as JSON.  Raises as `state_space_of`."""
+    write_text(path, transfer_functions_of(state_space_of(rig, options.given)).to_json())
+    return Written((path,))
 
 
 def _zeros(A: Real, b: Real, c: Real, d: float) -> tuple[Complex, float]:
@@ -134,7 +141,7 @@ def _zeros(A: Real, b: Real, c: Real, d: float) -> tuple[Complex, float]:
         markov.append(float(c @ state))
         scales.append(size * rate**k)
         state = A @ state
-    leading = [k for k in range(n + 1) if abs(markov[k]) > NEGLIGIBLE * scales[k]]
+    leading = [k for k in range(n + 1) if abs(markov[k]) > 1e-10 * scales[k]]  # else of rounding
     if not leading:
         return np.zeros(0, dtype=complex), 0.0
     degree = leading[0]
@@ -171,21 +178,28 @@ def frequency_responses(rig: IdentifiedRig, frequency_hz: Real) -> tuple[Complex
     return of_rig.G, np.sqrt(np.maximum(variance, 0.0))
 
 
-def frequency_response_table(rig: IdentifiedRig, frequency_hz: Real) -> tuple[list[str], list[Real]]:
-    """Header and columns of a CSV: frequency_hz, then OUT/IN_re, OUT/IN_im, OUT/IN_sd in physical units.
+def write_frequency_responses(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
+    """Write a CSV: frequency_hz, then OUT/IN_re, OUT/IN_im, OUT/IN_sd in physical units.
 
-    frequency_hz (lines,).
+    Raises UsageError without frequencies, and as `frequency_responses`.
     """
+    frequency_hz = options.frequency_hz
+    if frequency_hz is None:
+        if options.data is None:
+            raise UsageError(
+                "frequency responses need frequencies", cure="give frequencies, or data that have some"
+            )
+        frequency_hz = np.unique(options.data.frequency_hz)
     H, sd = frequency_responses(rig, frequency_hz)
-    drives = input_units(rig)
-    header, columns = ["frequency_hz"], [np.asarray(frequency_hz, dtype=float)]
+    header, columns = ["frequency_hz"], [frequency_hz]
     for i, channel in enumerate(rig.outputs):
-        for j, (name, scale, _) in enumerate(drives):
+        for j, (name, scale, _) in enumerate(input_units(rig)):
             factor = scale / unit_of_channel(rig, channel)[0]
             values = H[:, i, j] * factor
             header += [f"{channel.name}/{name}_{part}" for part in ("re", "im", "sd")]
             columns += [values.real, values.imag, sd[:, i, j] * factor]
-    return header, columns
+    write_rows(path, header, columns)
+    return Written((path,))
 
 
 def input_units(rig: IdentifiedRig) -> list[tuple[str, float, str]]:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping
-
 import numpy as np
 
 from dashpot.arrays import Complex, Real
@@ -15,34 +12,29 @@ from dashpot.data.readers.uff.modes import NodalMode
 from dashpot.data.readers.uff.writer import write_universal_file
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
+from dashpot.export.formats import ExportOptions, Written
 from dashpot.export.identified_rig import IdentifiedRig
 from dashpot.export.transfer_functions import frequency_responses, input_units, unit_of_channel
 from dashpot.model.modes import modes
 from dashpot.model.observation import input_channels
 
-SIGNIFICANT = 1e-6  # relative: an input below it does not act
-ALONG, AROUND = 1, 4  # directions +X and +RX
 
-
-def write_rig_universal_file(
-    rig: IdentifiedRig,
-    path: str | os.PathLike[str],
-    frequency_hz: Real | None = None,
-    data: Spectrum | None = None,
-) -> None:
-    """Write modes, fitted frequency responses at `frequency_hz` and, of `data`, measured and fitted ones.
+def write_rig_universal_file(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
+    """Write modes, fitted frequency responses at the options' frequencies and, of their data, measured and fitted ones.
 
     Coordinate k is node k + 1, displacement inputs follow, then channels that are no single point.  ID line 1 of a
     function is OUT/IN, line 2 says measured or fitted; of modes, lines 3 to 5 list nodes and names.  Raises as
-    `measured_responses` and `frequency_responses`.  frequency_hz (lines,).
+    `measured_responses` and `frequency_responses`.
     """
     functions: list[NodalFunction] = []
-    if data is not None:
-        functions += measured_responses(rig, data)
-        frequency_hz = np.unique(data.frequency_hz) if frequency_hz is None else frequency_hz
+    frequency_hz = options.frequency_hz
+    if options.data is not None:
+        functions += measured_responses(rig, options.data)
+        frequency_hz = np.unique(options.data.frequency_hz) if frequency_hz is None else frequency_hz
     if frequency_hz is not None:
-        functions += fitted_responses(rig, np.asarray(frequency_hz, dtype=float))
+        functions += fitted_responses(rig, frequency_hz)
     write_universal_file(path, functions, nodal_modes(rig))
+    return Written((path,))
 
 
 def nodal_modes(rig: IdentifiedRig) -> list[NodalMode]:
@@ -101,7 +93,7 @@ def measured_responses(rig: IdentifiedRig, data: Spectrum) -> list[NodalFunction
     compared = residuals(rig.model, rig.theta, data, calibrations)
     size = np.abs(compared.inputs)
     scale = np.max(size, axis=0, initial=0.0)
-    acting = size > SIGNIFICANT * np.where(scale > 0, scale, np.inf)
+    acting = size > 1e-6 * np.where(scale > 0, scale, np.inf)
     alone = np.sum(acting, axis=1) == 1
     outputs = {channel.name: channel for channel in rig.outputs}
     functions = []
@@ -132,10 +124,11 @@ def _function(
     name, scale, unit = input_units(rig)[source]
     of_channel, channel_unit = unit_of_channel(rig, channel)
     drive = input_channels(rig.model)[source]
+    ids = (f"{channel.name}/{name}", origin, rig.model.name[:80])
+    shown, moved = _point(rig, channel), _point(rig, drive)
     return NodalFunction(
-        FRF, _point(rig, channel), _point(rig, drive), frequency_hz, values * (scale / of_channel),
-        channel_unit, unit, (f"{channel.name}/{name}", origin, rig.model.name[:80]),
-    )  # fmt: skip
+        FRF, shown, moved, frequency_hz, values * (scale / of_channel), channel_unit, unit, ids
+    )
 
 
 def _point(rig: IdentifiedRig, channel: Channel) -> Point:
@@ -143,21 +136,16 @@ def _point(rig: IdentifiedRig, channel: Channel) -> Point:
     model = rig.model
     moved = [*model.coordinates, *model.displacement_inputs]
     forces = {source.name: source.at for source in model.inputs if source.kind == "force"}
-    places = list(_places(channel, forces))
-    if len(places) == 1 and places[0] in moved:
-        return Point(channel.name[:10], moved.index(places[0]) + 1, _direction(rig, places[0]))
+    at: list[str] = []
+    for name in channel.of:
+        at += forces[name] if channel.quantity is Quantity.FORCE and name in forces else [name]
+    if len(at) == 1 and at[0] in moved:
+        return Point(channel.name[:10], moved.index(at[0]) + 1, _direction(rig, at[0]))
     names = [known.name for known in rig.channels] + list(forces)
     number = names.index(channel.name) if channel.name in names else len(names)
-    return Point(channel.name[:10], len(moved) + 1 + number, ALONG)
-
-
-def _places(channel: Channel, forces: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
-    for name in channel.of:
-        if channel.quantity is Quantity.FORCE and name in forces:
-            yield from forces[name]
-        else:
-            yield name
+    return Point(channel.name[:10], len(moved) + 1 + number, 1)
 
 
 def _direction(rig: IdentifiedRig, point: str) -> int:
-    return AROUND if point in rig.model.angles else ALONG
+    """+X, of an angle +RX."""
+    return 4 if point in rig.model.angles else 1

@@ -11,7 +11,7 @@ SOURCES = Path(dashpot.__file__).parent
 # Files of dashpot's own: the package's, those in the folder of a study, which its claim reads and writes, and those
 # that other programs need for a moment; and what the system says of a process.
 OWN = {
-    "export/fmu/archive.py",
+    "export/fmu.py",
     "io/atomic.py",
     "io/guarded.py",
     "reproduce/yamane1989/rig.py",

@@ -10,8 +10,9 @@ from scipy.linalg import expm
 
 import dashpot
 from dashpot.errors import ModelError, UsageError
-from dashpot.export.fmu import archive
-from dashpot.export.fmu.archive import write_fmu
+from dashpot.export import fmu
+from dashpot.export.fmu import write_fmu
+from dashpot.export.formats import ExportOptions
 from dashpot.export.identified_rig import identified_rig
 from dashpot.export.state_space import state_space_of
 from dashpot.model.motion import integrator
@@ -21,7 +22,7 @@ from tests.unit.export.exported import TWO_MASSES, VARIANTS, expected_response, 
 fmpy = pytest.importorskip("fmpy")
 validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu
 needs_compiler = pytest.mark.skipif(
-    not any(shutil.which(name) for name in archive.COMPILERS), reason="no C compiler"
+    not any(shutil.which(name) for name in fmu.COMPILERS), reason="no C compiler"
 )
 
 
@@ -29,7 +30,7 @@ needs_compiler = pytest.mark.skipif(
 def unit_file(tmp_path_factory):
     """Two masses as a unit with a binary."""
     path = tmp_path_factory.mktemp("fmu") / "rig.fmu"
-    write_fmu(two_masses(), path)
+    write_fmu(two_masses(), path, ExportOptions())
     return path
 
 
@@ -71,7 +72,7 @@ def test_it_moves_as_the_rig(tmp_path, variant):
     rig = lever(variant)
     system = state_space_of(rig)
     path = tmp_path / "rig.fmu"
-    assert write_fmu(rig, path)
+    assert write_fmu(rig, path, ExportOptions()).compiled
     assert not validate_fmu(str(path))
     rng = np.random.default_rng(0)
     q = rng.normal(size=len(system.inputs)) + 1j * rng.normal(size=len(system.inputs))
@@ -153,10 +154,10 @@ def test_states_are_kept_and_restored(unit_file):
 
 
 def test_without_a_compiler_it_holds_its_source(tmp_path, monkeypatch):
-    monkeypatch.setattr(archive, "COMPILERS", ())
+    monkeypatch.setattr(fmu, "COMPILERS", ())
     monkeypatch.delenv("CC", raising=False)
     path = tmp_path / "rig.fmu"
-    assert not write_fmu(lever("springs to the base"), path)
+    assert not write_fmu(lever("springs to the base"), path, ExportOptions()).compiled
     with zipfile.ZipFile(path) as unit:
         names = unit.namelist()
         description = ElementTree.fromstring(unit.read("modelDescription.xml"))
@@ -173,7 +174,7 @@ def test_the_source_has_no_warning(tmp_path, monkeypatch):
 
     for variant in VARIANTS:
         path = tmp_path / "rig.fmu"
-        write_fmu(lever(variant), path, compiled=False)
+        write_fmu(lever(variant), path, ExportOptions(compiled=False))
         with zipfile.ZipFile(path) as unit:
             unit.extractall(tmp_path)
         command = [
@@ -196,11 +197,11 @@ def test_a_compiler_that_fails_is_named(tmp_path, monkeypatch):
         pytest.skip("no program that fails")
     monkeypatch.setenv("CC", false)
     with pytest.raises(UsageError, match="does not compile the FMU"):
-        write_fmu(two_masses(), tmp_path / "rig.fmu")
+        write_fmu(two_masses(), tmp_path / "rig.fmu", ExportOptions())
     assert not (tmp_path / "rig.fmu").exists()
 
 
 def test_nonlinear_rigs_are_refused(tmp_path):
     with pytest.raises(ModelError, match="an FMU cannot hold the nonlinear law of c1"):
-        write_fmu(nonlinear(), tmp_path / "rig.fmu")
+        write_fmu(nonlinear(), tmp_path / "rig.fmu", ExportOptions())
     assert dashpot.__version__
