@@ -17,8 +17,7 @@ from dashpot.check.identifiability import Structure
 from dashpot.check.structure import Deficiency
 from dashpot.data.spectrum import SettledDwell, Spectrum
 from dashpot.errors import DashpotError, IdentifiabilityError, ModelError
-from dashpot.estimate.nonlinear.dwells import WarmStart
-from dashpot.estimate.nonlinear.objective import NonlinearPart, evaluate, nonlinear_part
+from dashpot.estimate.nonlinear.objective import NonlinearPart, WarmStart, evaluate, nonlinear_part
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate

@@ -19,7 +19,7 @@ from dashpot.data.conditioning.used_dwells import UsedDwell
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.likelihood.ends_shown import shown_by_ends
 from dashpot.estimate.likelihood.objective import FLOOR, measured, predict
-from dashpot.estimate.nonlinear.prediction import predicted_lines
+from dashpot.estimate.nonlinear.objective import predicted_lines
 from dashpot.estimate.preparation.prepared import Prepared, working_covariance
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import no_steady_response

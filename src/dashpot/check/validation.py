@@ -21,7 +21,7 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import SettledDwell, Spectrum, Stretch, WholeRecord, history_of_lines
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.objective import measured, predict
-from dashpot.estimate.nonlinear.prediction import noise_of_measured_inputs, predicted_lines
+from dashpot.estimate.nonlinear.objective import noise_of_measured_inputs, predicted_lines
 from dashpot.estimate.nonlinear.record_inference import FollowedRecord, followed_record
 from dashpot.estimate.nonlinear.record_problem import (
     LinearisedRecord,

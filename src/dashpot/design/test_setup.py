@@ -19,8 +19,7 @@ import numpy as np
 from dashpot.arrays import Complex, Ints, Real, freeze, frozen, hermitian
 from dashpot.channel import Channel
 from dashpot.errors import DataError, ModelError, UsageError
-from dashpot.estimate.nonlinear.dwells import FEWEST, DwellLines, WarmStart
-from dashpot.estimate.nonlinear.objective import NonlinearPart, evaluate
+from dashpot.estimate.nonlinear.objective import FEWEST, DwellLines, NonlinearPart, WarmStart, evaluate
 from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.model.observation import (

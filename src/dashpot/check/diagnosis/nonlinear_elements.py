@@ -34,7 +34,7 @@ from dashpot.estimate.likelihood.objective import (
 from dashpot.estimate.linear.auxiliary_model import equation_covariance
 from dashpot.estimate.linear.gram import known_side
 from dashpot.estimate.linear.least_squares import equation
-from dashpot.estimate.nonlinear.dwells import dwells_of
+from dashpot.estimate.nonlinear.objective import dwells_of
 from dashpot.estimate.nonlinear.regression import MeasuredMotion, measured_motion, regressors_of
 from dashpot.estimate.nonlinear.search import lost_dwells_regained, measured_branches_regained
 from dashpot.estimate.preparation.prepared import Prepared, prepare

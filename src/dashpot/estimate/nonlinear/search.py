@@ -14,8 +14,14 @@ from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
 from dashpot.estimate.inference.diagnostics import require_traces
 from dashpot.estimate.likelihood.global_search import DOUBT, apart, not_unique
 from dashpot.estimate.likelihood.objective import local, measured
-from dashpot.estimate.nonlinear.dwells import FEWEST, WarmStart, dwells_of
-from dashpot.estimate.nonlinear.objective import measured_part, predict_harmonics, regained
+from dashpot.estimate.nonlinear.objective import (
+    FEWEST,
+    WarmStart,
+    dwells_of,
+    measured_part,
+    predict_harmonics,
+    regained,
+)
 from dashpot.estimate.nonlinear.regression import (
     MeasuredMotion,
     measured_motion,

@@ -18,13 +18,27 @@ from dashpot.numerics.kernel import kernel_function, threads
 
 if TYPE_CHECKING:
     from dashpot.model.nonlinear.alternating import Alternated
+    from dashpot.model.observation import ObservationModel
 
 LARGEST = 47  # coordinates, above which rigs are sparse
 WHOLE = 8  # highest power that is multiplied out
 CODES = (
-    "number", "name", "where", "min", "max", "negative", "whole power", "abs", "sign", "tanh", "exp", "log", "sqrt",
-    "sin", "cos", "+", "-", "*", "/", "**",
-)  # fmt: skip
+    *(
+        "number",
+        "name",
+        "where",
+        "min",
+        "max",
+        "negative",
+        "whole power",
+        "abs",
+        "sign",
+        "tanh",
+        "exp",
+        "log",
+    ),
+    *("sqrt", "sin", "cos", "+", "-", "*", "/", "**"),
+)
 _CODE = {symbol: code for code, symbol in enumerate(CODES)}
 
 Step = tuple[int, int, float]  # code, which name or exponent, number
@@ -42,38 +56,29 @@ def compiled_rig(model: Model, times: int = 8) -> Any | None:
 
 
 def _compiled_rig(make: Any, model: Model) -> Any | None:
-    laws = [model.elements[int(index)].force_law for index in model.nonlinear]
-    if not 0 < model.n <= LARGEST or any(law is None or law.has_state for law in laws):
+    if not 0 < model.n <= LARGEST or any(law.has_state or len(law.constants) > 30 for law in model.laws):
         return None
     programs = []
-    for law in laws:
-        assert law is not None
+    for law in model.laws:
         names = {name: place for place, name in enumerate(("d", "v", *law.constant_names))}
-        if len(names) > 32:
-            return None
         programs.append(list(_program(law.expression.tree, names)))
-    steps = [step for program in programs for step in program]
-    code, which, number = zip(*steps, strict=True)
-    ends = [inner.stop for inner in model.constant_slices]
-    return make(
-        _numbers(model.B), _numbers(model.D), _numbers(model.S), _counts(model.nonlinear), _counts([0, *ends]),
-        _counts(np.cumsum([0, *map(len, programs)])), _counts(code), _counts(which), _numbers(number),
-    )  # fmt: skip
+    code, which, number = zip(*(step for program in programs for step in program), strict=True)
+    ends = [0, *(inner.stop for inner in model.constant_slices)]
+    starts = np.cumsum([0, *map(len, programs)])
+    counts = (_numbers(each, np.int64) for each in (model.nonlinear, ends, starts, code, which))
+    return make(_numbers(model.B), _numbers(model.D), _numbers(model.S), *counts, _numbers(number))
 
 
 def _program(node: Node, names: dict[str, int]) -> Iterator[Step]:
     """The steps of an expression, operands first."""
-    if node.symbol == "**" and _whole(node.operands[1]):
+    power = node.operands[1] if node.symbol == "**" else None
+    if power is not None and power.symbol == "number" and power.number in range(1, WHOLE + 1):
         yield from _program(node.operands[0], names)
-        yield _CODE["whole power"], int(node.operands[1].number), 0.0
+        yield _CODE["whole power"], int(power.number), 0.0
         return
     for operand in node.operands:
         yield from _program(operand, names)
     yield _CODE[node.symbol], names.get(node.name, 0), node.number
-
-
-def _whole(exponent: Node) -> bool:
-    return exponent.symbol == "number" and exponent.number in range(1, WHOLE + 1)
 
 
 def factors_of_orders(model: Model, omega: Real, orders: int) -> Complex:
@@ -109,53 +114,73 @@ def compiled_balance(
 
 
 def compiled_slopes(
-    rig: Any, model: Model, p: Real, drive: Drive, linear: tuple[Complex, Complex, Complex], forces: Alternated,
-    a: Complex, along: tuple[Real, Real, Complex | None, Complex | None],
-) -> tuple[Complex, Complex, Real]:  # fmt: skip
+    rig: Any,
+    model: Model,
+    p: Real,
+    drive: Drive,
+    linear: tuple[Complex, Complex, Complex],
+    forces: Alternated,
+    a: Complex,
+    along: tuple[Real, Real, Complex | None, Complex | None],
+) -> tuple[Complex, Complex, Real]:
     """Slopes of X, the unit forces and the elongations; `linear`: inverse, receptance and share."""
     along_p, along_constants, *inputs = along
     by_constant = np.concatenate(forces.by_constant, axis=-1)
     return rig.slopes(
-        *_dwells(model, p, np.zeros((len(p), by_constant.shape[-1])), drive), *linear, forces.slope, by_constant,
-        np.ascontiguousarray(a), _numbers(along_p), _numbers(along_constants),
-        *(None if part is None else np.ascontiguousarray(part) for part in inputs), threads(),
-    )  # fmt: skip
+        *_dwells(model, p, np.zeros((len(p), by_constant.shape[-1])), drive),
+        *linear,
+        forces.slope,
+        by_constant,
+        np.ascontiguousarray(a),
+        _numbers(along_p),
+        _numbers(along_constants),
+        *(None if part is None else np.ascontiguousarray(part) for part in inputs),
+        threads(),
+    )
 
 
 def compiled_channels(
-    rig: Any, model: Model, at: tuple[Real, Real, Complex, Real | None], dwells: tuple[Real, Ints, Ints, int],
-    times: int, along: tuple[Real, Real, Complex | None], channels: tuple[Complex, Real, Real, Real],
-) -> tuple[Complex, Complex, Real, Real, Real]:  # fmt: skip
+    rig: Any,
+    view: ObservationModel,
+    at: tuple[Real, Real, Complex, Real | None],
+    dwells: tuple[Real, Ints, Ints, int],
+    times: int,
+    along: tuple[Real, Real, Complex | None],
+) -> tuple[Complex, Complex, Real, Real, Real]:
     """Channels at the lines of dwells, their slopes, the elongations, their slopes and errors.
 
     at: p (K, elements), constants (K, G), inputs (K, lines, r + s) and elongations to start from or None; dwells: ω
-    (R,), dwell and order of each line, H; along: directions of p, the constants and the inputs (R, H + 1, r + s, Q);
-    channels: their rates (lines, channels), and what they show of X, inputs and forces.
+    (R,), dwell and order of each line, H; along: directions of p, the constants and the inputs (R, H + 1, r + s, Q).
     """
     p, constants, q, start = at
     omega, dwell, order, orders = dwells
     along_p, along_g, inputs = along
-    r = model.D.shape[1]
+    r = view.model.D.shape[1]
     parts = (None, None) if inputs is None else (inputs[:, :, :r], inputs[:, :, r:])
-    rates, *shown = channels
     return rig.lines(
-        _numbers(p), _numbers(constants), _numbers(omega), factors_of_orders(model, omega, orders),
-        np.ascontiguousarray(q), None if start is None else _numbers(start), times, _numbers(along_p),
-        _numbers(along_g), *(None if part is None else np.ascontiguousarray(part) for part in parts),
-        _counts(dwell), _counts(order), np.ascontiguousarray(rates), *map(_numbers, shown), threads(),
-    )  # fmt: skip
+        _numbers(p),
+        _numbers(constants),
+        _numbers(omega),
+        factors_of_orders(view.model, omega, orders),
+        np.ascontiguousarray(q),
+        None if start is None else _numbers(start),
+        times,
+        _numbers(along_p),
+        _numbers(along_g),
+        *(None if part is None else np.ascontiguousarray(part) for part in parts),
+        _numbers(dwell, np.int64),
+        _numbers(order, np.int64),
+        np.ascontiguousarray(view.rates),
+        *map(_numbers, (view.on_x, view.on_q, view.force)),
+        threads(),
+    )
 
 
 def _dwells(model: Model, p: Real, constants: Real, drive: Drive) -> tuple[Any, ...]:
-    return (
-        _numbers(p), _numbers(constants), _numbers(drive.omega), factors_of_orders(model, drive.omega, drive.orders),
-        np.ascontiguousarray(drive.U), np.ascontiguousarray(drive.f),
-    )  # fmt: skip
+    phi = factors_of_orders(model, drive.omega, drive.orders)
+    inputs = (np.ascontiguousarray(part) for part in (drive.U, drive.f))
+    return (_numbers(p), _numbers(constants), _numbers(drive.omega), phi, *inputs)
 
 
-def _numbers(values: Any) -> Real:
-    return np.ascontiguousarray(values, dtype=np.float64)
-
-
-def _counts(values: Any) -> Ints:
-    return np.ascontiguousarray(values, dtype=np.int64)
+def _numbers(values: Any, dtype: type = np.float64) -> Any:
+    return np.ascontiguousarray(values, dtype=dtype)

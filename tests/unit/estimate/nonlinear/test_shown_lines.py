@@ -7,8 +7,7 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.estimate.identify import identify
-from dashpot.estimate.nonlinear import objective as shown_lines
-from dashpot.estimate.nonlinear.dwells import dwells_of
+from dashpot.estimate.nonlinear.objective import ShownLines, dwells_of, shown_lines
 from dashpot.model.observation import observation_model
 from dashpot.numerics.kernel import using
 from tests.kernels import apart, compiled, instruction_sets, instructions
@@ -36,17 +35,17 @@ def test_channels_and_slopes_are_those_of_numpy(law: str, noisy: bool, name: str
     p, constants = model.parameters(several), model.inner_constants(several)
     q = np.tile(shuffled.amplitudes[None, :, 2:3], (3, 1, 1)) * np.array([1.0, 0.8, 1.1])[:, None, None]
 
-    def shown(start: np.ndarray | None) -> shown_lines.ShownLines:
-        return shown_lines.shown_lines(view, dwells, p, constants, q, start, noisy=noisy, grow=True)
+    def shown(start: np.ndarray | None, grow: bool = False) -> ShownLines:
+        return shown_lines(view, dwells, p, constants, q, start, noisy=noisy, grow=grow)
 
     with using("numpy"):
-        twin = shown(None)
+        twin = shown(None, grow=True)
     assert np.all(twin.converged)
     with instructions(name), using("compiled"):
         for start in (None, 1.01 * twin.delta):
-            by_kernel = shown_lines._compiled(view, dwells, p, constants, q, start, noisy)
+            by_kernel = shown(start)
             assert np.array_equal(by_kernel.converged, twin.converged)
-            for field in ("Y", "dY", "delta", "d_delta"):
+            for field in ("predicted", "J", "delta", "d_delta", *(["G"] if noisy else [])):
                 value, expected = getattr(by_kernel, field), getattr(twin, field)
                 assert value.shape == expected.shape
                 assert apart(value, expected) < 1e-9, field
@@ -61,13 +60,15 @@ def test_dwells_that_the_kernel_loses_are_followed_from_small_drives_as_in_numpy
     p, constants = model.parameters(theta[None]), model.inner_constants(theta[None])
     far = np.full((len(FREQUENCIES), 1, 2 * dwells.orders + 1), 1.0)
     with using("compiled"):
-        lost = shown_lines._compiled(view, dwells, p, constants, spectrum.amplitudes[None, :, 1:], far, False)
-        assert not np.all(lost.converged)
-        found = shown_lines.shown_lines(
-            view, dwells, p, constants, spectrum.amplitudes[None, :, 1:], far, noisy=False, grow=True
+        lost, found = (
+            shown_lines(
+                view, dwells, p, constants, spectrum.amplitudes[None, :, 1:], far, noisy=False, grow=grow
+            )
+            for grow in (False, True)
         )
+    assert not np.all(lost.converged)
     assert np.all(found.converged)
-    assert apart(found.Y, spectrum.amplitudes[None]) < 1e-4
+    assert apart(found.predicted, spectrum.amplitudes[None]) < 1e-4
 
 
 @pytest.mark.parametrize("law", ["cubic", "gap"])
