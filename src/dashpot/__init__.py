@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from dashpot.data.modal_data import ModalData
     from dashpot.data.readers import Reading, write_amplitudes, write_records
     from dashpot.data.readers.in_memory import record, records_of
-    from dashpot.data.readers.modal_files import read_modes
+    from dashpot.data.readers.modes import read_modes
     from dashpot.data.record import Record
     from dashpot.data.spectrum import Moments, Spectrum, concatenate, merge_repeats
     from dashpot.errors import (
@@ -72,7 +72,7 @@ _NAMES = {
     "data.modal_data": "ModalData",
     "data.readers": "Reading write_amplitudes write_records",
     "data.readers.in_memory": "record records_of",
-    "data.readers.modal_files": "read_modes",
+    "data.readers.modes": "read_modes",
     "data.record": "Record",
     "data.spectrum": "Moments Spectrum concatenate merge_repeats",
     "errors": "ConvergenceError DashpotError DataError IdentifiabilityError ModelError Problem UsageError",

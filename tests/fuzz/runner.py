@@ -22,7 +22,7 @@ from dashpot import quantities
 from dashpot.app import cli
 from dashpot.channel import Channel
 from dashpot.data.readers import read
-from dashpot.data.readers.modal_files import read_modes
+from dashpot.data.readers.modes import read_modes
 from dashpot.errors import DashpotError
 from dashpot.estimate.result import Estimate
 from dashpot.io.atomic import PART

@@ -37,7 +37,7 @@ def modal_estimate(
     from dataclasses import replace
 
     from dashpot.app.data_files import tell_notes
-    from dashpot.data.readers.modal_files import holds_modes, modes_and_notes
+    from dashpot.data.readers.modes import holds_modes, modes_and_notes
     from dashpot.errors import UsageError
 
     if len(data) != 1 or not holds_modes(data[0]):

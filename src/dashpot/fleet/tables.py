@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from dashpot.data.readers import Reading, read
-from dashpot.data.readers.amplitudes import with_real_and_imaginary
+from dashpot.data.readers.amplitudes import amplitude_columns
 from dashpot.data.readers.arrays import array_columns
 from dashpot.data.readers.interpretation import interpret
 from dashpot.data.readers.records import Circumstances
@@ -617,7 +617,9 @@ class PartReader:
     def _lines_of_all(self, rows: HeldRows) -> Spectrum | None:
         """The lines of all rigs one after the other; None where a rig's lines are not what each of them is alone."""
         columns = array_columns(rows.source, dict(rows.columns), dict(rows.units))
-        if with_real_and_imaginary(columns) is not columns:  # phases are looked at from line to line
+        if any(
+            pair.to_radian is not None for pair in amplitude_columns(columns).values()
+        ):  # phases are looked at from line to line
             return None
         content = interpret(columns, self.rig.channels, self._circumstances)
         if content.records or len(content.spectra) != 1:

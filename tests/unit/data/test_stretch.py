@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel
-from dashpot.data.readers.amplitudes import read_amplitudes, write_amplitudes
-from dashpot.data.readers.text import open_table
+from dashpot.data.readers import read, write_amplitudes
 from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord, concatenate, merge_repeats
 from dashpot.errors import DataError
 
@@ -72,9 +71,10 @@ def test_merging_leaves_records_alone() -> None:
 def test_a_table_carries_them(tmp_path: Path) -> None:
     written = mixed()
     write_amplitudes(written, tmp_path / "lines.csv")
-    read, _ = read_amplitudes(open_table(tmp_path / "lines.csv"), written.channels)
-    assert read.stretches == written.stretches
-    assert read.stretch.tolist() == written.stretch.tolist()
+    lines = read(tmp_path / "lines.csv", written.channels).amplitudes
+    assert lines is not None
+    assert lines.stretches == written.stretches
+    assert lines.stretch.tolist() == written.stretch.tolist()
 
 
 def test_a_table_that_contradicts_itself(tmp_path: Path) -> None:
@@ -84,7 +84,7 @@ def test_a_table_that_contradicts_itself(tmp_path: Path) -> None:
     text[4] = text[4].replace("10.0", "11.0")
     path.write_text("\n".join(text) + "\n")
     with pytest.raises(DataError, match=r"record 2 is described differently at .*:5"):
-        read_amplitudes(open_table(path), mixed().channels)
+        read(path, mixed().channels)
 
 
 def test_refusals() -> None:

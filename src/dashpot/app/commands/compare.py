@@ -187,7 +187,7 @@ def _chosen(methods: str | None, data: bool, modal: bool) -> list[str]:
 
 def _modes(path: str, rig: Rig, relative_sd: tuple[float, float, float], quiet: bool) -> ModalData:
     from dashpot.app.data_files import tell_notes
-    from dashpot.data.readers.modal_files import modes_and_notes
+    from dashpot.data.readers.modes import modes_and_notes
 
     modes, notes = modes_and_notes(path, rig.model.coordinates, rig.channels, relative_sd)
     tell_notes(notes, quiet)

@@ -11,7 +11,7 @@ or 1).  Lines of one settled dwell have its number there and `fundamental_hz`.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,169 +29,62 @@ from dashpot.errors import DashpotError, DataError
 from dashpot.io.words import listed, shown
 from dashpot.notices import Notice
 
-# Tables of amplitude and phase, NAME_amplitude and NAME_phase, as tables of real and imaginary part.
+# Complex amplitudes as pairs of columns: NAME_re and NAME_im, or NAME_amplitude and NAME_phase.
 #
 # X = amplitude · e^{j phase}. The phase is in the unit in brackets behind its name, in degrees where there
 # is none; NAME_phase_deg and NAME_phase_rad say it in the name. Amplitudes in dB, of 20 log10, say so in
-# brackets: NAME_amplitude [dB]. Responses to inputs are OUT/IN_amplitude, OUT/IN_phase.
+# brackets: NAME_amplitude [dB]. Responses to inputs are OUT/IN_re, OUT/IN_amplitude, ….
 
 
 AMPLITUDES = ("_amplitude", "_amp", "_abs", "_magnitude", "_mag")
 PHASES = ("_phase", "_phase_deg", "_phase_rad", "_ph", "_arg")
-# Slightly more than π and 2π: what phases in rad do not exceed unless they are unwrapped.
-HALF_TURN, TURN = 3.2, 6.5
-LEAP = 5.0  # between neighbouring frequencies, in rad: more than unwrapped phases move
-FEW = 4  # lines from which on phases are judged
 
 
 @dataclass(frozen=True)
-class _Polar:
-    """A pair of columns, the factor from the phase's numbers to rad, and whether amplitudes are in dB."""
+class AmplitudeColumns:
+    """Two columns of one complex amplitude: real and imaginary part, or amplitude and phase.
 
-    amplitude: int
-    phase: int
-    to_radian: float
+    to_radian  factor from the numbers of the phase to rad; None where there is none
+    decibel    whether the amplitude is in dB
+    """
+
+    first: int
+    second: int
+    to_radian: float | None = None
     decibel: bool = False
 
-
-@dataclass(frozen=True)
-class RectangularColumns(Columns):
-    """Columns of `base`, and behind them the real and imaginary parts of its pairs of amplitude and phase."""
-
-    base: Columns
-    pairs: tuple[_Polar, ...]
-
-    @property
-    def heading(self) -> str:
-        """That of the base."""
-        return self.base.heading
-
-    def place(self, index: int) -> str:
-        """That of the base."""
-        return self.base.place(index)
-
-    def part_from(self, index: int) -> str:
-        """That of the base."""
-        return self.base.part_from(index)
-
-    def numbers(
-        self,
-        columns: Sequence[int],
-        optional: Sequence[int] = (),
-        infinite: Sequence[int] = (),
-        together: Sequence[int] = (),
-    ) -> dict[int, Real]:
-        """As of Columns."""
-        del together  # what is computed is new
-        plain = len(self.base.header)
-        computed = [column for column in columns if column >= plain]
-        sources = self.sources(computed)
-        gaps = self.sources(column for column in computed if column in optional)
-        wanted = list(dict.fromkeys([*(column for column in columns if column < plain), *sorted(sources)]))
-        values = self.base.numbers(wanted, [*(c for c in optional if c < plain), *gaps], infinite)
-        for column in computed:
-            pair = self.pairs[(column - plain) // 2]
-            wave = np.cos if (column - plain) % 2 == 0 else np.sin
-            size = values[pair.amplitude]
-            size = 10 ** (size / 20) if pair.decibel else size
-            values[column] = size * wave(values[pair.phase] * pair.to_radian)
-        return values
-
-    def sources(self, columns: Iterable[int]) -> set[int]:
-        """The columns of amplitude and phase behind those of these columns that are computed."""
-        plain = len(self.base.header)
-        pairs = [self.pairs[(column - plain) // 2] for column in columns if column >= plain]
-        return {at for pair in pairs for at in (pair.amplitude, pair.phase)}
-
-    def texts(self, column: int) -> list[str]:
-        """As of Columns."""
-        return self.base.texts(column)
-
-    def first(self, column: int) -> str:
-        """As of Columns."""
-        return self.base.first(column)
+    def of(self, values: Mapping[int, Real]) -> Complex:
+        """The amplitude from the numbers of the columns."""
+        first, second = values[self.first], values[self.second]
+        if self.to_radian is None:
+            return first + 1j * second
+        size = 10 ** (first / 20) if self.decibel else first
+        return size * np.cos(second * self.to_radian) + 1j * (size * np.sin(second * self.to_radian))
 
 
-def with_real_and_imaginary(columns: Columns) -> Columns:
-    """The same with NAME_re and NAME_im for each pair NAME_amplitude, NAME_phase that stands without them.
+def amplitude_columns(columns: Columns) -> dict[str, AmplitudeColumns]:
+    """Columns of amplitudes by the names in front of _re, or of _amplitude where there is no _re.
 
     Raises DataError where the unit of a phase is none of angle.
     """
-    names = [bare(name)[0] for name in columns.header]
-    header, unit_of, pairs = list(columns.header), [columns.unit(i) for i in range(len(names))], []
+    at = {bare(name)[0]: i for i, name in reversed(list(enumerate(columns.header)))}
+    names = list(reversed(at))
+    found = {
+        name[:-3]: AmplitudeColumns(at[name], at[f"{name[:-3]}_im"])
+        for name in names
+        if name.endswith("_re") and f"{name[:-3]}_im" in at
+    }
     for ending in AMPLITUDES:
-        for at, name in enumerate(names):
+        for name in names:
             stem = name.removesuffix(ending)
-            if not name.endswith(ending) or not stem or f"{stem}_re" in names or f"{stem}_re" in header:
+            if not name.endswith(ending) or not stem or f"{stem}_re" in at or stem in found:
                 continue
-            phases = [i for i, other in enumerate(names) if other in [stem + phase for phase in PHASES]]
-            if len(phases) != 1:
-                continue
-            unit = columns.unit(at)
-            decibel = unit is not None and unit.lower() == "db"
-            pairs.append(_Polar(at, phases[0], _to_radian(columns, phases[0]), decibel))
-            header += [f"{stem}_re", f"{stem}_im"]
-            unit_of += [None if decibel else unit] * 2
-    if not pairs:
-        return columns
-    return RectangularColumns(
-        columns.source, tuple(header), tuple(unit_of), columns.notes, columns, tuple(pairs)
-    )
-
-
-def polar_notices(columns: Columns, frequency_hz: Real) -> list[Notice]:
-    """What is said of amplitudes and phases whose numbers look like another unit than theirs; [] where there are none.
-
-    Amplitudes below zero are refused: they are most likely decibels.  Phases in rad beyond a turn are unwrapped,
-    and so move by little from one frequency to the next: others are degrees, which is refused.  Degrees that never
-    exceed π may be radians, or a rig far below its first mode.
-    Raises DataError.
-    """
-    if not isinstance(columns, RectangularColumns) or len(frequency_hz) < FEW:
-        return []
-    _require_amplitudes(columns)
-    places = [pair.phase for pair in columns.pairs]
-    phases = columns.base.numbers(places, places)
-    rows = len(phases[places[0]])
-    order = np.argsort(frequency_hz[:rows], kind="stable")  # frequency responses repeat theirs for each input
-    for pair in columns.pairs:
-        numbers = phases[pair.phase][order]
-        numbers = numbers[np.isfinite(numbers)]
-        if pair.to_radian == 1.0 and np.max(np.abs(numbers), initial=0.0) > TURN:
-            _require_unwrapped(columns, pair.phase, numbers)
-    in_degrees = [pair.phase for pair in columns.pairs if pair.to_radian != 1.0]
-    largest = max((float(np.nanmax(np.abs(phases[place]), initial=0.0)) for place in in_degrees), default=0.0)
-    if not 0 < largest < HALF_TURN:
-        return []
-    text = f"phases are read as degrees, and none exceeds {largest:.3g}: they may be radians"
-    return [Notice("phase_unit", text, tuple(columns.header[place] for place in in_degrees))]
-
-
-def _require_amplitudes(columns: RectangularColumns) -> None:
-    """Raises DataError where an amplitude of a column that is not in dB is below zero."""
-    places = [pair.amplitude for pair in columns.pairs if not pair.decibel]
-    amplitudes = columns.base.numbers(places, places)
-    for place in places:
-        numbers = amplitudes[place]
-        if np.any(numbers < 0):
-            name, least = shown(columns.header[place]), float(np.nanmin(numbers))
-            raise DataError(
-                f"column {name}: an amplitude of {least:.4g} is below zero, as decibels may be",
-                columns.heading,
-                f"name the column {bare(columns.header[place])[0]}[dB] if they are; else give amplitudes from 0",
-            )
-
-
-def _require_unwrapped(columns: Columns, place: int, numbers: Real) -> None:
-    """Raises DataError for phases in rad, in order of frequency, that are neither wrapped nor unwrapped."""
-    leap = float(np.max(np.abs(np.diff(numbers)), initial=0.0))
-    if leap > LEAP:
-        name, largest = shown(columns.header[place]), float(np.max(np.abs(numbers)))
-        what = (
-            f"column {name}: phases of up to {largest:.4g} rad that leap by {leap:.3g} rad look like degrees"
-        )
-        stem = bare(columns.header[place])[0].removesuffix("_rad").removesuffix("_deg")
-        raise DataError(what, columns.heading, f"name the column {stem}_deg, or unwrap the phases")
+            phases = [at[stem + phase] for phase in PHASES if stem + phase in at]
+            if len(phases) == 1:
+                decibel = (columns.unit(at[name]) or "").lower() == "db"
+                to_radian = _to_radian(columns, phases[0])
+                found[stem] = AmplitudeColumns(at[name], phases[0], to_radian, decibel)
+    return found
 
 
 def _to_radian(columns: Columns, column: int) -> float:
@@ -206,6 +99,61 @@ def _to_radian(columns: Columns, column: int) -> float:
         raise DataError(what, columns.heading, "give the phase in deg or rad") from None
 
 
+def _required(
+    columns: Columns, found: Mapping[str, AmplitudeColumns], stem: str, why: str = ""
+) -> AmplitudeColumns:
+    """The columns of one amplitude.  Raises DataError where one is missing or named twice."""
+    if stem in found and found[stem].to_radian is not None:
+        return found[stem]
+    return AmplitudeColumns(columns.need(f"{stem}_re", why), columns.need(f"{stem}_im", why))
+
+
+def phase_notices(
+    columns: Columns, found: Mapping[str, AmplitudeColumns], frequency_hz: Real
+) -> list[Notice]:
+    """What is said of amplitudes and phases whose numbers look like another unit than theirs; [] where there are none.
+
+    Amplitudes below zero are refused: they are most likely decibels.  Phases in rad beyond a turn are unwrapped,
+    and so move by little from one frequency to the next: others are degrees, which is refused.  Degrees that never
+    exceed π may be radians, or a rig far below its first mode.  Fewer than 4 lines are not judged.
+    Raises DataError.
+    """
+    polar = [pair for pair in found.values() if pair.to_radian is not None]
+    if not polar or len(frequency_hz) < 4:
+        return []
+    every = [at for pair in polar for at in (pair.first, pair.second)]
+    values = columns.numbers(every, every)
+    largest = 0.0  # of those in degrees
+    for pair in polar:
+        name, size = shown(columns.header[pair.first]), values[pair.first]
+        if not pair.decibel and np.any(size < 0):
+            what = f"column {name}: an amplitude of {float(np.nanmin(size)):.4g} is below zero, as decibels may be"
+            plain = bare(columns.header[pair.first])[0]
+            cure = f"name the column {plain}[dB] if they are; else give amplitudes from 0"
+            raise DataError(what, columns.heading, cure)
+        phase = values[pair.second]
+        if pair.to_radian != 1.0:
+            largest = max(largest, float(np.nanmax(np.abs(phase), initial=0.0)))
+            continue
+        order = np.argsort(
+            frequency_hz[: len(phase)], kind="stable"
+        )  # responses repeat theirs for each input
+        phase = phase[order][np.isfinite(phase[order])]
+        most, leap = (float(np.max(np.abs(x), initial=0.0)) for x in (phase, np.diff(phase)))
+        if most > 6.5 and leap > 5.0:  # more than a turn, and than unwrapped phases move
+            name = shown(columns.header[pair.second])
+            what = (
+                f"column {name}: phases of up to {most:.4g} rad that leap by {leap:.3g} rad look like degrees"
+            )
+            stem = bare(columns.header[pair.second])[0].removesuffix("_rad").removesuffix("_deg")
+            raise DataError(what, columns.heading, f"name the column {stem}_deg, or unwrap the phases")
+    if not 0 < largest < 3.2:  # slightly more than π
+        return []
+    text = f"phases are read as degrees, and none exceeds {largest:.3g}: they may be radians"
+    of = tuple(columns.header[pair.second] for pair in polar if pair.to_radian != 1.0)
+    return [Notice("phase_unit", text, of)]
+
+
 # Tables of frequency response functions as CSV: `frequency_hz`, then `OUT/IN_re`, `OUT/IN_im`, optionally
 # `OUT/IN_sd`.
 #
@@ -214,39 +162,40 @@ def _to_radian(columns: Columns, column: int) -> float:
 # and 0 at the others, which are exact.
 
 
-Pair = tuple[str, str]  # names of a response and of an input
-
-
-def is_frf(columns: Columns) -> bool:
-    """There is a pair OUT/IN_re, OUT/IN_im."""
-    names = {bare(name)[0] for name in columns.header}
-    return any("/" in name and name.endswith("_re") and name[:-3] + "_im" in names for name in names)
-
-
 def read_frf(
-    columns: Columns, channels: Sequence[Channel], experiment: int = 0
+    columns: Columns,
+    found: Mapping[str, AmplitudeColumns],
+    channels: Sequence[Channel],
+    experiment: int = 0,
 ) -> tuple[Spectrum, list[Notice]]:
     """The spectrum in SI units, one experiment for each input from number `experiment` on, and notes.
 
-    Without any sd column the noise is unknown.  Raises DataError with file and column for what is missing, not a
-    number, or not in the rig file.
+    `found` are the amplitude columns.  Without any sd column the noise is unknown.
+    Raises DataError with file and column for what is missing, not a number, or not in the rig file.
     """
-    pairs = _pairs(columns, channels)
-    frequency, functions, sd = _functions(columns, channels, pairs)
+    pairs = _pairs(columns, found, channels)
+    at = {pair: _required(columns, found, "/".join(pair)) for pair in pairs}
+    sd_at = {pair: i for pair in pairs if (i := columns.find(f"{'/'.join(pair)}_sd")) is not None}
+    frequency_at = _frequency_at(columns, channels)
+    of_pairs = (i for both in at.values() for i in (both.first, both.second))
+    values = columns.numbers(list(dict.fromkeys([frequency_at, *of_pairs, *sd_at.values()])))
+    frequency = values[frequency_at] * frequency_scale(columns, frequency_at)
+    check_frequency(columns, frequency_at, frequency)
+    for i in sd_at.values():
+        columns.refuse(i, values[i] < 0, "a standard deviation of {:g}", "0 is exact", values[i])
     scale = np.array([channel.scale for channel in channels]) * calibration(channels, frequency)
-    spectra = []
+    spectra, lines = [], len(frequency)
     for number, into in enumerate(dict.fromkeys(into for _, into in pairs)):
-        X = np.zeros((len(frequency), len(channels)), dtype=np.complex128)
-        V: Complex = np.zeros((len(frequency), len(channels), len(channels)), dtype=np.complex128)
+        X = np.zeros((lines, len(channels)), dtype=np.complex128)
+        V = np.full((lines, len(channels), len(channels)), 0.0 if sd_at else np.nan, dtype=np.complex128)
         for c, channel in enumerate(channels):
+            pair = (channel.name, into)
             if channel.name == into:
                 X[:, c] = 1.0
-            elif (pair := (channel.name, into)) in functions:
-                X[:, c] = functions[pair]
-                V[:, c, c] = 2 * sd[pair] ** 2 if pair in sd else 0.0
-        if not sd:
-            V = np.full_like(V, np.nan)
-        lines = len(frequency)
+            elif pair in at:
+                X[:, c] = at[pair].of(values)
+                if pair in sd_at:
+                    V[:, c, c] = 2 * values[sd_at[pair]] ** 2
         spectra.append(
             Spectrum(
                 tuple(channels),
@@ -255,20 +204,28 @@ def read_frf(
                 V * scale[:, :, None] * np.conj(scale)[:, None, :],
                 np.ones(lines, dtype=np.int64),
                 np.full(lines, np.inf),
-                ("given" if sd else "unknown",) * lines,
+                ("given" if sd_at else "unknown",) * lines,
                 np.full(lines, experiment + number),
             )
         )
     return concatenate(spectra), list(columns.notes)
 
 
-def _pairs(columns: Columns, channels: Sequence[Channel]) -> list[Pair]:
+def _frequency_at(columns: Columns, channels: Sequence[Channel]) -> int:
+    at = frequency_column(columns, channels)
+    return columns.need(FREQUENCY) if at is None else at
+
+
+def _pairs(
+    columns: Columns, found: Mapping[str, AmplitudeColumns], channels: Sequence[Channel]
+) -> list[tuple[str, str]]:
     """Which response to which input there is.  Raises DataError where there is none, or one is missing."""
     names = {channel.name for channel in channels}
     pairs = []
-    for name in (bare(column)[0] for column in columns.header):
-        out, slash, into = name.removesuffix("_re").partition("/")
-        if slash and name.endswith("_re") and out in names and into in names:
+    plain = (bare(column)[0] for column in columns.header)
+    for stem in dict.fromkeys([*(name[:-3] for name in plain if name.endswith("_re")), *found]):
+        out, _, into = stem.partition("/")
+        if out in names and into in names:
             pairs.append((out, into))
     if not pairs:
         raise DataError(
@@ -288,63 +245,35 @@ def _pairs(columns: Columns, channels: Sequence[Channel]) -> list[Pair]:
     return pairs
 
 
-def _functions(
-    columns: Columns, channels: Sequence[Channel], pairs: Sequence[Pair]
-) -> tuple[Real, dict[Pair, Complex], dict[Pair, Real]]:
-    """Frequency in Hz, the functions and their standard deviations, each (lines,)."""
-    at = {
-        pair: (columns.need(f"{'/'.join(pair)}_re"), columns.need(f"{'/'.join(pair)}_im")) for pair in pairs
-    }
-    sd_at = {pair: i for pair in pairs if (i := columns.find(f"{'/'.join(pair)}_sd")) is not None}
-    f_at = frequency_column(columns, channels)
-    f_at = columns.need(FREQUENCY) if f_at is None else f_at
-    values = columns.numbers([f_at, *(i for both in at.values() for i in both), *sd_at.values()])
-    frequency = values[f_at] * frequency_scale(columns, f_at)
-    check_frequency(columns, f_at, frequency)
-    for i in sd_at.values():
-        if np.any(values[i] < 0):
-            row = int(np.argmax(values[i] < 0))
-            raise columns.error(row, i, f"a standard deviation of {values[i][row]:g}", "0 is exact")
-    functions = {pair: values[re] + 1j * values[im] for pair, (re, im) in at.items()}
-    return frequency, functions, {pair: values[i] for pair, i in sd_at.items()}
-
-
 SAMPLES, DOF, NOISE = "samples", "dof", "noise"
 RECORD, FUNDAMENTAL = "record", "fundamental_hz"
 OF_RECORDS = ("record_duration_s", "record_samples", "record_loads", "record_polynomial", "record_ramp")
 KINDS = ("given", "white", "blocks", "periods", "rest", "floor", "residual", "unknown")
 
 
-def is_amplitudes(columns: Columns) -> bool:
-    """There is a pair NAME_re, NAME_im."""
-    names = {bare(name)[0] for name in columns.header}
-    return any(name.endswith("_re") and name[:-3] + "_im" in names for name in names)
-
-
 @dataclass(frozen=True)
 class _Layout:
-    """Where everything stands: columns of the frequency and, for each channel, of real and imaginary part and sd.
+    """Where everything stands: columns of the frequency and, for each channel, of its amplitude and sd.
 
     scales     to SI units, one for each channel
-    pairs      {(channel, channel): columns of the real and imaginary part of their covariance}
+    pairs      {(channel, channel): columns of their covariance}
     more       {name: column} of what else there is
     """
 
     frequency: int
-    real: list[int]
-    imaginary: list[int]
+    amplitudes: list[AmplitudeColumns]
     sd: list[int | None]
     scales: Real
-    pairs: dict[tuple[int, int], tuple[int, int]]
+    pairs: dict[tuple[int, int], AmplitudeColumns]
     more: dict[str, int]
 
     @property
     def gaps(self) -> list[int]:
         """Columns that may have empty cells."""
-        of_pairs = (at for pair in self.pairs.values() for at in pair)
+        complexes = [*self.amplitudes, *self.pairs.values()]
         of_stretches = (self.more[name] for name in (FUNDAMENTAL, *OF_RECORDS) if name in self.more)
         sd = (at for at in self.sd if at is not None)
-        return [*self.real, *self.imaginary, *sd, *of_pairs, *of_stretches]
+        return [*(at for pair in complexes for at in (pair.first, pair.second)), *sd, *of_stretches]
 
     @property
     def numeric(self) -> list[int]:
@@ -354,15 +283,18 @@ class _Layout:
 
 
 def read_amplitudes(
-    columns: Columns, channels: Sequence[Channel], experiment: int = 0
+    columns: Columns,
+    found: Mapping[str, AmplitudeColumns],
+    channels: Sequence[Channel],
+    experiment: int = 0,
 ) -> tuple[Spectrum, list[Notice]]:
-    """The spectrum in SI units with known calibrations taken out, and notes.
+    """The spectrum in SI units with known calibrations taken out, and notes.  `found` are the amplitude columns.
 
     No sd column at all: the noise is unknown (covariance NaN).  Where some channels have one, those without are exact.
     A channel may be left empty throughout an experiment: not measured there (amplitude NaN).
     Raises DataError with file, row and column for what is missing or not a number.
     """
-    layout = _layout(columns, channels)
+    layout = _layout(columns, found, channels)
     values = columns.numbers(layout.numeric, layout.gaps, [layout.more[DOF]] if DOF in layout.more else [])
     frequency = values[layout.frequency] * frequency_scale(columns, layout.frequency)
     check_frequency(columns, layout.frequency, frequency)
@@ -370,20 +302,15 @@ def read_amplitudes(
     experiments, samples, dof = _counts(columns, layout, values, lines, experiment)
     noise = _kinds_of_noise(columns, layout, lines)
     unknown = np.array([kind == "unknown" for kind in noise], dtype=bool)
-    X = (
-        np.stack(
-            [values[a] + 1j * values[b] for a, b in zip(layout.real, layout.imaginary, strict=True)], axis=-1
-        )
-        * layout.scales
-    )
-    absent = _absent(columns, experiments, layout.real, layout.imaginary, values)
+    X = np.stack([pair.of(values) for pair in layout.amplitudes], axis=-1) * layout.scales
+    absent = _absent(columns, experiments, layout.amplitudes, values)
     X[absent] = np.nan
     V = _covariance(columns, layout, values, absent, unknown)
     large = ~absent & ~(np.abs(np.where(absent, 0, X)) <= LARGEST)
     if np.any(large):
         i, c = (int(k) for k in np.argwhere(large)[0])
         what = f"{np.abs(X[i, c]):g} (SI) is too large"
-        raise columns.error(i, layout.real[c], what, "check the unit and the number")
+        raise columns.error(i, layout.amplitudes[c].first, what, "check the unit and the number")
     h = calibration(channels, frequency)
     V = V * h[:, :, None] * np.conj(h)[:, None, :]
     stretch, stretches = _stretches(columns, layout.more, values, lines)
@@ -402,34 +329,32 @@ def read_amplitudes(
     return spectrum, _notes(columns, layout)
 
 
-def _layout(columns: Columns, channels: Sequence[Channel]) -> _Layout:
+def _layout(columns: Columns, found: Mapping[str, AmplitudeColumns], channels: Sequence[Channel]) -> _Layout:
     """Where everything stands.  Raises DataError for a column that is missing or of another unit."""
-    f_at = frequency_column(columns, channels)
-    f_at = columns.need(FREQUENCY) if f_at is None else f_at
     why = " (the rig file lists the channel)"
-    real = [columns.need(f"{channel.name}_re", why) for channel in channels]
-    imaginary = [columns.need(f"{channel.name}_im", why) for channel in channels]
+    frequency_at = _frequency_at(columns, channels)
+    amplitudes = [_required(columns, found, channel.name, why) for channel in channels]
     sd = [columns.find(f"{channel.name}_sd") for channel in channels]
-    scales = [columns.scale(at, channel) for at, channel in zip(real, channels, strict=True)]
-    for at, scale, channel in zip([*imaginary, *sd], [*scales] * 2, [*channels] * 2, strict=True):
-        if (
-            at is not None
-            and columns.unit(at)
-            and not np.isclose(columns.scale(at, channel), scale, rtol=1e-9)
-        ):
-            what = f"column {channel.name}: real part, imaginary part and sd are in different units"
-            raise DataError(what, columns.heading, "give all three in one unit")
+    scales = []
+    for pair, at, channel in zip(amplitudes, sd, channels, strict=True):
+        scale = channel.scale if pair.decibel else columns.scale(pair.first, channel)
+        scales.append(scale)
+        for other in (at, pair.second if pair.to_radian is None else None):
+            alike = other is None or not columns.unit(other)
+            if not alike and not np.isclose(columns.scale(other or 0, channel), scale, rtol=1e-9):
+                what = f"column {channel.name}: real part, imaginary part and sd are in different units"
+                raise DataError(what, columns.heading, "give all three in one unit")
     pairs = {}
     for i, a in enumerate(channels):
         for j, b in enumerate(channels):
-            re = columns.find(f"{a.name}&{b.name}_cov_re")
-            if i != j and re is not None:
-                pairs[i, j] = (re, columns.need(f"{a.name}&{b.name}_cov_im"))
+            name = f"{a.name}&{b.name}_cov"
+            if i != j and columns.find(f"{name}_re") is not None:
+                pairs[i, j] = _required(columns, found, name)
     names = [EXPERIMENT, SAMPLES, DOF, NOISE]
     if columns.find(RECORD) is not None:
         names += [RECORD, FUNDAMENTAL, *OF_RECORDS]
     more = {name: at for name in names if (at := columns.find(name)) is not None}
-    return _Layout(f_at, real, imaginary, sd, np.array(scales), pairs, more)
+    return _Layout(frequency_at, amplitudes, sd, np.array(scales), pairs, more)
 
 
 def _counts(
@@ -444,10 +369,10 @@ def _counts(
     if SAMPLES in layout.more:
         at = layout.more[SAMPLES]
         samples = whole_numbers(columns, at, values[at])
-        _check_positive(columns, at, samples.astype(float))
+        columns.refuse(at, samples <= 0, "{:g}", "it must be positive", values[at])
     if DOF in layout.more:
         dof = values[layout.more[DOF]]
-        _check_positive(columns, layout.more[DOF], dof)
+        columns.refuse(layout.more[DOF], ~(dof > 0), "{:g}", "it must be positive", dof)
     return experiments, samples, dof
 
 
@@ -480,12 +405,12 @@ def _covariance(
             cause = "the cell is empty" if missing[i] else f"a standard deviation of {values[column][i]:g}"
             raise columns.error(i, column, cause, "give a number that is not negative; 0 is exact")
         V[:, c, c] = 2 * (np.where(missing, 0.0, values[column]) * layout.scales[c]) ** 2
-    for (i, j), (re, im) in layout.pairs.items():
-        known = ~(np.isnan(values[re]) | np.isnan(values[im]))
-        product = np.where(known, values[re] + 1j * values[im], 0) * layout.scales[i] * layout.scales[j]
+    for (i, j), pair in layout.pairs.items():
+        product = pair.of(values)
+        product = np.where(np.isnan(product), 0, product) * layout.scales[i] * layout.scales[j]
         V[:, i, j], V[:, j, i] = product, np.conj(product)
     if layout.pairs:
-        _check_definite(columns, V, min(layout.pairs.values())[0])
+        _check_definite(columns, V, min(pair.first for pair in layout.pairs.values()))
     V[unknown] = np.nan
     return V
 
@@ -493,8 +418,6 @@ def _covariance(
 def _notes(columns: Columns, layout: _Layout) -> list[Notice]:
     """The notes of the file, and what is not read of it."""
     read = {*layout.numeric, *layout.more.values()}
-    if isinstance(columns, RectangularColumns):
-        read |= columns.sources(read)
     extra = [bare(name)[0] for i, name in enumerate(columns.header) if name and i not in read]
     notes = list(columns.notes)
     if extra:
@@ -540,52 +463,33 @@ def _stretches(
     return stretch, tuple(stretches)
 
 
-def _check_positive(columns: Columns, column: int, values: Real) -> None:
-    wrong = ~(values > 0)
-    if np.any(wrong):
-        i = int(np.argmax(wrong))
-        raise columns.error(i, column, f"{values[i]:g}", "it must be positive")
-
-
 def _check_definite(columns: Columns, V: Complex, column: int) -> None:
     """Raises DataError where variances and covariances do not fit together."""
     size = np.sqrt(np.diagonal(V, axis1=1, axis2=2).real)
     size = np.where(size > 0, size, 1.0)
-    wrong = (
-        np.linalg.eigvalsh(V / size[:, :, None] / size[:, None, :])[:, 0] < -1e-9 if V.size else np.zeros(0)
-    )
-    if np.any(wrong):
-        i = int(np.argmax(wrong))
-        raise columns.error(
-            i, column, "the covariances are larger than the sd of the channels allow", "correct either"
-        )
+    if V.size:
+        wrong = np.linalg.eigvalsh(V / size[:, :, None] / size[:, None, :])[:, 0] < -1e-9
+        what = "the covariances are larger than the sd of the channels allow"
+        columns.refuse(column, wrong, what, "correct either")
 
 
 def _absent(
-    columns: Columns,
-    experiments: Ints,
-    real: list[int],
-    imaginary: list[int],
-    values: dict[int, Real],
+    columns: Columns, experiments: Ints, amplitudes: Sequence[AmplitudeColumns], values: Mapping[int, Real]
 ) -> Bools:
     """(lines, channels): not measured.  Raises DataError for a gap that does not span an experiment."""
-    empty = np.stack(
-        [np.isnan(values[a]) & np.isnan(values[b]) for a, b in zip(real, imaginary, strict=True)], axis=-1
-    )
-    for c, (a, b) in enumerate(zip(real, imaginary, strict=True)):
-        half = np.isnan(values[a]) != np.isnan(values[b])
-        for number in np.unique(experiments[empty[:, c] | half]):
+    empty = np.zeros((len(experiments), len(amplitudes)), dtype=bool)
+    for c, pair in enumerate(amplitudes):
+        first, second = np.isnan(values[pair.first]), np.isnan(values[pair.second])
+        empty[:, c] = first & second
+        gap = first | second
+        for number in np.unique(experiments[gap]):
             mine = experiments == number
             if np.all(empty[mine, c]) and not np.all(empty[:, c]):
                 continue
-            i = int(np.argmax(mine & (half | empty[:, c])))
-            at = a if np.isnan(values[a][i]) else b
-            raise columns.error(
-                i,
-                at,
-                "the cell is empty",
-                "fill the gap; a channel may be left out of a whole experiment only",
-            )
+            row = int(np.argmax(mine & gap))
+            at = pair.first if first[row] else pair.second
+            cure = "fill the gap; a channel may be left out of a whole experiment only"
+            raise columns.error(row, at, "the cell is empty", cure)
     return empty
 
 

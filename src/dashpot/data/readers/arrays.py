@@ -17,12 +17,12 @@ from dashpot.notices import Notice
 
 LARGE = 1 << 23  # numbers from which columns are put where they stay
 PIECE = 1 << 18  # numbers that are turned into float64 at a time
-LONG = 1 << 20  # numbers from which a column is streamed where its format allows
+LONG = 1 << 20  # numbers from which a column is streamed that might be held
 
 
 @dataclass(frozen=True)
 class Streamed:
-    """A long column that is not held: numbers (no dates) in pieces, read again each time that they are asked for."""
+    """A column that is not held: arrays one after another, read again each time that they are asked for."""
 
     rows: int
     pieces: Callable[[], Iterator[Any]]
@@ -42,36 +42,31 @@ class Streamed:
         return self.rows
 
 
-def _pieces(values: Any) -> Iterator[Any]:
-    """A column in pieces; whole where it does not hold numbers alone."""
-    if isinstance(values, Streamed):
-        yield from values.pieces()
-        return
-    array = np.asarray(values)
-    if array.dtype.kind not in "fiub" or len(array) <= PIECE:
-        yield array
-        return
-    for at in range(0, len(array), PIECE):
-        yield array[at : at + PIECE]
+def pieces_of(column: Any) -> Iterator[Any]:
+    """A column, held or streamed, some numbers at a time."""
+    if isinstance(column, Streamed):
+        return column.pieces()
+    return (column[at : at + PIECE] for at in range(0, max(len(column), 1), PIECE))
 
 
-def _all_usable(numbers: Real) -> bool:
-    """Whether all are finite and not too large, without an array as large as they are."""
-    return not len(numbers) or bool(np.min(numbers) >= -LARGEST and np.max(numbers) <= LARGEST)
-
-
-Load = Callable[[], Any]  # of a variable: a one-dimensional array, or Streamed
+def steps(start: float, step: float, rows: int) -> Streamed:
+    """A column of evenly spaced times."""
+    places = range(0, rows, PIECE)
+    return Streamed(rows, lambda: (start + step * np.arange(at, min(at + PIECE, rows)) for at in places))
 
 
 @dataclass(frozen=True)
 class ArrayColumns(Columns):
-    """Columns of a file that holds arrays; each is loaded when it is asked for.
+    """Columns of a file that holds arrays; those that are streamed are read when they are asked for.
 
-    rows  their common length
+    rows      their common length
+    columns   arrays (rows,), or Streamed
+    row_name  what a row is, for messages
     """
 
     rows: int
-    loads: tuple[Load, ...]
+    columns: tuple[Any, ...]
+    row_name: str = "sample"
 
     @property
     def heading(self) -> str:
@@ -79,8 +74,8 @@ class ArrayColumns(Columns):
         return self.source
 
     def place(self, index: int) -> str:
-        """Sample counted from 1."""
-        return f"{self.source}: sample {index + 1}"
+        """Rows are counted from 1."""
+        return f"{self.source}: {self.row_name} {index + 1}"
 
     def numbers(
         self,
@@ -98,7 +93,7 @@ class ArrayColumns(Columns):
             raise DataError(what, self.source, "the file may be damaged") from None
         for column, numbers in values.items():
             self._fill(column, numbers)
-            if _all_usable(numbers):
+            if not len(numbers) or (np.min(numbers) >= -LARGEST and np.max(numbers) <= LARGEST):
                 continue
             wrong = ~np.isfinite(numbers)
             wrong |= np.abs(np.where(wrong, 0.0, numbers)) > LARGEST
@@ -114,29 +109,34 @@ class ArrayColumns(Columns):
 
     def _fill(self, column: int, into: Real) -> None:
         """Put one column into an array of float64, its length checked."""
-        load = self.loads[column]()
-        values = load if isinstance(load, Streamed) else np.asarray(load)
-        if values.ndim != 1 or len(values) != self.rows:
+        shape = self.columns[column].shape
+        if shape != (self.rows,):
             name = shown(bare(self.header[column])[0])
-            raise DataError(
-                f"{name} has the shape {values.shape}, not ({self.rows},)", self.source, "the file is damaged"
-            )
+            what = f"{name} has the shape {shape}, not ({self.rows},)"
+            raise DataError(what, self.source, "the file is damaged")
         filled = 0
-        for piece in _pieces(values):
-            if filled + len(piece) > self.rows:
+        for piece in self._pieces_of_numbers(column):
+            if piece.ndim != 1 or filled + len(piece) > self.rows:
                 break
-            into[filled : filled + len(piece)] = self._as_numbers(column, piece)
+            into[filled : filled + len(piece)] = piece
             filled += len(piece)
         if filled != self.rows:
             raise self._cut_off()
 
-    def _as_numbers(self, column: int, values: Any) -> Any:
+    def _pieces_of_numbers(self, column: int) -> Iterator[Any]:
         """Numbers of any kind; durations in s, of dates since the first."""
+        pieces = pieces_of(self.columns[column])
+        values: Any = next(pieces, np.zeros(0))
+        if values.dtype.kind in "fiub":
+            yield values
+            yield from pieces
+            return
+        values = np.concatenate([values, *pieces])
         if values.dtype.kind == "M":
-            elapsed = (values - values[0]) if len(values) else values.astype("timedelta64[ns]")
-            return elapsed / np.timedelta64(1, "ns") * 1e-9
+            values = values - values[0]
         if values.dtype.kind == "m":
-            return values / np.timedelta64(1, "ns") * 1e-9
+            yield values / np.timedelta64(1, "ns") * 1e-9
+            return
         if values.dtype.kind == "O":
             values = np.array([np.nan if value is None else value for value in values.tolist()])
         if values.dtype.kind not in "fiub":
@@ -147,16 +147,16 @@ class ArrayColumns(Columns):
                 raise DataError(what, self.source, "correct it, or choose another column")
             cure = "give real and imaginary part as NAME_re and NAME_im" if values.dtype.kind == "c" else ""
             raise DataError(f"{name} holds no real numbers", self.source, cure or "choose another variable")
-        return values
+        yield values
 
     def texts(self, column: int) -> list[str]:
         """As of Columns."""
-        values = np.concatenate(list(_pieces(self.loads[column]())))
+        values = np.concatenate(list(pieces_of(self.columns[column])))
         return ["" if value is None else str(value) for value in values.tolist()]
 
     def first(self, column: int) -> str:
         """As of Columns."""
-        values = next(_pieces(self.loads[column]()), np.zeros(0))
+        values = next(pieces_of(self.columns[column]), np.zeros(0))
         if not self.rows or values.dtype.kind in "mM":
             return "0"
         if not len(values):
@@ -177,28 +177,13 @@ def _first_text(values: Any) -> tuple[int, str] | None:
     return None
 
 
-def constant(value: object, rows: int) -> Load:
-    """A column that has one value throughout."""
-    return lambda: np.full(rows, value)
-
-
-def steps(start: float, step: float, rows: int) -> Streamed:
-    """A column of evenly spaced times."""
-
-    def pieces() -> Iterator[Any]:
-        for at in range(0, rows, PIECE):
-            yield start + step * np.arange(at, min(at + PIECE, rows))
-
-    return Streamed(rows, pieces)
-
-
 def array_columns(
     source: str,
     variables: Mapping[str, Any],
     units: Mapping[str, str | None] | None = None,
     notes: Sequence[Notice] = (),
 ) -> ArrayColumns:
-    """Columns of arrays (or of functions that load them) of one length.
+    """Columns, held or streamed, of one length.
 
     Raises DataError where there are none, too many, or where their lengths differ.
     """
@@ -206,20 +191,15 @@ def array_columns(
         raise DataError("there are no variables", source, "give a file with data")
     if len(variables) > MOST_COLUMNS:
         raise DataError(f"there are {len(variables)} variables", source, "give a file with fewer")
-    lengths = {name: len(values) for name, values in variables.items() if not callable(values)}
-    if len(set(lengths.values())) > 1:
-        short = ", ".join(f"{shown(name)}: {length}" for name, length in list(lengths.items())[:4])
+    columns = tuple(each if isinstance(each, Streamed) else np.asarray(each) for each in variables.values())
+    if len({len(column) for column in columns}) > 1:
+        lengths = zip(variables, columns, strict=True)
+        short = ", ".join(f"{shown(name)}: {len(column)}" for name, column in list(lengths)[:4])
         raise DataError(
             f"the variables are of different lengths ({short})", source, "choose those that match"
         )
-    rows = next(iter(lengths.values()), 0)
-    loads = tuple(values if callable(values) else _held(values) for values in variables.values())
     named = tuple(None if units is None else units.get(name) for name in variables)
-    return ArrayColumns(source, tuple(variables), named, tuple(notes), rows, loads)
-
-
-def _held(values: Any) -> Load:
-    return lambda: values
+    return ArrayColumns(source, tuple(variables), named, tuple(notes), len(columns[0]), columns)
 
 
 # Named arrays of a file, as scientific formats hold them, as parts: columns of one length each.

@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 
 from dashpot import units
-from dashpot.arrays import Real
+from dashpot.arrays import Bools, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.words import listed, shown
@@ -153,6 +153,12 @@ class Columns(ABC):
         """The DataError at a row and a column."""
         name = shown(bare(self.header[column])[0])
         return DataError(f"column {name}: {cause}", self.place(index), cure)
+
+    def refuse(self, column: int, wrong: Bools, cause: str, cure: str, values: Real | None = None) -> None:
+        """Raises DataError at the first row that is wrong; `cause` may show the value there, as "{:g} Hz"."""
+        if np.any(wrong):
+            row = int(np.argmax(wrong))
+            raise self.error(row, column, cause if values is None else cause.format(values[row]), cure)
 
     def renamed(self, names: Mapping[str, str]) -> Self:
         """The same under other names, {as written: new}; also NAME in NAME_re, and OUT, IN in OUT/IN_re.

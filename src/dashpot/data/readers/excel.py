@@ -9,8 +9,7 @@ from zipfile import ZipFile
 
 from dashpot.data.readers.columns import MOST_COLUMNS
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.guarded import guarded
-from dashpot.data.readers.optional import damaged, library
+from dashpot.data.readers.guarded import damaged, guarded, library
 from dashpot.data.readers.text import Table, open_table
 from dashpot.errors import DataError
 
@@ -42,7 +41,7 @@ class ExcelReader:
             with damaged(file.name, self.format), file.reading() as stream, ZipFile(stream) as archive:
                 file.check_unpacked(sum(item.file_size for item in archive.infolist()))
         count = 0
-        for place, text in guarded(file, lambda: self._sheets(file, fastexcel)):
+        for place, text in guarded(file, self.format, lambda: self._sheets(file, fastexcel)):
             count += 1
             yield open_table(file.rewritten([text]), source=place)
         if not count:
@@ -50,12 +49,10 @@ class ExcelReader:
 
     def _sheets(self, file: DataFile, fastexcel: Any) -> Generator[tuple[str, bytes]]:
         """Place and text of the sheets that hold anything."""
-        with damaged(file.name, self.format):
-            book = fastexcel.read_excel(bytes(file.contents))
-            names = list(book.sheet_names)
+        book = fastexcel.read_excel(bytes(file.contents))
+        names = list(book.sheet_names)
         for name in names:
-            with damaged(file.name, self.format):
-                text = _text(book, name)
+            text = _text(book, name)
             if text.count(b"\n") > 1 or (text and len(names) == 1):
                 yield f"{file.name} ({name})" if len(names) > 1 else file.name, text
 

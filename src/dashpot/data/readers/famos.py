@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.arrays import LONG, PIECE, ArrayColumns, Streamed, array_columns, steps
+from dashpot.data.readers.arrays import PIECE, ArrayColumns, Streamed, array_columns, steps
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.time_columns import TIME
 from dashpot.errors import DataError
@@ -198,7 +198,7 @@ def _values(component: _Component, data: Content, blocks: dict[int, tuple[int, i
             for at in range(start, stop, PIECE * width):
                 yield _numbers(component, data[at : min(at + PIECE * width, stop)])
 
-    return Streamed(rows, pieces) if rows >= LONG else np.concatenate([*pieces(), np.zeros(0)])
+    return Streamed(rows, pieces)
 
 
 def _numbers(component: _Component, raw: bytes) -> Any:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import mmap
 from collections import deque
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,8 +12,7 @@ import numpy as np
 
 from dashpot.data.readers.arrays import LONG, PIECE, ArrayColumns, Streamed, parts_of_variables
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.guarded import guarded
-from dashpot.data.readers.optional import damaged, library
+from dashpot.data.readers.guarded import guarded, library
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
 from dashpot.io.words import shown
@@ -45,30 +43,24 @@ class Hdf5Reader:
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
         """The groups, the outermost first.  Raises DataError where the file cannot be read."""
         h5py = library("h5py", "formats", file.name, self.format)
-        return guarded(file, lambda: self._parts(file, h5py))
+        return guarded(file, self.format, lambda: self._parts(file, h5py))
 
     def _parts(self, file: DataFile, h5py: Any) -> Generator[ArrayColumns]:
-        with _opened(h5py, file) as content:
-            groups = _Walk(h5py, content, file).groups()
-            anything = False
-            while True:
-                with damaged(file.name, self.format):
-                    name, scalars, datasets = next(groups, ("", {}, None))
-                    if datasets is None:
-                        break
-                    variables, units = dict(scalars), {}
-                    for key, item in datasets.items():
-                        variables |= _variable(key, item)
-                        units[key] = _unit(item)
-                        variables |= {k: v for k, v in _scalars(item).items() if k not in variables}
+        _refuse_endless_heaps(file.contents)
+        anything = False
+        with h5py.File(noted(file.path), "r") as content:
+            for name, scalars, datasets in _Walk(h5py, content, file).groups():
+                variables, units = dict(scalars), {}
+                for key, item in datasets.items():
+                    variables |= _variable(key, item)
+                    units[key] = _unit(item)
+                    variables |= {k: v for k, v in _scalars(item).items() if k not in variables}
                 if any(np.size(value) > 1 for value in variables.values()):
                     anything = True
                     place = f"{file.name} ({name})" if name else file.name
                     yield from parts_of_variables(place, variables, units)
-            if not anything:
-                raise DataError(
-                    "there are no datasets of numbers", file.name, "save the channels as datasets"
-                )
+        if not anything:
+            raise DataError("there are no datasets of numbers", file.name, "save the channels as datasets")
 
 
 @dataclass
@@ -162,14 +154,6 @@ class _Walk:
         return DataError(f"{shown(place, 100)} is {what}", self.source, cure)
 
 
-@contextmanager
-def _opened(h5py: Any, file: DataFile) -> Iterator[Any]:
-    with damaged(file.name, "HDF5"):
-        _refuse_endless_heaps(file.contents)
-        with h5py.File(noted(file.path), "r") as content:
-            yield content
-
-
 def _refuse_endless_heaps(content: bytes | mmap.mmap) -> None:
     """Raises ValueError where libhdf5 would walk for ever through a heap of texts whose objects have no size."""
     start = content.find(HEAP)
@@ -201,21 +185,15 @@ def _variable(name: str, item: Any) -> dict[str, Any]:
     if kind in item.attrs and not _is_sequence(item, kind) and item.attrs[kind] in (b"char", b"cell"):
         return {}
     if item.dtype.kind in "fiub" and max(item.shape, default=0) == item.size >= LONG:
-        return {name: _streamed_dataset(item)}
+        axis = item.shape.index(item.size)
+        around = (0,) * axis, (0,) * (item.ndim - axis - 1)
+        places = range(0, item.size, PIECE)
+        return {
+            name: Streamed(
+                item.size, lambda: (item[(*around[0], slice(at, at + PIECE), *around[1])] for at in places)
+            )
+        }
     return {name: item[()]}
-
-
-def _streamed_dataset(item: Any) -> Streamed:
-    """A dataset with one long axis."""
-    axis = item.shape.index(item.size)
-
-    def pieces() -> Iterator[Any]:
-        for start in range(0, item.size, PIECE):
-            at = [slice(None)] * item.ndim
-            at[axis] = slice(start, start + PIECE)
-            yield item[tuple(at)].ravel()
-
-    return Streamed(item.size, pieces)
 
 
 def _scalars(item: Any) -> dict[str, Any]:

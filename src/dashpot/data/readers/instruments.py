@@ -19,11 +19,12 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from dashpot.arrays import Ints, Real
-from dashpot.data.readers.arrays import ArrayColumns, Load
+from dashpot.data.readers.arrays import ArrayColumns, Streamed
 from dashpot.data.readers.datafile import SUBSTITUTED, DataFile, whole_lines
 from dashpot.data.readers.text import LOOKED_AT, Table, Text, open_table, text_of
 from dashpot.data.readers.time_columns import LONGEST, TIME
@@ -154,21 +155,20 @@ class XsensReader:
         """What the sensor measured: `time_s` is its own clock, which synchronised sensors share."""
         table = open_table(file, COUNTER)
         ticks, first, notes = _ticks(table)
-        loads: list[Load] = [lambda: ticks[first:] * 1e-6]
+        rows = len(ticks) - first
+        columns: list[Any] = [ticks[first:] * 1e-6]
         names, units = [TIME], ["s"]
         for i, name in enumerate(table.header):
             unit = next((unit for prefix, unit in UNITS.items() if name.startswith(prefix)), None)
             if unit is not None:
                 names.append(name)
                 units.append(unit)
-                loads.append(partial(_from, table, i, first))
-        yield ArrayColumns(
-            file.name, tuple(names), tuple(units), tuple(notes), len(ticks) - first, tuple(loads)
-        )
+                columns.append(Streamed(rows, partial(_from, table, i, first)))
+        yield ArrayColumns(file.name, tuple(names), tuple(units), tuple(notes), rows, tuple(columns))
 
 
-def _from(table: Table, column: int, first: int) -> Real:
-    return table.numbers([column])[column][first:]
+def _from(table: Table, column: int, first: int) -> Iterator[Real]:
+    yield table.numbers([column])[column][first:]
 
 
 def _ticks(table: Table) -> tuple[Ints, int, list[Notice]]:
@@ -178,15 +178,11 @@ def _ticks(table: Table) -> tuple[Ints, int, list[Notice]]:
     numbers = table.numbers(list(dict.fromkeys([counter_at, clock_at, *axes])))
     clock = numbers[clock_at]
     wrong = (clock != np.round(clock)) | (clock < 0) | (clock >= WRAP)
-    if np.any(wrong):
-        i = int(np.argmax(wrong))
-        raise table.error(i, clock_at, f"{clock[i]:g} is not a time in whole µs", "export the file again")
+    table.refuse(clock_at, wrong, "{:g} is not a time in whole µs", "export the file again", clock)
     again = np.concatenate([[0], np.cumsum(np.diff(clock) < -WRAP / 2)]).astype(np.int64)
     ticks = clock.astype(np.int64) + WRAP * again
-    back = np.diff(ticks) <= 0
-    if np.any(back):
-        i = int(np.argmax(back)) + 1
-        raise table.error(i, clock_at, "the time does not increase", "sort the rows or split the file")
+    back = np.diff(ticks, prepend=-1) <= 0
+    table.refuse(clock_at, back, "the time does not increase", "sort the rows or split the file")
     silent = np.all([numbers[at] == 0 for at in axes], axis=0)
     first = int(np.argmin(silent)) if not np.all(silent) else len(silent)
     if len(ticks) - first < 2:

@@ -7,14 +7,7 @@ from dataclasses import dataclass
 
 from dashpot.channel import Channel
 from dashpot.data.clocks import ClockedRecords
-from dashpot.data.readers.amplitudes import (
-    is_amplitudes,
-    is_frf,
-    polar_notices,
-    read_amplitudes,
-    read_frf,
-    with_real_and_imaginary,
-)
+from dashpot.data.readers.amplitudes import amplitude_columns, phase_notices, read_amplitudes, read_frf
 from dashpot.data.readers.columns import Columns
 from dashpot.data.readers.records import Circumstances, read_records
 from dashpot.data.record import Record
@@ -72,12 +65,11 @@ def interpret(columns: Columns, channels: Sequence[Channel], circumstances: Circ
 
     Raises DataError, one line per cause, with file, row and column.
     """
-    columns = with_real_and_imaginary(columns)
-    if is_frf(columns):
-        lines, notes = read_frf(columns, channels, circumstances.experiment)
-        return Interpreted((), (lines,), (*notes, *polar_notices(columns, lines.frequency_hz)))
-    if is_amplitudes(columns):
-        lines, notes = read_amplitudes(columns, channels, circumstances.experiment)
-        return Interpreted((), (lines,), (*notes, *polar_notices(columns, lines.frequency_hz)))
+    found = amplitude_columns(columns)
+    if found:
+        reader = read_frf if any("/" in name for name in found) else read_amplitudes
+        lines, notes = reader(columns, found, channels, circumstances.experiment)
+        notes += phase_notices(columns, found, lines.frequency_hz)
+        return Interpreted((), (lines,), tuple(notes))
     records, notes = read_records(columns, channels, circumstances)
     return Interpreted(tuple(records), (), tuple(notes))

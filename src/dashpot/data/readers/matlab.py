@@ -16,7 +16,7 @@ import numpy as np
 
 from dashpot.data.readers.arrays import LONG, PIECE, ArrayColumns, Streamed, parts_of_variables
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.optional import damaged
+from dashpot.data.readers.guarded import damaged
 from dashpot.errors import DataError
 
 # Whether a MATLAB file of version 5 can hold what its headers claim: a lie there would cost memory and

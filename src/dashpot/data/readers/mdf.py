@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
-import gc
 import io
 import mmap
-import sys
-import traceback
 from collections.abc import Generator, Iterator
-from contextlib import AbstractContextManager, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
 from dashpot.data.readers.arrays import LONG, ArrayColumns, Streamed, array_columns
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.guarded import guarded
-from dashpot.data.readers.optional import damaged, library
+from dashpot.data.readers.guarded import guarded, library
 from dashpot.data.readers.time_columns import TIME
 from dashpot.errors import DataError
-
-HEADER = 64  # bytes before the first block
-FRAGMENT = 1 << 24  # bytes of records that are read at once
-DEEPEST = 2  # data groups, channel groups, channels
 
 
 @dataclass(frozen=True)
@@ -41,34 +32,27 @@ class MdfReader:
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
         """The groups that hold numbers.  Raises DataError where the file cannot be read."""
         asammdf = library("asammdf", "mdf", file.name, self.format)
-        return guarded(file, lambda: self._parts(file, asammdf))
+        return guarded(file, self.format, lambda: self._parts(file, asammdf))
 
     def _parts(self, file: DataFile, asammdf: Any) -> Generator[ArrayColumns]:
-        with _stream(file) as stream:
-            with damaged(file.name, self.format), _quiet_ends():
-                _refuse_rings(file.contents)
-                content = asammdf.MDF(stream)
-                content.configure(read_fragment_size=FRAGMENT)
-            groups = [group.channel_group for group in content.groups]
+        content = file.contents
+        _refuse_rings(content)
+        with io.BytesIO(content) if isinstance(content, bytes) else file.reading() as stream:
+            mdf = asammdf.MDF(stream)
+            mdf.configure(read_fragment_size=1 << 24)  # bytes of records that are read at once
+            groups = [group.channel_group for group in mdf.groups]
             file.check_unpacked(
                 sum(group.cycles_nr * getattr(group, "samples_byte_nr", 0) for group in groups)
             )
             count = 0
-            # asammdf prints to stdout where it is slow, here and in _pieces.
-            for number, group in enumerate(content.groups):
-                with damaged(file.name, self.format), redirect_stdout(io.StringIO()):
-                    columns, units = _group(content, number, group, file.name)
+            for number, group in enumerate(mdf.groups):
+                columns, units = _group(mdf, number, group)
                 if columns:
                     count += 1
-                    place = f"{file.name} (group {number + 1})" if len(content.groups) > 1 else file.name
+                    place = f"{file.name} (group {number + 1})" if len(groups) > 1 else file.name
                     yield array_columns(place, columns, units)
             if not count:
                 raise DataError("there are no channels with samples", file.name, "record something")
-
-
-def _stream(file: DataFile) -> AbstractContextManager[BinaryIO]:
-    """What asammdf reads from: the file, or what is held of a small one."""
-    return io.BytesIO(file.contents) if isinstance(file.contents, bytes) else file.reading()
 
 
 def _refuse_rings(content: bytes | mmap.mmap) -> None:
@@ -79,7 +63,7 @@ def _refuse_rings(content: bytes | mmap.mmap) -> None:
     if content[8:9] != b"4":
         return
     seen: set[int] = set()
-    ahead = [(position, 0) for position in _links(content, HEADER)[:1]]
+    ahead = [(position, 0) for position in _links(content, 64)[:1]]
     while ahead:
         position, depth = ahead.pop()
         if position in seen:
@@ -87,7 +71,7 @@ def _refuse_rings(content: bytes | mmap.mmap) -> None:
         seen.add(position)
         links = _links(content, position)
         ahead += [(link, depth) for link in links[:1] if link]
-        ahead += [(link, depth + 1) for link in links[1:2] if link and depth < DEEPEST]
+        ahead += [(link, depth + 1) for link in links[1:2] if link and depth < 2]
 
 
 def _links(content: bytes | mmap.mmap, position: int) -> tuple[int, ...]:
@@ -97,30 +81,7 @@ def _links(content: bytes | mmap.mmap, position: int) -> tuple[int, ...]:
     return tuple(int.from_bytes(content[k : k + 8], "little") for k in at if k + 8 <= len(content))
 
 
-@contextmanager
-def _quiet_ends() -> Iterator[None]:
-    """Without a word from asammdf's destructor, which fails on what could not be opened."""
-    before = sys.unraisablehook
-    sys.unraisablehook = lambda _: None
-    try:
-        yield
-    except Exception as error:
-        reason = f"{type(error).__name__}: {error}"
-        failed: BaseException | None = error
-        while failed is not None:  # lets go of the half-made object, which the frames hold
-            traceback.clear_frames(failed.__traceback__)
-            failed = failed.__context__
-    else:
-        return
-    finally:
-        gc.collect()
-        sys.unraisablehook = before
-    raise ValueError(reason)
-
-
-def _group(
-    content: Any, number: int, group: Any, source: str
-) -> tuple[dict[str, Any], dict[str, str | None]]:
+def _group(content: Any, number: int, group: Any) -> tuple[dict[str, Any], dict[str, str | None]]:
     """Samples and units of a group; nothing where there are none."""
     columns: dict[str, Any] = {}
     units: dict[str, str | None] = {}
@@ -143,7 +104,7 @@ def _group(
             times: Any = np.asarray(signal.timestamps)
             if streamed:
                 times, samples = (
-                    Streamed(rows, partial(_pieces, content, number, at, source)) for at in (master, index)
+                    Streamed(rows, partial(_pieces, content, number, at)) for at in (master, index)
                 )
             columns.setdefault(TIME, times)
             columns[channel.name] = samples
@@ -151,12 +112,7 @@ def _group(
     return columns, units
 
 
-def _pieces(content: Any, number: int, index: int, source: str) -> Iterator[Any]:
+def _pieces(content: Any, number: int, index: int) -> Iterator[Any]:
     """Samples of a channel."""
-    pieces = content.iter_get(group=number, index=index, samples_only=True)
-    while True:
-        with damaged(source, "MDF"), redirect_stdout(io.StringIO()):
-            piece = next(pieces, None)
-        if piece is None:
-            return
-        yield np.asarray(piece[0])
+    for samples, _ in content.iter_get(group=number, index=index, samples_only=True):
+        yield np.asarray(samples)

@@ -1,4 +1,4 @@
-"""Files of measured modes, CSV or JSON.
+"""Files of measured modes: tables in CSV, JSON, and universal files (dataset 55).
 
 CSV: one row a mode; `frequency_hz`, `frequency_sd`, optionally `damping_ratio` and `damping_sd`, and for every point of
 the shapes that is measured `NAME_re`, `NAME_im` (or `NAME` alone: a real shape) and `NAME_sd`, the standard deviation
@@ -10,9 +10,8 @@ JSON: `{"modes": [{"frequency_hz": 3.0, "frequency_sd": 0.01, "damping_ratio": 0
 from __future__ import annotations
 
 import json
-import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,27 +19,94 @@ from typing import Any
 import numpy as np
 
 from dashpot.arrays import Complex, Real
+from dashpot.channel import Channel
 from dashpot.data.modal_data import ModalData
+from dashpot.data.readers.arrays import ArrayColumns
 from dashpot.data.readers.columns import LARGEST, Columns, bare
+from dashpot.data.readers.datafile import DataFile, open_file
 from dashpot.data.readers.text import open_table
-from dashpot.errors import DataError
+from dashpot.data.readers.uff.function import UffStream, dataset_starts, skip_dataset
+from dashpot.data.readers.uff.modes import USUAL_SD, read_uff_modes
+from dashpot.data.readers.uff.reader import UffReader
+from dashpot.errors import DashpotError, DataError
 from dashpot.io.json_document import from_json
 from dashpot.io.ledger import noted
 from dashpot.io.words import listed, shown
+from dashpot.notices import Notice
 
+AnyPath = str | os.PathLike[str]
 FREQUENCY, FREQUENCY_SD, DAMPING, DAMPING_SD = "frequency_hz", "frequency_sd", "damping_ratio", "damping_sd"
 PLAIN = (FREQUENCY, FREQUENCY_SD, DAMPING, DAMPING_SD)
 
 
-def read_mode_table(path: str | os.PathLike[str], coordinates: Sequence[str]) -> ModalData:
+def read_modes(
+    path: AnyPath,
+    coordinates: Sequence[str],
+    channels: Iterable[Channel] = (),
+    relative_sd: tuple[float, float, float] = USUAL_SD,
+) -> ModalData:
     """The modes in a file, with shapes at those of the rig's `coordinates` that it has.
+
+    channels     of the rig, whose names the nodes of a universal file may have
+    relative_sd  of frequencies, of damping ratios and of shapes against their largest entry, for universal files,
+                 which have none
 
     Raises DataError, one line, with file, row and column or mode, for what is missing, no number, negative or unknown.
     """
-    source = shown(os.fspath(path), 200)
+    return modes_and_notes(path, coordinates, channels, relative_sd)[0]
+
+
+def modes_and_notes(
+    path: AnyPath,
+    coordinates: Sequence[str],
+    channels: Iterable[Channel] = (),
+    relative_sd: tuple[float, float, float] = USUAL_SD,
+) -> tuple[ModalData, list[Notice]]:
+    """The same, and what was assumed."""
     if os.fspath(path).lower().endswith(".json"):
-        return _from_json(path, source, coordinates)
-    return _from_table(open_table(path), coordinates)
+        return _modes_of(_columns_of_json(path, coordinates), coordinates), []
+    file = open_file(path)
+    if UffReader().sniff(file):
+        return read_uff_modes(file, coordinates, channels, relative_sd)
+    return _modes_of(open_table(file), coordinates), []
+
+
+def holds_modes(path: AnyPath) -> bool:
+    """Whether a file holds modes and no samples or responses: a table with `frequency_sd`, JSON, datasets 55 alone.
+
+    What cannot be read holds none: its reader says why.
+    """
+    name = os.fspath(path).lower()
+    if name.endswith(".json"):
+        return True
+    if not os.path.isfile(path):
+        return False
+    try:
+        file = open_file(path)
+        if UffReader().sniff(file):
+            return _datasets(file) == {55}
+        text = name.removesuffix(".gz").endswith((".csv", ".txt"))
+        return text and {FREQUENCY, FREQUENCY_SD} <= {bare(column)[0] for column in _first_row(file)}
+    except DashpotError:
+        return False
+
+
+def _datasets(file: DataFile) -> set[int]:
+    """Numbers of the datasets in a universal file that are read; up to the first function."""
+    numbers = set()
+    with file.reading() as raw:
+        stream = UffStream(raw, file)
+        for start in dataset_starts(stream):
+            numbers.add(start.number)
+            if start.number == 58:
+                break
+            skip_dataset(stream)
+    return numbers & {55, 58}
+
+
+def _first_row(file: DataFile) -> list[str]:
+    text = file.head.decode("utf-8-sig", errors="replace").lstrip().split("\n", 1)[0]
+    return [cell.strip().strip('"') for cell in text.replace(";", ",").replace("\t", ",").split(",")]
 
 
 @dataclass(frozen=True)
@@ -61,18 +127,22 @@ class _Layout:
         return list(dict.fromkeys(at for at in every if at is not None))
 
 
-def _from_table(table: Columns, coordinates: Sequence[str]) -> ModalData:
+def _modes_of(table: Columns, coordinates: Sequence[str]) -> ModalData:
     layout = _layout(table, coordinates)
     gaps = [at for at in layout.columns if at not in (layout.frequency, layout.frequency_sd)]
     values = table.numbers(layout.columns, gaps)
     absent = np.full(len(values[layout.frequency]), np.nan)
     zeta = absent if layout.damping is None else values[layout.damping]
     zeta_sd = absent if layout.damping_sd is None else values[layout.damping_sd]
-    shape, sd = _shapes(table, layout, values)
+    shapes, sd = _shapes(table, layout, values)
     _check_modes(table, layout, values, zeta, zeta_sd)
     _check_shapes(table, layout, sd)
-    f, f_sd = values[layout.frequency], values[layout.frequency_sd]
-    return _assembled(list(layout.points), f, f_sd, zeta, zeta_sd, shape, sd)
+    covariance = np.zeros((len(shapes), 2, 2))
+    covariance[:, 0, 0] = values[layout.frequency_sd] ** 2
+    covariance[:, 1, 1] = np.nan_to_num(zeta_sd) ** 2
+    V = 2 * np.nan_to_num(sd)[:, :, None] ** 2 * np.eye(len(layout.points))
+    points, frequency = tuple(layout.points), values[layout.frequency]
+    return ModalData(points, frequency, zeta, covariance, shapes, V.astype(complex))
 
 
 def _layout(table: Columns, coordinates: Sequence[str]) -> _Layout:
@@ -110,8 +180,7 @@ def _shapes(table: Columns, layout: _Layout, values: Mapping[int, Real]) -> tupl
         half = np.isnan(values[re]) != np.isnan(imaginary)
         lacking = ~np.isnan(values[re]) & np.isnan(values[sd_at])
         for wrong, at in ((half, re if im is None else im), (lacking, sd_at)):
-            if np.any(wrong):
-                raise table.error(int(np.argmax(wrong)), at, "the cell is empty", "fill the gap")
+            table.refuse(at, wrong, "the cell is empty", "fill the gap")
         shape[:, c], sd[:, c] = values[re] + 1j * imaginary, values[sd_at]
     return shape, sd
 
@@ -129,62 +198,51 @@ def _check_modes(
         (np.abs(zeta) >= 1, layout.damping, "a damping ratio of 1 or more", unseen),
         (~np.isnan(zeta) & ~(zeta_sd > 0), layout.damping_sd, not_positive, above),
     ):
-        if at is not None and np.any(wrong):
-            raise table.error(int(np.argmax(wrong)), at, cause, cure)
+        if at is not None:
+            table.refuse(at, wrong, cause, cure)
 
 
 def _check_shapes(table: Columns, layout: _Layout, sd: Real) -> None:
     """Raises DataError at the first sd of a shape that is negative, and where all of a shape are 0."""
     at = [sd_at for _, _, sd_at in layout.points.values()]
     for c, column in enumerate(at):
-        if np.any(sd[:, c] < 0):
-            cure = "give 0 where it is exact, else one above 0"
-            raise table.error(int(np.argmax(sd[:, c] < 0)), column, "a negative standard deviation", cure)
+        cure = "give 0 where it is exact, else one above 0"
+        table.refuse(column, sd[:, c] < 0, "a negative standard deviation", cure)
     there = ~np.isnan(sd)
     exact = np.all((sd == 0) | ~there, axis=-1) & np.any(sd == 0, axis=-1) & (np.sum(there, axis=-1) > 1)
-    if np.any(exact):
+    if at:
         cause = "no point of the shape has a standard deviation above 0"
         cure = "give the uncertain points theirs; only the one that the shape is scaled by is exact"
-        raise table.error(int(np.argmax(exact)), at[0], cause, cure)
+        table.refuse(at[0], exact, cause, cure)
 
 
-def _assembled(
-    points: Sequence[str], f: Real, f_sd: Real, zeta: Real, zeta_sd: Real, shape: np.ndarray, sd: Real
-) -> ModalData:
-    covariance = np.zeros((len(f), 2, 2))
-    covariance[:, 0, 0], covariance[:, 1, 1] = f_sd**2, np.nan_to_num(zeta_sd) ** 2
-    V = 2 * np.nan_to_num(sd)[:, :, None] ** 2 * np.eye(len(points))
-    return ModalData(tuple(points), f, zeta, covariance, shape, V.astype(complex))
+def _columns_of_json(path: AnyPath, coordinates: Sequence[str]) -> ArrayColumns:
+    """Modes as a table would have them: one a row, NaN where something is not given.
+
+    Raises DataError, with the mode, for what is unknown or no number.
+    """
+    source, rows = shown(os.fspath(path), 200), []
+    for number, mode in enumerate(_modes_of_json(path, source), start=1):
+        where = f"{source}: mode {number}"
+        for key in mode:
+            if key not in (*PLAIN, "shape", "shape_sd"):
+                known = f"there are {', '.join(PLAIN)}, shape, shape_sd"
+                raise DataError(f"{shown(str(key))}: unknown key", where, known)
+        row = {key: _number(mode[key], key, where) for key in PLAIN if key in mode}
+        spread = _shape(mode, "shape_sd", where)
+        for name, value in _shape(mode, "shape", where).items():
+            if name not in coordinates:
+                what = f"shape: {shown(name)} is not a coordinate of the rig"
+                raise DataError(what, where, f"there are {listed(coordinates)}")
+            sd = spread[name].real if name in spread else np.nan
+            row |= {f"{name}_re": value.real, f"{name}_im": value.imag, f"{name}_sd": sd}
+        rows.append(row)
+    header = tuple(dict.fromkeys(name for row in rows for name in row))
+    columns = tuple(np.array([row.get(name, np.nan) for row in rows]) for name in header)
+    return ArrayColumns(source, header, (), (), len(rows), columns, "mode")
 
 
-def _from_json(path: str | os.PathLike[str], source: str, coordinates: Sequence[str]) -> ModalData:
-    rows = _rows_of_json(path, source)
-    places = [f"{source}: mode {k + 1}" for k in range(len(rows))]
-    named = [_shape(row, "shape", where) for row, where in zip(rows, places, strict=True)]
-    points = [name for name in coordinates if any(name in shape for shape in named)]
-    numbers = np.full((len(PLAIN), len(rows)), np.nan)
-    shape = np.full((len(rows), len(points)), np.nan + 0j)
-    sd = np.full((len(rows), len(points)), np.nan)
-    for k, (row, where) in enumerate(zip(rows, places, strict=True)):
-        numbers[:, k] = _plain_numbers(row, where)
-        spread = _shape(row, "shape_sd", where)
-        for name, value in named[k].items():
-            if name not in points:
-                raise DataError(
-                    f"shape: {shown(name)} is not a coordinate of the rig",
-                    where,
-                    f"there are {listed(coordinates)}",
-                )
-            _require(name in spread, f"shape_sd: {shown(name)} is missing", where)
-            _require(spread[name].real >= 0, f"shape_sd: {shown(name)} is negative", where)
-            shape[k, points.index(name)], sd[k, points.index(name)] = value, spread[name].real
-        uncertain = sd[k][~np.isnan(sd[k])]
-        scaled = len(uncertain) < 2 or bool(np.any(uncertain > 0))
-        _require(scaled, "shape_sd: no point of the shape has one above 0", where)
-    return _assembled(points, numbers[0], numbers[1], numbers[2], numbers[3], shape, sd)
-
-
-def _rows_of_json(path: str | os.PathLike[str], source: str) -> list[dict[str, Any]]:
+def _modes_of_json(path: AnyPath, source: str) -> list[dict[str, Any]]:
     """One table for each mode."""
     try:
         content = from_json(Path(noted(path)).read_text(encoding="utf-8"))
@@ -198,25 +256,6 @@ def _rows_of_json(path: str | os.PathLike[str], source: str) -> list[dict[str, A
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise DataError('there is no list "modes"', source, 'write {"modes": [{"frequency_hz": …}, …]}')
     return rows
-
-
-def _plain_numbers(row: Mapping[str, Any], where: str) -> list[float]:
-    """Frequency and damping with their standard deviations, in the order of PLAIN; NaN where not given."""
-    unknown = [key for key in row if key not in (*PLAIN, "shape", "shape_sd")]
-    if unknown:
-        known = f"there are {', '.join(PLAIN)}, shape, shape_sd"
-        raise DataError(f"{shown(str(unknown[0]))}: unknown key", where, known)
-    f, f_sd, zeta, zeta_sd = (_number(row[key], key, where) if key in row else math.nan for key in PLAIN)
-    _require(f > 0, f"{FREQUENCY}: missing or not positive", where)
-    _require(f_sd > 0, f"{FREQUENCY_SD}: missing or not positive", where)
-    _require(math.isnan(zeta) or abs(zeta) < 1, f"{DAMPING}: not between −1 and 1", where)
-    _require(math.isnan(zeta) or zeta_sd > 0, f"{DAMPING_SD}: missing or not positive", where)
-    return [f, f_sd, zeta, zeta_sd]
-
-
-def _require(fulfilled: bool, what: str, where: str) -> None:
-    if not fulfilled:
-        raise DataError(what, where, "give the number")
 
 
 def _shape(row: Mapping[str, Any], key: str, where: str) -> dict[str, complex]:

@@ -12,7 +12,7 @@ import numpy as np
 from dashpot.data.readers.arrays import LONG, PIECE, ArrayColumns, Streamed, parts_of_variables
 from dashpot.data.readers.columns import MOST_COLUMNS
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.optional import damaged
+from dashpot.data.readers.guarded import damaged
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
 

@@ -133,17 +133,13 @@ def _in_si(
 def check_frequency(columns: Columns, column: int, frequency: Real) -> None:
     """Raises DataError at the first frequency that is not positive.  frequency (rows,), Hz."""
     wrong = ~(frequency > 0) | (frequency > 1e12)
-    if np.any(wrong):
-        i = int(np.argmax(wrong))
-        raise columns.error(i, column, f"frequency {frequency[i]:g} Hz", "frequencies must be positive")
+    columns.refuse(column, wrong, "frequency {:g} Hz", "frequencies must be positive", frequency)
 
 
 def whole_numbers(columns: Columns, column: int, values: Real) -> Ints:
     """A column as integers.  Raises DataError at the first that is none.  values (rows,)."""
     wrong = (values != np.round(values)) | (np.abs(values) > 2**53)
-    if np.any(wrong):
-        i = int(np.argmax(wrong))
-        raise columns.error(i, column, f"{values[i]:g} is not a whole number", "number them 0, 1, 2, …")
+    columns.refuse(column, wrong, "{:g} is not a whole number", "number them 0, 1, 2, …", values)
     return values.astype(np.int64)
 
 

@@ -10,20 +10,16 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from dashpot.data.readers.arrays import (
-    LONG,
     OF_ALL,
     PIECE,
     ArrayColumns,
-    Load,
     Streamed,
     array_columns,
-    constant,
     step_of,
     steps,
 )
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.guarded import guarded
-from dashpot.data.readers.optional import damaged, library
+from dashpot.data.readers.guarded import guarded, library
 from dashpot.data.readers.time_columns import TIME, TIME_NAMES
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
@@ -124,10 +120,10 @@ class TdmsReader:
     def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
         """The groups, split by the lengths of their channels.  Raises DataError where the file cannot be read."""
         nptdms = library("nptdms", "formats", file.name, self.format)
-        return guarded(file, lambda: self._parts(file, nptdms))
+        return guarded(file, self.format, lambda: self._parts(file, nptdms))
 
     def _parts(self, file: DataFile, nptdms: Any) -> Generator[ArrayColumns]:
-        with file.reading() as stream, damaged(file.name, self.format):
+        with file.reading() as stream:
             _refuse_cut_off(stream, file.name)
             content = nptdms.TdmsFile(stream, read_metadata_only=True, keep_open=True)
             if getattr(content, "_incomplete_channel_properties", None):
@@ -137,17 +133,13 @@ class TdmsReader:
             for group in groups:
                 lengths: dict[int, list[Any]] = {}
                 for channel in group.channels():
-                    if np.dtype(channel.dtype).kind in "fiubM":
+                    if np.dtype(channel.dtype).kind in "fiubM" and len(channel):
                         lengths.setdefault(len(channel), []).append(channel)
                 scalars = {**content.properties, **group.properties}
-                for rows, channels in lengths.items():
-                    if rows:
-                        count += 1
-                        place = f"{file.name} ({group.name})" if len(groups) > 1 else file.name
-                        samples: dict[str, Load] = {
-                            channel.name: partial(_samples, file, content, channel) for channel in channels
-                        }
-                        yield _part(place, channels, samples, rows, scalars)
+                for channels in lengths.values():
+                    count += 1
+                    place = f"{file.name} ({group.name})" if len(groups) > 1 else file.name
+                    yield _part(place, file, content, channels, scalars)
             if not count:
                 raise DataError("there are no channels with samples", file.name, "record something")
 
@@ -173,59 +165,42 @@ def _refuse_cut_off(stream: BinaryIO, source: str) -> None:
 
 
 def _part(
-    source: str, channels: list[Any], samples: dict[str, Load], rows: int, scalars: dict[str, Any]
+    source: str, file: DataFile, content: Any, channels: list[Any], scalars: dict[str, Any]
 ) -> ArrayColumns:
     """Channels of one length."""
-    loads: dict[str, Any] = {**samples}
+    rows = len(channels[0])
+    columns: dict[str, Any] = {}
     units: dict[str, str | None] = {}
     for channel in channels:
-        units[channel.name] = channel.properties.get("unit_string") or channel.properties.get(
-            "NI_UnitDescription"
-        )
+        columns[channel.name] = Streamed(rows, partial(_samples, file, content, channel))
+        said = (channel.properties.get(key) for key in ("unit_string", "NI_UnitDescription"))
+        units[channel.name] = next(filter(None, said), None)
         scalars = {**channel.properties, **scalars}
     for name in OF_ALL:
-        if name in scalars and name not in loads:
-            loads[name] = constant(float(scalars[name]), rows)
-    if not any(name.lower() in TIME_NAMES for name in loads):
+        if name in scalars and name not in columns:
+            columns[name] = np.broadcast_to(float(scalars[name]), rows)
+    if not any(name.lower() in TIME_NAMES for name in columns):
         waveform = channels[0].properties
         step = float(waveform.get("wf_increment", 0)) or step_of(scalars)
         if step:
-            loads[TIME] = steps(float(waveform.get("wf_start_offset", 0)), step, rows)
-    columns = array_columns(source, loads, units)
-    return ArrayColumns(source, columns.header, columns.units, (), rows, columns.loads)
+            columns[TIME] = steps(float(waveform.get("wf_start_offset", 0)), step, rows)
+    return array_columns(source, columns, units)
 
 
-def _samples(file: DataFile, content: Any, channel: Any) -> Any:
-    with damaged(file.name, "TDMS"):
-        blocks = sample_blocks(content, channel.path)
-        if blocks is not None:
-            return Streamed(len(channel), partial(_scaled_pieces, file, blocks, channel))
-        if len(channel) >= LONG:
-            return Streamed(len(channel), partial(_chunks, channel, file.name))
-        samples = channel[:]
-        if len(samples) != len(channel):
-            raise DataError(f"channel {channel.name} is cut off", file.name, "copy the file again")
-        return samples
+def _samples(file: DataFile, content: Any, channel: Any) -> Iterator[Any]:
+    """The samples in the unit of the channel, in pieces, whatever stands between them in the file.
 
-
-def _scaled_pieces(file: DataFile, blocks: list[SampleBlock], channel: Any) -> Iterator[Any]:
-    """The samples in the unit of the channel, whatever stands between them in the file."""
+    Those that are no plain numbers come as nptdms reads them, which is all of a segment at a time.
+    """
     from nptdms.base_segment import RawChannelDataChunk
     from nptdms.tdms import ChannelDataChunk
 
-    with damaged(file.name, "TDMS"):
-        raw = mapped(file)
-        at = 0
-        for block in blocks:
-            for piece in block.pieces(raw):
-                yield ChannelDataChunk(channel, RawChannelDataChunk.channel_data(piece), at)[:]
-                at += len(piece)
-
-
-def _chunks(channel: Any, source: str) -> Iterator[Any]:
-    """The samples as nptdms reads them, which is all of a segment at a time."""
-    with damaged(source, "TDMS"):
-        for chunk in channel.data_chunks():
-            samples = chunk[:]
-            for at in range(0, len(samples), PIECE):
-                yield samples[at : at + PIECE]
+    blocks = sample_blocks(content, channel.path)
+    if blocks is None:
+        yield from (chunk[:] for chunk in channel.data_chunks())
+        return
+    at, raw = 0, mapped(file)
+    for block in blocks:
+        for piece in block.pieces(raw):
+            yield ChannelDataChunk(channel, RawChannelDataChunk.channel_data(piece), at)[:]
+            at += len(piece)

@@ -163,9 +163,7 @@ def check_range(columns: Columns, column: int, values: Real, most: float, unit: 
     if not len(values) or (np.min(values) >= -most and np.max(values) <= most):
         return
     wrong = ~(np.abs(values) <= most)
-    if np.any(wrong):
-        i = int(np.argmax(wrong))
-        raise columns.error(i, column, f"{values[i]:g} {unit} is too large", "check the unit and the number")
+    columns.refuse(column, wrong, f"{{:g}} {unit} is too large", "check the unit and the number", values)
 
 
 # Moments written as text, 2025-03-06 12:21:16.125, 06.03.2025 12:21:16 or 6-Mar-2025 00:21:16 PM, as seconds.

@@ -6,13 +6,14 @@ import warnings
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 
-from dashpot.data.readers.arrays import LONG, PIECE, ArrayColumns, Streamed, array_columns, steps
+from dashpot.data.readers.arrays import PIECE, ArrayColumns, Streamed, array_columns, steps
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.optional import damaged
+from dashpot.data.readers.guarded import damaged
 from dashpot.data.readers.time_columns import TIME
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
@@ -43,10 +44,12 @@ class WavReader:
         if rate <= 0:
             raise DataError(f"the sampling rate is {rate} Hz", file.name, "the file is damaged")
         values = samples[:, None] if samples.ndim == 1 else samples
-        loads: dict[str, Any] = {f"channel_{i + 1}": _Channel(values, i) for i in range(values.shape[1])}
-        units = {} if values.dtype.kind == "f" else dict.fromkeys(loads, SHARE)
-        columns = array_columns(file.name, {TIME: steps(0.0, 1 / rate, len(values)), **loads}, units)
-        yield ArrayColumns(columns.source, columns.header, columns.units, (), len(values), columns.loads)
+        columns: dict[str, Any] = {
+            f"channel_{i + 1}": Streamed(len(values), partial(_pieces, values, i))
+            for i in range(values.shape[1])
+        }
+        units = {} if values.dtype.kind == "f" else dict.fromkeys(columns, SHARE)
+        return iter([array_columns(file.name, {TIME: steps(0.0, 1 / rate, len(values)), **columns}, units)])
 
 
 def _read(file: DataFile) -> tuple[int, Any]:
@@ -89,25 +92,13 @@ def _of_24_bits(file: DataFile) -> tuple[int, Any]:
     raise ValueError("it has no samples")
 
 
-@dataclass(frozen=True)
-class _Channel:
+def _pieces(samples: Any, channel: int) -> Iterator[Any]:
     """One channel, between −1 and 1 where the samples are whole numbers."""
-
-    values: Any
-    index: int
-
-    def __call__(self) -> Any:
-        rows = len(self.values)
-        if rows < LONG:
-            return self._between(0, rows)
-        return Streamed(rows, lambda: (self._between(at, at + PIECE) for at in range(0, rows, PIECE)))
-
-    def _between(self, start: int, stop: int) -> Any:
-        x = self.values[start:stop, self.index]
+    for at in range(0, len(samples), PIECE):
+        x = samples[at : at + PIECE, channel]
         if x.ndim == 2:  # bytes of numbers of 24 bits, the least first
-            return (x[:, 0] + 256.0 * x[:, 1] + 65536.0 * x[:, 2].astype(np.int8)) / 2**23
-        if x.dtype == np.uint8:
-            return (x.astype(float) - 128) / 128
-        if x.dtype.kind == "i":
-            return x.astype(float) / -float(np.iinfo(x.dtype).min)
-        return x
+            yield (x[:, 0] + 256.0 * x[:, 1] + 65536.0 * x[:, 2].astype(np.int8)) / 2**23
+        elif x.dtype == np.uint8:
+            yield (x.astype(float) - 128) / 128
+        else:
+            yield x.astype(float) / -float(np.iinfo(x.dtype).min) if x.dtype.kind == "i" else x

@@ -16,7 +16,6 @@ def _size(request, monkeypatch):
     """Every file as it is, and as if it were too large to be held."""
     if request.param:
         monkeypatch.setattr("dashpot.data.readers.datafile.LARGE", 1)
-        monkeypatch.setattr(famos, "LONG", 2)
         monkeypatch.setattr(famos, "PIECE", 2)
 
 

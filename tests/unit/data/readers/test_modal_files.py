@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel
-from dashpot.data.readers.modal_files import holds_modes, modes_and_notes, read_modes
+from dashpot.data.readers.modes import holds_modes, modes_and_notes, read_modes
 from dashpot.data.readers.uff.function import FRF, NodalFunction, Point
 from dashpot.data.readers.uff.modes import NodalMode
 from dashpot.data.readers.uff.writer import write_universal_file

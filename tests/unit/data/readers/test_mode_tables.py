@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dashpot.data.readers.modal_files import read_modes
+from dashpot.data.readers.modes import read_modes
 from dashpot.errors import DataError
 
 X = ("x1", "x2", "x3")
@@ -144,7 +144,7 @@ BAD_JSON: dict[str, tuple[object, list[str]]] = {
     "shape of three numbers": (changed(0, shape={"x1": [1, 2, 3]}), ["mode 1", "x1"]),
     "point without sd": (changed(0, shape_sd={"x1": 0.1}), ["mode 1", "x3"]),
     "negative sd": (changed(0, shape_sd={"x1": 0.1, "x3": -0.1}), ["mode 1", "x3", "negative"]),
-    "all exact": (changed(0, shape_sd={"x1": 0, "x3": 0}), ["mode 1", "shape_sd"]),
+    "all exact": (changed(0, shape_sd={"x1": 0, "x3": 0}), ["mode 1", "x1_sd"]),
 }
 
 

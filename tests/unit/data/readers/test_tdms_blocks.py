@@ -36,7 +36,7 @@ def require_the_same(path: Path) -> None:
             assert isinstance(part, ArrayColumns)
             for at, name in enumerate(part.header):
                 read[name] = part.numbers([at])[at]
-                assert max(len(piece) for piece in part.loads[at]().pieces()) <= 7
+                assert max(len(piece) for piece in part.columns[at].pieces()) <= 7
     assert set(read) == set(wanted)
     for name, samples in wanted.items():
         assert np.array_equal(read[name], samples), name

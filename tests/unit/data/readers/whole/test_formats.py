@@ -9,7 +9,7 @@ import pytest
 
 from dashpot.data.readers import read, write_records
 from dashpot.data.readers.datafile import open_file
-from dashpot.data.readers.optional import library
+from dashpot.data.readers.guarded import library
 from dashpot.data.readers.registry import reader_of
 from dashpot.data.readers.uff.function import FRF, NodalFunction, Point
 from dashpot.data.readers.uff.writer import write_functions
