@@ -20,15 +20,21 @@ import numpy as np
 from dashpot.arrays import Real, random_generator
 from dashpot.channel import Channel, Quantity
 from dashpot.check.deficiencies import require_identifiable
+from dashpot.check.diagnosis.diagnose import diagnose as diagnosis
+from dashpot.check.diagnosis.diagnose import examined
+from dashpot.check.diagnosis.record_channels import require_sound_channels
+from dashpot.check.diagnosis.wording import with_likely_causes
 from dashpot.check.identifiability import Structure, structure
+from dashpot.check.verdict import examined_records, with_causes
 from dashpot.data import readers
 from dashpot.data.conditioning.settings import Conditioning
+from dashpot.data.conditioning.still import Still
 from dashpot.data.modal_data import ModalData
 from dashpot.data.readers import Reading
 from dashpot.data.readers.in_memory import records_of
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
-from dashpot.errors import DashpotError, UsageError
+from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate import comparison as comparisons
 from dashpot.estimate.automatic import identify_with_noise
 from dashpot.estimate.comparison import Comparison
@@ -37,7 +43,7 @@ from dashpot.estimate.inference.uncertainty import linear_modes
 from dashpot.estimate.method import Method
 from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.registry import method as named_method
-from dashpot.estimate.registry import methods_for
+from dashpot.estimate.registry import method_class, methods_for
 from dashpot.estimate.result import Estimate, Origin, Value
 from dashpot.export.identified_rig import IdentifiedRig, identified_rig
 from dashpot.export.state_space import StateSpace, state_space_of
@@ -80,79 +86,91 @@ def read(
 @one_blas_thread()
 def identify(
     rig: Rig | Model,
-    data: Data,
+    data: Data | ModalData,
     method: Method | str | None = None,
     *,
     frequency_hz: float | None = None,
     conditioning: Conditioning | None = None,
     judge: bool | None = None,
     within: float | None = None,
+    positive: bool = False,
+    seed: int = 0,
     progress: Progress | None = None,
     diagnose: bool | None = None,
 ) -> Estimate:
-    """Estimate the unknowns of a rig from data.
+    """Estimate the unknowns of a rig from data, as the command does.
 
     rig     a Rig, or a Model, whose channels are then its coordinates and inputs in SI units
-    data    a Spectrum (with batch axes: repeats of one test), files by name, Records, what `read` returned, or columns
-            by name with `time_s`: a data frame, a mapping of names to arrays, an xarray Dataset
+    data    a Spectrum (with batch axes: repeats of one test), files by name, Records, what `read` returned, columns
+            by name with `time_s`: a data frame, a mapping of names to arrays, an xarray Dataset; or measured modes
     method  a method or its name, such as "ml"; without one the most precise that suits the data is chosen
     frequency_hz, conditioning  of time records: their drive frequency, and how they become amplitudes
-    judge   judge the fit and, where it fails, look for causes, as the command does; `print` tells.  Without being
-            asked, with a Rig, but not with a Model or batch axes.  (`diagnose` is its former name.)
+    judge   judge the fit and, where it fails, look for causes; `print` tells.  Without being asked, with a Rig, but not
+            with a Model or batch axes.  (`diagnose` is its former name.)
     within  the share of every channel's motion within which the rig is to describe it, such as 0.02; without one that
             of the rig file, or what suits the noise
+    positive, seed  hold every unknown at or above 0, and the seed of the starts that are drawn: of a method by name
 
     `progress(done, all)` is called between chunks of repeats.  Raises DataError or UsageError where the data lack what
     the method needs, IdentifiabilityError where they do not determine the unknowns, ConvergenceError where no search
     comes to an end, ModelError where the rig has no steady response.
     """
-    chosen = named_method(method) if isinstance(method, str) else method
     judge = diagnose if judge is None else judge
     judged = isinstance(rig, Rig) if judge is None else judge
-    asked = rig.within if within is None and isinstance(rig, Rig) else within
+    model, within = _model(rig), rig.within if within is None and isinstance(rig, Rig) else within
+    if isinstance(data, ModalData):
+        from dashpot.check.modal_verdict import examined_modes
+        from dashpot.estimate.modal.identify_modal import identify_modal  # loads scipy.optimize
+
+        estimate = identify_modal(model, data, seed=seed)
+        return _of_rig(rig, examined_modes(model, data, estimate, seed=seed) if judged else estimate)
     files: tuple[str, ...] = ()
     if not isinstance(data, Spectrum):
         with opened() as ledger:
             data = _reading(rig, data, frequency_hz)
             files = tuple(ledger.inputs)
-        if data.continuous and len(_model(rig).nonlinear):
-            return _of_nonlinear_records(
-                rig, data, None if chosen is None else chosen.name, conditioning, judged, asked, progress
-            )
-    spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if chosen is None else [chosen])
-    model = _model(rig)
-    where = rig.path or None if isinstance(rig, Rig) else None
-    require_identifiable(model, spectrum.channels, where, spectrum)
-    estimate, spectrum = identify_with_noise(model, spectrum, chosen, progress=progress)
-    if judge or (judged and not spectrum.batch):
-        from dashpot.check.diagnosis.diagnose import examined
-
-        estimate = examined(model, spectrum, estimate, within=asked)
+        if data.continuous and len(model.nonlinear):
+            still = None if conditioning is None else conditioning.still
+            name = method if method is None or isinstance(method, str) else method.name
+            estimate = _in_time(model, data.records, name, still, judged, within, progress)
+            return _of_rig(rig, estimate, None, files)
+    spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if method is None else [method])
+    require_identifiable(
+        model, spectrum.channels, rig.path or None if isinstance(rig, Rig) else None, spectrum
+    )
+    judged = bool(judge) or (judged and not spectrum.batch)
+    try:
+        estimate, spectrum = identify_with_noise(
+            model, spectrum, method, seed=seed, positive=positive, progress=progress
+        )
+    except (IdentifiabilityError, ConvergenceError) as error:
+        if not judged or spectrum.batch:
+            raise
+        raise with_likely_causes(error, diagnosis(model, spectrum, seed=seed)[:1]) from error
+    if judged:
+        estimate = examined(model, spectrum, estimate, seed=seed, within=within)
     return _of_rig(rig, estimate, spectrum, files)
 
 
-def _of_nonlinear_records(
-    rig: Rig | Model,
-    reading: Reading,
+def _in_time(
+    model: Model,
+    records: Sequence[Record],
     method: str | None,
-    conditioning: Conditioning | None,
+    still: Still | None,
     judged: bool,
     within: float | None,
     progress: Progress | None,
 ) -> Estimate:
-    """The estimate from continuous records of a nonlinear rig, judged if asked for."""
-    from dashpot.check.diagnosis.record_channels import require_sound_channels
-
-    model = _model(rig)
-    still = None if conditioning is None else conditioning.still
-    require_sound_channels(model, reading.records)
-    fitted = fit_records(model, reading.records, method, still=still, progress=progress)
-    estimate = fitted.estimate()
-    if judged:
-        from dashpot.check.verdict import examined_records
-
-        estimate = examined_records(model, reading.records, estimate, fitted, within)
-    return _of_rig(rig, estimate)
+    """The estimate from continuous records of a nonlinear rig, whose motion is followed in time."""
+    require_sound_channels(model, records)
+    fitted = fit_records(model, records, method, still=still, progress=progress)
+    try:
+        estimate = fitted.estimate()
+    except IdentifiabilityError as error:
+        if not judged:
+            raise
+        raise with_causes(error, model, records) from error
+    return examined_records(model, records, estimate, fitted, within) if judged else estimate
 
 
 @one_blas_thread()
@@ -180,9 +198,7 @@ def compare(
         methods = methods_for(model)
     if not isinstance(methods, Mapping):
         methods = {name: named_method(name, seed=seed) for name in methods}
-    spectrum = (
-        None if data is None else _spectrum(rig, data, frequency_hz, conditioning, list(methods.values()))
-    )
+    spectrum = None if data is None else _spectrum(rig, data, frequency_hz, conditioning, methods.values())
     return comparisons.compare(
         model, spectrum, methods if spectrum is not None else {}, modal=modal, refused=refused, truth=truth, seed=seed,
         progress=progress,
@@ -580,7 +596,7 @@ def _spectrum(
     data: Data,
     frequency_hz: float | None,
     conditioning: Conditioning | None,
-    methods: Sequence[Method],
+    methods: Iterable[Method | str],
 ) -> Spectrum:
     """Amplitudes of any data, with second moments of the samples where a method needs them and there are samples."""
     if isinstance(data, Spectrum):
@@ -591,7 +607,8 @@ def _spectrum(
         return data
     reading = _reading(rig, data, frequency_hz)
     usual = Conditioning(**reading.conditioning) if conditioning is None else conditioning
-    return amplitudes_for(_model(rig), reading, usual, [method.traits for method in methods])
+    kinds = [method_class(method) if isinstance(method, str) else method for method in methods]
+    return amplitudes_for(_model(rig), reading, usual, [kind.traits for kind in kinds])
 
 
 def _reading(

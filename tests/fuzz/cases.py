@@ -21,7 +21,7 @@ SOUND: dict[str, tuple[str, ...]] = {
     "values": ("m1=3,c1=20,c2=30", "m1=3"), "settings": ("m1=3", "c1=20,c2=30"), "frequencies": ("1,2,5",
     "1:10/5", "1:9:2"),
     "amplitudes": ("u=0.01", "1mm"), "amplitude": ("1mm", "u=1mm"), "samples": ("16", "60"), "time": ("10min", "90s"),
-    "target": ("1%", "c2=2%"), "wanted": ("all", "worst", "volume", "c2,m1"), "sensors": ("pick 1 of x1,x2",),
+    "target": ("1%", "c2=2%"), "aim": ("all", "worst", "volume", "c2,m1"), "sensors": ("pick 1 of x1,x2",),
     "against": ("1,2,5", "1:10/5", "amplitudes.csv"), "after": ("amplitudes.csv", "estimate.json"),
     "estimate_file": ("estimate.json",), "modal_file": ("modes.csv", "modes.json"), "band": ("1:12",),
     "drives": ("u",),
@@ -88,8 +88,7 @@ PAIRS = (
 MOST_COSTLY = {
     "report",
     "figure",
-    "figure_out",
-    "progress_out",
+    "drawn_progress",
     "profiled",
     "robust",
     "doubt",

@@ -1,54 +1,202 @@
-"""Data files of a command: read, turned into amplitudes as the options say, and what was noticed on the way told."""
+"""Data files of a command: read, and turned into amplitudes as its options say; what was noticed on the way is told."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from dashpot.errors import UsageError, printable
+from dashpot.app.options import (
+    BAND,
+    FREQUENCY,
+    HARMONICS,
+    INPUT_FILE,
+    ORDERS,
+    RECORDS,
+    SETTLING,
+    Option,
+)
+from dashpot.app.progress import progress
+from dashpot.errors import DataError, UsageError, printable
 
 if TYPE_CHECKING:
     from dashpot.data.conditioning.settings import Conditioning
-    from dashpot.data.conditioning.used_dwells import UsedDwell
     from dashpot.data.readers import Reading
     from dashpot.data.spectrum import Spectrum
+    from dashpot.estimate.result import Estimate
+    from dashpot.fleet.data_sets import Treatment
     from dashpot.model.rigfile import Rig
     from dashpot.notices import Notice
 
-CONDITIONING = ("orders", "harmonics", "drift", "noise", "refine", "settle")
+WHOLE = (0.0, 1.0)  # a share of every record's samples, from where to where: all of them
 
 
 @dataclass(frozen=True)
-class MeasuredData:
-    """The amplitudes of data files, treatments of time records not chosen, and the dwells used, where asked for."""
+class RecordOptions:
+    """How time records become amplitudes, as the command line says, and the command's own `quiet`."""
 
-    spectrum: Spectrum
-    untried: tuple[str, ...]
-    dwells: tuple[UsedDwell, ...] = ()
+    quiet: bool
+    frequency: Annotated[
+        float | None,
+        Option("--frequency HZ", FREQUENCY, RECORDS),
+        "Drive frequency of records without a frequency_hz column.",
+    ]
+    orders: Annotated[
+        Any,
+        Option("--orders auto|1,3,…", ORDERS, RECORDS, default="auto"),
+        "Multiples of the drive frequency whose amplitudes are used as data; auto is 1 and, in long dwells, the "
+        "harmonics that show in every channel.",
+    ]
+    harmonics: Annotated[
+        Any,
+        Option("--harmonics auto|none|2,3,…", HARMONICS, RECORDS, default="auto"),
+        "Further multiples, fitted so that they do not count as noise.",
+    ]
+    drift: Annotated[
+        Any,
+        Option("--drift", click.Choice(["auto", "none", "0", "1", "2", "3"]), RECORDS, default="auto"),
+        "Degree of the polynomial removed from each dwell: 0 removes the mean, 1 a straight line; auto is 1, and 0 "
+        "where short dwells show no slope.",
+    ]
+    noise: Annotated[
+        Any,
+        Option("--noise", click.Choice(["auto", "own", "white", "blocks"]), RECORDS, default="auto"),
+        "How the noise of the amplitudes is estimated from the residuals: as white noise (white), from neighbouring "
+        "frequencies (blocks), as a test of whiteness decides for each dwell (own), or likewise with short dwells "
+        "pooled (auto).",
+    ]
+    refine: Annotated[
+        Any,
+        Option("--refine", click.Choice(["auto", "always", "none"]), RECORDS, alone="always", default="auto"),
+        "Estimate the true drive frequency near the stated one: where all dwells together show that it is off (auto; "
+        "refused where a record moves elsewhere), always, or never; --refine alone is always.",
+    ]
+    settle: Annotated[
+        Any,
+        Option("--settle auto|none|2s", SETTLING, RECORDS, alone="auto", default="none"),
+        "Discard the start of each dwell: as long as the transient lasts (auto), or the time given; --settle alone is "
+        "auto.",
+    ]
+    record_band: Annotated[
+        tuple[float, float] | None,
+        Option("--band LOWER:UPPER", BAND, RECORDS),
+        "Frequencies of a whole record that are used, Hz.  [default: the band in which the rig moves]",
+    ]
+    transients: Annotated[
+        Any,
+        Option("--transients", click.Choice(["auto", "estimate", "settle", "none"]), RECORDS, default="auto"),
+        "Transients of dwells: estimate them where a test finds the dwells unsettled (auto), always (estimate) or "
+        "never (none), or drop them where the test finds them (settle; auto does so for methods that cannot estimate "
+        "them).  Records of other excitation always have theirs estimated.",
+    ]
+    noise_record: Annotated[
+        tuple[str, ...],
+        Option("--noise-record FILE", INPUT_FILE, RECORDS, multiple=True),
+        "A record at rest, which gives the noise of every channel.  May be repeated.",
+    ]
+
+    def reading(self, rig: Rig, paths: Sequence[str]) -> Reading:
+        """What data files hold, with what was noticed told.
+
+        Raises DataError, and UsageError for a file given twice and for --frequency unused.
+        """
+        from dashpot.data.readers import read
+
+        require_each_once(paths)
+        with progress(reading_of(paths), self.quiet):
+            reading = read(paths, rig.channels, frequency_hz=self.frequency)
+        if self.frequency is not None and all(one.frequency_hz != self.frequency for one in reading.records):
+            cause = "--frequency is for records that name no drive frequency, and these data name theirs"
+            raise UsageError(cause, cure="leave it out")
+        tell_notes(reading.notes, self.quiet)
+        return reading
+
+    def conditioning(self, rig: Rig, reading: Reading | None = None) -> Conditioning:
+        """The treatments as a value; what a manifest among the data states counts where no option says otherwise.
+
+        Raises DataError for a noise record that cannot be used.
+        """
+        from dashpot.data.conditioning.settings import Conditioning
+        from dashpot.data.conditioning.still import noise_at_rest
+        from dashpot.data.readers import read
+
+        stated: dict[str, Any] = {} if reading is None else dict(reading.conditioning)
+        chosen = Conditioning(
+            orders=self.orders,
+            harmonics=self.harmonics,
+            drift=int(self.drift) if self.drift.isdecimal() else self.drift,
+            noise=self.noise,
+            refine=self.refine,
+            settle=self.settle,
+            transients=self.transients,
+            band_hz="auto" if self.record_band is None else self.record_band,
+        )
+        chosen = chosen.changed(**{name: value for name, value in stated.items() if not _was_given(name)})
+        if not self.noise_record:
+            return chosen
+        still = read(self.noise_record, rig.channels)
+        tell_notes(still.notes, self.quiet)
+        return chosen.changed(still=noise_at_rest(still.records))
+
+    def spectrum(
+        self, rig: Rig, reading: Reading, conditioning: Conditioning, methods: Collection[str] = ()
+    ) -> Spectrum:
+        """The amplitudes of what was read, with what was noticed told.
+
+        Second moments of the samples are kept where one of the methods needs them and the files hold samples;
+        unsettled dwells are cut to what has settled where one of them knows no transients.  Raises DataError.
+        """
+        from dashpot.estimate.identify import amplitudes_for
+
+        with progress("amplitudes", self.quiet):
+            spectrum = amplitudes_for(rig.model, reading, conditioning, traits_of(methods))
+        if self.record_band is not None and not spectrum.records:
+            cause = "--band chooses frequencies of whole records, and these data hold dwells"
+            raise UsageError(cause, cure="leave it out")
+        tell_notes(spectrum.notes, self.quiet)
+        return spectrum
+
+    def read(self, rig: Rig, paths: Sequence[str], methods: Collection[str] = ()) -> Spectrum:
+        """The amplitudes of data files, as `reading`, `conditioning` and `spectrum` make them."""
+        reading = self.reading(rig, paths)
+        return self.spectrum(rig, reading, self.conditioning(rig, reading), methods)
+
+    def require_in_time(self) -> None:
+        """Raises UsageError for options that have no meaning where whole records are followed in time."""
+        if self.record_band is not None:
+            cause = "--band chooses frequencies, and whole records of nonlinear rigs are followed in time"
+            raise UsageError(cause, cure="leave it out")
+
+    def treatment(self, rig: Rig, chosen: str, positive: bool, seed: int) -> Treatment:
+        """How every one of many data sets is treated.
+
+        Raises UsageError where the method holds no bounds, DataError for a noise record that cannot be used.
+        """
+        from dashpot.fleet.data_sets import Treatment
+
+        require_bounds_held(chosen, positive)
+        method = None if chosen == "auto" else chosen
+        return Treatment(method, self.conditioning(rig), self.frequency, positive, seed)
 
 
-def read_files(rig: Rig, paths: Sequence[str], options: Mapping[str, Any], quiet: bool) -> Reading:
-    """What data files hold, with what was noticed told.
+def traits_of(methods: Collection[str]) -> list[Any]:
+    """What methods of these names need and are; auto decides later."""
+    from dashpot.estimate.registry import method_class
 
-    Raises DataError, and UsageError for a file given twice and for --frequency unused.
-    """
-    from dashpot.app.progress import progress
-    from dashpot.data.readers import read
+    return [method_class(name).traits for name in methods if name != "auto"]
 
-    require_each_once(paths)
-    with progress(reading_of(paths), quiet):
-        reading = read(paths, rig.channels, frequency_hz=options["frequency"])
-    stated = options["frequency"]
-    if stated is not None and not any(record.frequency_hz == stated for record in reading.records):
-        cause = "--frequency is for records that name no drive frequency, and these data name theirs"
-        raise UsageError(cause, cure="leave it out")
-    tell_notes(reading.notes, quiet)
-    return reading
+
+def require_bounds_held(method: str, positive: bool) -> None:
+    """Refuse --positive, before the work, with a method that cannot hold bounds.  Raises UsageError."""
+    if positive and not all(traits.bounds for traits in traits_of([method])):
+        raise UsageError(
+            f"the method {method} cannot hold bounds", cure="leave out --positive, or use --method ml"
+        )
 
 
 def require_each_once(paths: Sequence[str]) -> None:
@@ -62,76 +210,6 @@ def require_each_once(paths: Sequence[str]) -> None:
             )
 
 
-def measured_data(
-    rig: Rig,
-    reading: Reading,
-    options: Mapping[str, Any],
-    quiet: bool,
-    *,
-    moments_for: Iterable[str] = (),
-    part: tuple[float, float] = (0.0, 1.0),
-    with_dwells: bool = False,
-) -> MeasuredData:
-    """The amplitudes of what was read, with the options of `conditioning_options` by name.
-
-    Second moments of the samples are kept where one of the methods named by `moments_for` needs them and the files
-    hold samples; unsettled dwells are cut to what has settled where one of them knows no transients.  `part` is the
-    share of every record's samples that is used, from where to where; `with_dwells` keeps them, for pictures.
-    Raises DataError.
-    """
-    from dashpot.app.progress import progress
-    from dashpot.estimate.identify import amplitudes_for, conditioning_for
-    from dashpot.estimate.registry import method_class
-
-    traits = [method_class(name).traits for name in moments_for if name != "auto"]
-    stated: dict[str, Any] = {
-        name: value for name, value in reading.conditioning.items() if not _was_given(name)
-    }
-    conditioning = with_noise_record(replace(conditioning_from(options), **stated), rig, options, quiet)
-    reading = part_of(reading, part)
-    with progress("amplitudes", quiet):
-        spectrum = amplitudes_for(rig.model, reading, conditioning, traits)
-    if options.get("record_band") is not None and not spectrum.records:
-        cause = "--band chooses frequencies of whole records, and these data hold dwells"
-        raise UsageError(cause, cure="leave it out")
-    tell_notes(spectrum.notes, quiet)
-    dwells: tuple[UsedDwell, ...] = ()
-    if with_dwells:
-        from dashpot.data.conditioning.used_dwells import used_dwells
-
-        treated = conditioning_for(rig.model, reading, conditioning, traits)
-        dwells = used_dwells(reading.records, spectrum, treated)
-    return MeasuredData(spectrum, conditioning.untried if reading.records else (), dwells)
-
-
-def read_spectrum(
-    rig: Rig,
-    paths: Sequence[str],
-    options: Mapping[str, Any],
-    quiet: bool,
-    *,
-    moments_for: Iterable[str] = (),
-    part: tuple[float, float] = (0.0, 1.0),
-) -> Spectrum:
-    """The amplitudes of data files alone, as `measured_data` makes them."""
-    reading = read_files(rig, paths, options, quiet)
-    return measured_data(rig, reading, options, quiet, moments_for=moments_for, part=part).spectrum
-
-
-def with_noise_record(
-    conditioning: Conditioning, rig: Rig, options: Mapping[str, Any], quiet: bool
-) -> Conditioning:
-    """With the noise that the file of --noise-record shows, where there is one.  Raises DataError."""
-    if not options.get("noise_record"):
-        return conditioning
-    from dashpot.data.conditioning.still import noise_at_rest
-    from dashpot.data.readers import read
-
-    still = read(options["noise_record"], rig.channels)
-    tell_notes(still.notes, quiet)
-    return conditioning.changed(still=noise_at_rest(still.records))
-
-
 def reading_of(paths: Sequence[str]) -> str:
     """What is being read, in a few words."""
     name = printable(os.path.basename(paths[0]))
@@ -140,11 +218,10 @@ def reading_of(paths: Sequence[str]) -> str:
 
 def part_of(reading: Reading, part: tuple[float, float]) -> Reading:
     """The same with the share `part` of every record's samples.  Raises DataError where there are none."""
-    if part == (0.0, 1.0):
+    if part == WHOLE:
         return reading
     from dashpot.data.conditioning.clock import cut
     from dashpot.data.conditioning.transients import continuous
-    from dashpot.errors import DataError
 
     if reading.amplitudes is not None:
         raise DataError("a table of amplitudes has no samples to hold out", cure="give the records")
@@ -159,15 +236,23 @@ def _was_given(option: str) -> bool:
     return source is not None and source is not click.core.ParameterSource.DEFAULT
 
 
-def conditioning_from(options: Mapping[str, Any]) -> Conditioning:
-    """The value of the options of `conditioning_options`, by their names."""
-    from dashpot.data.conditioning.settings import Conditioning
+def estimate_and_rig(path: str, rig: str | None) -> tuple[Estimate, Rig]:
+    """An estimate with the rig it was made of: the one given, else the file that the estimate names.
 
-    drift = options["drift"]
-    treatments = {name: options[name] for name in CONDITIONING}
-    treatments["transients"] = options.get("transients", "auto")
-    treatments["band_hz"] = options.get("record_band") or "auto"
-    return Conditioning(**{**treatments, "drift": int(drift) if drift.isdecimal() else drift})
+    Raises DataError or UsageError.
+    """
+    from dashpot.estimate.result import Estimate
+    from dashpot.model.rigfile import read_rig
+
+    estimate = Estimate.load(path)
+    if rig is not None:
+        return estimate, read_rig(rig)
+    if estimate.rig is None:
+        raise UsageError(f"{path} does not name its rig file", cure="give it with --rig")
+    for candidate in (Path(estimate.rig), Path(path).parent / estimate.rig):
+        if os.path.isfile(candidate):  # False, too, of a name too long for a file
+            return estimate, read_rig(str(candidate))
+    raise UsageError(f"the rig file {estimate.rig} that {path} names is not there", cure="give it with --rig")
 
 
 def tell_notes(notes: Sequence[Notice], quiet: bool) -> None:

@@ -1,12 +1,18 @@
-"""Options that several commands share: the same name, type, words and meaning in each."""
+"""Options and arguments of commands: what their values may be, how they are declared, and those that several take.
+
+An option is the type of a parameter: `level: Level`, or `Annotated[bool, Option("--strict"), "what it does"]` where one
+command alone takes it.  Options that go together are the fields of a frozen dataclass, which a command takes as one.
+"""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import click
 from click.shell_completion import CompletionItem
@@ -18,7 +24,7 @@ from dashpot.io import ledger
 from dashpot.io.words import PICTURES, chosen_format
 from dashpot.quantities import Amount
 
-# Files and folders as parameters of commands: checked before the work starts.
+# Files and folders: checked before the work starts.
 #
 # A parameter that names a file or folder has one of these types, by which no output of a call can be an
 # input of it: each input and output is entered in the run's ledger, whichever comes first, and what clashes
@@ -29,28 +35,26 @@ STDOUT = "-"  # as the name of a file to write
 
 
 class InputFile(click.ParamType[str]):
-    """A file that is read.  Whether it is there, its reader says."""
+    """A file that is read; with `or_text`, what names none is a text with a meaning of its own.
+
+    Whether a file is there, its reader says.
+    """
 
     name = "file"
 
+    def __init__(self, or_text: bool = False) -> None:
+        self.or_text = or_text
+
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The path.  Raises UsageError where it is an output of the same call."""
-        return ledger.noted(str(value))
+        """The path or the text.  Raises UsageError where it is an output of the same call."""
+        text = str(value)
+        return text if self.or_text and not os.path.exists(text) else ledger.noted(text)
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
         """Left to the shell."""
         return [CompletionItem(incomplete, type="file")]
-
-
-class InputFileOr(InputFile):
-    """A file that is read where there is one of that name; else a text with a meaning of its own."""
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The path or the text.  Raises UsageError where it is an output of the same call."""
-        text = str(value)
-        return super().convert(text, param, ctx) if os.path.exists(text) else text
 
 
 class OutputFile(click.ParamType[str]):
@@ -106,9 +110,8 @@ class OutputFolder(click.ParamType[str]):
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """The path.  Raises UsageError where the folder cannot be made."""
-        target = str(value)
-        check_folder(target)
-        return target
+        check_folder(str(value))
+        return str(value)
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
@@ -160,7 +163,7 @@ def write_pictures(folder: str | Path, pictures: Mapping[str, bytes]) -> list[st
 # usage error that names the option.
 
 
-MOST_ORDERS = 1000
+MOST_ORDERS = 1000  # of the drive frequency: no record shows so many
 _THOUSANDS = re.compile(r"\d{1,3}(,\d{3})+")
 
 Value = TypeVar("Value")
@@ -200,39 +203,23 @@ class TextType(click.ParamType[Any]):
         return [CompletionItem(word) for word in self.words if word.startswith(incomplete)]
 
 
-def _positive(kind: str) -> Callable[[str], float]:
-    return lambda text: quantities.positive(quantities.quantity(text, kind), text)
+def _positive(parse: Callable[[str], Any], text: str) -> Any:
+    """The number or Amount that `parse` reads, above 0."""
+    value = parse(text)
+    quantities.positive(value.number if isinstance(value, Amount) else value, text)
+    return value
 
 
-def _not_negative(kind: str) -> Callable[[str], float]:
-    def parse(text: str) -> float:
-        value = quantities.quantity(text, kind)
-        if value < 0:
-            raise UsageError(f"{text.strip()!r} is negative", cure="give 0 or more")
-        return value
-
-    return parse
-
-
-def _positive_amount(text: str) -> Amount:
-    given = quantities.amount(text)
-    quantities.positive(given.number, text)
-    return given
-
-
-def _positive_share(text: str) -> float:
-    return quantities.positive(quantities.share(text), text)
-
-
-def _share_of_zero_or_more(text: str) -> float:
-    value = quantities.share(text)
+def _from_zero(parse: Callable[[str], float], zero: str, text: str) -> float:
+    """What `parse` reads, `zero` or above."""
+    value = parse(text)
     if value < 0:
-        raise UsageError(f"{text.strip()!r} is negative", cure="give 0% or more")
+        raise UsageError(f"{text.strip()!r} is negative", cure=f"give {zero} or more")
     return value
 
 
 def _part(text: str) -> float:
-    value = _positive_share(text)
+    value: float = _positive(quantities.share, text)
     if value >= 1:
         raise UsageError(f"{text.strip()!r} is out of range", cure="give less than 100%")
     return value
@@ -268,8 +255,8 @@ def _whole_numbers(text: str) -> tuple[int, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def pairs(text: str, parse: Callable[[str], Value]) -> dict[str, Value]:
-    """NAME=VALUE,NAME=VALUE,… with each VALUE read by `parse`.  Raises UsageError."""
+def _pairs(parse: Callable[[str], Value], text: str) -> dict[str, Value]:
+    """NAME=VALUE,NAME=VALUE,… with each VALUE read by `parse`."""
     found: dict[str, Value] = {}
     for part in text.split(","):
         name, equals, written = part.partition("=")
@@ -282,16 +269,13 @@ def pairs(text: str, parse: Callable[[str], Value]) -> dict[str, Value]:
     return found
 
 
-def _amounts(text: str) -> dict[str, Amount]:
-    return pairs(text, quantities.amount)
-
-
 def _amplitude(text: str) -> Amount | dict[str, Amount]:
-    return _amounts(text) if "=" in text else _positive_amount(text)
+    return _pairs(quantities.amount, text) if "=" in text else _positive(quantities.amount, text)
 
 
 def _target(text: str) -> float | dict[str, float]:
-    return pairs(text, _positive_share) if "=" in text else _positive_share(text)
+    share = partial(_positive, quantities.share)
+    return _pairs(share, text) if "=" in text else share(text)
 
 
 def _sensors(text: str) -> tuple[int, tuple[str, ...]]:
@@ -303,7 +287,7 @@ def _sensors(text: str) -> tuple[int, tuple[str, ...]]:
 
 
 def _three_shares(text: str) -> tuple[float, float, float]:
-    shares = [_positive_share(part) for part in text.split(",")]
+    shares = [_positive(quantities.share, part) for part in text.split(",")]
     if len(shares) != 3:
         raise UsageError(f"{text!r} is not three shares", cure="write them as 1%,20%,5%")
     return shares[0], shares[1], shares[2]
@@ -314,17 +298,20 @@ def names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
+_time = partial(quantities.quantity, kind="time")
+_mass = partial(quantities.quantity, kind="mass")
+
 FREQUENCIES = TextType("frequencies", quantities.frequencies)
 FREQUENCY = TextType("frequency", quantities.frequency)
 BAND = TextType("lower:upper", quantities.band)
-TIME = TextType("time", _positive("time"))
-MASS = TextType("mass", _positive("mass"))
-SETTLING = TextType("time", _not_negative("time"), words=("auto", "none"))
-AMOUNT = TextType("quantity", _positive_amount)  # in SI only where the rig is known: an angle or a length
-AMOUNTS = TextType("name=value", _amounts)
+TIME = TextType("time", partial(_positive, _time))
+MASS = TextType("mass", partial(_positive, _mass))
+SETTLING = TextType("time", partial(_from_zero, _time, "0"), words=("auto", "none"))
+AMOUNT = TextType("quantity", partial(_positive, quantities.amount))  # in SI only where the rig is known
+AMOUNTS = TextType("name=value", partial(_pairs, quantities.amount))
 AMPLITUDE = TextType("quantity", _amplitude)
-SHARE = TextType("share", _positive_share)
-SHARE_OR_ZERO = TextType("share", _share_of_zero_or_more)
+SHARE = TextType("share", partial(_positive, quantities.share))
+SHARE_OR_ZERO = TextType("share", partial(_from_zero, quantities.share, "0%"))
 PART = TextType("share", _part)
 NUMBER = TextType("number", _number)
 LEVEL = TextType("level", _level)
@@ -334,7 +321,7 @@ TARGET = TextType("share", _target)
 MODAL_SD = TextType("shares", _three_shares)
 SENSORS = TextType("choice", _sensors)
 INPUT_FILE = InputFile()
-INPUT_FILE_OR = InputFileOr()
+INPUT_FILE_OR = InputFile(or_text=True)
 FOLDER = OutputFolder()
 
 
@@ -361,29 +348,100 @@ class Count(click.ParamType[int]):
         return int(number)
 
 
-# Commands whose --help shows options in groups, in the order they are declared, and examples.
+# Commands made of functions: --help shows options in groups, in the order they are declared, and examples.
 
 
-Function = TypeVar("Function", bound=Callable[..., Any])
 GENERAL = "General"
+OUTPUT = "Output"
+RECORDS = "Time records (tables of amplitudes are used as they are)"
 WIDEST = 100  # columns of help text
+
+
+class Option:
+    """How a parameter is written: an option under the heading `group` in --help or, without names, an argument.
+
+    words       names, then what stands for the value: "--out -o FILE.csv"
+    kind        type of the value; a parameter of type bool is a flag
+    says        the help, around what is said of it where a command takes it
+    alone       what the option means without a value, where that may be left out
+    attributes  as of click
+    """
+
+    def __init__(
+        self,
+        words: str = "",
+        kind: click.ParamType[Any] | None = None,
+        group: str = GENERAL,
+        *,
+        says: str = "{}",
+        alone: str | None = None,
+        **attributes: Any,
+    ) -> None:
+        given = words.split()
+        self.names = [word for word in given if word.startswith("-")]
+        self.attributes = {"type": kind, **attributes}
+        if len(self.names) < len(given):
+            self.attributes["metavar"] = words.partition(f"{self.names[-1]} ")[2]
+        self.group, self.says, self.alone = group, says, alone
+
+    def parameter(self, name: str, value: object, text: str, group: str | None = None) -> click.Parameter:
+        """The parameter of click, called `name` in the function, under another heading where one is given."""
+        attributes = {"help": self.says.format(text), **self.attributes}
+        if not self.names:
+            return click.Argument([name], **attributes)
+        if value is bool:
+            attributes["is_flag"] = True
+        shown = "default" in attributes
+        given = [*self.names, name]
+        return GroupedOption(given, group or self.group, self.alone, show_default=shown, **attributes)
 
 
 class GroupedOption(click.Option):
     """An option that stands under the heading `group` in --help; without a value it means `alone`, if that is given."""
 
-    def __init__(self, *args: Any, group: str = GENERAL, alone: str | None = None, **attributes: Any) -> None:
-        super().__init__(*args, **attributes)
-        self.group = group
-        self.alone = alone
+    def __init__(self, names: Sequence[str], group: str, alone: str | None, **attributes: Any) -> None:
+        super().__init__(names, **attributes)
+        self.group, self.alone = group, alone
+
+
+def _declared(hints: Mapping[str, Any]) -> Iterator[click.Parameter]:
+    """The parameters of click among the annotations of a function or a dataclass, and in dataclasses among them."""
+    for name, hint in hints.items():
+        if is_dataclass(hint):
+            yield from _declared(get_type_hints(hint, include_extras=True))
+        elif hasattr(hint, "__metadata__"):
+            option, text, *group = hint.__metadata__
+            yield option.parameter(name, hint.__origin__, text, *group)
 
 
 class GroupedCommand(click.Command):
-    """A command with `examples`, printed below its options."""
+    """A command made of a function, whose parameters say how they are typed; `examples` are printed below its options.
 
-    def __init__(self, *args: Any, examples: Sequence[str] = (), **attributes: Any) -> None:
-        super().__init__(*args, **attributes)
+    A parameter that is a dataclass holds options that go together; its other fields are parameters of the function.
+    Of options of the same name the one that is declared first is the command's; the other is never given.
+    """
+
+    def __init__(self, function: Callable[..., Any], examples: Sequence[str] = ()) -> None:
         self.examples = tuple(examples)
+        self.function, self.hints = function, get_type_hints(function, include_extras=True)
+        self.hints.pop("return", None)
+        params: list[click.Parameter] = []
+        taken: set[str] = set()
+        for each in _declared(self.hints):
+            if taken.isdisjoint(each.opts):
+                params.append(each)
+                taken.update(each.opts)
+        name = function.__module__.rpartition(".")[2]
+        super().__init__(name, callback=self.called, params=params, help=function.__doc__)
+
+    def called(self, **given: Any) -> Any:
+        """Call the function, with options that go together as one value, and the context where it asks for it."""
+        for name, hint in self.hints.items():
+            if isinstance(hint, type) and is_dataclass(hint):
+                given[name] = hint(**{each.name: given.get(each.name) for each in fields(hint)})
+            elif hint is click.Context:
+                given[name] = click.get_current_context()
+        return self.function(**{name: given[name] for name in self.hints})
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """As click does; an option whose value may be left out takes the next word only if it is such a value."""
@@ -411,24 +469,16 @@ class GroupedCommand(click.Command):
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Examples; a long one goes on in the next line as a shell reads it, for they are to be copied."""
-        if self.examples:
-            with formatter.section("Examples"):
-                indent = " " * formatter.current_indent
-                for example in self.examples:
-                    formatter.write(
-                        indent + _folded(example, formatter.width - 2 * len(indent), indent) + "\n"
-                    )
-
-
-def _folded(example: str, width: int, indent: str) -> str:
-    """The command in lines of at most `width`, broken before an option."""
-    lines = [""]
-    for part in re.split(r" (?=-)", example):
-        if lines[-1] and len(lines[-1]) + len(part) + 3 > width:
-            lines.append(part)
-        else:
-            lines[-1] = f"{lines[-1]} {part}".strip()
-    return f" \\\n{indent}    ".join(lines)
+        with formatter.section("Examples"):
+            indent = " " * formatter.current_indent
+            for example in self.examples:
+                lines = [""]  # each at most as wide as the terminal, broken before an option
+                for part in re.split(r" (?=-)", example):
+                    if lines[-1] and len(lines[-1]) + len(part) + 3 > formatter.width - 2 * len(indent):
+                        lines.append(part)
+                    else:
+                        lines[-1] = f"{lines[-1]} {part}".strip()
+                formatter.write(indent + f" \\\n{indent}    ".join(lines) + "\n")
 
 
 def _complete(option: GroupedOption, ctx: click.Context, word: str, following: str) -> str:
@@ -442,227 +492,73 @@ def _complete(option: GroupedOption, ctx: click.Context, word: str, following: s
     return word
 
 
-def dashpot_command(name: str, *examples: str) -> Callable[[Callable[..., Any]], GroupedCommand]:
-    """Decorator: a GroupedCommand of that name."""
-    return click.command(name, cls=GroupedCommand, examples=examples)
+def dashpot_command(*examples: str) -> Callable[[Callable[..., Any]], GroupedCommand]:
+    """Decorator: the function as a command of its module's name."""
+    return partial(GroupedCommand, examples=examples)
 
 
-def option(*declarations: str, group: str = GENERAL, **attributes: Any) -> Callable[[Function], Function]:
-    """Decorator: an option under the heading `group`."""
-    return click.option(*declarations, cls=GroupedOption, group=group, **attributes)
+# Options that several commands take: the same name, type, words and meaning in each.
 
 
 NOT_CONVERGED = 3  # exit code
 DOES_NOT_FIT = 4  # exit code of a verdict that was asked to count
-OUTPUT = "Output"
-CHOICES = ["auto", *METHODS]  # of --method
-DATA_HELP = "Data files of any format, or a manifest (TOML): time records, amplitudes, frequency responses."
-VALUES = "Values of the unknowns, in place of those of the rig file"
-RECORDS = "Time records (tables of amplitudes are used as they are)"
 
-
-rig_argument = click.argument(
-    "rig", type=INPUT_FILE, help="Rig file (TOML): coordinates, elements, channels."
+# Several commands say in their own words what these are for.
+FILES, NEEDED_FILES = (Option("", INPUT_FILE, nargs=-1, required=needed) for needed in (False, True))
+DATA = "Data files of any format, or a manifest (TOML): time records, amplitudes, frequency responses."
+JSON = Option(
+    "--json FILE",
+    OutputFile(stdout=True),
+    OUTPUT,
+    says="Write {} as JSON; - writes it to stdout, in place of the text.",
 )
+FIGURE = Option("--figure FILE.svg|png|pdf", OutputFile(formats=PICTURES), OUTPUT)
+SEED = Option(
+    "--seed N", Count(0, 2**63 - 1), default=0, says="Seed of {}; the same seed gives the same result."
+)
+SET = Option(
+    "--set NAME=VALUE,…",
+    AMOUNTS,
+    "The rig",
+    multiple=True,
+    says="{}, such as m1=3,k1=4.6kN/m; a bare number is in SI units.  May be repeated.",
+)
+VALUES = "Values of the unknowns, in place of those of the rig file"  # of SET
 
-
-def data_argument(
-    help_text: str, *, name: str = "data", required: bool = False
-) -> Callable[[Function], Function]:
-    """Data files."""
-    return click.argument(name, type=INPUT_FILE, nargs=-1, required=required, help=help_text)
-
-
-def out_option(
-    metavar: str, help_text: str, *, required: bool = True, formats: Sequence[str] = ()
-) -> Callable[[Function], Function]:
-    """--out, -o: what the command is there to write; `formats` as of OutputFile."""
-    return option(
-        "--out",
-        "-o",
-        "out",
-        type=OutputFile(formats=formats),
-        metavar=metavar,
-        required=required,
-        group=OUTPUT,
-        help=help_text,
-    )
-
-
-def json_option(what: str) -> Callable[[Function], Function]:
-    """--json: the result for other programs."""
-    return option(
-        "--json", "json_out", type=OutputFile(stdout=True), metavar="FILE", group=OUTPUT,
-        help=f"Write {what} as JSON; - writes it to stdout, in place of the text.",
-    )  # fmt: skip
-
-
-def file_option(name: str, metavar: str, help_text: str) -> Callable[[Function], Function]:
-    """An output file that is named by what it holds."""
-    return option(name, type=OutputFile(), metavar=metavar, group=OUTPUT, help=help_text)
-
-
-def figure_option(what: str, *names: str) -> Callable[[Function], Function]:
-    """--figure, or an option of another name that draws."""
-    return option(
-        *(names or ("--figure",)),
-        type=OutputFile(formats=PICTURES),
-        metavar="FILE.svg|png|pdf",
-        group=OUTPUT,
-        help=what,
-    )
-
-
-level_option = option(
-    "--level", type=LEVEL, default="95%", show_default=True, metavar="LEVEL", group=OUTPUT,
-    help="Confidence level of the intervals.",
-)  # fmt: skip
-
-quiet_option = option("--quiet", "-q", is_flag=True, help="Print no results and no notes, only errors.")
-
-
-def seed_option(of_what: str, default: int = 0) -> Callable[[Function], Function]:
-    """--seed."""
-    return option(
-        "--seed", type=Count(0, 2**63 - 1), default=default, show_default=True, metavar="N",
-        help=f"Seed of {of_what}; the same seed gives the same result.",
-    )  # fmt: skip
-
-
-def method_option(group: str) -> Callable[[Function], Function]:
-    """--method: the estimator."""
-    return option(
-        "--method", "chosen", type=click.Choice(CHOICES), default="auto", show_default=True, group=group,
-        help="Estimator.  auto takes oiv where every coordinate and input is measured and no unknown has bounds, ml "
-        "elsewhere.",
-    )  # fmt: skip
-
-
-def positive_option(group: str) -> Callable[[Function], Function]:
-    """--positive: bounds at 0."""
-    return option(
-        "--positive",
-        is_flag=True,
-        group=group,
-        help="Hold every unknown at or above 0 (but not the entries of free matrices); uses ml.",
-    )
-
-
-def set_option(group: str, name: str, help_text: str) -> Callable[[Function], Function]:
-    """--set: values of unknowns."""
-    return option(
-        "--set", name, type=AMOUNTS, multiple=True, metavar="NAME=VALUE,…", group=group,
-        help=f"{help_text}, such as m1=3,k1=4.6kN/m; a bare number is in SI units.  May be repeated.",
-    )  # fmt: skip
-
-
-def relative_noise_option(group: str) -> Callable[[Function], Function]:
-    """--relative-noise: in place of what the channels state."""
-    return option(
-        "--relative-noise",
-        type=SHARE_OR_ZERO,
-        metavar="5%",
-        group=group,
-        help="Noise of a sample as a share of the amplitude, for every output, in place of the rig file's noise.",
-    )
-
-
-def modal_sd_option(group: str) -> Callable[[Function], Function]:
-    """--modal-sd: standard deviations of modes in files that have none."""
-    return option(
-        "--modal-sd", type=MODAL_SD, default="1%,20%,5%", show_default=True, metavar="FREQUENCY,DAMPING,SHAPE",
-        group=group,
-        help="Standard deviations of modes in universal files, which hold none: of frequencies, of damping ratios, and "
-        "of shapes relative to their largest entry.",
-    )  # fmt: skip
-
-
-workers_option = option(
-    "--workers", "--processes", "workers", type=Count(1, 1024), metavar="N",
-    help="Worker processes.  [default: one per processor]",
-)  # fmt: skip
-
-dask_option = option(
-    "--dask",
-    metavar="local|ADDRESS",
-    help="Compute on a Dask cluster: the address of its scheduler, such as tcp://host:8786, or local for one on this "
+RigFile = Annotated[str, Option("", INPUT_FILE), "Rig file (TOML): coordinates, elements, channels."]
+Method = Annotated[
+    str,
+    Option("--method", click.Choice(["auto", *METHODS]), "Estimation", default="auto"),
+    "Estimator.  auto takes oiv where every coordinate and input is measured and no unknown has bounds, ml elsewhere.",
+]
+Positive = Annotated[
+    bool,
+    Option("--positive", None, "Estimation"),
+    "Hold every unknown at or above 0 (but not the entries of free matrices); uses ml.",
+]
+RelativeNoise = Annotated[
+    float | None,
+    Option("--relative-noise 5%", SHARE_OR_ZERO, "Noise"),
+    "Noise of a sample as a share of the amplitude, for every output, in place of the rig file's noise.",
+]
+ModalSd = Annotated[
+    tuple[float, float, float],
+    Option("--modal-sd FREQUENCY,DAMPING,SHAPE", MODAL_SD, "Measured modes", default="1%,20%,5%"),
+    "Standard deviations of modes in universal files, which hold none: of frequencies, of damping ratios, and of "
+    "shapes relative to their largest entry.",
+]
+Workers = Annotated[
+    int | None,
+    Option("--workers --processes N", Count(1, 1024)),
+    "Worker processes.  [default: one per processor]",
+]
+Dask = Annotated[
+    str | None,
+    Option("--dask local|ADDRESS"),
+    "Compute on a Dask cluster: the address of its scheduler, such as tcp://host:8786, or local for one on this "
     "machine.  Needs the extra scale.",
-)
-
-
-record_band_option = option(
-    "--band", "record_band", type=BAND, metavar="LOWER:UPPER", group=RECORDS,
-    help="Frequencies of a whole record that are used, Hz.  [default: the band in which the rig moves]",
-)  # fmt: skip
-
-
-def transient_options(function: Function) -> Function:
-    """What is done about transients, and what is known of the noise: --transients and --noise-record."""
-    options = [
-        option(
-            "--transients", type=click.Choice(["auto", "estimate", "settle", "none"]), default="auto",
-            show_default=True, group=RECORDS,
-            help="Transients of dwells: estimate them where a test finds the dwells unsettled (auto), always "
-            "(estimate) or never (none), or drop them where the test finds them (settle; auto does so for methods that "
-            "cannot estimate them).  Records of other excitation always have theirs estimated.",
-        ),
-        option(
-            "--noise-record", type=INPUT_FILE, multiple=True, metavar="FILE", group=RECORDS,
-            help="A record at rest, which gives the noise of every channel.  May be repeated.",
-        ),
-    ]  # fmt: skip
-    for decorate in reversed(options):
-        function = decorate(function)
-    return function
-
-
-def whole_record_options(function: Function) -> Function:
-    """How whole records are used: --band, --transients and --noise-record."""
-    return record_band_option(transient_options(function))
-
-
-def conditioning_options(function: Function) -> Function:
-    """How time records become amplitudes: --frequency and the settings of conditioning."""
-    options = [
-        option(
-            "--frequency", type=FREQUENCY, metavar="HZ", group=RECORDS,
-            help="Drive frequency of records without a frequency_hz column.",
-        ),
-        option(
-            "--orders", type=ORDERS, default="auto", show_default=True, metavar="auto|1,3,…", group=RECORDS,
-            help="Multiples of the drive frequency whose amplitudes are used as data; auto is 1 and, in long dwells, "
-            "the harmonics that show in every channel.",
-        ),
-        option(
-            "--harmonics", type=HARMONICS, default="auto", show_default=True, metavar="auto|none|2,3,…",
-            group=RECORDS, help="Further multiples, fitted so that they do not count as noise.",
-        ),
-        option(
-            "--drift", type=click.Choice(["auto", "none", "0", "1", "2", "3"]), default="auto", show_default=True,
-            group=RECORDS,
-            help="Degree of the polynomial removed from each dwell: 0 removes the mean, 1 a straight line; auto is 1, "
-            "and 0 where short dwells show no slope.",
-        ),
-        option(
-            "--noise", type=click.Choice(["auto", "own", "white", "blocks"]), default="auto", show_default=True,
-            group=RECORDS,
-            help="How the noise of the amplitudes is estimated from the residuals: as white noise (white), from "
-            "neighbouring frequencies (blocks), as a test of whiteness decides for each dwell (own), or likewise with "
-            "short dwells pooled (auto).",
-        ),
-        option(
-            "--refine", type=click.Choice(["auto", "always", "none"]), alone="always", default="auto",
-            show_default=True, group=RECORDS,
-            help="Estimate the true drive frequency near the stated one: where all dwells together show that it is off "
-            "(auto; refused where a record moves elsewhere), always, or never; --refine alone is always.",
-        ),
-        option(
-            "--settle", type=SETTLING, alone="auto", default="none", show_default=True,
-            metavar="auto|none|2s", group=RECORDS,
-            help="Discard the start of each dwell: as long as the transient lasts (auto), or the time given; --settle "
-            "alone is auto.",
-        ),
-    ]  # fmt: skip
-    for decorate in reversed(options):
-        function = decorate(function)
-    return function
+]
+Level = Annotated[
+    float, Option("--level LEVEL", LEVEL, OUTPUT, default="95%"), "Confidence level of the intervals."
+]
+Quiet = Annotated[bool, Option("--quiet -q"), "Print no results and no notes, only errors."]

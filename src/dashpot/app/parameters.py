@@ -14,16 +14,6 @@ if TYPE_CHECKING:
     from dashpot.quantities import Amount
 
 
-def require_bounds_held(method: str) -> None:
-    """Refuse --positive, before the work, with a method that cannot hold bounds.  Raises UsageError."""
-    from dashpot.estimate.registry import method_class
-
-    if method != "auto" and not method_class(method).traits.bounds:
-        raise UsageError(
-            f"the method {method} cannot hold bounds", cure="leave out --positive, or use --method ml"
-        )
-
-
 def merged(settings: Sequence[Mapping[str, Amount]], option: str) -> dict[str, Amount]:
     """The settings of an option that may be repeated, each name given once.  Raises UsageError."""
     everything: dict[str, Amount] = {}

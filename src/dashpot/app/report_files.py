@@ -2,60 +2,88 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import wraps
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from dashpot.app.options import OUTPUT, OutputFile, option
-from dashpot.errors import UsageError
+from dashpot.app.options import OUTPUT, Option, OutputFile
+from dashpot.errors import ConvergenceError, IdentifiabilityError, UsageError
 from dashpot.io.words import REPORTS, chosen_format
 
 if TYPE_CHECKING:
+    from dashpot.model.rigfile import Rig
     from dashpot.present.pages.page import Provenance
 
 ARGUMENTS = "dashpot.arguments"  # what was typed, in the context's meta
-LABELS = "dashpot.labels"  # lines of the first page, there too
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
 QUIET = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-pdf-header-footer",
 )  # fmt: skip
-PRINTING_S = 120.0
-
-Function = TypeVar("Function", bound=Callable[..., Any])
+PRINTING_S = 120.0  # seconds after which a browser has hung: a page takes it two
 
 
-def _kept(context: click.Context, _: click.Parameter, labels: tuple[str, ...]) -> None:
-    """Keep the lines for the report's first page.  Raises UsageError where there is no report."""
-    if labels and context.params.get("report") is None:
-        raise click.UsageError("--label is a line of the report: give --report FILE.html as well", context)
-    context.meta[LABELS] = tuple(line for label in labels if (line := " ".join(label.split())))
+@dataclass(frozen=True)
+class Report:
+    """The report that a command is to write, if any, and the lines at its head.
 
-
-def report_option(function: Function) -> Function:
-    """Decorator: --report as the parameter `report`, and --label, which `provenance` takes.
-
-    A browser for PDF is looked for once all parameters have been checked, before the work.
+    A browser for PDF is looked for once all parameters have been checked, before the work.  Raises UsageError.
     """
 
-    @wraps(function)
-    def with_browser(*args: Any, **parameters: Any) -> Any:
-        if parameters["report"] is not None and is_pdf(parameters["report"]):
-            browser()
-        return function(*args, **parameters)
+    report: Annotated[
+        str | None,
+        Option("--report FILE.html|pdf", OutputFile(formats=REPORTS), OUTPUT),
+        "Write a report with figures as one HTML file, or as PDF (needs Chromium or Chrome).",
+    ]
+    label: Annotated[
+        tuple[str, ...],
+        Option("--label TEXT", None, OUTPUT, multiple=True),
+        "Print a line at the head of the report, such as 'Client: A. Smith'; may be repeated.",
+    ]
 
-    label = option(
-        "--label", multiple=True, metavar="TEXT", group=OUTPUT, expose_value=False, callback=_kept,
-        help="Print a line at the head of the report, such as 'Client: A. Smith'; may be repeated.",
-    )  # fmt: skip
-    report = option(
-        "--report", type=OutputFile(formats=REPORTS), metavar="FILE.html|pdf", group=OUTPUT, is_eager=True,
-        help="Write a report with figures as one HTML file, or as PDF (needs Chromium or Chrome).",
-    )  # fmt: skip
-    return report(label(cast(Function, with_browser)))
+    def __post_init__(self) -> None:
+        if self.label and self.report is None:
+            context = click.get_current_context()
+            raise click.UsageError(
+                "--label is a line of the report: give --report FILE.html as well", context
+            )
+        if self.report is not None and is_pdf(self.report):
+            browser()
+
+    def __bool__(self) -> bool:
+        return self.report is not None
+
+    @property
+    def provenance(self) -> Provenance:
+        """How the running command computes its result; files are those read so far."""
+        import shlex
+
+        from dashpot.present.pages.page import provenance_of
+
+        context = click.get_current_context()
+        command = shlex.join(["dashpot", *context.meta.get(ARGUMENTS, ())])
+        labels = tuple(line for label in self.label if (line := " ".join(label.split())))
+        return provenance_of(command, tuple(_settings(context)), labels)
+
+    def write(self, html: str) -> None:
+        """Write the page, where a report is asked for.  Raises DataError."""
+        if self.report is not None:
+            write_report(self.report, html)
+
+    @contextmanager
+    def of_failure(self, rig: Rig) -> Iterator[None]:
+        """Where the work inside gives no answer, the report says so, with the rig, before the error goes on."""
+        try:
+            yield
+        except (IdentifiabilityError, ConvergenceError) as error:
+            if self:
+                from dashpot.present.pages.report import failure_report
+
+                self.write(failure_report(rig.model, rig.channels, error, self.provenance))
+            raise
 
 
 def is_pdf(target: str) -> bool:
@@ -88,23 +116,6 @@ def write_report(target: str, html: str) -> None:
         write_text(target, html)
 
 
-@contextmanager
-def failure_reported(target: str | None, rig: str) -> Iterator[None]:
-    """Where the work inside gives no answer, the report says so, with the rig, before the error goes on."""
-    from dashpot.errors import ConvergenceError, IdentifiabilityError
-
-    try:
-        yield
-    except (IdentifiabilityError, ConvergenceError) as error:
-        if target is not None:
-            from dashpot.model.rigfile import read_rig
-            from dashpot.present.pages.report import failure_report
-
-            read = read_rig(rig)
-            write_report(target, failure_report(read.model, read.channels, error, provenance()))
-        raise
-
-
 def _printed(html: str) -> bytes:
     """The page as PDF."""
     import subprocess
@@ -132,24 +143,13 @@ def _printed(html: str) -> bytes:
             ) from error
 
 
-def provenance() -> Provenance:
-    """How the running command computes its result; files are those read so far."""
-    import shlex
-
-    from dashpot.present.pages.page import provenance_of
-
-    context = click.get_current_context()
-    arguments = context.meta.get(ARGUMENTS, ())
-    command = shlex.join(["dashpot", *arguments])
-    return provenance_of(command, tuple(_settings(context)), context.meta.get(LABELS, ()))
-
-
 def _settings(context: click.Context) -> list[tuple[str, str, bool]]:
     """Options with their values, and whether they were given; what is not set is left out."""
     settings = []
     for parameter in context.command.params:
         value = context.params.get(parameter.name or "")
-        if not isinstance(parameter, click.Option) or value is None or value == () or value is False:
+        unset = value is None or value is False or value == ()
+        if not isinstance(parameter, click.Option) or unset or parameter.name == "label":
             continue
         source = context.get_parameter_source(parameter.name or "")
         given = source is not click.core.ParameterSource.DEFAULT

@@ -11,11 +11,12 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.method import Method
-from dashpot.estimate.modal.identify_modal import NAME, identify_modal
 from dashpot.estimate.result import FORMAT, Estimate
 from dashpot.io.json_document import from_json, to_json
 from dashpot.model.network import Model
 from dashpot.shorthand import Printable
+
+MODAL = "modal"  # the row of the estimate from measured modes
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Comparison(Printable):
 
     def bound_sd(self, name: str) -> float | None:
         """The Cramér-Rao bound of an unknown, from the best informed estimate of the test's own data."""
-        bounds = [e[name].bound_sd for which, e in self.estimates.items() if which != NAME]
+        bounds = [e[name].bound_sd for which, e in self.estimates.items() if which != MODAL]
         bounds = [bound for bound in bounds if bound > 0]
         return min(bounds) if bounds else None
 
@@ -90,7 +91,9 @@ def compare(
     if spectrum is not None:
         jobs |= {name: partial(identify, model, spectrum, method) for name, method in methods.items()}
     if modal is not None:
-        jobs[NAME] = partial(identify_modal, model, modal, seed=seed)
+        from dashpot.estimate.modal.identify_modal import identify_modal  # loads scipy.optimize
+
+        jobs[MODAL] = partial(identify_modal, model, modal, seed=seed)
     ruled_out = {} if refused is None else dict(refused)
     if not jobs and not ruled_out:
         raise UsageError("there is nothing to compare", cure="give data, measured modes, or both")

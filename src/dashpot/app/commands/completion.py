@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import click
 
-from dashpot.app.options import dashpot_command
-
-SHELLS = ["bash", "zsh", "fish"]
+from dashpot.app.options import Option, dashpot_command
 
 
 @dashpot_command(
-    "completion",
     'eval "$(dashpot completion bash)"        # in ~/.bashrc',
     'eval "$(dashpot completion zsh)"         # in ~/.zshrc',
     "dashpot completion fish > ~/.config/fish/completions/dashpot.fish",
 )
-@click.argument("shell", type=click.Choice(SHELLS), help="Which shell.")
-def command(shell: str) -> None:
+def command(
+    shell: Annotated[str, Option("", click.Choice(["bash", "zsh", "fish"])), "Which shell."],
+) -> None:
     """Print the completion script for SHELL: bash (4.4 or newer), zsh or fish."""
     from click.shell_completion import get_completion_class
 

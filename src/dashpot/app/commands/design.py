@@ -3,203 +3,237 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
+from dashpot.app.data_files import RecordOptions
 from dashpot.app.options import (
     AMOUNT,
     AMPLITUDE,
     BAND,
+    FIGURE,
     FREQUENCY,
     INPUT_FILE,
     INPUT_FILE_OR,
+    JSON,
+    OUTPUT,
     SENSORS,
+    SET,
     SETTLING,
     SHARE,
     STDOUT,
     TARGET,
     TIME,
     Count,
-    conditioning_options,
+    Dask,
+    Option,
+    OutputFile,
+    Quiet,
+    RelativeNoise,
+    RigFile,
     dashpot_command,
-    dask_option,
-    figure_option,
-    file_option,
-    json_option,
     names,
-    option,
-    quiet_option,
-    relative_noise_option,
-    rig_argument,
-    set_option,
-    transient_options,
+    write_result,
 )
-from dashpot.app.report_files import report_option
+from dashpot.app.parameters import drive_amplitude, input_is_angular, merged, parameter_values
+from dashpot.app.progress import progress
+from dashpot.app.report_files import Report
+from dashpot.errors import UsageError
+from dashpot.io.words import PICTURES
+from dashpot.quantities import Amount, frequencies
 
 if TYPE_CHECKING:
-    from dashpot.channel import Channel
     from dashpot.data.spectrum import Spectrum
     from dashpot.design.advise import Answer, Question
     from dashpot.design.allocation import Criterion
     from dashpot.design.robust import GaussianPrior
-    from dashpot.design.test_setup import ShakerLimits
     from dashpot.estimate.result import Estimate
     from dashpot.model.rigfile import Rig
-    from dashpot.quantities import Amount
 
 BUDGET, AIM = "Size of the test", "Aim of the test"
 BASIS = "What is known"
 TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
 
 
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be designed, from what, and within which limits."""
+
+    samples: Annotated[int | None, Option("--samples N", Count(1), BUDGET), "Samples of the whole test."]
+    time: Annotated[
+        float | None,
+        Option("--time 10min", TIME, BUDGET),
+        "Duration of the whole test, settling included.",
+    ]
+    target: Annotated[
+        float | dict[str, float] | None,
+        Option("--target 1%|c2=2%,…", TARGET, BUDGET),
+        "Relative standard deviation to reach; without --samples and --time the shortest test that reaches it is "
+        "designed.",
+    ]
+    aim: Annotated[
+        str,
+        Option("--for all|worst|volume|NAME,…", None, AIM, default="all"),
+        "What should be precise: all unknowns on average, the worst one, the volume of the confidence region, or the "
+        "unknowns named.",
+    ]
+    sensors: Annotated[
+        tuple[int, tuple[str, ...]] | None,
+        Option('--sensors "pick 3 of a,b,…"', SENSORS, AIM),
+        "Choose the best few of these channels; channels that are not listed stay.",
+    ]
+    against: Annotated[
+        str | None,
+        Option("--against FILE|LIST|RANGE", INPUT_FILE_OR, AIM),
+        "Compare with another test: a data file, or frequencies in Hz as 1,2,5, 1:10:0.5 or 1:10/25.",
+    ]
+    settings: Annotated[tuple[dict[str, Amount], ...], SET, "Values to design for", BASIS]
+    estimate_file: Annotated[
+        str | None,
+        Option("--estimate FILE.json", INPUT_FILE, BASIS),
+        "Take the values to design for from an estimate, without counting it as data.",
+    ]
+    after: Annotated[
+        tuple[str, ...],
+        Option("--after DATA|FILE.json", INPUT_FILE, BASIS, multiple=True),
+        "Existing data or estimate to build on.  May be repeated.",
+    ]
+    relative_noise: Annotated[RelativeNoise, BASIS]
+    band: Annotated[
+        tuple[float, float] | None,
+        Option("--band LOWER:UPPER", BAND, TEST),
+        "Frequencies to choose from, Hz.  [default: around the resonances]",
+    ]
+    grid: Annotated[
+        float | None, Option("--grid HZ", FREQUENCY, TEST), "Use only multiples of this frequency."
+    ]
+    max_frequencies: Annotated[
+        int | None, Option("--max-frequencies N", Count(1, 10_000), TEST), "Largest number of dwells."
+    ]
+    min_dwell: Annotated[float | None, Option("--min-dwell 5s", TIME, TEST), "Shortest dwell."]
+    settling_time: Annotated[
+        Any,
+        Option("--settling-time auto|none|2s", SETTLING, TEST, default="auto"),
+        "Wait before each dwell; auto takes three decades of the decay of the slowest mode.",
+    ]
+    rate: Annotated[
+        float | None,
+        Option("--rate HZ", FREQUENCY, TEST),
+        "Sampling rate.  [default: that of the rig file]",
+    ]
+    stroke: Annotated[
+        Amount | None, Option("--stroke 5mm", AMOUNT, SHAKER), "Largest displacement amplitude."
+    ]
+    max_velocity: Annotated[
+        Amount | None, Option("--max-velocity 0.5m/s", AMOUNT, SHAKER), "Largest velocity amplitude."
+    ]
+    max_acceleration: Annotated[
+        Amount | None,
+        Option("--max-acceleration 2gn", AMOUNT, SHAKER),
+        "Largest acceleration amplitude.",
+    ]
+    max_force: Annotated[
+        Amount | None,
+        Option("--max-force 100N", AMOUNT, SHAKER),
+        "Largest force amplitude; for a moved base, of the force that moves it.",
+    ]
+    amplitude: Annotated[
+        Amount | dict[str, Amount] | None,
+        Option("--amplitude [INPUT=]VALUE", AMPLITUDE, SHAKER),
+        "Amplitude of the drive, where no limit is given.",
+    ]
+    drives: Annotated[
+        tuple[str, ...],
+        Option("--drive u,-v", None, SHAKER, multiple=True),
+        "Inputs that move together, in phase or (with -) in antiphase.  May be repeated.",
+    ]
+    doubt: Annotated[
+        float | None,
+        Option("--doubt 30%", SHARE, ROBUST),
+        "How far the values to design for may be wrong.",
+    ]
+    robust: Annotated[
+        Literal["worst", "average"] | None,
+        Option("--robust", click.Choice(["worst", "average"]), ROBUST),
+        "Design for the worst case of the doubt, or for the average.  Without --doubt, the covariance of --estimate or "
+        "--after is the doubt.",
+    ]
+
+    def __post_init__(self) -> None:
+        """Raises UsageError where two options contradict each other."""
+        if self.samples is not None and self.time is not None:
+            raise UsageError("both --samples and --time are given", cure="give one of them as the budget")
+
+
 @dashpot_command(
-    "design",
     "dashpot design rig.toml --samples 1400 --set m1=3,c1=30",
     "dashpot design rig.toml --after data.csv --target 1% --rate 500 --stroke 5mm --json plan.json",
     'dashpot design rig.toml --time 10min --rate 500 --sensors "pick 2 of x1,x2,acc3" --against 2:10/5',
 )
-@rig_argument
-@option("--samples", type=Count(1), metavar="N", group=BUDGET, help="Samples of the whole test.")
-@option(
-    "--time", type=TIME, metavar="10min", group=BUDGET, help="Duration of the whole test, settling included."
-)
-@option(
-    "--target",
-    type=TARGET,
-    metavar="1%|c2=2%,…",
-    group=BUDGET,
-    help="Relative standard deviation to reach; without --samples and --time the shortest test that reaches it is "
-    "designed.",
-)
-@option(
-    "--for", "wanted", default="all", show_default=True, metavar="all|worst|volume|NAME,…", group=AIM,
-    help="What should be precise: all unknowns on average, the worst one, the volume of the confidence region, or the "
-    "unknowns named.",
-)  # fmt: skip
-@option(
-    "--sensors",
-    type=SENSORS,
-    metavar='"pick 3 of a,b,…"',
-    group=AIM,
-    help="Choose the best few of these channels; channels that are not listed stay.",
-)
-@option(
-    "--against",
-    type=INPUT_FILE_OR,
-    metavar="FILE|LIST|RANGE",
-    group=AIM,
-    help="Compare with another test: a data file, or frequencies in Hz as 1,2,5, 1:10:0.5 or 1:10/25.",
-)
-@set_option(BASIS, "settings", "Values to design for")
-@option(
-    "--estimate", "estimate_file", type=INPUT_FILE, metavar="FILE.json", group=BASIS,
-    help="Take the values to design for from an estimate, without counting it as data.",
-)  # fmt: skip
-@option(
-    "--after", type=INPUT_FILE, multiple=True, metavar="DATA|FILE.json", group=BASIS,
-    help="Existing data or estimate to build on.  May be repeated.",
-)  # fmt: skip
-@relative_noise_option(BASIS)
-@option(
-    "--band",
-    type=BAND,
-    metavar="LOWER:UPPER",
-    group=TEST,
-    help="Frequencies to choose from, Hz.  [default: around the resonances]",
-)
-@option("--grid", type=FREQUENCY, metavar="HZ", group=TEST, help="Use only multiples of this frequency.")
-@option("--max-frequencies", type=Count(1, 10_000), metavar="N", group=TEST, help="Largest number of dwells.")
-@option("--min-dwell", type=TIME, metavar="5s", group=TEST, help="Shortest dwell.")
-@option(
-    "--settling-time", type=SETTLING, default="auto", show_default=True, metavar="auto|none|2s", group=TEST,
-    help="Wait before each dwell; auto takes three decades of the decay of the slowest mode.",
-)  # fmt: skip
-@option(
-    "--rate", type=FREQUENCY, metavar="HZ", group=TEST, help="Sampling rate.  [default: that of the rig file]"
-)
-@option("--stroke", type=AMOUNT, metavar="5mm", group=SHAKER, help="Largest displacement amplitude.")
-@option("--max-velocity", type=AMOUNT, metavar="0.5m/s", group=SHAKER, help="Largest velocity amplitude.")
-@option(
-    "--max-acceleration", type=AMOUNT, metavar="2gn", group=SHAKER, help="Largest acceleration amplitude."
-)
-@option(
-    "--max-force",
-    type=AMOUNT,
-    metavar="100N",
-    group=SHAKER,
-    help="Largest force amplitude; for a moved base, of the force that moves it.",
-)
-@option(
-    "--amplitude",
-    type=AMPLITUDE,
-    metavar="[INPUT=]VALUE",
-    group=SHAKER,
-    help="Amplitude of the drive, where no limit is given.",
-)
-@option(
-    "--drive", "drives", multiple=True, metavar="u,-v", group=SHAKER,
-    help="Inputs that move together, in phase or (with -) in antiphase.  May be repeated.",
-)  # fmt: skip
-@option(
-    "--doubt", type=SHARE, metavar="30%", group=ROBUST, help="How far the values to design for may be wrong."
-)
-@option(
-    "--robust",
-    type=click.Choice(["worst", "average"]),
-    group=ROBUST,
-    help="Design for the worst case of the doubt, or for the average.  Without --doubt, the covariance of --estimate "
-    "or --after is the doubt.",
-)
-@json_option("the plan")
-@file_option("--csv", "FILE.csv", "Write the dwells for the shaker's controller.")
-@figure_option("Draw dwells, information and the expected intervals.")
-@figure_option("Draw how the intervals shrank as the data of --after came in.", "--progress")
-@report_option
-@conditioning_options
-@transient_options
-@option(
-    "--workers",
-    type=Count(1, 1024),
-    metavar="N",
-    help="Worker processes that share out the search for the worst case.  [default: 1]",
-)
-@dask_option
-@quiet_option
-def command(rig: str, json_out: str | None, report: str | None, quiet: bool, **options: Any) -> int:
+def command(
+    rig: RigFile,
+    wanted: Wanted,
+    json_out: Annotated[str | None, JSON, "the plan"],
+    csv: Annotated[
+        str | None,
+        Option("--csv FILE.csv", OutputFile(), OUTPUT),
+        "Write the dwells for the shaker's controller.",
+    ],
+    figure: Annotated[str | None, FIGURE, "Draw dwells, information and the expected intervals."],
+    drawn_progress: Annotated[
+        str | None,
+        Option("--progress FILE.svg|png|pdf", OutputFile(formats=PICTURES), OUTPUT),
+        "Draw how the intervals shrank as the data of --after came in.",
+    ],
+    report: Report,
+    records: RecordOptions,
+    workers: Annotated[
+        int | None,
+        Option("--workers N", Count(1, 1024)),
+        "Worker processes that share out the search for the worst case.  [default: 1]",
+    ],
+    dask: Dask,
+    quiet: Quiet,
+) -> int:
     """Design the next test of RIG: at which frequencies to dwell, for how long, with which sensors.
 
     The values to design for are those of the rig file (value, guess), of --set, or of an estimate.  Standard
     deviations in per cent are of the values.  The duality gap that is printed proves how close to optimal the test is
     (equivalence theorem).
     """
-    from dashpot.app.options import write_result
-    from dashpot.check.structure import require_scale
-    from dashpot.io.atomic import write_text
-    from dashpot.model.rigfile import read_rig
-
-    rig_read = read_rig(rig)
-    require_scale(rig_read.model, rig_read.channels, rig)
-
-    from dashpot.app.progress import progress
     from dashpot.app.workers import shared_out
+    from dashpot.check.structure import require_scale
     from dashpot.design.advise import answer
     from dashpot.design.plan_files import answer_to_json, plan_to_csv
     from dashpot.design.test_setup import drive_units
+    from dashpot.io.atomic import write_text
+    from dashpot.model.rigfile import read_rig
 
-    question = _question(rig_read, options, quiet)
-    with shared_out(options["dask"], options["workers"], small=True) as mapper, progress("design", quiet):
+    read = read_rig(rig)
+    require_scale(read.model, read.channels, rig)
+    for name, given in (("--workers", workers), ("--dask", dask)):
+        worst = wanted.doubt is not None if wanted.robust is None else wanted.robust == "worst"
+        if given is not None and not worst:
+            raise UsageError(
+                f"{name} shares out the search for the worst case, and none is asked for",
+                cure="leave it out, or give --robust worst --doubt 30%",
+            )
+    question = _question(read, wanted, records)
+    if drawn_progress is not None and question.after is None:
+        raise UsageError("--progress draws data as they came in", cure="give the data with --after DATA")
+    with shared_out(dask, workers, small=True) as mapper, progress("design", quiet):
         result = answer(question, mapper=mapper)
     write_result(json_out, answer_to_json(result))
-    if options["csv"] is not None and result.plan is not None:
-        write_text(options["csv"], plan_to_csv(result.plan, drive_units(rig_read.model)))
-    if report is not None:
-        from dashpot.app.report_files import provenance, write_report
+    if csv is not None and result.plan is not None:
+        write_text(csv, plan_to_csv(result.plan, drive_units(read.model)))
+    if report:
         from dashpot.present.pages.others import design_report
 
-        write_report(report, design_report(result, provenance()))
-    _draw(result, options["figure"], options["progress"], question)
+        report.write(design_report(result, report.provenance))
+    _draw(result, figure, drawn_progress, question)
     if not quiet and json_out != STDOUT:
         from dashpot.present.tables.design import show_answer
         from dashpot.present.tables.layout import console
@@ -208,111 +242,81 @@ def command(rig: str, json_out: str | None, report: str | None, quiet: bool, **o
     return 0
 
 
-def _question(rig: Rig, options: Mapping[str, Any], quiet: bool) -> Question:
+def _question(rig: Rig, wanted: Wanted, records: RecordOptions) -> Question:
     """What the options ask for, in SI units.  Raises UsageError where they contradict each other."""
-    from dashpot.app.parameters import drive_amplitude, merged, parameter_values
     from dashpot.design.advise import Question
-    from dashpot.errors import UsageError
+    from dashpot.design.test_setup import ShakerLimits
+    from dashpot.estimate.result import Estimate
+    from dashpot.model.observation import with_relative_noise
 
-    if options["samples"] is not None and options["time"] is not None:
-        raise UsageError("both --samples and --time are given", cure="give one of them as the budget")
-    _require_worst_case(options)
-    data, earlier = _earlier(rig, options, quiet)
-    if options["progress"] is not None and data is None:
-        raise UsageError("--progress draws data as they came in", cure="give the data with --after DATA")
-    estimate = None if options["estimate_file"] is None else _load(options["estimate_file"])
-    values = parameter_values(rig, merged(options["settings"], "--set"))
-    _require_masses(rig, values)
+    data, earlier = _earlier(rig, wanted.after, records)
+    estimate = None if wanted.estimate_file is None else Estimate.load(wanted.estimate_file)
+    values = parameter_values(rig, merged(wanted.settings, "--set"))
+    units = {unknown.name: unknown.unit for unknown in rig.model.unknowns}
+    for name, value in values.items():
+        if value < 0 and units[name] == "kg":
+            raise UsageError(f"--set {name}: a mass of {value:g} kg", rig.path, "give a positive mass")
     if earlier is None and estimate is not None:
         unknowns = rig.model.unknown_names
         pairs = zip(estimate.names, estimate.values, strict=True)
         values = {**{name: float(value) for name, value in pairs if name in unknowns}, **values}
-    criterion, target = _criterion(options["wanted"], options["target"])
-    settling = options["settling_time"]
+    criterion, target = _criterion(wanted.aim, wanted.target)
+    channels, noise = rig.channels, wanted.relative_noise
+    settling = wanted.settling_time
+    angular = input_is_angular(rig.model)
+    limits = {
+        "displacement": wanted.stroke,
+        "velocity": wanted.max_velocity,
+        "acceleration": wanted.max_acceleration,
+        "force": wanted.max_force,
+    }
     return Question(
         model=rig.model,
-        channels=_channels(rig, options["relative_noise"]),
+        channels=channels if noise is None else with_relative_noise(rig.model, channels, noise),
         criterion=criterion,
         values=values,
         estimate=earlier,
         after=data,
         target=target,
-        samples=options["samples"],
-        time=options["time"],
-        rate=options["rate"],
+        samples=wanted.samples,
+        time=wanted.time,
+        rate=wanted.rate,
         settle=None if settling == "auto" else 0.0 if settling == "none" else settling,
-        min_dwell=0.0 if options["min_dwell"] is None else options["min_dwell"],
-        most=options["max_frequencies"],
-        band=options["band"],
-        step=options["grid"],
-        limits=_limits(rig, options),
-        amplitude=None if options["amplitude"] is None else drive_amplitude(rig.model, options["amplitude"]),
-        drives=options["drives"],
-        uncertainty=_uncertainty(rig, options, estimate),
-        robustness="worst" if options["robust"] is None else options["robust"],
-        pick=options["sensors"],
-        against=None if options["against"] is None else _against(rig, options, quiet),
+        min_dwell=0.0 if wanted.min_dwell is None else wanted.min_dwell,
+        most=wanted.max_frequencies,
+        band=wanted.band,
+        step=wanted.grid,
+        limits=ShakerLimits(
+            *(None if given is None else given.si(kind, angular) for kind, given in limits.items())
+        ),
+        amplitude=None if wanted.amplitude is None else drive_amplitude(rig.model, wanted.amplitude),
+        drives=wanted.drives,
+        uncertainty=_uncertainty(rig, wanted, estimate),
+        robustness="worst" if wanted.robust is None else wanted.robust,
+        pick=wanted.sensors,
+        against=None if wanted.against is None else _against(rig, wanted.against, records),
     )
 
 
-def _require_worst_case(options: Mapping[str, Any]) -> None:
-    """Raises UsageError where a search is to be shared out that nobody asks for."""
-    from dashpot.errors import UsageError
-
-    worst = options["doubt"] is not None if options["robust"] is None else options["robust"] == "worst"
-    for name in ("workers", "dask"):
-        if options[name] is not None and not worst:
-            raise UsageError(
-                f"--{name} shares out the search for the worst case, and none is asked for",
-                cure="leave it out, or give --robust worst --doubt 30%",
-            )
-
-
-def _channels(rig: Rig, relative_noise: float | None) -> tuple[Channel, ...]:
-    if relative_noise is None:
-        return rig.channels
-    from dashpot.model.observation import with_relative_noise
-
-    return with_relative_noise(rig.model, rig.channels, relative_noise)
-
-
-def _earlier(rig: Rig, options: Mapping[str, Any], quiet: bool) -> tuple[Spectrum | None, Estimate | None]:
+def _earlier(
+    rig: Rig, after: tuple[str, ...], records: RecordOptions
+) -> tuple[Spectrum | None, Estimate | None]:
     """Existing data, or one existing estimate."""
-    from dashpot.app.data_files import read_spectrum
-    from dashpot.errors import UsageError
+    from dashpot.estimate.result import Estimate
 
-    after: Sequence[str] = options["after"]
     estimates = [path for path in after if path.lower().endswith(".json")]
-    if not after:
-        return None, None
     if not estimates:
-        return read_spectrum(rig, after, options, quiet), None
+        return (records.read(rig, after) if after else None), None
     if len(after) > 1:
         raise UsageError(
             "--after names an estimate and other files", cure="give either one estimate, or all the data"
         )
-    return None, _load(estimates[0])
-
-
-def _load(path: str) -> Estimate:
-    from dashpot.estimate.result import Estimate
-
-    return Estimate.load(path)
-
-
-def _require_masses(rig: Rig, values: Mapping[str, float]) -> None:
-    from dashpot.errors import UsageError
-
-    units = {unknown.name: unknown.unit for unknown in rig.model.unknowns}
-    for name, value in values.items():
-        if value < 0 and units[name] == "kg":
-            raise UsageError(f"--set {name}: a mass of {value:g} kg", rig.path, "give a positive mass")
+    return None, Estimate.load(estimates[0])
 
 
 def _criterion(wanted: str, target: float | Mapping[str, float] | None) -> tuple[Criterion, float | None]:
     """The criterion of --for and --target, and the figure to reach."""
     from dashpot.design.allocation import Criterion
-    from dashpot.errors import UsageError
 
     if isinstance(target, Mapping):
         if wanted != "all":
@@ -334,37 +338,17 @@ def _criterion(wanted: str, target: float | Mapping[str, float] | None) -> tuple
     return Criterion("A", unknowns), target
 
 
-def _limits(rig: Rig, options: Mapping[str, Any]) -> ShakerLimits:
-    from dashpot.app.parameters import input_is_angular
-    from dashpot.design.test_setup import ShakerLimits
-
-    angular = input_is_angular(rig.model)
-
-    def limit(name: str, quantity: str) -> float | None:
-        amount: Amount | None = options[name]
-        return None if amount is None else amount.si(quantity, angular)
-
-    return ShakerLimits(
-        limit("stroke", "displacement"),
-        limit("max_velocity", "velocity"),
-        limit("max_acceleration", "acceleration"),
-        limit("max_force", "force"),
-    )
-
-
 def _uncertainty(
-    rig: Rig, options: Mapping[str, Any], estimate: Estimate | None
+    rig: Rig, wanted: Wanted, estimate: Estimate | None
 ) -> float | GaussianPrior | Literal["estimate"] | None:
     """A share of every value, or the covariance of --estimate, or of what --after says."""
     from dashpot.design.stopping import gaussian_prior_of
-    from dashpot.errors import UsageError
 
-    doubt: float | None = options["doubt"]
-    if options["robust"] is None or doubt is not None:
-        return doubt
+    if wanted.robust is None or wanted.doubt is not None:
+        return wanted.doubt
     if estimate is not None:
         return gaussian_prior_of(rig.model, estimate)
-    if not options["after"]:
+    if not wanted.after:
         raise UsageError(
             "--robust needs to know how wrong the values may be",
             cure="give --doubt 30%, or --estimate or --after, whose covariance is used",
@@ -372,15 +356,10 @@ def _uncertainty(
     return "estimate"
 
 
-def _against(rig: Rig, options: Mapping[str, Any], quiet: bool) -> tuple[float, ...] | Spectrum:
+def _against(rig: Rig, text: str, records: RecordOptions) -> tuple[float, ...] | Spectrum:
     """A list of frequencies, or the lines of a file."""
-    from dashpot.app.data_files import read_spectrum
-    from dashpot.errors import UsageError
-    from dashpot.quantities import frequencies
-
-    text: str = options["against"]
     if os.path.exists(text):  # a text too long for a path is none, where Path.exists fails
-        return read_spectrum(rig, (text,), options, quiet)
+        return records.read(rig, (text,))
     try:
         return frequencies(text)
     except UsageError as error:

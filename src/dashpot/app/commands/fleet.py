@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from dashpot.app.cli import resumable
+from dashpot.app.data_files import RecordOptions
 from dashpot.app.options import (
     INPUT_FILE_OR,
+    JSON,
     NOT_CONVERGED,
-    conditioning_options,
+    OUTPUT,
+    SEED,
+    Dask,
+    Method,
+    Option,
+    OutputFile,
+    Positive,
+    Quiet,
+    RigFile,
+    Workers,
     dashpot_command,
-    dask_option,
-    json_option,
-    method_option,
-    option,
-    out_option,
-    positive_option,
-    quiet_option,
-    rig_argument,
-    seed_option,
-    whole_record_options,
-    workers_option,
 )
 from dashpot.errors import printable
 
@@ -37,54 +37,46 @@ ENDING = ".blocks"  # of the folder in which finished blocks are kept
 
 
 @dashpot_command(
-    "fleet",
     "dashpot fleet rig.toml 'data/*.parquet' --out fleet.parquet",
     "dashpot fleet rig.toml all.parquet --rig-column serial --out fleet.parquet --pool",
 )
-@rig_argument
-@click.argument(
-    "data",
-    type=INPUT_FILE_OR,
-    nargs=-1,
-    required=True,
-    help="Data files, one for each rig, or patterns in quotes such as 'data/**/*.csv'.",
-)
-@out_option(
-    "FILE.parquet",
-    "Write a row for each data set; finished blocks are kept beside it, in FILE.blocks.",
-    formats=("parquet",),
-)
-@option(
-    "--rig-column",
-    metavar="NAME",
-    group=FLEET,
-    help="The files are tables (Parquet, CSV) of many rigs, and this column names them.",
-)
-@option(
-    "--order", type=click.Choice(["name", "time", "given"]), default="name", show_default=True, group=FLEET,
-    help="Order of the files, along which drift is looked for: by name, by time of change, or as given.",
-)  # fmt: skip
-@option(
-    "--pool",
-    is_flag=True,
-    group=FLEET,
-    help="Estimate the population that the rigs come from, and draw each rig's estimate towards it.",
-)
-@method_option(FLEET)
-@positive_option(FLEET)
-@json_option("the summary of the fleet")
-@workers_option
-@dask_option
-@conditioning_options
-@whole_record_options
-@seed_option("the starting values that ml draws")
-@quiet_option
-@click.pass_context
 def command(
-    ctx: click.Context, /, rig: str, data: tuple[str, ...], out: str, rig_column: str | None, order: Any, pool: bool,
-    chosen: str, positive: bool, json_out: str | None, workers: int | None, dask: str | None, seed: int, quiet: bool,
-    **conditioning: Any,
-) -> None:  # fmt: skip
+    ctx: click.Context,
+    rig: RigFile,
+    data: Annotated[
+        tuple[str, ...],
+        Option("", INPUT_FILE_OR, nargs=-1, required=True),
+        "Data files, one for each rig, or patterns in quotes such as 'data/**/*.csv'.",
+    ],
+    out: Annotated[
+        str,
+        Option("--out -o FILE.parquet", OutputFile(formats=("parquet",)), OUTPUT, required=True),
+        "Write a row for each data set; finished blocks are kept beside it, in FILE.blocks.",
+    ],
+    rig_column: Annotated[
+        str | None,
+        Option("--rig-column NAME", None, FLEET),
+        "The files are tables (Parquet, CSV) of many rigs, and this column names them.",
+    ],
+    order: Annotated[
+        Any,
+        Option("--order", click.Choice(["name", "time", "given"]), FLEET, default="name"),
+        "Order of the files, along which drift is looked for: by name, by time of change, or as given.",
+    ],
+    pool: Annotated[
+        bool,
+        Option("--pool", None, FLEET),
+        "Estimate the population that the rigs come from, and draw each rig's estimate towards it.",
+    ],
+    chosen: Annotated[Method, FLEET],
+    positive: Annotated[Positive, FLEET],
+    json_out: Annotated[str | None, JSON, "the summary of the fleet"],
+    workers: Workers,
+    dask: Dask,
+    records: RecordOptions,
+    seed: Annotated[int, SEED, "the starting values that ml draws"],
+    quiet: Quiet,
+) -> None:
     """Identify very many data sets of rigs that are built alike: all of them have the rig file RIG.
 
     The result has one row for each data set: every unknown with its standard deviation and 95 % interval, χ², and how
@@ -96,7 +88,6 @@ def command(
     Run again, only data sets that are new or have changed are computed. The result is the same to the bit with any
     number of workers.
     """
-    from dashpot.app.identifying import treatment_from
     from dashpot.check.deficiencies import require_identifiable
     from dashpot.fleet.data_sets import expanded, of_files
     from dashpot.fleet.tables import of_tables
@@ -113,7 +104,7 @@ def command(
             "note: a file is one rig; for a table of many, name the column that tells them: --rig-column",
             err=True,
         )
-    treatment = treatment_from(rig_read, chosen, positive, seed, conditioning, quiet)
+    treatment = records.treatment(rig_read, chosen, positive, seed)
     with resumable(ctx, f"finished data sets are kept in {out}{ENDING}"):
         outcome = _run(rig_read, source, out, treatment, pool, workers, dask, quiet)
     _write(outcome, out, json_out, quiet)

@@ -2,100 +2,110 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
+from dashpot.app.commands.validate import predictions_of
+from dashpot.app.data_files import (
+    RecordOptions,
+    part_of,
+    require_bounds_held,
+    require_each_once,
+    tell_notes,
+)
 from dashpot.app.options import (
-    DATA_HELP,
+    DATA,
     DOES_NOT_FIT,
+    FIGURE,
+    JSON,
+    NEEDED_FILES,
     NOT_CONVERGED,
+    OUTPUT,
     PART,
     RECORDS,
+    SEED,
     STDOUT,
-    conditioning_options,
+    Dask,
+    Level,
+    Method,
+    ModalSd,
+    Option,
+    OutputFile,
+    Positive,
+    Quiet,
+    RigFile,
+    Workers,
     dashpot_command,
-    dask_option,
-    data_argument,
-    figure_option,
-    file_option,
-    json_option,
-    level_option,
-    method_option,
-    modal_sd_option,
-    option,
-    positive_option,
-    quiet_option,
-    rig_argument,
-    seed_option,
-    whole_record_options,
-    workers_option,
     write_result,
 )
-from dashpot.app.report_files import failure_reported, report_option
+from dashpot.app.progress import progress
+from dashpot.app.report_files import Report
+from dashpot.errors import DashpotError, DataError, Problem, UsageError
 
 if TYPE_CHECKING:
-    from dashpot.app.identifying import Identified
     from dashpot.check.validation import RecordPrediction
+    from dashpot.data.conditioning.used_dwells import UsedDwell
     from dashpot.data.spectrum import Spectrum
     from dashpot.estimate.assessment import Finding
     from dashpot.estimate.result import Estimate
+    from dashpot.fleet.data_sets import Treatment
     from dashpot.model.rigfile import Rig
 
 ESTIMATION = "Estimation"
 
 
 @dashpot_command(
-    "identify",
     "dashpot identify rig.toml data.csv",
     "dashpot identify rig.toml run1.csv run2.csv --json estimate.json --report report.html",
 )
-@rig_argument
-@data_argument(DATA_HELP, required=True)
-@method_option(ESTIMATION)
-@positive_option(ESTIMATION)
-@option("--strict", is_flag=True, group=ESTIMATION, help="Exit with code 4 where the model does not fit.")
-@option(
-    "--within",
-    type=PART,
-    metavar="2%",
-    group=ESTIMATION,
-    help="The share of every channel's motion within which the model is to describe it.",
-)
-@option(
-    "--hold-out",
-    type=PART,
-    metavar="25%",
-    group=RECORDS,
-    help="Hold out this share of every record, at its end, and predict it.",
-)
-@option(
-    "--in-parts",
-    is_flag=True,
-    group=RECORDS,
-    help="Identify every file by itself, very long records in pieces, and merge what they say: data beyond memory.",
-)
-@workers_option
-@dask_option
-@modal_sd_option("Measured modes")
-@json_option("the estimate")
-@file_option("--apply", "NEW.toml", "Write the rig file with the most likely cause of a misfit corrected.")
-@figure_option("Draw the fit: responses, measured and model; of whole records of nonlinear rigs, histories.")
-@report_option
-@option("--matrices", is_flag=True, group="Output", help="Print M, C and K as well.")
-@level_option
-@conditioning_options
-@whole_record_options
-@seed_option("the starting values that ml draws")
-@quiet_option
 def command(
-    rig: str, data: tuple[str, ...], chosen: str, positive: bool, json_out: str | None, figure: str | None,
-    report: str | None, strict: bool, within: float | None, hold_out: float | None, apply: str | None,
-    matrices: bool, level: float, seed: int, quiet: bool, modal_sd: tuple[float, float, float], in_parts: bool,
-    workers: int | None, dask: str | None, **conditioning: Any,
-) -> int:  # fmt: skip
+    rig: RigFile,
+    data: Annotated[tuple[str, ...], NEEDED_FILES, DATA],
+    chosen: Method,
+    positive: Positive,
+    strict: Annotated[
+        bool, Option("--strict", None, ESTIMATION), "Exit with code 4 where the model does not fit."
+    ],
+    within: Annotated[
+        float | None,
+        Option("--within 2%", PART, ESTIMATION),
+        "The share of every channel's motion within which the model is to describe it.",
+    ],
+    hold_out: Annotated[
+        float | None,
+        Option("--hold-out 25%", PART, RECORDS),
+        "Hold out this share of every record, at its end, and predict it.",
+    ],
+    in_parts: Annotated[
+        bool,
+        Option("--in-parts", None, RECORDS),
+        "Identify every file by itself, very long records in pieces, and merge what they say: data beyond memory.",
+    ],
+    workers: Workers,
+    dask: Dask,
+    modal_sd: ModalSd,
+    json_out: Annotated[str | None, JSON, "the estimate"],
+    apply: Annotated[
+        str | None,
+        Option("--apply NEW.toml", OutputFile(), OUTPUT),
+        "Write the rig file with the most likely cause of a misfit corrected.",
+    ],
+    figure: Annotated[
+        str | None,
+        FIGURE,
+        "Draw the fit: responses, measured and model; of whole records of nonlinear rigs, histories.",
+    ],
+    report: Report,
+    matrices: Annotated[bool, Option("--matrices", None, OUTPUT), "Print M, C and K as well."],
+    level: Level,
+    records: RecordOptions,
+    seed: Annotated[int, SEED, "the starting values that ml draws"],
+    quiet: Quiet,
+) -> int:
     """Estimate the unknown masses, dampers and springs of RIG (a rig file, TOML) from DATA.
 
     DATA are data files: time records (frequency_hz, time_s, channels), complex amplitudes (frequency_hz, NAME_re,
@@ -105,174 +115,212 @@ def command(
     Exit codes: 0 done, whatever the verdict; 2 bad usage, model or data; 3 the data do not determine the unknowns, or
     the iteration did not converge; 4 with --strict, the model does not fit; 5 not enough memory.
     """
-    from dashpot.app.identifying import (
-        Identified,
-        Search,
-        identified_in_parts,
-        identified_together,
-        modal_estimate,
-        require_in_parts,
-    )
+    from dashpot.data.readers.modes import holds_modes
+    from dashpot.model.rigfile import read_rig
 
     whole = {"--hold-out": hold_out is not None, "--figure": figure is not None}
-    require_in_parts(in_parts, {"--workers": workers is not None, "--dask": dask is not None}, whole)
-    unsuited = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices}
-    unsuited |= whole | {"--in-parts": in_parts, "--within": within is not None}
-    used = (0.0, 1.0 - (hold_out or 0.0))
-    with failure_reported(report, rig), _remedy_written(rig, apply):
-        of_modes = modal_estimate(rig, data, modal_sd, seed, quiet, unsuited)
-        search = Search(rig, chosen, positive, seed, quiet)
-        if of_modes is not None:
-            found = Identified(*of_modes)
-        elif in_parts:
-            found = identified_in_parts(
-                search, _rig(rig, chosen, positive, matrices, within), data, conditioning, workers, dask
-            )
+    _require_in_parts(in_parts, {"--workers": workers is not None, "--dask": dask is not None}, whole)
+    of_modes = len(data) == 1 and holds_modes(data[0])
+    if of_modes:
+        options = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices, **whole}
+        _require_amplitudes(data[0], options | {"--in-parts": in_parts, "--within": within is not None})
+    read = read_rig(rig)
+    read = read if within is None else replace(read, within=within)
+    with report.of_failure(read), _remedy_written(read, apply):
+        if of_modes:
+            found = Identified(_of_modes(read, data[0], modal_sd, seed, quiet))
         else:
-            rig_read = _rig(rig, chosen, positive, matrices, within)
-            found = identified_together(search, rig_read, data, conditioning, used, report is not None)
-    held = (
-        () if hold_out is None else _predicted(found.rig, found.estimate, data, conditioning, (used[1], 1.0))
-    )
-    drawn = found.in_time and (figure is not None or report is not None)
-    histories = _histories(found.rig, found.estimate, data, conditioning, used, figure) if drawn else ()
-    _draw(figure, found.rig, found.spectrum, found.estimate, histories)
-    _write_report(report, found, level, held, histories)
-    write_result(json_out, found.estimate.to_json())
-    _apply(found.rig, found.estimate, apply)
+            _require_answer(read, chosen, positive, matrices)
+            if in_parts:
+                treatment = records.treatment(read, chosen, positive, seed)
+                found = Identified(_in_parts(read, data, treatment, workers, dask, quiet))
+            else:
+                shares = (hold_out or 0.0, figure is not None, bool(report))
+                found = _identified(read, data, records, chosen, positive, seed, *shares)
+    estimate = found.estimate
+    if figure is not None:
+        _draw(figure, read, found)
+    if report:
+        from dashpot.present.pages.report import identification_report
+
+        page = identification_report(
+            read.model,
+            found.spectrum,
+            estimate,
+            level,
+            report.provenance,
+            channels=read.channels,
+            held_out=found.held,
+            untried=found.untried,
+            dwells=found.dwells,
+            histories=found.histories,
+        )
+        report.write(page)
+    write_result(json_out, estimate.to_json())
+    if apply is not None:
+        useful = _with_a_line(() if estimate.assessment is None else estimate.assessment.findings)
+        if not useful:
+            raise UsageError("there is no change to the rig file to apply", "--apply", "leave the option out")
+        _write_applied(read, useful[0], apply)
     if not quiet and json_out != STDOUT:
-        _show(found.rig, found.estimate, level, matrices, found.untried, held)
-    return _ending(found.estimate, strict)
+        _show(read, found, level, matrices)
+    return _ending(estimate, strict)
 
 
-def _draw(
-    path: str | None,
+@dataclass(frozen=True)
+class Identified:
+    """An estimate and what it was made from, as far as that can be shown; `histories` where there is no spectrum."""
+
+    estimate: Estimate
+    spectrum: Spectrum | None = None
+    untried: tuple[str, ...] = ()
+    dwells: tuple[UsedDwell, ...] = ()
+    held: tuple[RecordPrediction, ...] = ()
+    histories: tuple[RecordPrediction, ...] = ()
+
+
+def _identified(
     rig: Rig,
-    spectrum: Spectrum | None,
-    estimate: Estimate,
-    histories: tuple[RecordPrediction, ...],
-) -> None:
-    """Draw the fit, if to a path: of records without a spectrum, their histories."""
-    if path is None:
-        return
-    from dashpot.present.figures.style import write_figure
+    data: Sequence[str],
+    options: RecordOptions,
+    chosen: str,
+    positive: bool,
+    seed: int,
+    hold_out: float,
+    drawn: bool,
+    reported: bool,
+) -> Identified:
+    """From all files together, but for the share `hold_out` at the end of every record, which is predicted."""
+    from dashpot.api import identify
+    from dashpot.app.data_files import traits_of
+    from dashpot.data.conditioning.used_dwells import used_dwells
+    from dashpot.estimate.identify import conditioning_for
 
-    if spectrum is None:
-        from dashpot.present.figures.validation import drawn_of, prediction_figure
-
-        write_figure(path, prediction_figure(drawn_of(histories)))
+    everything = options.reading(rig, data)
+    used = (0.0, 1.0 - hold_out)
+    reading, method = part_of(everything, used), None if chosen == "auto" else chosen
+    in_time = bool(len(rig.model.nonlinear)) and everything.continuous
+    if in_time:
+        options.require_in_time()
+        conditioning = options.conditioning(rig)
+        with progress("identify", options.quiet) as moved:
+            estimate = identify(
+                rig, reading, method, conditioning=conditioning, seed=seed, positive=positive, progress=moved
+            )
+        found = Identified(estimate)
     else:
-        from dashpot.present.pages.report import fit_figure
+        conditioning = options.conditioning(rig, reading)
+        spectrum = options.spectrum(rig, reading, conditioning, [chosen])
+        with progress("identify", options.quiet) as moved:
+            estimate = identify(rig, spectrum, method, seed=seed, positive=positive, progress=moved)
+        assert estimate.origin is not None
+        treated = conditioning_for(rig.model, reading, conditioning, traits_of([chosen]))
+        dwells = used_dwells(reading.records, spectrum, treated) if reported else ()
+        untried = conditioning.untried if reading.records else ()
+        found = Identified(estimate, estimate.origin.spectrum, untried, dwells)
+    unheard = replace(options, quiet=True)
+    if hold_out:
+        held = predictions_of(rig, estimate, part_of(everything, (used[1], 1.0)), unheard)
+        found = replace(found, held=held)
+    if in_time and (drawn or reported):
+        try:
+            found = replace(found, histories=predictions_of(rig, estimate, reading, unheard))
+        except DataError:  # a motion that cannot be followed is missed in a figure of it alone
+            if drawn:
+                raise
+    return found
 
-        write_figure(path, fit_figure(rig.model, spectrum, estimate))
+
+def _of_modes(
+    rig: Rig, path: str, relative_sd: tuple[float, float, float], seed: int, quiet: bool
+) -> Estimate:
+    """From a file of measured modes."""
+    from dashpot.api import identify
+    from dashpot.data.readers.modes import modes_and_notes
+
+    modes, notes = modes_and_notes(path, rig.model.coordinates, rig.channels, relative_sd)
+    tell_notes(notes, quiet)
+    with progress("identify", quiet):
+        return identify(rig, modes, seed=seed)
 
 
-def _write_report(
-    path: str | None,
-    found: Identified,
-    level: float,
-    held: tuple[RecordPrediction, ...],
-    histories: tuple[RecordPrediction, ...],
-) -> None:
-    """Write the report, if to a path."""
-    if path is None:
+def _in_parts(
+    rig: Rig, data: Sequence[str], treatment: Treatment, workers: int | None, dask: str | None, quiet: bool
+) -> Estimate:
+    """From every file by itself, shared out to worker processes or a cluster, and merged."""
+    from dashpot.app.workers import shared_out
+    from dashpot.fleet.record_parts import identify_in_parts
+    from dashpot.io.ledger import noted
+
+    if len(rig.model.nonlinear):
+        raise UsageError(
+            "parts can be merged for linear rigs only",
+            "--in-parts",
+            "identify some of the files together, without it",
+        )
+    require_each_once(data)
+    files = [noted(name) for name in data]
+    with shared_out(dask, workers, len(files) == 1) as mapper, progress("identify", quiet) as moved:
+        estimate = identify_in_parts(rig, files, treatment, mapper=mapper, progress=moved)
+    tell_notes(estimate.notes, quiet)
+    return replace(estimate, rig=rig.path)
+
+
+def _require_in_parts(in_parts: bool, sharing: Mapping[str, bool], whole: Mapping[str, bool]) -> None:
+    """Raises UsageError for options given that need --in-parts (`sharing`), or that it cannot serve (`whole`)."""
+    wrong = next((name for name, given in (whole if in_parts else sharing).items() if given), None)
+    if wrong is None:
         return
-    from dashpot.app.report_files import provenance, write_report
-    from dashpot.present.pages.report import identification_report
-
-    page = identification_report(
-        found.rig.model,
-        found.spectrum,
-        found.estimate,
-        level,
-        provenance(),
-        channels=found.rig.channels,
-        held_out=held,
-        untried=found.untried,
-        dwells=found.dwells,
-        histories=histories,
-    )
-    write_report(path, page)
+    if in_parts:
+        raise UsageError(
+            f"{wrong} needs all data at once, and --in-parts never has them",
+            cure="identify one file, without it",
+        )
+    raise UsageError(f"{wrong} shares out the parts of --in-parts", cure="give that too, or leave it out")
 
 
-def _rig(path: str, chosen: str, positive: bool, matrices: bool, within: float | None) -> Rig:
-    """The rig, with all that can be refused before data are read."""
-    from dataclasses import replace
+def _require_amplitudes(path: str, options: Mapping[str, bool]) -> None:
+    """Raises UsageError for options given that modes have no use for."""
+    for name, given in options.items():
+        if given:
+            raise UsageError(f"{path} holds modes, to which {name} does not apply", cure=f"leave {name} out")
 
-    from dashpot.app.parameters import require_bounds_held
+
+def _require_answer(rig: Rig, chosen: str, positive: bool, matrices: bool) -> None:
+    """All that can be refused before data are read."""
     from dashpot.check.deficiencies import require_identifiable
     from dashpot.check.structure import require_scale_seen
     from dashpot.estimate.registry import method_class
-    from dashpot.model.rigfile import read_rig
 
-    rig = read_rig(path)
-    rig = rig if within is None else replace(rig, within=within)
-    rig.model.require_unknowns(path)
-    if positive:
-        require_bounds_held(chosen)
-    _check_matrices(rig, matrices)
-    require_identifiable(rig.model, rig.channels, path)
+    rig.model.require_unknowns(rig.path)
+    require_bounds_held(chosen, positive)
+    if matrices and len(rig.model.by_matrix["H"]):
+        raise UsageError(
+            "hysteretic dampers have no place in M, C or K", "--matrices", "leave the option out"
+        )
+    if matrices and 0 < len(rig.model.angles & set(rig.model.coordinates)) < rig.model.n:
+        raise UsageError(
+            "the entries of matrices over displacements and angles have different units",
+            "--matrices",
+            "leave the option out",
+        )
+    require_identifiable(rig.model, rig.channels, rig.path)
     if chosen != "auto":
-        require_scale_seen(method_class(chosen), rig.model, rig.channels, path)
-    return rig
-
-
-def _predicted(
-    rig: Rig,
-    estimate: Estimate,
-    data: tuple[str, ...],
-    conditioning: dict[str, Any],
-    part: tuple[float, float],
-) -> tuple[RecordPrediction, ...]:
-    """How well a part of each record is predicted, in shares of its length."""
-    from dashpot.app.validating import predictions_of
-
-    return predictions_of(rig, estimate, data, conditioning, True, part=part)
-
-
-def _histories(
-    rig: Rig, estimate: Estimate, data: tuple[str, ...], conditioning: dict[str, Any], used: tuple[float, float],
-    figure: str | None,
-) -> tuple[RecordPrediction, ...]:  # fmt: skip
-    """The motion of records without a spectrum; none where it cannot be followed, unless a figure asks for it."""
-    from dashpot.errors import DataError
-
-    try:
-        return _predicted(rig, estimate, data, conditioning, used)
-    except DataError:
-        if figure is not None:
-            raise
-        return ()
+        require_scale_seen(method_class(chosen), rig.model, rig.channels, rig.path)
 
 
 @contextmanager
-def _remedy_written(rig: str, path: str | None) -> Iterator[None]:
+def _remedy_written(rig: Rig, path: str | None) -> Iterator[None]:
     """Where the work inside gives no answer, but a cause with a remedy, the rig file is written with that taken."""
-    from dashpot.errors import DashpotError, Problem
-
     try:
         yield
     except DashpotError as error:
-        from dashpot.model.rigfile import read_rig
-
         useful = _with_a_line(error.causes)
         if path is None or not useful:
             raise
-        _write_applied(read_rig(rig), useful[0], path)
+        _write_applied(rig, useful[0], path)
         written = Problem(f"{path} has the first cause corrected", cure="identify with it")
         raise type(error)([*error.problems, written]) from error
-
-
-def _apply(rig: Rig, estimate: Estimate, path: str | None) -> None:
-    """Write the rig file with the first finding's remedy taken, if to a path."""
-    if path is None:
-        return
-    from dashpot.errors import UsageError
-
-    useful = _with_a_line(() if estimate.assessment is None else estimate.assessment.findings)
-    if not useful:
-        raise UsageError("there is no change to the rig file to apply", "--apply", "leave the option out")
-    _write_applied(rig, useful[0], path)
 
 
 def _with_a_line(findings: Sequence[object]) -> list[Finding]:
@@ -284,8 +332,6 @@ def _with_a_line(findings: Sequence[object]) -> list[Finding]:
 
 def _write_applied(rig: Rig, finding: Finding, path: str) -> None:
     """Write the rig file with the remedy of a finding taken."""
-    from dataclasses import replace
-
     from dashpot.estimate.assessment import applied
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import write_rig
@@ -294,47 +340,37 @@ def _write_applied(rig: Rig, finding: Finding, path: str) -> None:
     write_text(path, write_rig(replace(rig, model=model, channels=channels)))
 
 
-def _show(
-    rig: Rig, estimate: Estimate, level: float, matrices: bool, untried: tuple[str, ...],
-    held: tuple[RecordPrediction, ...],
-) -> None:  # fmt: skip
+def _draw(path: str, rig: Rig, found: Identified) -> None:
+    """Draw the fit: of records without a spectrum, their histories."""
+    from dashpot.present.figures.style import write_figure
+
+    if found.spectrum is None:
+        from dashpot.present.figures.validation import drawn_of, prediction_figure
+
+        write_figure(path, prediction_figure(drawn_of(found.histories)))
+    else:
+        from dashpot.present.pages.report import fit_figure
+
+        write_figure(path, fit_figure(rig.model, found.spectrum, found.estimate))
+
+
+def _show(rig: Rig, found: Identified, level: float, matrices: bool) -> None:
+    from dashpot.model.unstructured import free_names
     from dashpot.present.tables.estimate import show_estimate
     from dashpot.present.tables.layout import console
 
-    show_estimate(console(), estimate, level, untried=untried)
-    if matrices or _of_free_matrices(rig):
+    show_estimate(console(), found.estimate, level, untried=found.untried)
+    # Free matrices are what the rig is, as long as no hysteretic damper, which is in none of them, stands beside them.
+    if matrices or (free_names(rig.model) and not len(rig.model.by_matrix["H"])):
         from dashpot.estimate.linear.definite import matrices_of
         from dashpot.present.tables.estimate import show_matrices
 
         angular = set(rig.model.coordinates) <= rig.model.angles
-        show_matrices(console(), matrices_of(rig.model, estimate), angular)
-    if held:
+        show_matrices(console(), matrices_of(rig.model, found.estimate), angular)
+    if found.held:
         from dashpot.present.tables.validation import show_validation
 
-        show_validation(console(), held)
-
-
-def _of_free_matrices(rig: Rig) -> bool:
-    """Whether M, C and K are free and describe all of the rig: hysteretic dampers are in none of them."""
-    from dashpot.model.unstructured import free_names
-
-    return bool(free_names(rig.model)) and not len(rig.model.by_matrix["H"])
-
-
-def _check_matrices(rig: Rig, wanted: bool) -> None:
-    """Refuse --matrices, before the work, where they do not describe all of the rig."""
-    from dashpot.errors import UsageError
-
-    if wanted and len(rig.model.by_matrix["H"]):
-        raise UsageError(
-            "hysteretic dampers have no place in M, C or K", "--matrices", "leave the option out"
-        )
-    if wanted and 0 < len(rig.model.angles & set(rig.model.coordinates)) < rig.model.n:
-        raise UsageError(
-            "the entries of matrices over displacements and angles have different units",
-            "--matrices",
-            "leave the option out",
-        )
+        show_validation(console(), found.held)
 
 
 def _ending(estimate: Estimate, strict: bool) -> int:

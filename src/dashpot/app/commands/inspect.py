@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
-from dashpot.app.options import dashpot_command, data_argument, file_option
+from typing import Annotated
+
+import click
+
+from dashpot.app.data_files import reading_of
+from dashpot.app.options import NEEDED_FILES, OUTPUT, Option, OutputFile, dashpot_command
+from dashpot.app.progress import progress
 
 
 @dashpot_command(
-    "inspect",
     "dashpot inspect run.tdms",
     "dashpot inspect *.mat --channels channels.toml",
 )
-@data_argument("Data files of any format, or a manifest (TOML) of them.", name="files", required=True)
-@file_option("--channels", "FILE.toml", "Write a [channels] table to start a rig file from.")
-def command(files: tuple[str, ...], channels: str | None) -> None:
+def command(
+    files: Annotated[
+        tuple[str, ...], NEEDED_FILES, "Data files of any format, or a manifest (TOML) of them."
+    ],
+    channels: Annotated[
+        str | None,
+        Option("--channels FILE.toml", OutputFile(), OUTPUT),
+        "Write a [channels] table to start a rig file from.",
+    ],
+) -> None:
     """Show what is in FILES: columns, units, sampling, gaps, clipping, resolution and frequency content.
 
     A [channels] table for a rig file is suggested at the end; say in it what each column measures.
     """
-    import click
-
-    from dashpot.app.data_files import reading_of
-    from dashpot.app.progress import progress
     from dashpot.data.inspection import inspect_file, suggested_channels
     from dashpot.data.readers.manifest import files_named
     from dashpot.io.atomic import write_text

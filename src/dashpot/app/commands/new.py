@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+import sys
+from functools import partial
+from typing import Annotated, Any, cast
 
 import click
 
-from dashpot.app.options import MASS, Count, OutputFile, TextType, dashpot_command, option
+from dashpot.app.options import MASS, Count, Option, OutputFile, TextType, dashpot_command
 from dashpot.errors import DashpotError, UsageError
 
-HEAVIEST = 1e9  # kg
 CHAIN = "The rig"
 UNKNOWN = "unknown"
 WEIGHED = MASS.or_words(UNKNOWN)
@@ -19,52 +20,28 @@ MEASURED = click.Choice(("displacement", "velocity", "acceleration"), case_sensi
 
 
 @dashpot_command(
-    "new",
     "dashpot new rig.toml",
     "dashpot new rig.toml --masses 3 --driven-by base --motion acceleration --unit g --first-mass 1.25kg",
 )
-@click.argument("rig", type=OutputFile(new=True), help="Rig file to write.")
-@option("--name", default=None, metavar="TEXT", group=CHAIN, help="Name of the rig.")
-@option("--masses", type=MASSES, default=None, metavar="N", group=CHAIN, help="Masses in a row.")
-@option(
-    "--driven-by",
-    "drive",
-    type=DRIVEN,
-    default=None,
-    group=CHAIN,
-    help="The base moves, or a force acts.",
-)
-@option("--motion", type=MEASURED, default=None, group=CHAIN, help="What the sensors measure.")
-@option(
-    "--unit", default=None, metavar="UNIT", group=CHAIN, help="Unit of the sensors, such as mm, m/s or g."
-)
-@option(
-    "--first-mass",
-    "known",
-    type=MASS,
-    default=None,
-    metavar="KG",
-    help="The first mass, where it has been weighed.",
-)
 def command(
-    rig: str,
-    name: str | None,
-    masses: int | None,
-    drive: str | None,
-    motion: str | None,
-    unit: str | None,
-    known: float | None,
+    rig: Annotated[str, Option("", OutputFile(new=True)), "Rig file to write."],
+    name: Annotated[str | None, Option("--name TEXT", None, CHAIN), "Name of the rig."],
+    masses: Annotated[int | None, Option("--masses N", MASSES, CHAIN), "Masses in a row."],
+    drive: Annotated[str | None, Option("--driven-by", DRIVEN, CHAIN), "The base moves, or a force acts."],
+    motion: Annotated[str | None, Option("--motion", MEASURED, CHAIN), "What the sensors measure."],
+    unit: Annotated[
+        str | None, Option("--unit UNIT", None, CHAIN), "Unit of the sensors, such as mm, m/s or g."
+    ],
+    known: Annotated[
+        float | None, Option("--first-mass KG", MASS), "The first mass, where it has been weighed."
+    ],
 ) -> None:
     """Write a rig file to start from: RIG, a row of masses with springs and dampers between them.
 
     Asks for whatever no option gives.
     """
-    if known is not None and not known < HEAVIEST:
+    if known is not None and not known < 1e9:  # kg
         raise UsageError(f"a mass of {known:g} kg", "--first-mass", "give one below 1e9 kg")
-    import sys
-    from functools import partial
-    from typing import cast
-
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import parse_rig
     from dashpot.model.rigfile.starter import STAND_IN, Chain, starter_text

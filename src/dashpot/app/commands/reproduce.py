@@ -2,50 +2,42 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import click
 
-from dashpot.app.options import (
-    FOLDER,
-    Count,
-    dashpot_command,
-    option,
-    quiet_option,
-    seed_option,
-    workers_option,
-)
-from dashpot.app.report_files import report_option
+from dashpot.app.options import FOLDER, OUTPUT, Count, Option, Quiet, Workers, dashpot_command
+from dashpot.app.progress import progress
+from dashpot.app.report_files import Report, write_report
 from dashpot.errors import printable
 
-PAPERS = ["yamane1989"]
 FEW = 200  # draws below which starting processes costs more than they save
 
 
-@dashpot_command("reproduce", "dashpot reproduce yamane1989 --draws 200 --report yamane1989.html")
-@click.argument("paper", type=click.Choice(PAPERS), help="Which paper.")
-@option(
-    "--draws", type=Count(2, 1_000_000), default=1000, show_default=True, metavar="N", group="Monte Carlo",
-    help="Draws of the noise in each scenario.",
-)  # fmt: skip
-@report_option
-@option("--figures", type=FOLDER, metavar="FOLDER", group="Output", help="Write the figures there, as PNG.")
-@seed_option("the noise", 1989)
-@workers_option
-@quiet_option
+@dashpot_command("dashpot reproduce yamane1989 --draws 200 --report yamane1989.html")
 def command(
-    paper: str,
-    draws: int,
-    report: str | None,
-    figures: str | None,
-    seed: int,
-    workers: int | None,
-    quiet: bool,
+    paper: Annotated[str, Option("", click.Choice(["yamane1989"])), "Which paper."],
+    draws: Annotated[
+        int,
+        Option("--draws N", Count(2, 1_000_000), "Monte Carlo", default=1000),
+        "Draws of the noise in each scenario.",
+    ],
+    report: Report,
+    figures: Annotated[
+        str | None, Option("--figures FOLDER", FOLDER, OUTPUT), "Write the figures there, as PNG."
+    ],
+    seed: Annotated[
+        int,
+        Option("--seed N", Count(0, 2**63 - 1), default=1989),
+        "Seed of the noise; the same seed gives the same result.",
+    ],
+    workers: Workers,
+    quiet: Quiet,
 ) -> None:
     """Reproduce the tables and figures of PAPER (yamane1989), beside what it printed and what it left open.
 
     The same seed gives the same numbers, whatever the number of processes.
     """
-    from dashpot.app.progress import progress
-    from dashpot.app.report_files import provenance, write_report
     from dashpot.app.workers import cores, mapping
     from dashpot.present.pages.yamane1989.page import show_reproduction, write_reproduction
     from dashpot.present.tables.layout import console
@@ -54,8 +46,8 @@ def command(
     count = workers if workers is not None else 1 if draws < FEW else cores()
     with mapping(count) as mapper, progress(paper, quiet) as moved:
         reproduction = reproduce(draws, seed, moved, mapper=mapper)
-    how = None if report is None else provenance()
-    written = write_reproduction(reproduction, report, figures, provenance=how, write=write_report)
+    how = report.provenance if report else None
+    written = write_reproduction(reproduction, report.report, figures, provenance=how, write=write_report)
     if not quiet:
         show_reproduction(reproduction, console())
         for name in written:

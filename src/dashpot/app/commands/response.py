@@ -3,77 +3,78 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from dashpot.app.commands.simulate import require_values
 from dashpot.app.options import (
     AMPLITUDE,
     BAND,
+    FIGURE,
     FREQUENCY,
     OUTPUT,
+    SET,
     VALUES,
     Count,
+    Option,
     OutputFile,
+    Quiet,
+    RigFile,
     dashpot_command,
-    figure_option,
-    option,
-    quiet_option,
-    rig_argument,
-    set_option,
 )
+from dashpot.app.parameters import input_amplitudes, merged, parameter_values
+from dashpot.app.progress import progress
+from dashpot.errors import UsageError
+from dashpot.quantities import Amount
 
 if TYPE_CHECKING:
     from dashpot.model.rigfile import Rig
-    from dashpot.quantities import Amount
     from dashpot.study.response_curves import MotionCurve
 
 TEST = "The drive"
 
 
 @dashpot_command(
-    "response",
     "dashpot response rig.toml --set k3=1e9 --band 2:14 --amplitude u=1mm --figure curves.png",
     "dashpot response rig.toml --band 2:14 --amplitude 0.2mm --amplitude 1mm --backbone 1 -o curves.csv",
     "dashpot response rig.toml --at 9Hz --amplitude 2mm --figure folds.png",
 )
-@rig_argument
-@set_option("The rig", "values", VALUES)
-@option("--band", type=BAND, metavar="LOWER:UPPER", group=TEST, help="Frequencies of the curves, Hz.")
-@option(
-    "--at",
-    type=FREQUENCY,
-    metavar="HZ",
-    group=TEST,
-    help="In place of --band: one frequency, at which the drive grows from 1 % of --amplitude to all of it.",
-)
-@option(
-    "--amplitude", "amplitudes", type=AMPLITUDE, multiple=True, metavar="[INPUT=]VALUE", group=TEST,
-    help="Amplitude of all inputs (2mm, 10N) or of one (u=2mm).  May be repeated: one curve for each.  "
-    "[default: 1 m, rad, N or N·m]",
-)  # fmt: skip
-@option(
-    "--backbone", type=Count(1, 1000), multiple=True, metavar="MODE", group=TEST,
-    help="Add the backbone of that mode, its free undamped motions (1 is the lowest).  May be repeated.",
-)  # fmt: skip
-@option(
-    "--out", "-o", "out", type=OutputFile(), metavar="FILE.csv", group=OUTPUT,
-    help="Write the points of the curves as a table.",
-)  # fmt: skip
-@figure_option("Draw the curves, unstable motions dashed.")
-@quiet_option
 def command(
-    rig: str, values: Sequence[Mapping[str, Amount]], band: tuple[float, float] | None, at: float | None,
-    amplitudes: Sequence[Amount | Mapping[str, Amount]], backbone: tuple[int, ...], out: str | None,
-    figure: str | None, quiet: bool,
-) -> None:  # fmt: skip
+    rig: RigFile,
+    values: Annotated[tuple[dict[str, Amount], ...], SET, VALUES],
+    band: Annotated[
+        tuple[float, float] | None,
+        Option("--band LOWER:UPPER", BAND, TEST),
+        "Frequencies of the curves, Hz.",
+    ],
+    at: Annotated[
+        float | None,
+        Option("--at HZ", FREQUENCY, TEST),
+        "In place of --band: one frequency, at which the drive grows from 1 % of --amplitude to all of it.",
+    ],
+    amplitudes: Annotated[
+        tuple[Amount | dict[str, Amount], ...],
+        Option("--amplitude [INPUT=]VALUE", AMPLITUDE, TEST, multiple=True),
+        "Amplitude of all inputs (2mm, 10N) or of one (u=2mm).  May be repeated: one curve for each.  "
+        "[default: 1 m, rad, N or N·m]",
+    ],
+    backbone: Annotated[
+        tuple[int, ...],
+        Option("--backbone MODE", Count(1, 1000), TEST, multiple=True),
+        "Add the backbone of that mode, its free undamped motions (1 is the lowest).  May be repeated.",
+    ],
+    out: Annotated[
+        str | None,
+        Option("--out -o FILE.csv", OutputFile(), OUTPUT),
+        "Write the points of the curves as a table.",
+    ],
+    figure: Annotated[str | None, FIGURE, "Draw the curves, unstable motions dashed."],
+    quiet: Quiet,
+) -> None:
     """Follow the settled motion of a nonlinear RIG along the frequency or the size of the drive.
 
     The curves go through folds; the text says which parts are stable and where they turn.  Every unknown needs a
     value: from --set, or the value or guess of the rig file.
     """
-    from dashpot.app.commands.simulate import require_values
-    from dashpot.app.parameters import merged, parameter_values
-    from dashpot.app.progress import progress
-    from dashpot.errors import UsageError
     from dashpot.model.rigfile import read_rig
     from dashpot.study.response_curves import require_nonlinear
 
@@ -114,8 +115,6 @@ def _drives(
     rig: Rig, amplitudes: Sequence[Amount | Mapping[str, Amount]]
 ) -> list[tuple[str, dict[str, float]]]:
     """(label, amplitudes by input) of each curve."""
-    from dashpot.app.parameters import input_amplitudes
-
     common = [given for given in amplitudes if not isinstance(given, Mapping)]
     named = [given for given in amplitudes if isinstance(given, Mapping)]
     drives = []

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Annotated
 
 import click
 
@@ -13,44 +12,39 @@ from dashpot.app.data_files import tell_notes
 from dashpot.app.options import (
     FOLDER,
     INPUT_FILE,
+    OUTPUT,
     Count,
+    Dask,
+    Option,
+    Quiet,
+    Workers,
     dashpot_command,
-    dask_option,
-    option,
-    quiet_option,
-    workers_option,
 )
-from dashpot.app.report_files import report_option
+from dashpot.app.report_files import Report
 from dashpot.errors import printable
-
-if TYPE_CHECKING:
-    from dashpot.study.montecarlo import StudyOutcome
 
 FEW = 2000  # identifications below which starting processes costs more than they save
 
 
-@dashpot_command("study", "dashpot study study.toml", "dashpot study study.toml --draws 200 --out quick")
-@click.argument("study", type=INPUT_FILE, help="Study file (TOML).")
-@option(
-    "--out", "-o", "out", type=FOLDER, metavar="FOLDER", group="Output",
-    help="Folder for draws, summary and pictures.  [default: a folder of the file's name]",
-)  # fmt: skip
-@option(
-    "--draws",
-    type=Count(2),
-    metavar="N",
-    group="The study",
-    help="Draws of each scenario, in place of those in the file.",
-)
-@report_option
-@workers_option
-@dask_option
-@quiet_option
-@click.pass_context
+@dashpot_command("dashpot study study.toml", "dashpot study study.toml --draws 200 --out quick")
 def command(
-    ctx: click.Context, study: str, out: str | None, draws: int | None, report: str | None, workers: int | None,
-    dask: str | None, quiet: bool,
-) -> None:  # fmt: skip
+    ctx: click.Context,
+    study: Annotated[str, Option("", INPUT_FILE), "Study file (TOML)."],
+    out: Annotated[
+        str | None,
+        Option("--out -o FOLDER", FOLDER, OUTPUT),
+        "Folder for draws, summary and pictures.  [default: a folder of the file's name]",
+    ],
+    draws: Annotated[
+        int | None,
+        Option("--draws N", Count(2), "The study"),
+        "Draws of each scenario, in place of those in the file.",
+    ],
+    report: Report,
+    workers: Workers,
+    dask: Dask,
+    quiet: Quiet,
+) -> None:
     """Run the Monte Carlo study that the file STUDY describes, or continue one that was interrupted.
 
     The folder gets every draw (draws/…, Parquet), summary.parquet with bias, spread, coverage and bound of each
@@ -88,17 +82,12 @@ def command(
     tell_notes(outcome.notes, quiet)
     pictures = study_pictures(outcome)
     written = write_pictures(folder, pictures)
-    if report is not None:
-        _write_report(report, outcome, pictures)
-        written.append(report)
+    if report.report is not None:
+        from dashpot.present.pages.others import study_report
+
+        report.write(study_report(outcome, pictures, report.provenance))
+        written.append(report.report)
     if not quiet:
         show_study(outcome, console())
         for name in [str(Path(folder) / "summary.parquet"), *written]:
             click.echo(printable(name))
-
-
-def _write_report(path: str, outcome: StudyOutcome, pictures: Mapping[str, bytes]) -> None:
-    from dashpot.app.report_files import provenance, write_report
-    from dashpot.present.pages.others import study_report
-
-    write_report(path, study_report(outcome, pictures, provenance()))

@@ -2,80 +2,129 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Annotated
 
+from dashpot.app.data_files import RecordOptions, estimate_and_rig
 from dashpot.app.options import (
     INPUT_FILE,
+    JSON,
+    NEEDED_FILES,
+    OUTPUT,
     RECORDS,
     STDOUT,
-    conditioning_options,
+    Option,
+    OutputFile,
+    Quiet,
     dashpot_command,
-    data_argument,
-    figure_option,
-    json_option,
-    option,
-    quiet_option,
-    whole_record_options,
+    write_result,
 )
-from dashpot.app.report_files import report_option
+from dashpot.app.progress import progress
+from dashpot.app.report_files import Report
+from dashpot.errors import UsageError
+from dashpot.io.words import PICTURES
+
+if TYPE_CHECKING:
+    from dashpot.check.validation import RecordPrediction
+    from dashpot.data.readers import Reading
+    from dashpot.estimate.assessment import Finding
+    from dashpot.estimate.result import Estimate
+    from dashpot.model.rigfile import Rig
 
 
 @dashpot_command(
-    "validate",
     "dashpot validate estimate.json other_run.csv",
     "dashpot validate estimate.json run3.csv --rig rig.toml --figure prediction.svg",
 )
-@data_argument(
-    "The estimate (JSON of identify), then data files as for identify.", name="files", required=True
-)
-@option(
-    "--rig",
-    type=INPUT_FILE,
-    metavar="RIG.toml",
-    group=RECORDS,
-    help="The rig file of the estimate.  [default: the one that the estimate names]",
-)
-@json_option("the figures")
-@figure_option(
-    "Draw the first record, or the settled lines, measured and predicted.", "--figure", "--picture"
-)
-@report_option
-@conditioning_options
-@whole_record_options
-@quiet_option
 def command(
-    files: tuple[str, ...], rig: str | None, json_out: str | None, figure: str | None, report: str | None, quiet: bool,
-    **conditioning: Any,
-) -> None:  # fmt: skip
+    files: Annotated[
+        tuple[str, ...],
+        NEEDED_FILES,
+        "The estimate (JSON of identify), then data files as for identify.",
+    ],
+    rig: Annotated[
+        str | None,
+        Option("--rig RIG.toml", INPUT_FILE, RECORDS),
+        "The rig file of the estimate.  [default: the one that the estimate names]",
+    ],
+    json_out: Annotated[str | None, JSON, "the figures"],
+    figure: Annotated[
+        str | None,
+        Option("--figure --picture FILE.svg|png|pdf", OutputFile(formats=PICTURES), OUTPUT),
+        "Draw the first record, or the settled lines, measured and predicted.",
+    ],
+    report: Report,
+    records: RecordOptions,
+    quiet: Quiet,
+) -> None:
     """Predict records from their inputs with an estimate made from other records: FIT and χ² of every channel.
 
     FILES are the estimate, as identify writes it with --json, and the records.
     """
-    from dashpot.app.options import write_result
-    from dashpot.app.validating import estimate_and_rig, figures_of, validated
-    from dashpot.errors import UsageError
+    from dashpot.io.json_document import to_json
 
     if len(files) < 2:
         raise UsageError("there is no record to predict", cure="name data files after the estimate")
-    estimate, rig_read = estimate_and_rig(files[0], rig)
-    outcome = validated(rig_read, estimate, files[1:], conditioning, quiet)
-    predictions = outcome.predictions
+    estimate, read = estimate_and_rig(files[0], rig)
+    predictions, findings = validated(read, estimate, records.reading(read, files[1:]), records)
     if figure is not None:
         from dashpot.present.figures.style import write_figure
         from dashpot.present.figures.validation import drawn_of, prediction_figure
 
         write_figure(figure, prediction_figure(drawn_of(predictions)))
-    if report is not None:
-        from dashpot.app.report_files import provenance, write_report
+    if report:
         from dashpot.present.pages.others import validation_report
 
-        page = validation_report(
-            rig_read.model, rig_read.channels, estimate, predictions, outcome.findings, provenance()
+        report.write(
+            validation_report(read.model, read.channels, estimate, predictions, findings, report.provenance)
         )
-        write_report(report, page)
-    write_result(json_out, figures_of(predictions, outcome.findings))
+    # FIT, rms error (of records, SI units), χ² and degrees of freedom of every channel, and causes
+    rows = [
+        {
+            "duration_s": part.duration_s,
+            "samples": part.samples,
+            "channels": {
+                name: {
+                    "fit_percent": 100 * part.fit[c],
+                    "rms_error": rms_error,
+                    "chi2": part.chi2[c],
+                    "dof": int(part.dof[c]),
+                }
+                for c, (name, rms_error) in enumerate(zip(part.channels, part.rms_error, strict=True))
+            },
+        }
+        for part in predictions
+    ]
+    content = {"records": rows, "diagnosis": [finding.content() for finding in findings]}
+    write_result(json_out, to_json(content))
     if not quiet and json_out != STDOUT:
         from dashpot.present.tables.layout import console
         from dashpot.present.tables.validation import show_validation
 
-        show_validation(console(), predictions, outcome.findings)
+        show_validation(console(), predictions, findings)
+
+
+def predictions_of(
+    rig: Rig, estimate: Estimate, reading: Reading, options: RecordOptions
+) -> tuple[RecordPrediction, ...]:
+    """What an estimate predicts of data; raises DataError."""
+    return validated(rig, estimate, reading, options, diagnosed=False)[0]
+
+
+def validated(
+    rig: Rig, estimate: Estimate, reading: Reading, options: RecordOptions, *, diagnosed: bool = True
+) -> tuple[tuple[RecordPrediction, ...], tuple[Finding, ...]]:
+    """The predictions of data, and what may be wrong with them where they are bad; raises DataError."""
+    from dashpot.check.diagnosis.prediction_mistakes import mistakes_in_lines, mistakes_in_records
+    from dashpot.check.validation import missed, validate, validate_records
+
+    if len(rig.model.nonlinear) and reading.continuous:
+        still = options.conditioning(rig).still
+        with progress("validate", options.quiet):
+            predictions = validate_records(rig.model, estimate, reading.records, still)
+            wrong = diagnosed and missed(predictions)
+            return predictions, mistakes_in_records(rig.model, estimate, reading.records) if wrong else ()
+    spectrum = options.spectrum(rig, reading, options.conditioning(rig, reading))
+    with progress("validate", options.quiet):
+        predictions = validate(rig.model, estimate, spectrum)
+        wrong = diagnosed and missed(predictions)
+        return predictions, mistakes_in_lines(rig.model, estimate, spectrum) if wrong else ()
