@@ -70,7 +70,8 @@ def driven_record(
     """
     channels = tuple(channels)
     step = uniform_step(drive)
-    drive = _on_time(drive, step)
+    on_time = tuple(c if c.delay is None else replace(c, delay=0.0) for c in drive.channels)
+    drive = replace(drive, channels=on_time, values=_later(drive.values, -_delays(drive.channels) / step))
     view = observation_model(model, channels, np.ones(1))
     if len(model.nonlinear):
         values = _nonlinear(view, theta, drive.source, step, measured_inputs(model, drive))
@@ -89,19 +90,15 @@ def driven_record(
     return Record(channels, drive.time, factor * values, source="simulation")
 
 
-def _on_time(drive: Record, step: float) -> Record:
-    """The record with known delays taken out."""
-    channels = tuple(c if c.delay is None else replace(c, delay=0.0) for c in drive.channels)
-    return replace(drive, channels=channels, values=_later(drive.values, -_delays(drive.channels) / step))
-
-
 def _delays(channels: Sequence[Channel]) -> Real:
     """Delays of the channels, (channels,) s, 0 where they are unknown."""
     return np.array([0.0 if channel.delay is None else channel.delay for channel in channels])
 
 
 def _as_moved(model: Model, drive: Record, step: float) -> Record:
-    """The record with inputs as displacements where no sensor shows them as such."""
+    """The record with inputs as displacements where no sensor shows them as such, from rest, their mean taken out."""
+    from scipy.interpolate import CubicSpline
+
     channels, values = list(drive.channels), np.array(drive.values)
     moved = [
         c
@@ -111,21 +108,14 @@ def _as_moved(model: Model, drive: Record, step: float) -> Record:
     shown = {
         point for c in moved if channels[c].quantity is Quantity.DISPLACEMENT for point in channels[c].of
     }
+    time = step * np.arange(len(values))
     for c in moved:
         times = {Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}.get(channels[c].quantity, 0)
         if times and not set(channels[c].of) <= shown:
-            values[:, c] = _integrated(values[:, c], step, times)
+            rates = values[:, c] - np.mean(values[:, c])
+            values[:, c] = CubicSpline(time, rates).antiderivative(times)(time)
             channels[c] = replace(channels[c], quantity=Quantity.DISPLACEMENT)
     return replace(drive, channels=tuple(channels), values=values)
-
-
-def _integrated(rates: Real, step: float, times: int) -> Real:
-    """Samples (samples,) less their mean, integrated so many times from rest."""
-    from scipy.interpolate import CubicSpline
-
-    time = step * np.arange(len(rates))
-    spline = CubicSpline(time, rates - np.mean(rates)).antiderivative(times)
-    return np.asarray(spline(time), dtype=np.float64)
 
 
 def _later(values: Real, steps: Real) -> Real:
@@ -146,15 +136,13 @@ def _nonlinear(view: ObservationModel, theta: Real, source: str, step: float, sh
     model, channels = view.model, view.channels
     forces = [c.name for c in channels if c.quantity is Quantity.FORCE and not measures_input(model, c)]
     if forces:
-        raise DataError(
-            f"channel {forces[0]} measures the force in elements, which records in time do not show",
-            cure="leave it out of the rig file",
-        )
+        what = f"channel {forces[0]} measures the force in elements, which records in time do not show"
+        raise DataError(what, cure="leave it out of the rig file")
     count = len(channels)
-    data = RecordData(
-        source, step, tuple(channel.name for channel in channels), shown.values, np.zeros((len(shown.values), count)),
-        view.on_x, view.on_q, tuple(int(order) for order in view.derivative), (-1,) * count, (False,) * count,
-    )  # fmt: skip
+    names, orders = tuple(channel.name for channel in channels), tuple(map(int, view.derivative))
+    nothing = np.zeros((len(shown.values), count))
+    how = (view.on_x, view.on_q, orders, (-1,) * count, (False,) * count)
+    data = RecordData(source, step, names, shown.values, nothing, *how)
     data = beside_bases(model, data, shown.orders)
     substeps = 2 * enough_substeps(model, theta, step)
     machine = Integrator(
@@ -194,9 +182,12 @@ def response_band(
     nobody = np.random.default_rng(0)  # the channels have no noise to draw
 
     def shown(psi: Real) -> Record:
-        calibrated = _Calibrated(dict(zip(names, psi.tolist(), strict=True)), estimate.signs)
-        moved = replace(drive, channels=tuple(map(calibrated, drive.channels)))
-        return driven_record(model, psi[:m], tuple(map(calibrated, channels)), moved, nobody)
+        values = dict(zip(names, psi.tolist(), strict=True))
+        ours, driving = (
+            tuple(_calibrated(channel, values, estimate.signs) for channel in each)
+            for each in (channels, drive.channels)
+        )
+        return driven_record(model, psi[:m], ours, replace(drive, channels=driving), nobody)
 
     psi, covariance = np.array(estimate.values), np.array(estimate.covariance)
     predicted = shown(psi)
@@ -209,21 +200,13 @@ def response_band(
     return predicted, band
 
 
-@dataclass(frozen=True)
-class _Calibrated:
-    """Channels without noise, with the gains, delays and signs that an estimate found."""
-
-    values: Mapping[str, float]
-    signs: Mapping[str, Real]
-
-    def __call__(self, channel: Channel) -> Channel:
-        owner = channel.name if channel.same_gain_as is None else channel.same_gain_as
-        gain = self.values.get(f"{owner}.gain") if channel.gain is None else channel.gain
-        delay = self.values.get(f"{channel.name}.delay") if channel.delay is None else channel.delay
-        sign = channel.sign
-        if sign is None and channel.name in self.signs:
-            sign = float(self.signs[channel.name])
-        return replace(channel, noise=0.0, relative_noise=0.0, gain=gain, delay=delay, sign=sign)
+def _calibrated(channel: Channel, values: Mapping[str, float], signs: Mapping[str, Real]) -> Channel:
+    """A channel without noise, with the gain, delay and sign that an estimate found."""
+    owner = channel.name if channel.same_gain_as is None else channel.same_gain_as
+    gain = values.get(f"{owner}.gain") if channel.gain is None else channel.gain
+    delay = values.get(f"{channel.name}.delay") if channel.delay is None else channel.delay
+    sign = float(signs[channel.name]) if channel.sign is None and channel.name in signs else channel.sign
+    return replace(channel, noise=0.0, relative_noise=0.0, gain=gain, delay=delay, sign=sign)
 
 
 NoiseBasis = Literal["given", "estimated"]
@@ -376,24 +359,34 @@ def simulate_records(
     Unknown gains, delays and signs are simulated as 1, 0 and 1.  Raises ModelError where the rig has no steady
     response, DataError where a channel measures what the rig has not.
     """
-    channels = tuple(channels)
     Y = clean_amplitudes(model, p, channels, test)
-    sd = noise_sd(channels, Y)
+    return _steady_records(channels, np.stack([np.zeros_like(Y), Y], axis=1), test, rng, draws, offset)
+
+
+def _steady_records(
+    channels: Sequence[Channel],
+    harmonics: Complex,
+    test: Dwells,
+    rng: np.random.Generator,
+    draws: int | None = None,
+    offset: Real | None = None,
+) -> list[Record]:
+    """Of motion given by its harmonics, (lines, H + 1, channels), SI units."""
+    channels, count = tuple(channels), len(channels)
+    sd, delay = noise_sd(channels, harmonics[:, 1]), _delays(channels)
     factor = np.array([channel.factor for channel in channels])
-    delay = np.array([0.0 if channel.delay is None else channel.delay for channel in channels])
-    level = np.zeros(len(channels)) if offset is None else np.asarray(offset, dtype=float)
+    level = np.zeros(count) if offset is None else np.asarray(offset, dtype=float)
     batch = () if draws is None else (draws,)
+    orders = np.arange(harmonics.shape[1])[:, None]
     records = []
     for line, omega in enumerate(test.omega):
         time = test.time(line)
-        values = (Y[line] * np.exp(1j * omega * (time[:, None] - delay))).real
-        values = values + sd[line] * rng.standard_normal((*batch, len(time), len(channels)))
+        turns = np.exp(1j * omega * orders * (time[:, None, None] - delay))  # (samples, H + 1, channels)
+        values = np.sum((turns * harmonics[line]).real, axis=1)
+        values = values + sd[line] * rng.standard_normal((*batch, len(time), count))
         frequency = float(test.frequency_hz[line])
-        records.append(
-            Record(
-                channels, time, factor * values + level, frequency, source=f"simulation at {frequency:g} Hz"
-            )
-        )
+        source = f"simulation at {frequency:g} Hz"
+        records.append(Record(channels, time, factor * values + level, frequency, source=source))
     return records
 
 
@@ -430,7 +423,6 @@ def simulate_spectrum(
     gram = _grams(test, drift)
     P = np.linalg.inv(gram)
     K = 1 if draws is None else draws
-    lines = len(test.frequency_hz)
     A = _with_errors(Y, np.linalg.cholesky(P), sd, rng, K)
     free = test.samples - 2 - (0 if drift is None else drift + 1)
     spread = np.trace(P, axis1=-2, axis2=-1)
@@ -438,18 +430,35 @@ def simulate_spectrum(
     if moments or noise == "estimated":
         residual = sd[:, :, None] * _wishart(rng, K, free, sd) * sd[:, None, :]
     V = _covariance(spread, sd)
-    dof, basis = np.full(lines, np.inf), "given"
     if noise == "estimated" and residual is not None:
-        _require_free(test, free)
+        if np.any(free < 1):
+            few = int(test.samples[int(np.argmin(free))])
+            what = f"{few} samples leave no residual to estimate the noise from"
+            raise DataError(what, cure="take more samples, or give the noise")
         V = ((spread / free)[:, None, None] * residual).astype(np.complex128)
-        dof, basis = free.astype(float), "white"
     products = _moments(A, gram, residual) if moments and residual is not None else None
     if draws is None:
         A = A[0]
         V = V[0] if V.ndim == 4 else V
         products = None if products is None else products[0]
-    kept, experiment = None if products is None else Moments(products), np.zeros(lines, dtype=np.int64)
-    return Spectrum(channels, test.frequency_hz, A, V, test.samples, dof, (basis,) * lines, experiment, kept)
+    kept = None if products is None else Moments(products)
+    return _lines(channels, test, A, V, free.astype(float) if noise == "estimated" else None, kept)
+
+
+def _lines(
+    channels: tuple[Channel, ...],
+    test: Dwells,
+    A: Complex,
+    V: Complex,
+    dof: Real | None = None,
+    moments: Moments | None = None,
+) -> Spectrum:
+    """Amplitudes of settled dwells; noise that residuals showed has `dof` degrees of freedom, (lines,)."""
+    lines = len(test.frequency_hz)
+    noise = ("given" if dof is None else "white",) * lines
+    freedom = np.full(lines, np.inf) if dof is None else dof
+    experiment = np.zeros(lines, dtype=np.int64)
+    return Spectrum(channels, test.frequency_hz, A, V, test.samples, freedom, noise, experiment, moments)
 
 
 def _with_errors(Y: Complex, root: Real, sd: Real, rng: np.random.Generator, draws: int) -> Complex:
@@ -481,17 +490,7 @@ def clean_spectrum(
     channels = tuple(channels)
     Y = clean_amplitudes(model, p, channels, test)
     spread = np.trace(np.linalg.inv(_grams(test, drift)), axis1=-2, axis2=-1)
-    lines = len(test.frequency_hz)
-    return Spectrum(
-        channels,
-        test.frequency_hz,
-        Y,
-        _covariance(spread, noise_sd(channels, Y)),
-        test.samples,
-        np.full(lines, np.inf),
-        ("given",) * lines,
-        np.zeros(lines, dtype=np.int64),
-    )
+    return _lines(channels, test, Y, _covariance(spread, noise_sd(channels, Y)))
 
 
 def with_noise_drawn(clean: Spectrum, rng: np.random.Generator, draws: int) -> Spectrum:
@@ -528,15 +527,6 @@ def _grams(test: Dwells, drift: int | None) -> Real:
             )
         cache[count, periods] = gram
     return np.array([cache[key] for key in zip(test.samples.tolist(), test.periods.tolist(), strict=True)])
-
-
-def _require_free(test: Dwells, free: Ints) -> None:
-    if np.any(free < 1):
-        count = int(test.samples[int(np.argmin(free))])
-        raise DataError(
-            f"{count} samples leave no residual to estimate the noise from",
-            cure="take more samples, or give the noise",
-        )
 
 
 def _wishart(rng: np.random.Generator, draws: int, dof: Ints, sd: Real) -> Real:
@@ -596,17 +586,12 @@ def settled_motion(model: Model, theta: Real, channels: Sequence[Channel], test:
     rows = len(test.frequency_hz)
     U, f = (np.zeros((rows, ORDERS + 1, part.shape[1]), dtype=np.complex128) for part in (test.U, test.f))
     U[:, 1], f[:, 1] = test.U, test.f
-    p, constants = (
-        np.tile(model.parameters(theta), (rows, 1)),
-        np.tile(model.inner_constants(theta), (rows, 1)),
-    )
+    p, constants = (np.tile(of(theta), (rows, 1)) for of in (model.parameters, model.inner_constants))
     drive = Drive(test.omega, U, f)
-    at = periodic_response(model, p, constants, drive)
-    if not np.all(at.converged):  # with few harmonics, which costs little
-        at = _followed(model, theta, drive, at)
+    # With few harmonics first, which costs little
+    at = _followed(model, theta, drive, periodic_response(model, p, constants, drive))
     at, drive = settled_orders(model, p, constants, drive, at.delta, tolerance=FINEST)
-    if not np.all(at.converged):
-        at = _followed(model, theta, drive, at)
+    at = _followed(model, theta, drive, at)
     return SettledMotion(tuple(channels), channel_harmonics(model, p, channels, drive, at))
 
 
@@ -615,43 +600,22 @@ def _followed(model: Model, theta: Real, drive: Drive, at: Periodic) -> Periodic
 
     Raises ConvergenceError, which names the frequency, where that fails as well.
     """
-    delta = at.delta.copy()
+    if np.all(at.converged):
+        return at
+    delta, rows = at.delta.copy(), len(at.delta)
     for row in np.flatnonzero(~at.converged):
-        one = np.arange(len(drive.omega)) == row
         try:
-            delta[row] = grown_from_rest(model, theta, drive.rows(one))
+            delta[row] = grown_from_rest(model, theta, drive.rows(np.arange(rows) == row))
         except ConvergenceError as error:
-            raise ConvergenceError(
-                f"harmonic balance finds no response at {drive.omega[row] / (2 * np.pi):g} Hz",
-                cure="drive less there, or leave it out",
-            ) from error
-    rows = len(delta)
-    p, constants = (
-        np.tile(model.parameters(theta), (rows, 1)),
-        np.tile(model.inner_constants(theta), (rows, 1)),
-    )
+            what = f"harmonic balance finds no response at {drive.omega[row] / (2 * np.pi):g} Hz"
+            raise ConvergenceError(what, cure="drive less there, or leave it out") from error
+    p, constants = (np.tile(of(theta), (rows, 1)) for of in (model.parameters, model.inner_constants))
     return periodic_response(model, p, constants, drive, delta)
 
 
 def settled_records(motion: SettledMotion, test: Dwells, rng: np.random.Generator) -> list[Record]:
     """One steady record for each dwell, noise and known calibrations of the channels included."""
-    channels = motion.channels
-    sd = noise_sd(channels, motion.harmonics[:, 1])
-    factor = np.array([channel.factor for channel in channels])
-    delay = np.array([0.0 if channel.delay is None else channel.delay for channel in channels])
-    orders = np.arange(motion.harmonics.shape[1])
-    records = []
-    for line, omega in enumerate(test.omega):
-        time = test.time(line)
-        turns = np.exp(
-            1j * omega * orders[:, None] * (time[:, None, None] - delay)
-        )  # (samples, H + 1, channels)
-        values = np.sum((turns * motion.harmonics[line]).real, axis=1)
-        values = values + sd[line] * rng.standard_normal(values.shape)
-        frequency = float(test.frequency_hz[line])
-        source = f"simulation at {frequency:g} Hz"
-        records.append(Record(channels, time, factor * values, frequency, source=source))
-    return records
+    return _steady_records(motion.channels, motion.harmonics, test, rng)
 
 
 def settled_spectrum(
@@ -668,15 +632,12 @@ def settled_spectrum(
     spread = np.repeat(sd, count, axis=0)
     shape = (2, *(() if draws is None else (draws,)), *Y.shape)
     error = np.zeros(shape) if rng is None else rng.standard_normal(shape)
+    V = ((2 * spread[..., None] ** 2) * np.eye(len(channels))).astype(np.complex128)
+    frequency_hz = np.outer(test.frequency_hz, np.arange(1, count + 1)).ravel()
+    samples, dof = np.repeat(test.samples, count), np.full(len(Y), np.inf)
+    given, experiment = ("given",) * len(Y), np.zeros(len(Y), dtype=np.int64)
+    dwell, settled = np.repeat(np.arange(dwells), count), tuple(map(SettledDwell, test.frequency_hz.tolist()))
+    A = Y + spread * (error[0] + 1j * error[1])
     return Spectrum(
-        channels,
-        np.outer(test.frequency_hz, np.arange(1, count + 1)).ravel(),
-        Y + spread * (error[0] + 1j * error[1]),
-        ((2 * spread[..., None] ** 2) * np.eye(len(channels))).astype(np.complex128),
-        np.repeat(test.samples, count),
-        np.full(len(Y), np.inf),
-        ("given",) * len(Y),
-        np.zeros(len(Y), dtype=np.int64),
-        stretch=np.repeat(np.arange(dwells), count),
-        stretches=tuple(SettledDwell(float(f)) for f in test.frequency_hz),
+        channels, frequency_hz, A, V, samples, dof, given, experiment, stretch=dwell, stretches=settled
     )
