@@ -30,15 +30,12 @@ from dashpot.model.nonlinear.tangent import FEWEST
 from dashpot.numerics.levenberg_marquardt import OptimizeResult
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
-# The sizes of the noise of outputs and inputs, from what the motion of whole records leaves over (THEORY
-# §8, c).
+# The sizes of the noise of outputs and inputs, from what the motion of whole records leaves over (THEORY §8, c).
 #
-# Restricted likelihood: the residuals less what the unknowns can explain have a covariance in which each
-# size has a part of its own. The sums of squares that measure a size are compared with those of noise that
-# is drawn to the present sizes and goes the same way, so nothing has to be known of the colours that the
-# rig gives it; average information gives the step. Source: Gilmour, Thompson and Cullis (1995), Biometrics
-# 51, 1440.
-
+# Restricted likelihood: the residuals less what the unknowns can explain have a covariance in which each size has a
+# part of its own. The sums of squares that measure a size are compared with those of noise that is drawn to the present
+# sizes and goes the same way, so nothing has to be known of the colours that the rig gives it; average information
+# gives the step. Source: Gilmour, Thompson and Cullis (1995), Biometrics 51, 1440.
 
 DRAWS = 16  # of noise: sizes vary by 1/√DRAWS of their own standard deviation with the draws
 
@@ -54,14 +51,6 @@ class DrawnNoise:
     draws: tuple[Real, ...]
     errors: tuple[Real, ...]
     drawn_errors: tuple[Real, ...]
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """Slopes of the restricted ln L along the logarithms of the variances of channels and inputs, and information."""
-
-    slope: Real
-    information: Real
 
 
 def unknowns_matrix(linear: Sequence[LinearisedRecord], prior: Real) -> Real:
@@ -81,29 +70,36 @@ def drawn_noise(linear: Sequence[LinearisedRecord], prior: Real, draws: int = DR
         white = rng.standard_normal((N, c, draws))
         moved = rng.standard_normal((N, record.covariance.known.spread.shape[1], draws))
         noises.append(white + record.covariance.reach(moved))
-    draws_cleared = cleared(linear, prior, noises)
     data = tuple(record.score for record in linear)
+    draws_cleared = tuple(cleared(linear, prior, noises))
     back = [record.covariance.back for record in linear]
-    return DrawnNoise(
-        data,
-        tuple(draws_cleared),
-        tuple(carry(z[..., None])[..., 0] for carry, z in zip(back, data, strict=True)),
-        tuple(carry(z) for carry, z in zip(back, draws_cleared, strict=True)),
-    )
+    errors = tuple(carry(z[..., None])[..., 0] for carry, z in zip(back, data, strict=True))
+    drawn_errors = tuple(carry(z) for carry, z in zip(back, draws_cleared, strict=True))
+    return DrawnNoise(data, draws_cleared, errors, drawn_errors)
 
 
-def sizes_of_noise(linear: Sequence[LinearisedRecord], prior: Real, noise: DrawnNoise) -> Sizes:
-    """Channels first, then inputs; all variances as they are now."""
+def sizes_of_noise(linear: Sequence[LinearisedRecord], prior: Real, noise: DrawnNoise) -> tuple[Real, Real]:
+    """Slopes of the restricted ln L along the logarithms of the variances, and information on these.
+
+    Channels first, then inputs; all variances as they are now.
+    """
     squares = np.concatenate([_squares(noise.data), _squares(noise.errors)])
     expected = np.concatenate([_squares(noise.draws), _squares(noise.drawn_errors)]).mean(axis=-1)
+    # Columns of which each has one channel, or one input, alone
     working = [
-        np.concatenate([_apart(z), record.covariance.reach(_apart(w))], axis=-1)
+        np.concatenate(
+            [
+                z[:, :, None] * np.eye(z.shape[1]),
+                record.covariance.reach(w[:, :, None] * np.eye(w.shape[1])),
+            ],
+            axis=-1,
+        )
         for record, z, w in zip(linear, noise.data, noise.errors, strict=True)
     ]
     solved = cleared(linear, prior, working)
     parts = [np.tensordot(a, b, axes=([0, 1], [0, 1])) for a, b in zip(working, solved, strict=True)]
     information: Real = np.sum(parts, axis=0) / 2
-    return Sizes((squares - expected) / 2, (information + information.T) / 2)
+    return (squares - expected) / 2, (information + information.T) / 2
 
 
 def information_on_inputs(linear: Sequence[LinearisedRecord], prior: Real, noise: DrawnNoise) -> Real:
@@ -140,23 +136,8 @@ def _squares(parts: Sequence[Real]) -> Real:
     return sum(np.sum(part**2, axis=0) for part in parts)
 
 
-def _apart(columns: Real) -> Real:
-    """(samples, k) as k columns of which each has one channel alone, (samples, k, k)."""
-    return columns[:, :, None] * np.eye(columns.shape[1])
-
-
-WINDOWED = 35 / 18  # samples that count as one in the power of a record under Hann's window
-CHANGED = 0.1  # of the logarithm of a variance, for the slope along it
-STEPS = 8  # of the search in each round
-SETTLED = 5e-3  # change of a standard deviation at which the rounds end
-LONGEST = np.log(4.0)  # of a step, of the logarithm of a variance
 LAST = 60  # steps of the last search
-EXACT = 1e-6  # of a channel's rms: residuals below it count no less
-WANDER, LESS_PARABOLA = 0.1, 1 / 30  # of the motion beside a base; what is left of a random walk
 SHORTEST_PIECE = 64  # samples
-LEAST = 1e-6  # of an input's size: noise that is looked for first
-NEGLIGIBLE = 1e-3  # of a size's information: so little is told of it where it moves nothing by 0.06 standard deviations
-FAINT = 0.3  # the same of noise that only the outputs show: 1 at the end is no noise
 
 Descend = Callable[[RecordProblem, Real, int], OptimizeResult]
 
@@ -188,7 +169,8 @@ def own_noise(records: Sequence[RecordData]) -> OwnNoise:
         quietest = np.min(smoothed(power + 0j, HALF_WINDOW).real, axis=0)
         most = np.minimum(most, ROOM * np.maximum(quietest, rounding))
         level = np.array([white_floor(np.abs(column) ** 2) for column in lines.T])
-        count = np.where(level > 0, (TOP[1] - TOP[0]) * N / WINDOWED, 0.0)
+        # Under Hann's window 35/18 samples count as one in the power of a record.
+        count = np.where(level > 0, (TOP[1] - TOP[0]) * N / (35 / 18), 0.0)
         at_rest = np.array([variance_at_rest(column) for column in record.inputs.T])
         level = np.where(at_rest > 0, at_rest, level)
         count = np.where(at_rest > 0, QUIETEST * N, count)
@@ -231,13 +213,11 @@ def with_uncertain_inputs(
     own = own_noise(measured)
     variance, by_spectrum = _first_variances(problem, psi, own)
     while np.any(variance > 0):
-        search = _Search(problem, psi, own, by_spectrum, variance, descend)
-        end = search.run()
-        refuted, gone = search.refuted(), search.gone()
-        if not (np.any(refuted) or np.any(gone)):
-            return search.problem, end, InputSizes(search.variance, by_spectrum, search.spread())
-        by_spectrum = by_spectrum & ~refuted
-        variance = np.where(gone, 0.0, search.variance)
+        found, end, noise, denied = _sized(problem, psi, own, by_spectrum, variance, descend)
+        if not np.any(denied):
+            return found, end, noise
+        variance = np.where(denied & ~by_spectrum, 0.0, noise.variance)
+        by_spectrum = by_spectrum & ~denied
     return None
 
 
@@ -264,8 +244,9 @@ def _steady_samples(model: Model, data: RecordData, sd: Real) -> int:
                 continue
             moves = size if order == 0 else float(np.std(data.outputs[:, c]))
             power = times - 0.5
-            walk = LESS_PARABOLA * reach * noise * np.sqrt(data.step_s / (2 * times - 1))
-            steady = min(steady, (WANDER * moves / walk) ** (1 / power))
+            # What a parabola leaves of a random walk, a thirtieth, is to be a tenth of the motion.
+            walk = 1 / 30 * reach * noise * np.sqrt(data.step_s / (2 * times - 1))
+            steady = min(steady, (0.1 * moves / walk) ** (1 / power))
     length = max(steady / data.step_s, SHORTEST_PIECE)
     return int(length) if length < data.samples else 0
 
@@ -313,95 +294,73 @@ def _first_variances(problem: RecordProblem, psi: Real, own: OwnNoise) -> tuple[
     """Variances of the inputs' noise to begin with, (q,), and which are from their own spectra."""
     c = len(problem.sd)
     size = np.sqrt(np.mean(np.concatenate([data.inputs for data in problem.records]) ** 2, axis=0))
-    unit = (LEAST * np.where(size > 0, size, 1.0)) ** 2
+    unit = (1e-6 * np.where(size > 0, size, 1.0)) ** 2  # noise that is looked for first
     tried = problem.with_noise(problem.sd, unit)
     linear = all_linearised(tried, psi)
     if not linear:
         return np.zeros(len(unit)), np.zeros(len(unit), dtype=bool)
     prior = problem.priors()[0]
     noise = drawn_noise(linear, prior)
-    slope = sizes_of_noise(linear, prior, noise).slope[c:]
+    slope = sizes_of_noise(linear, prior, noise)[0][c:]
     information = information_on_inputs(linear, prior, noise)
     usable = information > 0
     times = slope / np.where(usable, information, 1.0)  # the unit, by Fisher's scoring from about 0
     shows = usable & (times * np.sqrt(information) > SHOWS)
-    by_spectrum = (own.shown > 0) & (information * (own.shown / unit) ** 2 > NEGLIGIBLE)
+    # With less than a thousandth of a size's information it moves nothing by 0.06 standard deviations.
+    by_spectrum = (own.shown > 0) & (information * (own.shown / unit) ** 2 > 1e-3)
     in_common = np.where(shows & (own.shown == 0), np.minimum(times * unit, own.most), 0.0)
     # What is held down by the quietest part of the spectrum and tells nothing of its size there is gone in the end.
-    faint = (times * unit >= own.most) & (information * (own.most / unit) ** 2 < FAINT)
+    faint = (times * unit >= own.most) & (information * (own.most / unit) ** 2 < 0.3)
     in_common = np.where(faint, 0.0, in_common)
     return np.where(by_spectrum, own.shown, in_common), by_spectrum
 
 
-class _Search:
-    """Rounds of a search for the unknowns and a step for the sizes of the noise of channels and inputs."""
+def _sized(
+    problem: RecordProblem,
+    psi: Real,
+    own: OwnNoise,
+    by_spectrum: Bools,
+    variance: Real,
+    descend: Descend,
+) -> tuple[RecordProblem, OptimizeResult, InputSizes, Bools]:
+    """Rounds of a search for the unknowns and a step for the sizes of the noise, until these settle; the last search is
+    to its end.
 
-    def __init__(
-        self, problem: RecordProblem, psi: Real, own: OwnNoise, by_spectrum: Bools, variance: Real, descend: Descend
-    ) -> None:  # fmt: skip
-        self.problem, self.psi, self.descend = problem, psi, descend
-        self.own, self.variance, self.sought = own, variance, variance > 0
-        self.least = EXACT * problem.sizes()
-        # The top of an input's own spectrum is a measurement of its variance.
-        self.freedom = np.where(by_spectrum, own.freedom / 2, 0.0)
-        self.sizes = Sizes(np.zeros(0), np.zeros((0, 0)))
-
-    def run(self) -> OptimizeResult:
-        """Until the sizes settle; the last search is to its end."""
-        sd = self.problem.sd
-        for _ in range(20):  # at most
-            self.problem = self.problem.with_noise(sd, self.variance)
-            self.psi = self.descend(self.problem, self.psi, STEPS).x[0]
-            linear = all_linearised(self.problem, self.psi)
-            if not linear:
-                break
-            prior = self.problem.priors()[0]
-            self.sizes = sizes_of_noise(linear, prior, drawn_noise(linear, prior))
-            change = self._step()
-            c = len(sd)
-            sd = np.maximum(sd * np.exp(change[:c] / 2), self.least)
-            self.variance = self.variance * np.exp(change[c:])
-            if np.max(np.abs(change)) / 2 < SETTLED:
-                break
-        self.problem = self.problem.with_noise(sd, self.variance)
-        return self.descend(self.problem, self.psi, LAST)
-
-    def _step(self) -> Real:
-        """Of the logarithms of the variances, channels first."""
-        c = len(self.problem.sd)
-        slope, information = self.sizes.slope.copy(), self.sizes.information.copy()
-        ratio = self.own.shown / np.where(self.sought, self.variance, 1.0)
-        slope[c:] += self.freedom * (ratio - 1) * self.sought
-        information[range(c, len(slope)), range(c, len(slope))] += self.freedom
-        moves = np.concatenate([np.ones(c, dtype=bool), self.sought])
-        change = np.zeros(len(slope))
-        change[moves] = solve_scaled(information[np.ix_(moves, moves)], slope[moves])
-        change = np.clip(np.nan_to_num(change), -LONGEST, LONGEST)
-        room = np.log(self.own.most / np.where(self.sought, self.variance, self.own.most))
-        change[c:] = np.where(self.sought & (self.freedom == 0), np.minimum(change[c:], room), change[c:])
-        return change
-
-    def spread(self) -> Real:
-        """Covariance of the logarithms of the variances."""
-        c, information = len(self.problem.sd), self.sizes.information.copy()
-        information[range(c, len(information)), range(c, len(information))] += self.freedom
-        moves = np.concatenate([np.ones(c, dtype=bool), self.sought])
-        spread = np.zeros_like(information)
-        spread[np.ix_(moves, moves)] = scaled_inverse(information[np.ix_(moves, moves)])
-        return spread
-
-    def refuted(self) -> Bools:
-        """Whether outputs show less noise of an input than the top of its spectrum, beyond doubt; (q,)."""
-        c = len(self.problem.sd)
-        told = np.maximum(np.diagonal(self.sizes.information)[c:], 1e-300)
-        by_itself = np.where(self.freedom > 0, self.freedom, np.inf)
-        away = self.sizes.slope[c:] * np.sqrt(1 / told + 1 / by_itself)
-        return (self.freedom > 0) & (away < -STAYS)
-
-    def gone(self) -> Bools:
-        """Whether of noise that outputs alone tell nothing is left, (q,)."""
-        sd = np.sqrt(np.diagonal(self.spread())[len(self.problem.sd) :])
-        return self.sought & (self.freedom == 0) & ~(sd < 1)
+    Last: whether the outputs deny what was begun with, (q,): beyond doubt less noise than the top of an input's own
+    spectrum, whose variance that measures, or of noise that they alone tell nothing that is left.
+    """
+    c, sd, sought = len(problem.sd), problem.sd, variance > 0
+    moves = np.concatenate([np.ones(c, dtype=bool), sought])
+    freedom = np.concatenate([np.zeros(c), np.where(by_spectrum, own.freedom / 2, 0.0)])
+    least, prior = 1e-6 * problem.sizes(), problem.priors()[0]
+    slope, information = np.zeros(len(moves)), np.zeros((len(moves), len(moves)))
+    for _ in range(20):  # at most
+        problem = problem.with_noise(sd, variance)
+        psi = descend(problem, psi, 8).x[0]
+        linear = all_linearised(problem, psi)
+        if not linear:
+            break
+        slope, information = sizes_of_noise(linear, prior, drawn_noise(linear, prior))
+        ratio = own.shown / np.where(sought, variance, 1.0)
+        pull = slope + freedom * np.concatenate([np.zeros(c), (ratio - 1) * sought])
+        change = np.zeros(len(moves))
+        change[moves] = solve_scaled((information + np.diag(freedom))[np.ix_(moves, moves)], pull[moves])
+        change = np.clip(np.nan_to_num(change), -np.log(4.0), np.log(4.0))
+        room = np.log(own.most / np.where(sought, variance, own.most))
+        change[c:] = np.where(sought & (freedom[c:] == 0), np.minimum(change[c:], room), change[c:])
+        sd = np.maximum(sd * np.exp(change[:c] / 2), least)
+        variance = variance * np.exp(change[c:])
+        if np.max(np.abs(change)) / 2 < 5e-3:  # of a standard deviation
+            break
+    problem = problem.with_noise(sd, variance)
+    end = descend(problem, psi, LAST)
+    spread = np.zeros_like(information)
+    spread[np.ix_(moves, moves)] = scaled_inverse((information + np.diag(freedom))[np.ix_(moves, moves)])
+    told = np.maximum(np.diagonal(information)[c:], 1e-300)
+    by_itself = np.where(freedom[c:] > 0, freedom[c:], np.inf)
+    refuted = (freedom[c:] > 0) & (slope[c:] * np.sqrt(1 / told + 1 / by_itself) < -STAYS)
+    gone = sought & (freedom[c:] == 0) & ~(np.sqrt(np.diagonal(spread)[c:]) < 1)
+    return problem, end, InputSizes(variance, by_spectrum, spread), refuted | gone
 
 
 def moves_with_sizes(problem: RecordProblem, psi: Real, noise: InputSizes) -> Real:
@@ -410,12 +369,12 @@ def moves_with_sizes(problem: RecordProblem, psi: Real, noise: InputSizes) -> Re
     moves = np.zeros((len(psi), len(noise.spread)))
     for number in np.flatnonzero(np.diagonal(noise.spread) > 0):
         ends = []
-        for way in (-CHANGED, CHANGED):
+        for way in (-0.1, 0.1):
             change = np.where(np.arange(len(noise.spread)) == number, way, 0.0)
             sd, variance = problem.sd * np.exp(change[:c] / 2), noise.variance * np.exp(change[c:])
             around = problem.with_noise(sd, variance).quadratic(psi[None])
             ends.append(solve_scaled(around.symmetric, around.gradient)[0])
-        moves[:, number] = (ends[1] - ends[0]) / (2 * CHANGED)
+        moves[:, number] = (ends[1] - ends[0]) / 0.2
     return np.nan_to_num(moves)
 
 

@@ -14,19 +14,12 @@ import numpy as np
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.errors import DataError
 from dashpot.estimate.inference.diagnostics import require_traces
-from dashpot.estimate.nonlinear.records import RecordData, RecordedMotion, recorded_motion
+from dashpot.estimate.nonlinear.records import RecordData, recorded_motion
 from dashpot.estimate.nonlinear.regression import require_finite_laws
 from dashpot.estimate.nonlinear.search import constants_to_try, refined_constants
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import operated_states
 from dashpot.numerics.small_systems import solve_scaled
-
-CYCLES = (0, 1, 2, 3, 4, 5, 6)  # of a window: which part of the band it sees
-SMALL = 0.01  # nonlinear force over the others, where these are to explain the motion
-EXPLAINED = 0.1  # of the squared residuals, which laws that show explain at least
-BLIND = 1e-6  # singular value, of columns of size 1, below which a combination leaves no trace in the motion
-SEVERAL = 2  # unknown constants, which one after the other are followed along a valley too slowly
-WIDTH = 64  # samples of a window, about; each half overlaps the next
 
 
 @dataclass(frozen=True)
@@ -49,9 +42,7 @@ class WeakForm:
         model, chosen = self.model, self.model.nonlinear
         d, v = self.elongation[:, chosen], self.rate[:, chosen]
         unit = np.empty_like(d)
-        for row, (index, inner) in enumerate(zip(chosen, model.constant_slices, strict=True)):
-            law = model.elements[int(index)].force_law
-            assert law is not None
+        for row, (law, inner) in enumerate(zip(model.laws, model.constant_slices, strict=True)):
             g = constants[inner]
             z = operated_states(law, d[:, row], float(g[0])) if law.operator else d[:, row]
             unit[:, row] = law(d[:, row], v[:, row], z, g).value
@@ -89,11 +80,11 @@ def weak_form(model: Model, step_s: float, x: Real, u: Real, f: Real) -> WeakFor
     d = x @ model.B.T + u @ model.D.T
     time = step_s * np.arange(len(x))
     rate = CubicSpline(time, d, axis=0)(time, 1)
-    length = min(WIDTH, len(x))
+    length = min(64, len(x))  # samples of a window; each half overlaps the next
     s = np.linspace(0, 1, length)
     span = step_s * (length - 1)
     shapes = []
-    for cycles in CYCLES:
+    for cycles in range(7):  # of a window: which part of the band it sees
         for turn in (np.cos, np.sin) if cycles else (np.cos,):
             spline = CubicSpline(s, np.sin(np.pi * s) ** 4 * turn(2 * np.pi * cycles * s))
             shapes.append([spline(s), spline(s, 1) / span, spline(s, 2) / span**2])
@@ -129,7 +120,7 @@ class WeakEquations:
         return b - scaled @ np.linalg.lstsq(scaled, b, rcond=None)[0]
 
     def without_laws(self, constants: Real) -> tuple[Real, float]:
-        """(unknown parameters, squared residual) without the nonlinear elements, whose forces are then `SMALL`."""
+        """(unknown parameters, squared residual) without the nonlinear elements, whose forces are then 1 %."""
         model = self.form.model
         A, b = self._with_laws(constants)
         nonlinear = np.flatnonzero(np.any(model.T[model.nonlinear], axis=0)[self.free])
@@ -138,7 +129,7 @@ class WeakEquations:
         theta[rest] = solve_scaled(A[:, rest].T @ A[:, rest], A[:, rest].T @ b)
         left = b - A @ theta
         size = np.sqrt(np.sum(A[:, nonlinear] ** 2, axis=0))
-        theta[nonlinear] = SMALL * np.sqrt(b @ b) / np.where(size > 0, size, 1.0)
+        theta[nonlinear] = 0.01 * np.sqrt(b @ b) / np.where(size > 0, size, 1.0)
         return theta[: int(np.sum(self.free))], float(left @ left)
 
     def _with_laws(self, constants: Real) -> tuple[Real, Real]:
@@ -187,7 +178,12 @@ def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
         model, equations.form.elongation.T[model.nonlinear], equations.form.rate.T[model.nonlinear]
     )
     constants, p = _best_constants(equations)
-    _require_traces(equations, constants)
+    free = equations.free
+    information = equations.form.information(constants)[np.ix_(free, free)]
+    information += np.diag(1.0 * (model.prior_precision[free] > 0))
+    names = [name for name, there in zip(model.unknown_names, free, strict=True) if there]
+    # A combination of columns of size 1 whose singular value is below 1e-6 leaves no trace in the motion.
+    require_traces(model, names, information, 1e-6**2)
     if not np.all(np.isfinite(p)):
         raise DataError(
             "the motion does not determine the unknowns", records[0].source, "give guesses in the rig file"
@@ -206,13 +202,23 @@ def mostly_linear_values(model: Model, records: tuple[RecordData, ...]) -> Real 
     equations = _equations(model, records[0], open_names)
     constants, _ = _best_constants(equations)
     p, left = equations.without_laws(constants)
-    explained = equations.fitted(constants)[1] < (1 - EXPLAINED) * left
+    explained = equations.fitted(constants)[1] < 0.9 * left  # laws that show explain a tenth at least
     return None if explained or not np.all(np.isfinite(p)) else _within_bounds(equations, constants, p)
 
 
 def _equations(model: Model, record: RecordData, open_names: Sequence[str]) -> WeakEquations:
-    """Raises DataError where the motion does not give first values."""
-    at, r = _measured_motion(model, record, open_names), model.D.shape[1] - len(record.bases.names)
+    """Raises DataError where the motion of the coordinates does not give first values of the unknowns."""
+    at, r = recorded_motion(model, record), model.D.shape[1] - len(record.bases.names)
+    if at is None or any(law.rate is not None for law in model.laws):
+        why = (
+            "not all coordinates are measured as displacements"
+            if at is None
+            else "the state of a law follows a differential equation"
+        )
+        raise DataError(
+            f"{', '.join(open_names)} {'has' if len(open_names) == 1 else 'have'} no guess, and {why}",
+            cure="write guess = … for the unknowns in the rig file",
+        )
     f = record.inputs[:, r : r + len(model.force_inputs)]
     return weak_equations(weak_form(model, record.step_s, at.x, at.u, f))
 
@@ -225,15 +231,6 @@ def _within_bounds(equations: WeakEquations, constants: Real, p: Real) -> Real:
     theta[equations.free] = p
     low, high = model.bounds
     return np.clip(np.where(model.prior_precision > 0, model.prior_mean, theta), low, high)
-
-
-def _require_traces(equations: WeakEquations, constants: Real) -> None:
-    """Raises IdentifiabilityError where parameters leave no trace in the measured motion."""
-    model, free = equations.form.model, equations.free
-    information = equations.form.information(constants)[np.ix_(free, free)]
-    information += np.diag(1.0 * (model.prior_precision[free] > 0))
-    names = [u.name for u, there in zip(model.unknowns, free, strict=True) if there]
-    require_traces(model, names, information, BLIND**2)
 
 
 def _best_constants(equations: WeakEquations) -> tuple[Real, Real]:
@@ -262,37 +259,21 @@ def _polished(equations: WeakEquations, start: Real) -> Real:
 
     model = equations.form.model
     open_ones = [j for j, (_, c) in enumerate(model.constants) if c.unknown and c.guess is None and start[j]]
-    if len(open_ones) < SEVERAL:
+    if len(open_ones) < 2:
         return start
 
-    def constants(nepers: Real) -> Real:
-        moved = start.copy()
-        moved[open_ones] *= np.exp(nepers)
-        return moved
+    def moved(nepers: Real) -> Real:
+        constants = start.copy()
+        constants[open_ones] *= np.exp(nepers)
+        return constants
 
     def left_over(nepers: Real) -> Real:
-        return equations.left_over(constants(nepers))
+        return equations.left_over(moved(nepers))
 
     with np.errstate(all="ignore"):
         try:
             end = least_squares(left_over, np.zeros(len(open_ones)))
         except (ValueError, np.linalg.LinAlgError):  # no number, somewhere on the way
             return start
-    better = equations.fitted(constants(end.x))[1] < equations.fitted(start)[1]
-    return constants(end.x) if better else start
-
-
-def _measured_motion(model: Model, record: RecordData, open_names: Sequence[str]) -> RecordedMotion:
-    """The motion of the coordinates.  Raises DataError where these do not give first values of the unknowns."""
-    at = recorded_motion(model, record)
-    if at is None or any(e.force_law is not None and e.force_law.rate is not None for e in model.elements):
-        why = (
-            "not all coordinates are measured as displacements"
-            if at is None
-            else "the state of a law follows a differential equation"
-        )
-        raise DataError(
-            f"{', '.join(open_names)} {'has' if len(open_names) == 1 else 'have'} no guess, and {why}",
-            cure="write guess = … for the unknowns in the rig file",
-        )
-    return at
+    better = equations.fitted(moved(end.x))[1] < equations.fitted(start)[1]
+    return moved(end.x) if better else start

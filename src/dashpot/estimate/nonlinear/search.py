@@ -19,6 +19,7 @@ from dashpot.estimate.nonlinear.objective import (
     WarmStart,
     dwells_of,
     measured_part,
+    nonlinear_part,
     predict_harmonics,
     regained,
 )
@@ -59,12 +60,8 @@ SHARES = (
     0.85,
 )  # of the largest elongation or speed, for constants of that unit
 PURE = (0.3, 0.8, 1.3, 2.5)  # for constants that are pure numbers
-LINEAR_MISFIT = 0.1  # relative noise at which a linear rig is fitted first
 KEPT = 4  # starts that are followed
-FACTORS = (1.5, 1.15, 1.05)  # of the steps by which inner constants are moved from the best of a grid
-TOGETHER = 16  # trials in one call
-MANY, REFINED = 2, 9  # unknown constants from which trials are refined, and how many of them are
-RATIOS = (0.0, 0.03, 0.3, -0.1)  # nonlinear force over the linear one, where nothing tells
+NEXT = 1.05  # the smallest factor by which inner constants are moved from the best of a grid
 
 
 def starting_points(data: Prepared, *, afar: bool = False) -> Real:
@@ -102,10 +99,8 @@ def _by_regression(data: Prepared) -> Real:
     trials = constant_trials(motion)
     if len(trials) > 1:
         trials = [trials[k] for k in np.argsort(_residuals(motion, trials, weight), kind="stable")]
-    if sum(constant.unknown for _, constant in model.constants) >= MANY:  # too many for a fine grid
-        refined = sorted(
-            (refined_constants(model, trial, residual) for trial in trials[:REFINED]), key=residual
-        )
+    if sum(constant.unknown for _, constant in model.constants) >= 2:  # too many for a fine grid
+        refined = sorted((refined_constants(model, trial, residual) for trial in trials[:9]), key=residual)
         trials = distinct_constants(refined)
     thetas = []
     for constants, p in zip(trials, regression(motion, np.array(trials[:KEPT]), weight)[0], strict=False):
@@ -136,8 +131,8 @@ def _refuse(motion: MeasuredMotion, constants: Real, weight: Real) -> NoReturn:
 def _residuals(motion: MeasuredMotion, trials: Sequence[Real], weight: Real) -> Real:
     """What least squares leave with each of some inner constants (G,), inf where they lead nowhere, (trials,)."""
     left = []
-    for first in range(0, len(trials), TOGETHER):
-        p, residual = regression(motion, np.array(trials[first : first + TOGETHER]), weight)
+    for first in range(0, len(trials), 16):  # in one call
+        p, residual = regression(motion, np.array(trials[first : first + 16]), weight)
         left.append(np.where(np.all(np.isfinite(p), axis=-1), residual, np.inf))
     return np.concatenate(left)
 
@@ -148,7 +143,7 @@ def refined_constants(model: Model, start: Real, residual: Callable[[Real], floa
     unknown = [
         j for j, (_, constant) in enumerate(model.constants) if constant.unknown and constant.guess is None
     ]
-    for factor in FACTORS if unknown else ():
+    for factor in (1.5, 1.15, NEXT) if unknown else ():
         for _ in range(12):  # rounds at most
             before = least
             for j in unknown:
@@ -168,7 +163,7 @@ def distinct_constants(found: Sequence[Real]) -> list[Real]:
     """Those of the constants (G,) that are not nearly the ones of another before them."""
     kept = list[Real]()
     for constants in found:
-        if not any(np.allclose(constants, other, rtol=FACTORS[-1] - 1, atol=0.0) for other in kept):
+        if not any(np.allclose(constants, other, rtol=NEXT - 1, atol=0.0) for other in kept):
             kept.append(constants)
     return kept
 
@@ -213,25 +208,28 @@ def _by_linear_rig(data: Prepared, calibrations: Real) -> tuple[Real, Real]:
     """Starts around the best linear rig, its nonlinear elements of several strengths; guesses hold where given."""
     model = data.model
     values, gains = _linear_fit(data, calibrations)
-    theta = np.array([_known_start(u.prior, u.guess, values.get(u.name, np.nan)) for u in model.unknowns])
+    stated = [u.guess if u.prior is None else u.prior for u in model.unknowns]
+    theta = np.array(
+        [
+            values.get(u.name, np.nan) if at is None else at
+            for u, at in zip(model.unknowns, stated, strict=True)
+        ]
+    )
     strengths = np.any(model.T, axis=0)
     open_elements = [j for j in np.flatnonzero(strengths) if not np.isfinite(theta[j])]
-    elongation, speed = _expected_motion(data, values)
+    near = np.where(np.isnan(theta), 0.0, theta)
+    elongation, speed = _expected_motion(data, near)
     starts = []
     for constants in constants_to_try(model, elongation, speed)[:40]:
-        sizes = _typical_strength(data, values, constants, elongation)
-        for ratio in RATIOS if open_elements else (0.0,):
+        sizes = _typical_strength(data, near, constants, elongation)
+        # Nonlinear force over the linear one, where nothing tells
+        for ratio in (0.0, 0.03, 0.3, -0.1) if open_elements else (0.0,):
             trial = theta.copy()
-            for j in open_elements:
-                trial[j] = ratio * sizes[j]
+            trial[open_elements] = ratio * sizes[open_elements]
             slope, known = model.constants_map
             trial[~strengths] = (constants - known) @ slope[:, ~strengths]
             starts.append(np.where(np.isfinite(trial), trial, 1.0))
     return np.array(starts), gains
-
-
-def _known_start(prior: float | None, guess: float | None, fitted: float) -> float:
-    return prior if prior is not None else guess if guess is not None else fitted
 
 
 def linear_rig(model: Model, replaced: bool = False) -> Model:
@@ -263,7 +261,8 @@ def _linear_fit(data: Prepared, calibrations: Real) -> tuple[dict[str, float], R
             view = observation_model(model, spectrum.channels, spectrum.omega)
             y = np.nan_to_num(spectrum.amplitudes)
             size = np.mean(np.abs(y), axis=0)
-            soft = (LINEAR_MISFIT * size)[..., None] * np.eye(y.shape[-1]) * size[:, None, :] * LINEAR_MISFIT
+            # Relative noise of a tenth, at which a linear rig is fitted first
+            soft = (0.1 * size)[..., None] * np.eye(y.shape[-1]) * size[:, None, :] * 0.1
             exact = np.diagonal(data.covariance, axis1=-2, axis2=-1)[:, fundamental] == 0
             V = data.covariance[:, fundamental] + np.where(exact[..., None], 0.0, soft)
             solution = MaximumLikelihood(starts=16, candidates=600, rounds=2).solve(
@@ -279,59 +278,45 @@ def _linear_fit(data: Prepared, calibrations: Real) -> tuple[dict[str, float], R
     return {}, calibrations
 
 
-def _expected_motion(data: Prepared, values: dict[str, float]) -> tuple[Real, Real]:
-    """Largest elongation and speed of the nonlinear elements that the linear rig would have, (e,) each."""
-    model, e = data.model, len(data.model.nonlinear)
-    from dashpot.estimate.nonlinear.objective import nonlinear_part
-
+def _expected_motion(data: Prepared, theta: Real) -> tuple[Real, Real]:
+    """Largest elongation and speed of the nonlinear elements that the linear rig at θ would have, (e,) each."""
+    model = data.model
     part = nonlinear_part(data, np.nan_to_num(data.spectrum.amplitudes), None)
-    theta = np.array([_known_start(u.prior, u.guess, values.get(u.name, 0.0)) for u in model.unknowns])
     p = model.parameters(theta)
     p[model.nonlinear] = 0.0
     drive = part.dwells.drive(part.q[:1], model.D.shape[1])
-    R = len(drive.omega)
-    at = periodic_response(
-        model,
-        np.tile(p, (R, 1)),
-        np.ones((R, len(model.constants))),
-        drive,
-        times=samples_of(model, part.dwells.orders),
-    )
+    R, times = len(drive.omega), samples_of(model, part.dwells.orders)
+    constants = np.ones((R, len(model.constants)))
+    at = periodic_response(model, np.tile(p, (R, 1)), constants, drive, times=times)
     size = np.sqrt(np.sum(np.nan_to_num(at.delta) ** 2, axis=-1))
     if not np.any(size):
-        return np.full(e, 1e-3), np.full(e, 1e-2)
+        return np.full(size.shape[1], 1e-3), np.full(size.shape[1], 1e-2)
     return np.max(size, axis=0), np.max(size * drive.omega[:, None], axis=0)
 
 
-def _typical_strength(data: Prepared, values: dict[str, float], constants: Real, elongation: Real) -> Real:
-    """Parameters at which each nonlinear element pulls as hard as inertia and springs do, (unknowns,)."""
+def _typical_strength(data: Prepared, theta: Real, constants: Real, elongation: Real) -> Real:
+    """Parameters at which each nonlinear element pulls as hard as inertia and springs do at θ, (unknowns,)."""
     model = data.model
-    omega = float(np.median(data.spectrum.omega))
-    theta = np.array([_known_start(u.prior, u.guess, values.get(u.name, 0.0)) for u in model.unknowns])
-    forces = np.abs(model.parameters(theta)) * np.abs(model.factors(np.array([omega])))[0]
+    omega = np.array([np.median(data.spectrum.omega)])
+    forces = np.abs(model.parameters(theta)) * np.abs(model.factors(omega))[0]
     linear = float(np.max(forces * float(np.max(elongation)), initial=0.0))
     q = np.zeros((1, len(model.nonlinear), 3))
     q[0, :, 1] = elongation
-    a = alternate(model, constants[None], np.array([omega]), q, 256, slopes=False).a
-    unit = np.abs(complex_of(a))[0].max(axis=-1)
+    unit = np.abs(complex_of(alternate(model, constants[None], omega, q, 256, slopes=False).a))[0].max(
+        axis=-1
+    )
     sizes = np.ones(len(model.unknowns))
     for row, index in enumerate(model.nonlinear):
-        for j in np.flatnonzero(model.T[index]):
-            sizes[j] = (linear if linear > 0 else 1.0) / (unit[row] if unit[row] > 0 else 1.0)
+        own = np.flatnonzero(model.T[index])
+        sizes[own] = (linear if linear > 0 else 1.0) / (unit[row] if unit[row] > 0 else 1.0)
     return sizes
 
 
-SOFTNESS = (0.3, 0.03)  # relative noise of the stages from afar
-PIECE = 16  # points evaluated at once
 FIRST, LONGEST = 30, 100  # iterations from each of the starts, and where the best of them led
 ROUGHLY = 0.03  # standard deviations within which descents end that others follow
 ALIKE = 0.02  # of the values and of the cost, by which ends of softened data differ that are one
 FINEST, COARSEST = 1e-10, 1e-3  # truncation errors of the elongations between which harmonics are enough
-GROSS = 1e3  # times what noise makes of the cost: more harmonics do not help a rig that is another one
-NEARER = 0.01  # of the cost, or of what noise alone makes of it, by which another motion must be nearer to the data
-SHARE = 0.1  # of the relative noise
 MOST = 63  # harmonics
-MANY_SEARCH = 2  # unknown constants of a law from which a fit may have several ends: all starts are followed
 
 
 def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, tuple[Notice, ...]]:
@@ -362,7 +347,7 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
         minimum = likelihood.descend_in(exact, minimum.x, sign, near=near)
     while True:
         part = measured_part(exact)
-        if data.noise_known and float(minimum.cost[0]) > GROSS * first.rows:
+        if data.noise_known and float(minimum.cost[0]) > 1e3 * first.rows:  # more do not help another rig
             return likelihood.descend_in(exact, minimum.x, sign, FIRST, near=near), exact, warnings
         allowed = _allowed(data, float(minimum.cost[0]) / max(first.rows, 1))
         if part.dwells.orders >= MOST or _missing(view, exact, minimum.x) <= allowed:
@@ -392,13 +377,11 @@ def _ends(likelihood: Likelihood, one: Prepared, first: Measured) -> list[tuple[
     """
     signs = np.ones((1, len(one.view.channels)))
     acceptable = first.rows + 6 * np.sqrt(2.0 * first.rows)
-    stages = [*(_coarse(measured(one, softness)) for softness in SOFTNESS), first]
+    # Relative noise of the stages from afar
+    stages = [*(_coarse(measured(one, softness)) for softness in (0.3, 0.03)), first]
     ends, fits = list[tuple[OptimizeResult, WarmStart]](), False
-    laws = (element.force_law for element in one.model.elements)
-    constants_of_a_law = max(
-        (sum(constant.unknown for constant in law.constants) for law in laws if law is not None), default=0
-    )
-    several = constants_of_a_law >= MANY_SEARCH
+    # Several unknown constants of a law may give a fit several ends.
+    several = any(sum(constant.unknown for constant in law.constants) >= 2 for law in one.model.laws)
     for psi, afar in _ranked(likelihood, one, stages):
         if fits and afar:
             break
@@ -457,7 +440,7 @@ def _allowed(data: Prepared, misfit: float) -> float:
     if not np.any(noisy):
         return FINEST
     best = float(np.min(np.sqrt(np.broadcast_to(variance, power.shape)[noisy] / power[noisy])))
-    return float(np.clip(SHARE * best, FINEST, COARSEST))
+    return float(np.clip(0.1 * best, FINEST, COARSEST))
 
 
 def _fresh(exact: Measured) -> Measured:
@@ -527,8 +510,8 @@ def _alike(end: OptimizeResult, other: OptimizeResult) -> bool:
 def _costs(view: ObservationModel, data: Measured, points: Real) -> Real:
     """−2 ln(likelihood) at many points of one repeat, inf where there is no response."""
     pieces = []
-    for first in range(0, len(points), PIECE):
-        psi = points[first : first + PIECE]
+    for first in range(0, len(points), 16):  # at once
+        psi = points[first : first + 16]
         data = _fresh(data)
         part = replace(measured_part(data), raised=False)
         with np.errstate(all="ignore"):
@@ -586,7 +569,8 @@ def measured_branches_regained(view: ObservationModel, exact: Measured, psi: Rea
             np.sum(predict_harmonics(view, data, measured_part(data), psi, sign)[5], axis=-1)
             for data in (exact, anew)
         )
-    nearer = np.flatnonzero(other < cost - NEARER * np.maximum(np.abs(cost), exact.rows))
+    # By a hundredth of the cost, or of what noise alone makes of it
+    nearer = np.flatnonzero(other < cost - 0.01 * np.maximum(np.abs(cost), exact.rows))
     for repeat in part.repeat[nearer].tolist():
         part.warm.take(measured_part(anew).warm, repeat)
     return bool(len(nearer))
