@@ -77,7 +77,7 @@ def _has_image(element: Element, swap: Mapping[str, str], shapes: set[Shape]) ->
 
 
 MANY = 2_000_000  # coordinates² · unknowns² above which lines are counted that add to the rank
-KEPT = 16  # rigs with their channels and patterns of lines, of which the answer is remembered
+KEPT = 16  # rigs with their channels and patterns of lines, of which the rank is remembered
 LARGE = 300_000_000  # and above which exact ranks take too long for a check before each identification
 
 
@@ -136,16 +136,21 @@ def structure(
     return base
 
 
-@lru_cache(maxsize=KEPT)
 def determines(model: Model, channels: tuple[Channel, ...], lines: LinePattern) -> bool:
-    """Whether such lines determine every unknown; kept for the rigs, channels and patterns asked for last.
+    """Whether such lines determine every unknown.  Raises as `structure`.
 
-    Some of the lines are tried first: the others can only add.  Raises as `structure`.
+    Some of the lines are tried first: the others can only add.  What some lines say of a rig is kept, so that the next
+    data of it are not worked out again, however many lines they have.
     """
     unknowns = len(view_of(model, channels).names)
-    rng = np.random.default_rng(0)
     some = lines.spread(2 + -(-unknowns // max(len(channels), 1)))
-    return any(field.rank(exact(model, channels, chosen, rng).rows) == unknowns for chosen in (some, lines))
+    return any(_rank(model, channels, chosen) == unknowns for chosen in (some, lines))
+
+
+@lru_cache(maxsize=KEPT)
+def _rank(model: Model, channels: tuple[Channel, ...], lines: LinePattern) -> int:
+    """How many combinations of the unknowns such lines determine, at one random rig."""
+    return field.rank(exact(model, channels, lines, np.random.default_rng(0)).rows)
 
 
 def is_large(model: Model) -> bool:
