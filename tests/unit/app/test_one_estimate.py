@@ -7,9 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashpot import identify, read_rig
+from dashpot import api, identify, read_rig
 from dashpot.channel import Channel
 from dashpot.data.readers import write_amplitudes, write_records
+from dashpot.errors import ConvergenceError
+from dashpot.estimate.assessment import Finding
+from dashpot.estimate.result import Estimate
 from dashpot.fleet.data_sets import Treatment, of_files
 from dashpot.fleet.runner import run_fleet
 from dashpot.model.observation import with_relative_noise
@@ -105,3 +108,61 @@ def test_rigs_of_a_fleet_and_draws_of_a_study_are_searched_as_one_rig_is(tmp_pat
         for j, name in enumerate(fleet.names):
             values = studied[wanted].values[ended, j]
             assert fleet.columns[f"{name}:value"][ended] == pytest.approx(values, rel=1e-6), name
+
+
+BENT = """coordinates = ["x"]
+[inputs]
+f = { kind = "force", at = "x" }
+[masses]
+m = { at = "x", value = 1 }
+[springs]
+k = { between = ["x", "ground"], guess = 900 }
+k3 = { between = ["x", "ground"], law = "cubic", guess = 3e6 }
+[dampers]
+c = { between = ["x", "ground"], guess = 2 }
+[channels]
+x = { of = "x", noise = 1e-5 }
+f = { of = "f" }
+"""
+
+
+def test_a_record_of_a_nonlinear_rig_gives_one_estimate_and_one_verdict(dashpot: Command) -> None:
+    Path("rig.toml").write_text(BENT, encoding="utf-8")
+    time = np.arange(300) / 100
+    force = 20 * np.sin(2 * np.pi * (2 + 0.8 * time) * time)
+    rows = np.column_stack([time, force])
+    np.savetxt("drive.csv", rows, fmt="%.8g", delimiter=",", header="time_s,f", comments="")
+    assert dashpot("simulate rig.toml --input drive.csv --out data.csv --set k=1000,c=2,k3=3e6 -q").code == 0
+    assert dashpot("identify rig.toml data.csv --json out.json -q").code == 0
+    command, python = Estimate.load("out.json"), read_rig("rig.toml").identify("data.csv")
+    np.testing.assert_allclose(python.values, command.values, atol=SAME * command.sd.min(), rtol=1e-12)
+    assert python.assessment is not None
+    assert command.assessment is not None
+    assert python.assessment.verdict == command.assessment.verdict
+    assert abs(python["k3"].value - 3e6) < 5 * python["k3"].sd
+
+
+def test_where_there_is_no_answer_the_likely_causes_are_the_same(
+    dashpot: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python once left the diagnosis out."""
+    rng = np.random.default_rng(5)
+    drawn = rigs.random_rig(rng, 2, forces=1, lines=12, worst=100)
+    rig = Rig(drawn.model, rigs.channels(drawn))
+    Path("rig.toml").write_text(write_rig(rig), encoding="utf-8")
+    write_records(
+        list(rigs.records(drawn, rig.channels, rng, samples=96, periods=6, relative=0.02)), "data.csv"
+    )
+
+    def lost(*_: object, **__: object) -> None:
+        raise ConvergenceError("no end", cure="give a guess")
+
+    finding = Finding("sign", ("x1",), "x1 is turned", "turn it", None)
+    monkeypatch.setattr(api, "identify_with_noise", lost)
+    monkeypatch.setattr(api, "diagnosis", lambda *_, **__: (finding,))
+    told = dashpot("identify rig.toml data.csv -q")
+    assert told.code == 3
+    with pytest.raises(ConvergenceError, match="x1 is turned") as refused:
+        read_rig("rig.toml").identify("data.csv")
+    assert [f"dashpot: {line}" for line in str(refused.value).splitlines()] == told.err
+    assert refused.value.causes == (finding,)
