@@ -120,9 +120,8 @@ def own_time(pid: int) -> float:
 def per_task(data: Path) -> None:
     """What one task costs the worker, the wire and the one who shares the work out."""
     from dashpot import read_rig
-    from dashpot.fleet.data_sets import Treatment
+    from dashpot.fleet.data_sets import Treatment, of_tables
     from dashpot.fleet.runner import FleetTask, identify_block
-    from dashpot.fleet.tables import of_tables
 
     rig = read_rig(RIG)
     next(of_tables([str(data)], "rig").blocks(1))  # loads what is needed

@@ -1,14 +1,20 @@
-"""The data sets of a fleet, which workers read: a file each here, rows of tables in `tables`."""
+"""The data sets of a fleet: files, or the rows of tables of which a column names the rig; never held whole.
+
+The process that shares work out reads names alone.  Files, and rows of Parquet tables, are read by the workers, who are
+told which; rows of CSV tables, which have no places in the file, are read in passing and sent.
+"""
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import os
 import re
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,13 +22,18 @@ from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.readers import Reading
 from dashpot.data.readers.manifest import files_fitting, is_pattern
 from dashpot.data.spectrum import Spectrum
-from dashpot.errors import UsageError
+from dashpot.errors import DataError, UsageError
 from dashpot.estimate.identify import amplitudes_for
 from dashpot.estimate.registry import method_class
+from dashpot.io.json_document import array_of, arrow_table
 from dashpot.io.ledger import noted
+from dashpot.io.words import counted, listed, shown
 from dashpot.model.rigfile import Rig
 
-# How every data set of a fleet is treated.
+PIECE = 1 << 20  # bytes of a file that are read at once
+ROWS = 1 << 16  # of a Parquet table that are decoded at a time
+CHANGED = "the table has changed while it was read"
+Order = Literal["name", "time", "given"]
 
 
 @dataclass(frozen=True)
@@ -48,11 +59,6 @@ class Treatment:
         return amplitudes_for(rig.model, reading, self.conditioning.changed(**reading.conditioning), methods)
 
 
-PIECE = 1 << 20  # bytes of a file that are read at once
-
-Order = Literal["name", "time", "given"]
-
-
 @dataclass(frozen=True)
 class DataSet:
     """What was measured on one rig of a fleet.
@@ -66,40 +72,6 @@ class DataSet:
     source: str
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     units: Mapping[str, str | None] = field(default_factory=dict)
-
-
-class BlockPart(ABC):
-    """Neighbouring data sets of a fleet: what a worker is sent, who reads them if they are not held."""
-
-    names: tuple[str, ...]
-
-    @property
-    @abstractmethod
-    def sources(self) -> tuple[str, ...]:
-        """The file of each."""
-
-    @abstractmethod
-    def checksum(self) -> str:
-        """Of names, places and content: parts with equal ones give the same rows."""
-
-    @abstractmethod
-    def loaded(self) -> BlockPart:
-        """The same with its numbers, read where they have not been.
-
-        Raises DataError where a table cannot be read or has changed since its checksum.
-        """
-
-    @abstractmethod
-    def data_sets(self) -> Iterator[DataSet]:
-        """One after the other, of a part that is loaded."""
-
-
-@dataclass(frozen=True)
-class Source:
-    """Where data sets come from: how many there are, and a function that yields blocks of so many, each of parts."""
-
-    count: int
-    blocks: Callable[[int], Iterator[tuple[BlockPart, ...]]]
 
 
 def expanded(patterns: Iterable[str], order: Order = "name") -> list[str]:
@@ -139,11 +111,11 @@ def digest_of(*values: object) -> str:
     return hashlib.sha256(repr(values).encode("utf-8", "surrogatepass")).hexdigest()
 
 
-# A file each
+# A file each.
 
 
 @dataclass(frozen=True)
-class Files(BlockPart):
+class Files:
     """Files that are a data set each, with the checksums of their contents, or the reason why there is none."""
 
     names: tuple[str, ...]
@@ -158,14 +130,110 @@ class Files(BlockPart):
         """Of all files."""
         return digest_of(self.names, self.contents)
 
-    def loaded(self) -> Files:
-        """As it is: each file is read when it is identified."""
-        return self
+    def data_sets(self) -> Iterator[DataSet]:
+        """One for each file, which its reader reads."""
+        return (DataSet(path, path) for path in self.names)
+
+
+# Rows of a table.
+
+
+@dataclass(frozen=True)
+class HeldRows:
+    """Rows of one table: where those of each rig end, the columns but the one that names rigs, and their units."""
+
+    names: tuple[str, ...]
+    source: str
+    ends: tuple[int, ...]
+    columns: Mapping[str, np.ndarray]
+    units: Mapping[str, str | None]
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The table, once for each rig."""
+        return (self.source,) * len(self.names)
+
+    def checksum(self) -> str:
+        """Of all numbers and texts as well, their kinds and units."""
+        contents = tuple(
+            (name, str(values.dtype), hashlib.sha256(_bytes_of(values)).hexdigest())
+            for name, values in self.columns.items()
+        )
+        return digest_of(self.names, self.source, self.ends, tuple(sorted(self.units.items())), contents)
+
+    def some(self, first: int, end: int) -> HeldRows:
+        """Some of the rigs; columns are views."""
+        skipped = self.ends[first - 1] if first else 0
+        rows = slice(skipped, self.ends[end - 1])
+        ends = tuple(row - skipped for row in self.ends[first:end])
+        return replace(self, names=self.names[first:end], ends=ends, columns=_of_rows(self.columns, rows))
 
     def data_sets(self) -> Iterator[DataSet]:
-        """One for each file."""
-        for path in self.names:
-            yield DataSet(path, path)
+        """One for each rig; their columns are views."""
+        for name, start, end in zip(self.names, (0, *self.ends[:-1]), self.ends, strict=True):
+            yield DataSet(name, self.source, _of_rows(self.columns, slice(start, end)), self.units)
+
+
+def _of_rows(columns: Mapping[str, np.ndarray], rows: slice) -> dict[str, np.ndarray]:
+    """Some rows; of a column that holds texts elsewhere as numbers, where all of them are."""
+    chosen = {name: values[rows] for name, values in columns.items()}
+    for name, values in chosen.items():
+        if values.dtype.kind == "O":
+            with suppress(ValueError):
+                chosen[name] = np.array([text or "nan" for text in values.tolist()], dtype=float)
+    return chosen
+
+
+def _bytes_of(values: np.ndarray) -> bytes:
+    return values.tobytes() if values.dtype.kind in "fib" else repr(values.tolist()).encode()
+
+
+@dataclass(frozen=True)
+class ParquetRows:
+    """Rows of a Parquet table by their places: the first of all, and where those of each rig end, counted from it.
+
+    groups  number and checksum of each row group that they lie in
+    stamp   of the file when these were taken: where it is another one, they are compared again
+    """
+
+    names: tuple[str, ...]
+    source: str
+    column: str
+    first: int
+    ends: tuple[int, ...]
+    groups: tuple[tuple[int, str], ...]
+    stamp: tuple[int, int]
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The table, once for each rig."""
+        return (self.source,) * len(self.names)
+
+    def checksum(self) -> str:
+        """Of the row groups, and which rows of them these are."""
+        return digest_of(self.names, self.source, self.column, self.first, self.ends, self.groups)
+
+    def loaded(self) -> HeldRows:
+        """The rows read.  Raises DataError where the table cannot be read, or is not as its checksums say."""
+        with readable(self.source):
+            stamp = stamp_of(self.source)
+            if stamp != self.stamp and any(
+                group_checksum(self.source, k, stamp) != text for k, text in self.groups
+            ):
+                raise DataError(CHANGED, self.source, "run again")
+            table = _row_groups(self.source, stamp).between(self.first, self.first + self.ends[-1])
+            return held_rows(self.names, self.source, self.ends, table, self.column)
+
+
+BlockPart = Files | HeldRows | ParquetRows  # neighbouring data sets: what a worker is sent
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where data sets come from: how many there are, and a function that yields blocks of so many, each of parts."""
+
+    count: int
+    blocks: Callable[[int], Iterator[tuple[BlockPart, ...]]]
 
 
 def of_files(paths: Sequence[str]) -> Source:
@@ -188,3 +256,371 @@ def _checksum(path: str) -> str:
     except (OSError, ValueError) as error:
         return f"unreadable: {error}"
     return digest.hexdigest()
+
+
+# Tables: their rigs in order, and the row at which each begins.
+
+
+def of_tables(paths: Sequence[str], column: str) -> Source:
+    """The rows of tables (Parquet, CSV) of which a column names the rig, those of one rig together.
+
+    Raises DataError where a table has no such column or is damaged, and where rows of one rig are not together.
+    """
+    seen: dict[str, tuple[str, int]] = {}
+    tables: list[Table] = []
+    for path in paths:
+        with readable(path):
+            table = _opened(path, column)
+        for name, start in zip(table.names, table.starts, strict=False):
+            if name in seen:
+                other, row = seen[name]
+                again = (
+                    f"begins in row {row + 1} and again in row {start + 1}"
+                    if other == path
+                    else f"begins in row {start + 1} and stands in {shown(other)} as well"
+                )
+                raise DataError(
+                    f"{shown(name)} {again}: the rows of a rig are not together",
+                    path,
+                    f"sort the table by {column}, or give rigs names of their own",
+                )
+            seen[name] = path, start
+        tables.append(table)
+
+    def blocks(size: int) -> Iterator[tuple[BlockPart, ...]]:
+        held: list[BlockPart] = []
+        room = size
+        for table in tables:
+            with readable(table.path):
+                count = len(table.names)
+                starts = [0, *range(room, count, size)]  # the first `room` rigs, then `size` each
+                for part in table.parts(zip(starts, [*starts[1:], count], strict=True)):
+                    held.append(part)
+                    room -= len(part.names)
+                    if not room:
+                        yield tuple(held)
+                        held, room = [], size
+        if held:
+            yield tuple(held)
+
+    return Source(len(seen), blocks)
+
+
+@contextmanager
+def readable(path: str) -> Iterator[None]:
+    """Raises DataError for whatever a reader of tables raises."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except FileNotFoundError:
+        raise DataError("there is no such file", path, "correct the path") from None
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise DataError(
+            f"the table cannot be read ({shown(str(error), 150)})", path, "check the file"
+        ) from None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: its rigs in order, and the row at which each begins, with the number of rows at the end.
+
+    layout  how the rows of a CSV table are to be read, None for a Parquet table
+    """
+
+    path: str
+    column: str
+    names: tuple[str, ...]
+    starts: tuple[int, ...]
+    layout: CsvLayout | None
+
+    def parts(self, cuts: Iterable[tuple[int, int]]) -> Iterator[BlockPart]:
+        """The rigs from one number to another, cut after cut; of a Parquet table where they stand, of CSV their rows.
+
+        Raises DataError where a CSV table is not what it was.
+        """
+        stamp = stamp_of(self.path)
+        rows = None if self.layout is None else _Rows(self.path, self.layout.batches(), 0)
+        begins = _row_groups(self.path, stamp).begins if rows is None else ()
+        for first, end in cuts:
+            names, start, stop = self.names[first:end], self.starts[first], self.starts[end]
+            ends = tuple(row - start for row in self.starts[first + 1 : end + 1])
+            if rows is None:
+                of = np.searchsorted(begins, [start, stop - 1], side="right").tolist()
+                groups = tuple((k, group_checksum(self.path, k, stamp)) for k in range(of[0] - 1, of[1]))
+                yield ParquetRows(names, self.path, self.column, start, ends, groups, stamp)
+                continue
+            held = rows.between(start, stop)
+            if _runs(held.column(self.column)) != (list(names), [0, *ends[:-1]]):
+                raise DataError(CHANGED, self.path, "run again")
+            yield held_rows(names, self.path, ends, held, self.column)
+
+
+def _opened(path: str, column: str) -> Table:
+    """The table with its names read.  Raises DataError where it has no such column, or a row without a name."""
+    with open(noted(path), "rb") as file:
+        start = file.read(4)
+    if start == b"PAR1":
+        content = _row_groups(path, stamp_of(path)).file
+        require_columns(path, column, tuple(content.schema_arrow.names))
+        coming = batches(content, columns=[column])
+        return Table(path, column, *_named_rows(path, column, coming), None)
+    if not start:
+        raise DataError("the file is empty", path, "give a table, CSV or Parquet")
+    layout = csv_layout(path, column)
+    while True:
+        try:
+            return Table(path, column, *_named_rows(path, column, layout.batches()), layout)
+        except NotNumbersError as text:
+            layout = replace(layout, texts=layout.texts | {str(text)})
+
+
+def _named_rows(path: str, column: str, coming: Iterable[Any]) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Names of the rigs, and the row at which each begins, with the number of rows at the end."""
+    names: list[str] = []
+    starts: list[int] = []
+    rows = 0
+    for batch in coming:
+        of_batch, places = _runs(batch.column(column))
+        if "" in of_batch:
+            row = rows + places[of_batch.index("")] + 1
+            raise DataError(
+                f"column {shown(column)}: row {row} does not name its rig", path, "name the rig of every row"
+            )
+        if names and of_batch and of_batch[0] == names[-1]:
+            del of_batch[0], places[0]
+        names += of_batch
+        starts += [rows + place for place in places]
+        rows += batch.num_rows
+    if not rows:
+        raise DataError("the table has no rows", path, "give the data of at least one rig")
+    return tuple(names), (*starts, rows)
+
+
+def _runs(column: Any) -> tuple[list[str], list[int]]:
+    """Names that follow each other, and the row at which each begins."""
+    import pyarrow as pa
+    import pyarrow.compute as compute
+
+    if isinstance(column, pa.ChunkedArray):
+        column = column.combine_chunks()
+    if pa.types.is_dictionary(column.type):
+        column = column.dictionary_decode()
+    if not len(column):
+        return [], []
+    before, after = column.slice(0, len(column) - 1), column.slice(1)
+    changes = compute.not_equal(after, before)
+    if changes.null_count:
+        changes = changes.fill_null(True)
+    starts = np.concatenate([[0], 1 + np.flatnonzero(array_of(changes.cast(pa.uint8())))])
+    values = column.take(arrow_table({"row": starts}).column(0)).to_pylist()
+    texts = ("" if value is None else str(value) for value in values)
+    names: list[str] = []
+    places: list[int] = []
+    for name, start in zip(texts, starts.tolist(), strict=True):
+        if not names or name != names[-1]:  # gaps are each unlike the last
+            names.append(name)
+            places.append(start)
+    return names, places
+
+
+def held_rows(names: tuple[str, ...], path: str, ends: tuple[int, ...], table: Any, column: str) -> HeldRows:
+    """The rows of an Arrow table, of which a column names the rigs."""
+    columns = {name: _array(table.column(name)) for name in table.schema.names if name != column}
+    units = {
+        entry.name: (entry.metadata or {}).get(b"unit", b"").decode("utf-8", "replace") or None
+        for entry in table.schema
+    }
+    return HeldRows(names, path, ends, columns, units)
+
+
+def _array(column: Any) -> np.ndarray:
+    import pyarrow as pa
+
+    kind = column.type
+    if pa.types.is_floating(kind) or (pa.types.is_integer(kind) and not column.null_count):
+        values = array_of(column)
+    elif pa.types.is_integer(kind) or pa.types.is_decimal(kind) or pa.types.is_null(kind):
+        values = column.cast(pa.float64()).to_numpy()
+    else:
+        values = np.array(["" if value is None else str(value) for value in column.to_pylist()], dtype=object)
+    return values
+
+
+# Row groups of a Parquet table: their checksums, and rows read from them one block after the other.
+
+
+def stamp_of(path: str) -> tuple[int, int]:
+    """Size of a file, and when it was changed."""
+    state = os.stat(path)
+    return state.st_size, state.st_mtime_ns
+
+
+@lru_cache(maxsize=16)
+def group_checksum(path: str, number: int, stamp: tuple[int, int]) -> str:
+    """Of the bytes of a row group's columns, with what they are decoded by; read once while the file is the same."""
+    file = _row_groups(path, stamp).file
+    group, schema = file.metadata.row_group(number), file.schema_arrow
+    columns = [group.column(k) for k in range(group.num_columns)]
+    digest = hashlib.sha256(schema.serialize())
+    with open(noted(path), "rb") as content:
+        for column in columns:
+            encoded = (column.path_in_schema, column.physical_type, column.compression, column.encodings)
+            digest.update(repr((encoded, column.num_values, column.total_compressed_size)).encode())
+            begins = [column.data_page_offset]
+            if column.has_dictionary_page and column.dictionary_page_offset is not None:
+                begins.append(column.dictionary_page_offset)
+            content.seek(min(begins))
+            left = column.total_compressed_size
+            while left > 0 and (piece := content.read(min(left, PIECE))):
+                digest.update(piece)
+                left -= len(piece)
+    return digest.hexdigest()
+
+
+def batches(file: Any, first_group: int = 0, columns: list[str] | None = None) -> Iterator[Any]:
+    """Rows of a ParquetFile from a row group on, some at a time; one iterator over all would hold what it decodes."""
+    for number in range(first_group, file.num_row_groups):
+        yield from file.iter_batches(ROWS, row_groups=[number], columns=columns, use_threads=False)
+
+
+class _Rows:
+    """Rows of a table, read batch by batch from some row on; the batches that the last rows lay in are held."""
+
+    def __init__(self, path: str, coming: Iterator[Any], row: int) -> None:
+        self.path, self.coming = path, coming
+        self.held: list[Any] = []
+        self.from_row = self.to_row = row
+
+    def between(self, first: int, end: int) -> Any:
+        """An Arrow table of the rows from `first` on, before `end`.  Raises DataError where there are no more."""
+        import pyarrow as pa
+
+        while self.to_row < end:
+            batch = next(self.coming, None)
+            if batch is None:
+                raise DataError(CHANGED, self.path, "run again")
+            self.to_row += batch.num_rows
+            self.held.append(batch)
+            while self.held and self.from_row + self.held[0].num_rows <= first:
+                self.from_row += self.held.pop(0).num_rows
+        return pa.Table.from_batches(self.held, self.held[0].schema).slice(first - self.from_row, end - first)
+
+
+class _RowGroups:
+    """A Parquet table that is read by places.
+
+    Blocks of one process follow each other, so that it goes on where it was: of a row group, however long, little is
+    held and every row is decoded once.
+    """
+
+    def __init__(self, path: str) -> None:
+        import pyarrow.parquet as parquet
+
+        self.path, self.file = path, parquet.ParquetFile(path)
+        groups = self.file.metadata
+        self.begins = np.cumsum([0, *(groups.row_group(k).num_rows for k in range(groups.num_row_groups))])
+        self.rows = _Rows(path, batches(self.file), 0)
+
+    def between(self, first: int, end: int) -> Any:
+        """An Arrow table of the rows from `first` on, before `end`."""
+        group = int(np.searchsorted(self.begins, first, side="right")) - 1
+        if first < self.rows.from_row or self.rows.to_row < self.begins[group]:
+            self.rows = _Rows(self.path, batches(self.file, group), int(self.begins[group]))
+        return self.rows.between(first, end)
+
+
+@lru_cache(maxsize=1)
+def _row_groups(path: str, stamp: tuple[int, int]) -> _RowGroups:
+    del stamp  # of the file that it has opened
+    return _RowGroups(path)
+
+
+# Rows of CSV tables of many rigs, read as they come, and the line of what is wrong with them.
+
+
+_DELIMITERS = ";", "\t", ","  # in the order in which a header that has several is taken apart
+
+
+@dataclass(frozen=True)
+class CsvLayout:
+    """How a table is written: delimiter, decimal mark, and the columns that are to be read as texts.
+
+    texts  beside the one that names rigs, which always is: 007 is a name
+    """
+
+    path: str
+    column: str
+    delimiter: str
+    decimal: str
+    header: tuple[str, ...]
+    texts: frozenset[str] = field(default=frozenset())
+
+    def batches(self) -> Iterator[Any]:
+        """The rows, some at a time.  Raises DataError where they cannot be taken apart, with the line."""
+        import pyarrow as pa
+        import pyarrow.csv as text
+
+        numbers = dict.fromkeys(set(self.header) - self.texts - {self.column}, pa.float64())
+        kinds = {**numbers, **dict.fromkeys(self.texts | {self.column}, pa.string())}
+        # Kinds are stated, for pyarrow would hold a column for whole numbers that begins with some.
+        converted = text.ConvertOptions(column_types=kinds, decimal_point=self.decimal)
+        parsed = text.ParseOptions(delimiter=self.delimiter)
+        try:
+            with text.open_csv(noted(self.path), convert_options=converted, parse_options=parsed) as reader:
+                yield from reader
+        except pa.ArrowInvalid as error:
+            raise self._fault(str(error)) from None
+
+    def _fault(self, said: str) -> Exception:
+        """What is wrong first, found row by row; a column that holds more than numbers is told as such."""
+        column = re.match(r"In CSV column #(\d+):.*CSV conversion error", said)
+        if column is not None and self.header[int(column[1])] not in self.texts:
+            return NotNumbersError(self.header[int(column[1])])
+        line, cells = 1, len(self.header)
+        try:
+            with open(noted(self.path), encoding="utf-8", errors="replace", newline="") as file:
+                reader = csv.reader(file, delimiter=self.delimiter)
+                for row in reader:
+                    if row and len(row) != cells:
+                        what = f"the row has {counted(len(row), 'cell')}, the header {cells}"
+                        cure = "fill the row or take it out"
+                        if reader.line_num > line:
+                            what, cure = "a quote is not closed on its line", "close it, or take it out"
+                        return DataError(what, f"{self.path}:{line}", cure)
+                    line = reader.line_num + 1
+        except csv.Error:
+            return DataError("the row cannot be taken apart", f"{self.path}:{line}", "look for a stray quote")
+        return DataError(f"the table cannot be read ({shown(said, 150)})", self.path, "check the file")
+
+
+class NotNumbersError(Exception):
+    """A column holds more than numbers: its name."""
+
+
+def csv_layout(path: str, column: str) -> CsvLayout:
+    """How a table is written, from its header and the row below.  Raises DataError where there is none."""
+    with open(noted(path), encoding="utf-8-sig", errors="replace", newline="") as file:
+        header, below = file.readline(), file.readline()
+    if not header.strip():
+        raise DataError("the table begins with an empty line", path, "begin with the names of the columns")
+    delimiter = next((mark for mark in _DELIMITERS if mark in header), ",")
+    names = tuple(next(csv.reader([header], delimiter=delimiter)))
+    require_columns(path, column, names)
+    if not below.strip():
+        raise DataError("the table has no rows", path, "give the data of at least one rig")
+    cells = below.split(delimiter)
+    comma = delimiter != "," and any(
+        re.fullmatch(r"\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*", cell) for cell in cells
+    )
+    return CsvLayout(path, column, delimiter, "," if comma else ".", names)
+
+
+def require_columns(path: str, column: str, names: tuple[str, ...]) -> None:
+    """Raises DataError where the column that names rigs is missing, or one is named twice."""
+    if column not in names:
+        what = f"column {shown(column)}: missing (it is to name the rig)"
+        raise DataError(what, path, f"there are {listed(names)}")
+    twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
+    if twice is not None:
+        raise DataError(f"column {shown(twice)}: named twice", path, "rename one of them")

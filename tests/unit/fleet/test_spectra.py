@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dashpot.fleet import tables as spectra
-from dashpot.fleet.data_sets import Treatment
-from dashpot.fleet.tables import HeldRows, PartReader, alike_cuts, stacked_cuts
+from dashpot.fleet import runner
+from dashpot.fleet.data_sets import HeldRows, Treatment
+from dashpot.fleet.runner import PartReader, alike_cuts, stacked_cuts
 from dashpot.model.rigfile import Rig, parse_rig
 from tests.unit.app.conftest import RIG
 
@@ -58,7 +58,7 @@ def test_rows_read_at_once_are_as_each_alone(rig: Rig, case: str, monkeypatch: p
         for line in range(3 * LINES, 4 * LINES):
             rows = spoilt(spoilt(rows, f"{channel}_re", line, np.nan), f"{channel}_im", line, np.nan)
     together, failures = cuts_and_failures(rig, rows)
-    monkeypatch.setattr(spectra, "AT_ONCE", 1)
+    monkeypatch.setattr(runner, "AT_ONCE", 1)
     alone, failures_alone = cuts_and_failures(rig, rows)
     assert failures == failures_alone
     wrong = {"gap": {2}, "negative": {0, 1}, "empty channel": {3}}.get(case, set())

@@ -9,9 +9,8 @@ import pyarrow.parquet as parquet
 import pytest
 
 from dashpot.errors import DataError
-from dashpot.fleet import tables as parquet_groups
-from dashpot.fleet.data_sets import DataSet, Source
-from dashpot.fleet.tables import HeldRows, ParquetRows, of_tables
+from dashpot.fleet import data_sets as parquet_groups
+from dashpot.fleet.data_sets import DataSet, HeldRows, ParquetRows, Source, of_tables
 
 COUNT = 23
 
@@ -37,7 +36,9 @@ def write_table(
 def data_sets(source: Source, size: int) -> list[DataSet]:
     """All, read as workers do: from what was sent to them."""
     parts = [part for block in source.blocks(size) for part in block]
-    return [one for part in parts for one in pickle.loads(pickle.dumps(part)).loaded().data_sets()]
+    sent = [pickle.loads(pickle.dumps(part)) for part in parts]
+    held = [part.loaded() if isinstance(part, ParquetRows) else part for part in sent]
+    return [one for part in held for one in part.data_sets()]
 
 
 def checksums(source: Source, size: int = 1) -> list[str]:

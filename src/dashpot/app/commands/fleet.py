@@ -89,8 +89,7 @@ def command(
     number of workers.
     """
     from dashpot.check.deficiencies import require_identifiable
-    from dashpot.fleet.data_sets import expanded, of_files
-    from dashpot.fleet.tables import of_tables
+    from dashpot.fleet.data_sets import expanded, of_files, of_tables
     from dashpot.io.ledger import noted
     from dashpot.model.rigfile import read_rig
 
