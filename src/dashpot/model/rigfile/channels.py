@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
 
 from dashpot.channel import RESERVED_NAMES, Channel, Quantity
 from dashpot.errors import UsageError
-from dashpot.io.toml_document import Place
 from dashpot.io.words import did_you_mean, listed, written
 from dashpot.model.elements import Element
 from dashpot.model.network import Input
@@ -19,8 +17,6 @@ from dashpot.model.rigfile.schema import (
     TABLES,
     ChannelEntry,
     RigReading,
-    factors,
-    in_si,
     is_share,
     number_of,
 )
@@ -37,7 +33,6 @@ from dashpot.units import SHARE, scale, sensitivity, si_unit
 
 
 COUNTS = "counts"
-MOST_BITS = 64
 
 
 def raw_unit(entry: ChannelEntry) -> str | None:
@@ -54,43 +49,38 @@ def full_scale_gain(
 
     Raises UsageError for what is missing or contradicts itself.
     """
-    assert entry.full_scale is not None
+    full_scale, gain = entry.full_scale, entry.gain
+    assert full_scale is not None
     codes = _codes(entry, unit)
-    size, of_scale = number_of(entry.full_scale), _unit(entry.full_scale)
+    size = number_of(full_scale)
+    of_scale = full_scale.unit if isinstance(full_scale, Amount) else None
     if not size > 0:
         raise UsageError(f"a full scale of {size:g}", cure="give a positive one")
     given = "gain" in entry.model_fields_set
-    if entry.same_gain_as is not None or (given and entry.gain is None):
+    if gain is None or entry.same_gain_as is not None:
         raise UsageError("a full scale beside an unknown gain", cure="leave the full scale out, or the gain")
-    if of_scale is not None and of_scale != COUNTS and is_electrical(of_scale, quantity):
+    if of_scale not in (None, COUNTS) and is_electrical(of_scale, quantity):
         volts = size * scale(of_scale, quantity, False, True)
         if not given:
             raise UsageError(
                 "a full scale in volts needs a sensitivity", cure='add one such as gain = "100 mV/g"'
             )
-        gain = entry.gain
         if isinstance(gain, str):
             gain = sensitivity(gain, "V", quantity, all_angles(arms, angles))
-        assert gain is not None
         return codes / volts * gain
     if given:
         raise UsageError(
             "a gain beside a full scale of the quantity itself",
             cure="leave the gain out, or give the full scale in V",
         )
-    if of_scale is None:
-        return codes / size
-    return codes / (size * scale_of_points(of_scale, quantity, arms, angles))
-
-
-def _unit(full_scale: float | Amount) -> str | None:
-    return full_scale.unit if isinstance(full_scale, Amount) else None
+    return codes / (size if of_scale is None else size * scale_of_points(of_scale, quantity, arms, angles))
 
 
 def _codes(entry: ChannelEntry, unit: str) -> float:
     """How many raw units the full scale is."""
+    bits = entry.bits
     if unit == SHARE:
-        if entry.bits is not None:
+        if bits is not None:
             raise UsageError(
                 "bits of a channel in shares of the full scale", cure='leave bits out, or say unit = "counts"'
             )
@@ -99,13 +89,11 @@ def _codes(entry: ChannelEntry, unit: str) -> float:
         raise UsageError(
             f"a full scale of a channel in {unit}", cure='say unit = "counts" or "FS", or leave it out'
         )
-    if entry.bits is None:
+    if bits is None:
         raise UsageError("the counts at full scale are not given", cure="add bits, such as bits = 16")
-    if entry.bits != int(entry.bits) or not 2 <= entry.bits <= MOST_BITS:
-        raise UsageError(
-            f"a converter of {entry.bits:g} bits", cure=f"give a whole number from 2 to {MOST_BITS}"
-        )
-    return 2.0 ** (int(entry.bits) - 1)
+    if bits != int(bits) or not 2 <= bits <= 64:
+        raise UsageError(f"a converter of {bits:g} bits", cure="give a whole number from 2 to 64")
+    return 2.0 ** (int(bits) - 1)
 
 
 @dataclass(frozen=True)
@@ -165,16 +153,17 @@ def read_channels(reading: RigReading, measurables: Measurables) -> list[Channel
         return None
     channels = []
     for name, raw in reading.entries("channels"):
+        place, before = ("channels", name), reading.problems
         if not name.isprintable() or name != name.strip() or not name:
             cure = "use the name of the column, without line breaks, tabs or spaces at its ends"
-            reading.report.add(("channels", name), f"{written(name)} is not a usable name", cure)
+            reading.report.add(place, f"{written(name)} is not a usable name", cure)
             continue
         if name in RESERVED_NAMES:
-            reading.report.add(("channels", name), *reserved(name))
+            reading.report.add(place, *reserved(name))
             continue
         entry = reading.entry(ChannelEntry, "channels", name, raw)
-        channel = None if entry is None else _channel(reading, name, entry, raw, measurables)
-        if channel is not None:
+        channel = None if entry is None else _channel(reading, name, entry, measurables)
+        if channel is not None and reading.problems == before:
             channels.append(channel)
     _check_shared_gains(reading, channels)
     return channels
@@ -209,17 +198,18 @@ def _check_shared_gains(reading: RigReading, channels: Sequence[Channel]) -> Non
             reading.report.add(place, f"{owner} has its gain from another channel", cure)
 
 
-def _channel(
-    reading: RigReading, name: str, entry: ChannelEntry, raw: Mapping[str, Any], measurables: Measurables
-) -> Channel | None:
-    place = ("channels", name)
+def _channel(reading: RigReading, name: str, entry: ChannelEntry, measurables: Measurables) -> Channel | None:
+    """A channel; None where it cannot be said, which is told unless it follows from another problem."""
+    place, before = ("channels", name), reading.problems
     given = {point: factor for point, factor in entry.of.items() if point != GROUND}
-    of = factors(reading, (*place, "of"), given, measurables.angles)
-    if of is None:
-        return None
-    numbers_good = _numbers_good(reading, place, entry)
-    points_good = _points_good(reading, place, of, isinstance(raw["of"], dict), measurables)
-    if not (numbers_good and points_good) or reading.faulty & of.keys():
+    of = reading.factors((*place, "of"), given, measurables.angles)
+    for key, what, cure in _wrong_numbers(entry):
+        reading.report.add((*place, key), what, cure)
+    if not of:
+        reading.report.add((*place, "of"), "the ground does not move", "name what the channel measures")
+    called = "point, input or element"
+    reading.require_points((*place, "of"), of, measurables.names, called, ("coordinates", *TABLES))
+    if reading.problems > before or reading.faulty & of.keys():
         return None
     quantity = Quantity(entry.quantity) if entry.quantity is not None else measurables.usual_quantity(of)
     fault = measurables.fault(of, quantity)
@@ -229,52 +219,27 @@ def _channel(
     return _calibrated(reading, name, entry, of, quantity, measurables)
 
 
-def _points_good(
-    reading: RigReading, place: Place, of: Mapping[str, float], as_table: bool, measurables: Measurables
-) -> bool:
-    if not of:
-        reading.report.add((*place, "of"), "the ground does not move", "name what the channel measures")
-        return False
-    good = True
-    for point, factor in of.items():
-        place_of_point = (*place, "of", point) if as_table else (*place, "of")
-        if point not in measurables.names:
-            good = False
-            if not reading.faulty & {"coordinates", *TABLES}:  # else it may stand in what could not be read
-                names = measurables.names
-                cure = f"{did_you_mean(point, names)}there are {listed(names)}"
-                reading.report.add(place_of_point, f"{written(point)} is not a point, input or element", cure)
-        elif factor == 0:
-            good = False
-            reading.no_factor(place_of_point, point)
-    return good
-
-
-def _numbers_good(reading: RigReading, place: Place, entry: ChannelEntry) -> bool:
-    faults: list[tuple[str, str, str]] = []
+def _wrong_numbers(entry: ChannelEntry) -> Iterator[tuple[str, str, str]]:
+    """Keys whose numbers make no sense, what is wrong with them, and the cure."""
     if entry.same_gain_as is not None and "gain" in entry.model_fields_set and entry.gain is not None:
-        cure = 'write gain = "unknown", or leave it out'
-        faults.append(("same_gain_as", "the gain is given as well", cure))
+        yield "same_gain_as", "the gain is given as well", 'write gain = "unknown", or leave it out'
     if entry.gain == 0:
-        faults.append(("gain", "a gain of 0 measures nothing", 'give another one, or "unknown"'))
+        yield "gain", "a gain of 0 measures nothing", 'give another one, or "unknown"'
     if entry.sign is not None and entry.sign not in (1.0, -1.0):
-        cure = 'write 1, -1 or "unknown"; a factor belongs in gain'
-        faults.append(("sign", f"the sign is {entry.sign:g}", cure))
+        yield "sign", f"the sign is {entry.sign:g}", 'write 1, -1 or "unknown"; a factor belongs in gain'
     if entry.bits is not None and entry.full_scale is None:
-        faults.append(("bits", "bits without a full scale", 'add full_scale, such as "50 g"'))
+        yield "bits", "bits without a full scale", 'add full_scale, such as "50 g"'
     for key in ("noise", "relative_noise"):
         if number_of(getattr(entry, key)) < 0:
-            faults.append(
-                (key, f"a standard deviation of {number_of(getattr(entry, key)):g}", "give 0 or more")
-            )
+            yield key, f"a standard deviation of {number_of(getattr(entry, key)):g}", "give 0 or more"
     if is_share(entry.noise) and "relative_noise" in entry.model_fields_set:
-        faults.append(("noise", "the relative noise is given twice", "leave out relative_noise, or noise"))
+        yield "noise", "the relative noise is given twice", "leave out relative_noise, or noise"
     if entry.rate is not None and number_of(entry.rate) <= 0:
-        cure = "give a positive number of samples per second"
-        faults.append(("rate", f"a rate of {number_of(entry.rate):g} Hz", cure))
-    for key, what, cure in faults:
-        reading.report.add((*place, key), what, cure)
-    return not faults
+        yield (
+            "rate",
+            f"a rate of {number_of(entry.rate):g} Hz",
+            "give a positive number of samples per second",
+        )
 
 
 def _calibrated(
@@ -285,8 +250,8 @@ def _calibrated(
     quantity: Quantity,
     measurables: Measurables,
 ) -> Channel | None:
-    place = ("channels", name)
-    key = "unit"
+    """A channel with its unit, calibration, noise and rate; None, and told, where a unit is not one of the quantity."""
+    place, key = ("channels", name), "unit"
     try:
         arms, angles = measurables.arms(of, quantity), measurables.angles
         unit = raw_unit(entry) or si_unit(quantity.value, all_angles(arms, angles))
@@ -300,39 +265,38 @@ def _calibrated(
         elif isinstance(gain, str):
             gain = sensitivity(gain, unit, quantity.value, all_angles(arms, angles))
     except UsageError as error:
-        reading.report.add((*place, key), error.problems[0].what, error.problems[0].cure)
+        reading.include((*place, key), error)
         return None
-    channel = Channel(
-        name, of, quantity, unit, scale=factor, gain=gain, sign=entry.sign, same_gain_as=entry.same_gain_as
-    )
 
     def in_channel_units(noise_unit: str) -> float:
         if is_electrical(noise_unit, quantity.value) != is_electrical(unit, quantity.value):
             raise UsageError(f"noise in {noise_unit} of a channel in {unit}", cure=f"write it in {unit}")
         return scale_of_points(noise_unit, quantity.value, arms, angles, electrical) / factor
 
-    return _with_numbers(reading, place, entry, channel, in_channel_units)
+    def timed(key: str, of_what: str) -> float | None:
+        given = getattr(entry, key)
+        return (
+            None
+            if given is None
+            else reading.in_si((*place, key), given, 1.0, partial(scale, quantity=of_what))
+        )
 
-
-def _with_numbers(
-    reading: RigReading,
-    place: Place,
-    entry: ChannelEntry,
-    channel: Channel,
-    noise_scale: Callable[[str], float],
-) -> Channel | None:
-    """The channel with its delay, noise and rate; None, and told, where one has no such unit."""
-    delay, rate = entry.delay, entry.rate
-    numbers: dict[str, float | None] = {"relative_noise": entry.relative_noise}
+    relative, noise = entry.relative_noise, 0.0
     if is_share(entry.noise):
-        numbers["relative_noise"] = number_of(entry.noise) / 100
+        relative = number_of(entry.noise) / 100
     else:
-        numbers["noise"] = in_si(reading, (*place, "noise"), entry.noise, 1.0, noise_scale)
-    if rate is not None:
-        numbers["rate"] = in_si(reading, (*place, "rate"), rate, 1.0, lambda unit: scale(unit, "frequency"))
-    if delay is not None:
-        numbers["delay"] = in_si(reading, (*place, "delay"), delay, 1.0, lambda unit: scale(unit, "time"))
-    if None in numbers.values():
-        return None
-    changes: dict[str, Any] = {**numbers, **({"delay": None} if delay is None else {})}
-    return replace(channel, **changes)
+        noise = reading.in_si((*place, "noise"), entry.noise, 1.0, in_channel_units)
+    return Channel(
+        name,
+        of,
+        quantity,
+        unit,
+        scale=factor,
+        gain=gain,
+        delay=timed("delay", "time"),
+        sign=entry.sign,
+        noise=noise,
+        relative_noise=relative,
+        rate=timed("rate", "frequency"),
+        same_gain_as=entry.same_gain_as,
+    )

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from dashpot.errors import ModelError, UsageError
 from dashpot.io.toml_document import Place
+from dashpot.io.toml_tables import validated
 from dashpot.io.words import quoted
 from dashpot.model.nonlinear.force_law import Constant, ForceLaw, force_law, unit_of
-from dashpot.model.rigfile.schema import ConstantEntry, ElementEntry, RigReading, read_numbers
+from dashpot.model.rigfile.schema import NUMBERS, ConstantEntry, ElementEntry, RigReading
 from dashpot.units import factor_between
 
 
@@ -23,97 +25,85 @@ def split_constants(raw: object) -> tuple[object, dict[str, Any]]:
 
 def read_law(
     reading: RigReading, place: Place, entry: ElementEntry, constants: Mapping[str, Any]
-) -> tuple[ForceLaw | None, bool]:
-    """(the law that an entry gives, None where it gives none; whether it can be read)."""
+) -> ForceLaw | None:
+    """The law that an entry gives; None where it gives none, or none that can be read."""
     if entry.law is None:
-        return None, True
+        return None
     if place[0] not in ("springs", "dampers"):
         cure = "leave it out, or write the element into [springs] or [dampers]"
         reading.report.add((*place, "law"), "laws belong to springs and dampers", cure)
-        return None, False
+        return None
     if entry.unit is not None:
-        reading.report.add(
-            (*place, "unit"), "the unit follows from the law", "leave it out; numbers are in SI units"
-        )
-        return None, False
-    entries = {name: _constant_entry(reading, (*place, name), name, raw) for name, raw in constants.items()}
-    damper = place[0] == "dampers"
+        cure = "leave it out; numbers are in SI units"
+        reading.report.add((*place, "unit"), "the unit follows from the law", cure)
+        return None
+    entries = {name: _constant_entry(reading, (*place, name), raw) for name, raw in constants.items()}
+    damper, before = place[0] == "dampers", reading.problems
     try:
         law = force_law(entry.law, [Constant(name) for name in entries], damper=damper)
         inner = [
-            None if given is None else _constant(reading, (*place, name), name, given, law)
+            _constant(reading, (*place, name), given, law)
             for name, given in entries.items()
+            if given is not None
         ]
-        whole = [constant for constant in inner if constant is not None]
-        if len(whole) < len(inner):
-            return None, False
-        return force_law(entry.law, whole, damper=damper), True
+        whole = len(inner) == len(entries) and reading.problems == before
+        return force_law(entry.law, inner, damper=damper) if whole else None
     except ModelError as error:
-        for problem in error.problems:
-            reading.report.add((*place, "law"), problem.what, problem.cure)
-        return None, False
+        reading.include((*place, "law"), error)
+        return None
 
 
-def _constant_entry(reading: RigReading, place: Place, name: str, raw: object) -> ConstantEntry | None:
+def _constant_entry(reading: RigReading, place: Place, raw: object) -> ConstantEntry | None:
     """What is said of a constant: an amount, "unknown", or a table; None, and told, where it cannot be read."""
     if raw == "unknown":
         return ConstantEntry()
     if isinstance(raw, str | int | float) and not isinstance(raw, bool):
         raw = {"value": raw}
-    if not isinstance(raw, dict):
-        cure = f'write a number, {name} = "unknown", or {name} = {{ guess = 0.1 }}'
-        reading.report.add(place, f"{name} is neither a key of elements nor a constant of the law", cure)
-        return None
-    return reading.validated(ConstantEntry, raw, place)
+    if isinstance(raw, dict):
+        return validated(ConstantEntry, raw, place, reading.report)
+    name = place[-1]
+    cure = f'write a number, {name} = "unknown", or {name} = {{ guess = 0.1 }}'
+    reading.report.add(place, f"{name} is neither a key of elements nor a constant of the law", cure)
+    return None
 
 
-def _constant(
-    reading: RigReading, place: Place, name: str, entry: ConstantEntry, law: ForceLaw
-) -> Constant | None:
-    """A constant in SI units; None, and told, where its numbers make no sense."""
+def _constant(reading: RigReading, place: Place, entry: ConstantEntry, law: ForceLaw) -> Constant:
+    """A constant in SI units; told where its numbers make no sense."""
+    name, before = str(place[-1]), reading.problems
     exponents = law.exponents[1].get(name, (0.0, 0.0))
-
-    def scale_of(unit: str) -> float:
-        try:
-            return factor_between(unit, unit_of(exponents))
-        except UsageError:
-            # Between angles what counts in metres elsewhere counts in radians.
-            try:
-                return factor_between(unit, unit_of(exponents, angle=True))
-            except UsageError:
-                pass
-            raise
-
-    numbers = read_numbers(reading, place, entry, 1.0, scale_of)
-    if numbers is None:
-        return None
-    constant = Constant(name, **numbers)
+    constant = Constant(name, **reading.numbers(place, entry, 1.0, partial(_scale, exponents=exponents)))
+    if reading.problems > before:
+        return constant
+    stated = [number for number in (constant.value, constant.guess, constant.upper) if number is not None]
+    low, high = constant.lower, constant.upper
     if constant.sd is not None and (constant.value is None or constant.sd <= 0):
         cure = "give the value that a positive sd belongs to"
         reading.report.add(place, "sd without a value, or not positive", cure)
-        return None
-    stated = [number for number in (constant.value, constant.guess, constant.upper) if number is not None]
-    if name in law.positive and any(number <= 0 for number in stated):
+    elif name in law.positive and any(number <= 0 for number in stated):
         reading.report.add(place, f"{name} of the law {law.text!r} must be positive", "change it")
-        return None
-    if constant.lower is not None and constant.upper is not None and constant.lower >= constant.upper:
-        what = f"min {constant.lower:g} is not below max {constant.upper:g}"
+    elif low is not None and high is not None and low >= high:
+        what = f"min {low:g} is not below max {high:g}"
         reading.report.add(place, what, "exchange or change them")
-        return None
     return constant
+
+
+def _scale(unit: str, exponents: tuple[float, float]) -> float:
+    """The factor of a constant's unit; between angles what counts in metres elsewhere counts in radians."""
+    try:
+        return factor_between(unit, unit_of(exponents))
+    except UsageError:
+        try:
+            return factor_between(unit, unit_of(exponents, angle=True))
+        except UsageError:
+            pass
+        raise
 
 
 def law_fields(law: ForceLaw) -> dict[str, str]:
     """The keys that say a law in a rig file."""
     fields = {"law": quoted(law.text)}
     for constant in law.constants:
-        numbers = {
-            "value": constant.value,
-            "sd": constant.sd,
-            "guess": constant.guess,
-            "min": constant.lower,
-            "max": constant.upper,
-        }
+        numbers = {key: getattr(constant, field) for key, field in NUMBERS.items()}
         given = {key: repr(float(number)) for key, number in numbers.items() if number is not None}
         if set(given) == {"value"}:
             fields[constant.name] = given["value"]
