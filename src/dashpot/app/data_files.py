@@ -11,16 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from dashpot.app.options import (
-    BAND,
-    FREQUENCY,
-    HARMONICS,
-    INPUT_FILE,
-    ORDERS,
-    RECORDS,
-    SETTLING,
-    Option,
-)
+from dashpot.app import options as opt
 from dashpot.app.progress import progress
 from dashpot.errors import DataError, UsageError, printable
 
@@ -43,60 +34,66 @@ class RecordOptions:
     quiet: bool
     frequency: Annotated[
         float | None,
-        Option("--frequency HZ", FREQUENCY, RECORDS),
+        opt.Option("--frequency HZ", opt.FREQUENCY, opt.RECORDS),
         "Drive frequency of records without a frequency_hz column.",
     ]
     orders: Annotated[
         Any,
-        Option("--orders auto|1,3,…", ORDERS, RECORDS, default="auto"),
+        opt.Option("--orders auto|1,3,…", opt.ORDERS, opt.RECORDS, default="auto"),
         "Multiples of the drive frequency whose amplitudes are used as data; auto is 1 and, in long dwells, the "
         "harmonics that show in every channel.",
     ]
     harmonics: Annotated[
         Any,
-        Option("--harmonics auto|none|2,3,…", HARMONICS, RECORDS, default="auto"),
+        opt.Option("--harmonics auto|none|2,3,…", opt.HARMONICS, opt.RECORDS, default="auto"),
         "Further multiples, fitted so that they do not count as noise.",
     ]
     drift: Annotated[
         Any,
-        Option("--drift", click.Choice(["auto", "none", "0", "1", "2", "3"]), RECORDS, default="auto"),
+        opt.Option(
+            "--drift", click.Choice(["auto", "none", "0", "1", "2", "3"]), opt.RECORDS, default="auto"
+        ),
         "Degree of the polynomial removed from each dwell: 0 removes the mean, 1 a straight line; auto is 1, and 0 "
         "where short dwells show no slope.",
     ]
     noise: Annotated[
         Any,
-        Option("--noise", click.Choice(["auto", "own", "white", "blocks"]), RECORDS, default="auto"),
+        opt.Option("--noise", click.Choice(["auto", "own", "white", "blocks"]), opt.RECORDS, default="auto"),
         "How the noise of the amplitudes is estimated from the residuals: as white noise (white), from neighbouring "
         "frequencies (blocks), as a test of whiteness decides for each dwell (own), or likewise with short dwells "
         "pooled (auto).",
     ]
     refine: Annotated[
         Any,
-        Option("--refine", click.Choice(["auto", "always", "none"]), RECORDS, alone="always", default="auto"),
+        opt.Option(
+            "--refine", click.Choice(["auto", "always", "none"]), opt.RECORDS, alone="always", default="auto"
+        ),
         "Estimate the true drive frequency near the stated one: where all dwells together show that it is off (auto; "
         "refused where a record moves elsewhere), always, or never; --refine alone is always.",
     ]
     settle: Annotated[
         Any,
-        Option("--settle auto|none|2s", SETTLING, RECORDS, alone="auto", default="none"),
+        opt.Option("--settle auto|none|2s", opt.SETTLING, opt.RECORDS, alone="auto", default="none"),
         "Discard the start of each dwell: as long as the transient lasts (auto), or the time given; --settle alone is "
         "auto.",
     ]
     record_band: Annotated[
         tuple[float, float] | None,
-        Option("--band LOWER:UPPER", BAND, RECORDS),
+        opt.Option("--band LOWER:UPPER", opt.BAND, opt.RECORDS),
         "Frequencies of a whole record that are used, Hz.  [default: the band in which the rig moves]",
     ]
     transients: Annotated[
         Any,
-        Option("--transients", click.Choice(["auto", "estimate", "settle", "none"]), RECORDS, default="auto"),
+        opt.Option(
+            "--transients", click.Choice(["auto", "estimate", "settle", "none"]), opt.RECORDS, default="auto"
+        ),
         "Transients of dwells: estimate them where a test finds the dwells unsettled (auto), always (estimate) or "
         "never (none), or drop them where the test finds them (settle; auto does so for methods that cannot estimate "
         "them).  Records of other excitation always have theirs estimated.",
     ]
     noise_record: Annotated[
         tuple[str, ...],
-        Option("--noise-record FILE", INPUT_FILE, RECORDS, multiple=True),
+        opt.Option("--noise-record FILE", opt.INPUT_FILE, opt.RECORDS, multiple=True),
         "A record at rest, which gives the noise of every channel.  May be repeated.",
     ]
 

@@ -4,21 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
+from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions
-from dashpot.app.options import (
-    DATA,
-    FILES,
-    JSON,
-    SEED,
-    STDOUT,
-    Level,
-    Option,
-    Quiet,
-    RigFile,
-    dashpot_command,
-    names,
-    write_result,
-)
 from dashpot.app.progress import progress
 from dashpot.app.report_files import Report
 from dashpot.errors import UsageError
@@ -26,29 +13,29 @@ from dashpot.errors import UsageError
 WITH_DATA = "With DATA"
 
 
-@dashpot_command(
+@opt.dashpot_command(
     "dashpot check rig.toml",
     "dashpot check rig.toml data.csv --known --profile c1",
 )
 def command(
-    rig: RigFile,
-    data: Annotated[tuple[str, ...], FILES, DATA],
+    rig: opt.RigFile,
+    data: Annotated[tuple[str, ...], opt.FILES, opt.DATA],
     profiled: Annotated[
         tuple[str, ...],
-        Option("--profile NAME,…", None, WITH_DATA, multiple=True),
+        opt.Option("--profile NAME,…", None, WITH_DATA, multiple=True),
         "Interval of an unknown from the profile likelihood, beside the normal one.  May be repeated.",
     ],
     known: Annotated[
         bool,
-        Option("--known", None, WITH_DATA),
+        opt.Option("--known", None, WITH_DATA),
         "How much an error of each known parameter moves each estimate.",
     ],
-    json_out: Annotated[str | None, JSON, "the findings"],
+    json_out: Annotated[str | None, opt.JSON, "the findings"],
     report: Report,
-    level: Level,
+    level: opt.Level,
     records: RecordOptions,
-    seed: Annotated[int, SEED, "the random numbers"],
-    quiet: Quiet,
+    seed: Annotated[int, opt.SEED, "the random numbers"],
+    quiet: opt.Quiet,
 ) -> int:
     """Check whether the unknowns of RIG can be found from its channels and, with DATA, which ones only poorly.
 
@@ -78,20 +65,20 @@ def command(
     content = structure_content(model, channels, verdict)
     found = None
     if verdict.identifiable and spectrum is not None:
-        wanted = [name for text in profiled for name in names(text)]
+        wanted = [name for text in profiled for name in opt.names(text)]
         with progress("check", quiet):
             estimate = identify(read, spectrum, seed=seed, judge=False)
             judged_by = spectrum if estimate.origin is None else estimate.origin.spectrum or spectrum
             found = data_findings(model, judged_by, estimate, wanted, level, known)
         content |= findings_content(found, spectrum)
-    write_result(json_out, to_json(content))
+    opt.write_result(json_out, to_json(content))
     with report.of_failure(read):
         require_full_rank(verdict, model, channels, rig)
     if report:
         from dashpot.present.pages.others import check_report
 
         report.write(check_report(model, channels, verdict, spectrum, found, level, report.provenance))
-    if quiet or json_out == STDOUT:
+    if quiet or json_out == opt.STDOUT:
         return 0
     from dashpot.present.tables.check import show_known, show_paragraphs
     from dashpot.present.tables.layout import console

@@ -7,25 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 
+from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions, tell_notes
-from dashpot.app.options import (
-    AMOUNTS,
-    DATA,
-    FIGURE,
-    FILES,
-    INPUT_FILE,
-    JSON,
-    NOT_CONVERGED,
-    SEED,
-    STDOUT,
-    Level,
-    ModalSd,
-    Option,
-    Quiet,
-    RigFile,
-    dashpot_command,
-    write_result,
-)
 from dashpot.app.parameters import true_values
 from dashpot.app.progress import progress
 from dashpot.app.report_files import Report
@@ -39,43 +22,43 @@ if TYPE_CHECKING:
 WHAT = "What to compare"
 
 
-@dashpot_command(
+@opt.dashpot_command(
     "dashpot compare rig.toml data.csv",
     "dashpot compare rig.toml record.csv --elements",
     'dashpot compare rig.toml data.csv --methods wls,oiv,ml --truth "m1=3,k1=4.6 kN/m" --figure methods.png',
 )
 def command(
-    rig: RigFile,
-    data: Annotated[tuple[str, ...], FILES, DATA],
+    rig: opt.RigFile,
+    data: Annotated[tuple[str, ...], opt.FILES, opt.DATA],
     methods: Annotated[
         str | None,
-        Option("--methods A,B,…", None, WHAT),
+        opt.Option("--methods A,B,…", None, WHAT),
         f"Estimators, in the order of the rows: {', '.join(METHODS)}.  [default: all that suit]",
     ],
     modal_file: Annotated[
         str | None,
-        Option("--modal FILE", INPUT_FILE, WHAT),
+        opt.Option("--modal FILE", opt.INPUT_FILE, WHAT),
         "Add an estimate from measured modes: CSV or JSON (frequency_hz, frequency_sd, damping_ratio, damping_sd, "
         "NAME_re, NAME_im, NAME_sd), or a universal file (dataset 55).",
     ],
     truth: Annotated[
         dict[str, Amount] | None,
-        Option("--truth m1=3,…", AMOUNTS, WHAT),
+        opt.Option("--truth m1=3,…", opt.AMOUNTS, WHAT),
         "True values where they are known; intervals that miss them are marked.  A bare number is in SI units.",
     ],
-    modal_sd: Annotated[ModalSd, WHAT],
+    modal_sd: Annotated[opt.ModalSd, WHAT],
     elements: Annotated[
         bool,
-        Option("--elements", None, WHAT),
+        opt.Option("--elements", None, WHAT),
         "Compare nonlinear elements that the rig might have, ranked by evidence, instead of methods.",
     ],
-    figure: Annotated[str | None, FIGURE, "Draw the intervals."],
+    figure: Annotated[str | None, opt.FIGURE, "Draw the intervals."],
     report: Report,
-    json_out: Annotated[str | None, JSON, "all estimates"],
-    level: Level,
+    json_out: Annotated[str | None, opt.JSON, "all estimates"],
+    level: opt.Level,
     records: RecordOptions,
-    seed: Annotated[int, SEED, "the starting values that ml and the fit to modes draw"],
-    quiet: Quiet,
+    seed: Annotated[int, opt.SEED, "the starting values that ml and the fit to modes draw"],
+    quiet: opt.Quiet,
 ) -> int:
     """Estimate the unknowns of RIG from DATA with several methods, side by side, or compare nonlinear elements.
 
@@ -132,8 +115,8 @@ def command(
 
         channels = read.channels if spectrum is None else spectrum.channels
         report.write(comparison_report(read.model, channels, comparison, level, report.provenance))
-    write_result(json_out, comparison.to_json())
-    if not quiet and json_out != STDOUT:
+    opt.write_result(json_out, comparison.to_json())
+    if not quiet and json_out != opt.STDOUT:
         from dashpot.present.tables.comparison import show_comparison
 
         show_comparison(console(), comparison, level)
@@ -145,7 +128,7 @@ def command(
         "check signs and units of the channels, or the noise is too large",
         err=True,
     )
-    return NOT_CONVERGED
+    return opt.NOT_CONVERGED
 
 
 def _named(methods: str | None, data: bool, modal: bool) -> list[str]:
@@ -181,7 +164,7 @@ def _elements(rig: Rig, data: Sequence[str], records: RecordOptions, json_out: s
     else:
         spectrum = records.spectrum(rig, reading, records.conditioning(rig, reading), ["hls"])
         evidence = compare_in_dwells(rig.model, spectrum)
-    write_result(json_out, evidence.to_json())
-    if not records.quiet and json_out != STDOUT:
+    opt.write_result(json_out, evidence.to_json())
+    if not records.quiet and json_out != opt.STDOUT:
         show_elements(console(), evidence)
     return 0

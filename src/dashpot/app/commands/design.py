@@ -9,35 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
+from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions
-from dashpot.app.options import (
-    AMOUNT,
-    AMPLITUDE,
-    BAND,
-    FIGURE,
-    FREQUENCY,
-    INPUT_FILE,
-    INPUT_FILE_OR,
-    JSON,
-    OUTPUT,
-    SENSORS,
-    SET,
-    SETTLING,
-    SHARE,
-    STDOUT,
-    TARGET,
-    TIME,
-    Count,
-    Dask,
-    Option,
-    OutputFile,
-    Quiet,
-    RelativeNoise,
-    RigFile,
-    dashpot_command,
-    names,
-    write_result,
-)
 from dashpot.app.parameters import drive_amplitude, input_is_angular, merged, parameter_values
 from dashpot.app.progress import progress
 from dashpot.app.report_files import Report
@@ -62,102 +35,104 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
 class Wanted:
     """What is to be designed, from what, and within which limits."""
 
-    samples: Annotated[int | None, Option("--samples N", Count(1), BUDGET), "Samples of the whole test."]
+    samples: Annotated[
+        int | None, opt.Option("--samples N", opt.Count(1), BUDGET), "Samples of the whole test."
+    ]
     time: Annotated[
         float | None,
-        Option("--time 10min", TIME, BUDGET),
+        opt.Option("--time 10min", opt.TIME, BUDGET),
         "Duration of the whole test, settling included.",
     ]
     target: Annotated[
         float | dict[str, float] | None,
-        Option("--target 1%|c2=2%,…", TARGET, BUDGET),
+        opt.Option("--target 1%|c2=2%,…", opt.TARGET, BUDGET),
         "Relative standard deviation to reach; without --samples and --time the shortest test that reaches it is "
         "designed.",
     ]
     aim: Annotated[
         str,
-        Option("--for all|worst|volume|NAME,…", None, AIM, default="all"),
+        opt.Option("--for all|worst|volume|NAME,…", None, AIM, default="all"),
         "What should be precise: all unknowns on average, the worst one, the volume of the confidence region, or the "
         "unknowns named.",
     ]
     sensors: Annotated[
         tuple[int, tuple[str, ...]] | None,
-        Option('--sensors "pick 3 of a,b,…"', SENSORS, AIM),
+        opt.Option('--sensors "pick 3 of a,b,…"', opt.SENSORS, AIM),
         "Choose the best few of these channels; channels that are not listed stay.",
     ]
     against: Annotated[
         str | None,
-        Option("--against FILE|LIST|RANGE", INPUT_FILE_OR, AIM),
+        opt.Option("--against FILE|LIST|RANGE", opt.INPUT_FILE_OR, AIM),
         "Compare with another test: a data file, or frequencies in Hz as 1,2,5, 1:10:0.5 or 1:10/25.",
     ]
-    settings: Annotated[tuple[dict[str, Amount], ...], SET, "Values to design for", BASIS]
+    settings: Annotated[tuple[dict[str, Amount], ...], opt.SET, "Values to design for", BASIS]
     estimate_file: Annotated[
         str | None,
-        Option("--estimate FILE.json", INPUT_FILE, BASIS),
+        opt.Option("--estimate FILE.json", opt.INPUT_FILE, BASIS),
         "Take the values to design for from an estimate, without counting it as data.",
     ]
     after: Annotated[
         tuple[str, ...],
-        Option("--after DATA|FILE.json", INPUT_FILE, BASIS, multiple=True),
+        opt.Option("--after DATA|FILE.json", opt.INPUT_FILE, BASIS, multiple=True),
         "Existing data or estimate to build on.  May be repeated.",
     ]
-    relative_noise: Annotated[RelativeNoise, BASIS]
+    relative_noise: Annotated[opt.RelativeNoise, BASIS]
     band: Annotated[
         tuple[float, float] | None,
-        Option("--band LOWER:UPPER", BAND, TEST),
+        opt.Option("--band LOWER:UPPER", opt.BAND, TEST),
         "Frequencies to choose from, Hz.  [default: around the resonances]",
     ]
     grid: Annotated[
-        float | None, Option("--grid HZ", FREQUENCY, TEST), "Use only multiples of this frequency."
+        float | None, opt.Option("--grid HZ", opt.FREQUENCY, TEST), "Use only multiples of this frequency."
     ]
     max_frequencies: Annotated[
-        int | None, Option("--max-frequencies N", Count(1, 10_000), TEST), "Largest number of dwells."
+        int | None, opt.Option("--max-frequencies N", opt.Count(1, 10_000), TEST), "Largest number of dwells."
     ]
-    min_dwell: Annotated[float | None, Option("--min-dwell 5s", TIME, TEST), "Shortest dwell."]
+    min_dwell: Annotated[float | None, opt.Option("--min-dwell 5s", opt.TIME, TEST), "Shortest dwell."]
     settling_time: Annotated[
         Any,
-        Option("--settling-time auto|none|2s", SETTLING, TEST, default="auto"),
+        opt.Option("--settling-time auto|none|2s", opt.SETTLING, TEST, default="auto"),
         "Wait before each dwell; auto takes three decades of the decay of the slowest mode.",
     ]
     rate: Annotated[
         float | None,
-        Option("--rate HZ", FREQUENCY, TEST),
+        opt.Option("--rate HZ", opt.FREQUENCY, TEST),
         "Sampling rate.  [default: that of the rig file]",
     ]
     stroke: Annotated[
-        Amount | None, Option("--stroke 5mm", AMOUNT, SHAKER), "Largest displacement amplitude."
+        Amount | None, opt.Option("--stroke 5mm", opt.AMOUNT, SHAKER), "Largest displacement amplitude."
     ]
     max_velocity: Annotated[
-        Amount | None, Option("--max-velocity 0.5m/s", AMOUNT, SHAKER), "Largest velocity amplitude."
+        Amount | None, opt.Option("--max-velocity 0.5m/s", opt.AMOUNT, SHAKER), "Largest velocity amplitude."
     ]
     max_acceleration: Annotated[
         Amount | None,
-        Option("--max-acceleration 2gn", AMOUNT, SHAKER),
+        opt.Option("--max-acceleration 2gn", opt.AMOUNT, SHAKER),
         "Largest acceleration amplitude.",
     ]
     max_force: Annotated[
         Amount | None,
-        Option("--max-force 100N", AMOUNT, SHAKER),
+        opt.Option("--max-force 100N", opt.AMOUNT, SHAKER),
         "Largest force amplitude; for a moved base, of the force that moves it.",
     ]
     amplitude: Annotated[
         Amount | dict[str, Amount] | None,
-        Option("--amplitude [INPUT=]VALUE", AMPLITUDE, SHAKER),
+        opt.Option("--amplitude [INPUT=]VALUE", opt.AMPLITUDE, SHAKER),
         "Amplitude of the drive, where no limit is given.",
     ]
     drives: Annotated[
         tuple[str, ...],
-        Option("--drive u,-v", None, SHAKER, multiple=True),
+        opt.Option("--drive u,-v", None, SHAKER, multiple=True),
         "Inputs that move together, in phase or (with -) in antiphase.  May be repeated.",
     ]
     doubt: Annotated[
         float | None,
-        Option("--doubt 30%", SHARE, ROBUST),
+        opt.Option("--doubt 30%", opt.SHARE, ROBUST),
         "How far the values to design for may be wrong.",
     ]
     robust: Annotated[
         Literal["worst", "average"] | None,
-        Option("--robust", click.Choice(["worst", "average"]), ROBUST),
+        opt.Option("--robust", click.Choice(["worst", "average"]), ROBUST),
         "Design for the worst case of the doubt, or for the average.  Without --doubt, the covariance of --estimate or "
         "--after is the doubt.",
     ]
@@ -168,35 +143,35 @@ class Wanted:
             raise UsageError("both --samples and --time are given", cure="give one of them as the budget")
 
 
-@dashpot_command(
+@opt.dashpot_command(
     "dashpot design rig.toml --samples 1400 --set m1=3,c1=30",
     "dashpot design rig.toml --after data.csv --target 1% --rate 500 --stroke 5mm --json plan.json",
     'dashpot design rig.toml --time 10min --rate 500 --sensors "pick 2 of x1,x2,acc3" --against 2:10/5',
 )
 def command(
-    rig: RigFile,
+    rig: opt.RigFile,
     wanted: Wanted,
-    json_out: Annotated[str | None, JSON, "the plan"],
+    json_out: Annotated[str | None, opt.JSON, "the plan"],
     csv: Annotated[
         str | None,
-        Option("--csv FILE.csv", OutputFile(), OUTPUT),
+        opt.Option("--csv FILE.csv", opt.OutputFile(), opt.OUTPUT),
         "Write the dwells for the shaker's controller.",
     ],
-    figure: Annotated[str | None, FIGURE, "Draw dwells, information and the expected intervals."],
+    figure: Annotated[str | None, opt.FIGURE, "Draw dwells, information and the expected intervals."],
     drawn_progress: Annotated[
         str | None,
-        Option("--progress FILE.svg|png|pdf", OutputFile(formats=PICTURES), OUTPUT),
+        opt.Option("--progress FILE.svg|png|pdf", opt.OutputFile(formats=PICTURES), opt.OUTPUT),
         "Draw how the intervals shrank as the data of --after came in.",
     ],
     report: Report,
     records: RecordOptions,
     workers: Annotated[
         int | None,
-        Option("--workers N", Count(1, 1024)),
+        opt.Option("--workers N", opt.Count(1, 1024)),
         "Worker processes that share out the search for the worst case.  [default: 1]",
     ],
-    dask: Dask,
-    quiet: Quiet,
+    dask: opt.Dask,
+    quiet: opt.Quiet,
 ) -> int:
     """Design the next test of RIG: at which frequencies to dwell, for how long, with which sensors.
 
@@ -226,7 +201,7 @@ def command(
         raise UsageError("--progress draws data as they came in", cure="give the data with --after DATA")
     with shared_out(dask, workers, small=True) as mapper, progress("design", quiet):
         result = answer(question, mapper=mapper)
-    write_result(json_out, answer_to_json(result))
+    opt.write_result(json_out, answer_to_json(result))
     if csv is not None and result.plan is not None:
         write_text(csv, plan_to_csv(result.plan, drive_units(read.model)))
     if report:
@@ -234,7 +209,7 @@ def command(
 
         report.write(design_report(result, report.provenance))
     _draw(result, figure, drawn_progress, question)
-    if not quiet and json_out != STDOUT:
+    if not quiet and json_out != opt.STDOUT:
         from dashpot.present.tables.design import show_answer
         from dashpot.present.tables.layout import console
 
@@ -332,7 +307,7 @@ def _criterion(wanted: str, target: float | Mapping[str, float] | None) -> tuple
     }
     if wanted in criteria:
         return criteria[wanted], target
-    unknowns = names(wanted)
+    unknowns = opt.names(wanted)
     if not unknowns:
         raise UsageError("--for names nothing", cure="write all, worst, volume, or names such as c2,m1")
     return Criterion("A", unknowns), target

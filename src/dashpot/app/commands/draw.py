@@ -4,44 +4,35 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from dashpot.app.options import (
-    INPUT_FILE,
-    OUTPUT,
-    Count,
-    Level,
-    Option,
-    OutputFile,
-    RigFile,
-    dashpot_command,
-)
+from dashpot.app import options as opt
 from dashpot.io.words import PICTURES
 
 WHAT = "What to draw"
 
 
-@dashpot_command(
+@opt.dashpot_command(
     "dashpot draw rig.toml -o rig.svg",
     "dashpot draw rig.toml --estimate estimate.json -o rig.pdf",
     "dashpot draw rig.toml --estimate estimate.json --mode 2 -o mode2.svg",
 )
 def command(
-    rig: RigFile,
+    rig: opt.RigFile,
     estimate_file: Annotated[
         str | None,
-        Option("--estimate FILE.json", INPUT_FILE, WHAT),
+        opt.Option("--estimate FILE.json", opt.INPUT_FILE, WHAT),
         "An estimate (JSON of identify), whose values and intervals are written beside the elements.",
     ],
     mode: Annotated[
         int | None,
-        Option("--mode N", Count(1, 10_000), WHAT),
+        opt.Option("--mode N", opt.Count(1, 10_000), WHAT),
         "Draw mode N: of the estimate, or of a rig file that gives every value or guess.  In SVG it is animated.",
     ],
     out: Annotated[
         str,
-        Option("--out -o FILE.svg|png|pdf", OutputFile(formats=PICTURES), OUTPUT, required=True),
+        opt.Option("--out -o FILE.svg|png|pdf", opt.OutputFile(formats=PICTURES), opt.OUTPUT, required=True),
         "The drawing.",
     ],
-    level: Level,
+    level: opt.Level,
 ) -> None:
     """Draw RIG: masses, springs, dampers, inputs and sensors.
 

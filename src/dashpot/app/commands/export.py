@@ -6,18 +6,8 @@ from typing import Annotated
 
 import click
 
+from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions, estimate_and_rig
-from dashpot.app.options import (
-    AMOUNTS,
-    FILES,
-    FREQUENCIES,
-    INPUT_FILE,
-    OUTPUT,
-    Option,
-    OutputFile,
-    Quiet,
-    dashpot_command,
-)
 from dashpot.app.parameters import merged, parameter_values
 from dashpot.app.progress import progress
 from dashpot.errors import UsageError, printable
@@ -28,50 +18,56 @@ WHAT = "What to write"
 RIG = "The rig"
 
 
-@dashpot_command(
+@opt.dashpot_command(
     "dashpot export estimate.json -o rig.mat",
     "dashpot export rig.toml --set m1=3,c1=20,c2=30 -o rig.fmu",
     "dashpot export estimate.json data.csv -o rig.uff",
     "dashpot export estimate.json --to frequency-responses --frequencies 0.5:25/200log -o frf.csv",
 )
 def command(
-    source: Annotated[str, Option("", INPUT_FILE), "An estimate (JSON of identify), or a rig file (TOML)."],
-    data: Annotated[tuple[str, ...], FILES, "Data files, for measured frequency responses (.uff)."],
+    source: Annotated[
+        str, opt.Option("", opt.INPUT_FILE), "An estimate (JSON of identify), or a rig file (TOML)."
+    ],
+    data: Annotated[tuple[str, ...], opt.FILES, "Data files, for measured frequency responses (.uff)."],
     rig_file: Annotated[
         str | None,
-        Option("--rig RIG.toml", INPUT_FILE, RIG),
+        opt.Option("--rig RIG.toml", opt.INPUT_FILE, RIG),
         "The rig file of the estimate.  [default: the one that the estimate names]",
     ],
     values: Annotated[
         tuple[dict[str, Amount], ...],
-        Option("--set NAME=VALUE,…", AMOUNTS, RIG, multiple=True),
+        opt.Option("--set NAME=VALUE,…", opt.AMOUNTS, RIG, multiple=True),
         "Values of unknowns where SOURCE is a rig file; others take their guess.  May be repeated.",
     ],
     content: Annotated[
         str | None,
-        Option("--to CONTENT", click.Choice(contents()), WHAT),
+        opt.Option("--to CONTENT", click.Choice(contents()), WHAT),
         f"What to write, where the extension allows several: {', '.join(contents())}.",
     ],
     given: Annotated[
         str | None,
-        Option("--input-quantity QUANTITY", click.Choice(["displacement", "velocity", "acceleration"]), WHAT),
+        opt.Option(
+            "--input-quantity QUANTITY", click.Choice(["displacement", "velocity", "acceleration"]), WHAT
+        ),
         "How moved points are driven: by displacement, velocity or acceleration.  [default: as they are measured, "
         "differentiated as far as outputs need]",
     ],
     frequencies: Annotated[
         tuple[float, ...] | None,
-        Option("--frequencies LIST|RANGE", FREQUENCIES, WHAT),
+        opt.Option("--frequencies LIST|RANGE", opt.FREQUENCIES, WHAT),
         "Frequencies of frequency responses, Hz: 1,2,5, or 1:10:0.5, or 1:10/25, or 1:10/25log.",
     ],
-    no_binary: Annotated[bool, Option("--no-binary", None, WHAT), "Leave the compiled binary out of an FMU."],
+    no_binary: Annotated[
+        bool, opt.Option("--no-binary", None, WHAT), "Leave the compiled binary out of an FMU."
+    ],
     out: Annotated[
         str,
-        Option("--out -o FILE", OutputFile(), OUTPUT, required=True),
+        opt.Option("--out -o FILE", opt.OutputFile(), opt.OUTPUT, required=True),
         "The file to write; its extension sets the format: .mat .json (state space), .fmu, .uff .unv (modes, "
         "frequency responses), .mtx (M, C, K: one file each), .xml (MuJoCo), .csv .parquet .m (parameters).",
     ],
     records: RecordOptions,
-    quiet: Quiet,
+    quiet: opt.Quiet,
 ) -> None:
     """Write SOURCE, an estimate or a rig, as a file for another program.
 

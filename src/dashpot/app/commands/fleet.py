@@ -6,24 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
+from dashpot.app import options as opt
 from dashpot.app.cli import resumable
 from dashpot.app.data_files import RecordOptions
-from dashpot.app.options import (
-    INPUT_FILE_OR,
-    JSON,
-    NOT_CONVERGED,
-    OUTPUT,
-    SEED,
-    Dask,
-    Method,
-    Option,
-    OutputFile,
-    Positive,
-    Quiet,
-    RigFile,
-    Workers,
-    dashpot_command,
-)
 from dashpot.errors import printable
 
 if TYPE_CHECKING:
@@ -36,46 +21,46 @@ FEW = 40  # data sets below which starting processes costs more than they save
 ENDING = ".blocks"  # of the folder in which finished blocks are kept
 
 
-@dashpot_command(
+@opt.dashpot_command(
     "dashpot fleet rig.toml 'data/*.parquet' --out fleet.parquet",
     "dashpot fleet rig.toml all.parquet --rig-column serial --out fleet.parquet --pool",
 )
 def command(
     ctx: click.Context,
-    rig: RigFile,
+    rig: opt.RigFile,
     data: Annotated[
         tuple[str, ...],
-        Option("", INPUT_FILE_OR, nargs=-1, required=True),
+        opt.Option("", opt.INPUT_FILE_OR, nargs=-1, required=True),
         "Data files, one for each rig, or patterns in quotes such as 'data/**/*.csv'.",
     ],
     out: Annotated[
         str,
-        Option("--out -o FILE.parquet", OutputFile(formats=("parquet",)), OUTPUT, required=True),
+        opt.Option("--out -o FILE.parquet", opt.OutputFile(formats=("parquet",)), opt.OUTPUT, required=True),
         "Write a row for each data set; finished blocks are kept beside it, in FILE.blocks.",
     ],
     rig_column: Annotated[
         str | None,
-        Option("--rig-column NAME", None, FLEET),
+        opt.Option("--rig-column NAME", None, FLEET),
         "The files are tables (Parquet, CSV) of many rigs, and this column names them.",
     ],
     order: Annotated[
         Any,
-        Option("--order", click.Choice(["name", "time", "given"]), FLEET, default="name"),
+        opt.Option("--order", click.Choice(["name", "time", "given"]), FLEET, default="name"),
         "Order of the files, along which drift is looked for: by name, by time of change, or as given.",
     ],
     pool: Annotated[
         bool,
-        Option("--pool", None, FLEET),
+        opt.Option("--pool", None, FLEET),
         "Estimate the population that the rigs come from, and draw each rig's estimate towards it.",
     ],
-    chosen: Annotated[Method, FLEET],
-    positive: Annotated[Positive, FLEET],
-    json_out: Annotated[str | None, JSON, "the summary of the fleet"],
-    workers: Workers,
-    dask: Dask,
+    chosen: Annotated[opt.Method, FLEET],
+    positive: Annotated[opt.Positive, FLEET],
+    json_out: Annotated[str | None, opt.JSON, "the summary of the fleet"],
+    workers: opt.Workers,
+    dask: opt.Dask,
     records: RecordOptions,
-    seed: Annotated[int, SEED, "the starting values that ml draws"],
-    quiet: Quiet,
+    seed: Annotated[int, opt.SEED, "the starting values that ml draws"],
+    quiet: opt.Quiet,
 ) -> None:
     """Identify very many data sets of rigs that are built alike: all of them have the rig file RIG.
 
@@ -108,7 +93,7 @@ def command(
         outcome = _run(rig_read, source, out, treatment, pool, workers, dask, quiet)
     _write(outcome, out, json_out, quiet)
     if len(outcome.failed) == len(outcome.columns["name"]):
-        ctx.exit(NOT_CONVERGED)
+        ctx.exit(opt.NOT_CONVERGED)
 
 
 def _run(

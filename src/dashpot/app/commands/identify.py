@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 
+from dashpot.app import options as opt
 from dashpot.app.commands.validate import predictions_of
 from dashpot.app.data_files import (
     RecordOptions,
@@ -16,31 +17,6 @@ from dashpot.app.data_files import (
     require_bounds_held,
     require_each_once,
     tell_notes,
-)
-from dashpot.app.options import (
-    DATA,
-    DOES_NOT_FIT,
-    FIGURE,
-    JSON,
-    NEEDED_FILES,
-    NOT_CONVERGED,
-    OUTPUT,
-    PART,
-    RECORDS,
-    SEED,
-    STDOUT,
-    Dask,
-    Level,
-    Method,
-    ModalSd,
-    Option,
-    OutputFile,
-    Positive,
-    Quiet,
-    RigFile,
-    Workers,
-    dashpot_command,
-    write_result,
 )
 from dashpot.app.progress import progress
 from dashpot.app.report_files import Report
@@ -58,53 +34,53 @@ if TYPE_CHECKING:
 ESTIMATION = "Estimation"
 
 
-@dashpot_command(
+@opt.dashpot_command(
     "dashpot identify rig.toml data.csv",
     "dashpot identify rig.toml run1.csv run2.csv --json estimate.json --report report.html",
 )
 def command(
-    rig: RigFile,
-    data: Annotated[tuple[str, ...], NEEDED_FILES, DATA],
-    chosen: Method,
-    positive: Positive,
+    rig: opt.RigFile,
+    data: Annotated[tuple[str, ...], opt.NEEDED_FILES, opt.DATA],
+    chosen: opt.Method,
+    positive: opt.Positive,
     strict: Annotated[
-        bool, Option("--strict", None, ESTIMATION), "Exit with code 4 where the model does not fit."
+        bool, opt.Option("--strict", None, ESTIMATION), "Exit with code 4 where the model does not fit."
     ],
     within: Annotated[
         float | None,
-        Option("--within 2%", PART, ESTIMATION),
+        opt.Option("--within 2%", opt.PART, ESTIMATION),
         "The share of every channel's motion within which the model is to describe it.",
     ],
     hold_out: Annotated[
         float | None,
-        Option("--hold-out 25%", PART, RECORDS),
+        opt.Option("--hold-out 25%", opt.PART, opt.RECORDS),
         "Hold out this share of every record, at its end, and predict it.",
     ],
     in_parts: Annotated[
         bool,
-        Option("--in-parts", None, RECORDS),
+        opt.Option("--in-parts", None, opt.RECORDS),
         "Identify every file by itself, very long records in pieces, and merge what they say: data beyond memory.",
     ],
-    workers: Workers,
-    dask: Dask,
-    modal_sd: ModalSd,
-    json_out: Annotated[str | None, JSON, "the estimate"],
+    workers: opt.Workers,
+    dask: opt.Dask,
+    modal_sd: opt.ModalSd,
+    json_out: Annotated[str | None, opt.JSON, "the estimate"],
     apply: Annotated[
         str | None,
-        Option("--apply NEW.toml", OutputFile(), OUTPUT),
+        opt.Option("--apply NEW.toml", opt.OutputFile(), opt.OUTPUT),
         "Write the rig file with the most likely cause of a misfit corrected.",
     ],
     figure: Annotated[
         str | None,
-        FIGURE,
+        opt.FIGURE,
         "Draw the fit: responses, measured and model; of whole records of nonlinear rigs, histories.",
     ],
     report: Report,
-    matrices: Annotated[bool, Option("--matrices", None, OUTPUT), "Print M, C and K as well."],
-    level: Level,
+    matrices: Annotated[bool, opt.Option("--matrices", None, opt.OUTPUT), "Print M, C and K as well."],
+    level: opt.Level,
     records: RecordOptions,
-    seed: Annotated[int, SEED, "the starting values that ml draws"],
-    quiet: Quiet,
+    seed: Annotated[int, opt.SEED, "the starting values that ml draws"],
+    quiet: opt.Quiet,
 ) -> int:
     """Estimate the unknown masses, dampers and springs of RIG (a rig file, TOML) from DATA.
 
@@ -156,13 +132,13 @@ def command(
             histories=found.histories,
         )
         report.write(page)
-    write_result(json_out, estimate.to_json())
+    opt.write_result(json_out, estimate.to_json())
     if apply is not None:
         useful = _with_a_line(() if estimate.assessment is None else estimate.assessment.findings)
         if not useful:
             raise UsageError("there is no change to the rig file to apply", "--apply", "leave the option out")
         _write_applied(read, useful[0], apply)
-    if not quiet and json_out != STDOUT:
+    if not quiet and json_out != opt.STDOUT:
         _show(read, found, level, matrices)
     return _ending(estimate, strict)
 
@@ -380,7 +356,7 @@ def _ending(estimate: Estimate, strict: bool) -> int:
 
     if bool(estimate.converged):
         misfits = estimate.assessment is not None and estimate.assessment.verdict == "does not fit"
-        return DOES_NOT_FIT if strict and misfits else 0
+        return opt.DOES_NOT_FIT if strict and misfits else 0
     cure = (
         'check signs and units of the channels (gain = "unknown" for all but one shows a wrong one), '
         "give the unknowns a guess, or try another --method"
@@ -397,4 +373,4 @@ def _ending(estimate: Estimate, strict: bool) -> int:
         f"dashpot: {estimate.method} did not converge in {int(estimate.iterations)} iterations; {cure}",
         err=True,
     )
-    return NOT_CONVERGED
+    return opt.NOT_CONVERGED

@@ -6,22 +6,22 @@ from typing import Annotated
 
 import click
 
+from dashpot.app import options as opt
 from dashpot.app.data_files import reading_of
-from dashpot.app.options import NEEDED_FILES, OUTPUT, Option, OutputFile, dashpot_command
 from dashpot.app.progress import progress
 
 
-@dashpot_command(
+@opt.dashpot_command(
     "dashpot inspect run.tdms",
     "dashpot inspect *.mat --channels channels.toml",
 )
 def command(
     files: Annotated[
-        tuple[str, ...], NEEDED_FILES, "Data files of any format, or a manifest (TOML) of them."
+        tuple[str, ...], opt.NEEDED_FILES, "Data files of any format, or a manifest (TOML) of them."
     ],
     channels: Annotated[
         str | None,
-        Option("--channels FILE.toml", OutputFile(), OUTPUT),
+        opt.Option("--channels FILE.toml", opt.OutputFile(), opt.OUTPUT),
         "Write a [channels] table to start a rig file from.",
     ],
 ) -> None:

@@ -8,32 +8,34 @@ from typing import Annotated, Any, cast
 
 import click
 
-from dashpot.app.options import MASS, Count, Option, OutputFile, TextType, dashpot_command
+from dashpot.app import options as opt
 from dashpot.errors import DashpotError, UsageError
 
 CHAIN = "The rig"
 UNKNOWN = "unknown"
-WEIGHED = MASS.or_words(UNKNOWN)
-MASSES = Count(1, 50)
+WEIGHED = opt.MASS.or_words(UNKNOWN)
+MASSES = opt.Count(1, 50)
 DRIVEN = click.Choice(("base", "force"), case_sensitive=False)
 MEASURED = click.Choice(("displacement", "velocity", "acceleration"), case_sensitive=False)
 
 
-@dashpot_command(
+@opt.dashpot_command(
     "dashpot new rig.toml",
     "dashpot new rig.toml --masses 3 --driven-by base --motion acceleration --unit g --first-mass 1.25kg",
 )
 def command(
-    rig: Annotated[str, Option("", OutputFile(new=True)), "Rig file to write."],
-    name: Annotated[str | None, Option("--name TEXT", None, CHAIN), "Name of the rig."],
-    masses: Annotated[int | None, Option("--masses N", MASSES, CHAIN), "Masses in a row."],
-    drive: Annotated[str | None, Option("--driven-by", DRIVEN, CHAIN), "The base moves, or a force acts."],
-    motion: Annotated[str | None, Option("--motion", MEASURED, CHAIN), "What the sensors measure."],
+    rig: Annotated[str, opt.Option("", opt.OutputFile(new=True)), "Rig file to write."],
+    name: Annotated[str | None, opt.Option("--name TEXT", None, CHAIN), "Name of the rig."],
+    masses: Annotated[int | None, opt.Option("--masses N", MASSES, CHAIN), "Masses in a row."],
+    drive: Annotated[
+        str | None, opt.Option("--driven-by", DRIVEN, CHAIN), "The base moves, or a force acts."
+    ],
+    motion: Annotated[str | None, opt.Option("--motion", MEASURED, CHAIN), "What the sensors measure."],
     unit: Annotated[
-        str | None, Option("--unit UNIT", None, CHAIN), "Unit of the sensors, such as mm, m/s or g."
+        str | None, opt.Option("--unit UNIT", None, CHAIN), "Unit of the sensors, such as mm, m/s or g."
     ],
     known: Annotated[
-        float | None, Option("--first-mass KG", MASS), "The first mass, where it has been weighed."
+        float | None, opt.Option("--first-mass KG", opt.MASS), "The first mass, where it has been weighed."
     ],
 ) -> None:
     """Write a rig file to start from: RIG, a row of masses with springs and dampers between them.
@@ -54,7 +56,7 @@ def command(
     drive = drive or ask("What drives it", usual.drive, DRIVEN)
     motion = motion or ask("What the sensors measure", usual.motion, MEASURED)
     si = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²"}[motion]
-    unit = unit or ask("Unit of the sensors", si, TextType("unit", partial(_unit, motion)))
+    unit = unit or ask("Unit of the sensors", si, opt.TextType("unit", partial(_unit, motion)))
     if known is None and (first := ask("Mass of x1, where it has been weighed", UNKNOWN, WEIGHED)) != UNKNOWN:
         known = first
     scale(unit, motion, uncalibrated=True)  # refused here, before a rig file has it in three places

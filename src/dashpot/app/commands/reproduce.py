@@ -6,7 +6,7 @@ from typing import Annotated
 
 import click
 
-from dashpot.app.options import FOLDER, OUTPUT, Count, Option, Quiet, Workers, dashpot_command
+from dashpot.app import options as opt
 from dashpot.app.progress import progress
 from dashpot.app.report_files import Report, write_report
 from dashpot.errors import printable
@@ -14,25 +14,25 @@ from dashpot.errors import printable
 FEW = 200  # draws below which starting processes costs more than they save
 
 
-@dashpot_command("dashpot reproduce yamane1989 --draws 200 --report yamane1989.html")
+@opt.dashpot_command("dashpot reproduce yamane1989 --draws 200 --report yamane1989.html")
 def command(
-    paper: Annotated[str, Option("", click.Choice(["yamane1989"])), "Which paper."],
+    paper: Annotated[str, opt.Option("", click.Choice(["yamane1989"])), "Which paper."],
     draws: Annotated[
         int,
-        Option("--draws N", Count(2, 1_000_000), "Monte Carlo", default=1000),
+        opt.Option("--draws N", opt.Count(2, 1_000_000), "Monte Carlo", default=1000),
         "Draws of the noise in each scenario.",
     ],
     report: Report,
     figures: Annotated[
-        str | None, Option("--figures FOLDER", FOLDER, OUTPUT), "Write the figures there, as PNG."
+        str | None, opt.Option("--figures FOLDER", opt.FOLDER, opt.OUTPUT), "Write the figures there, as PNG."
     ],
     seed: Annotated[
         int,
-        Option("--seed N", Count(0, 2**63 - 1), default=1989),
+        opt.Option("--seed N", opt.Count(0, 2**63 - 1), default=1989),
         "Seed of the noise; the same seed gives the same result.",
     ],
-    workers: Workers,
-    quiet: Quiet,
+    workers: opt.Workers,
+    quiet: opt.Quiet,
 ) -> None:
     """Reproduce the tables and figures of PAPER (yamane1989), beside what it printed and what it left open.
 

@@ -5,22 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated
 
+from dashpot.app import options as opt
 from dashpot.app.commands.simulate import require_values
-from dashpot.app.options import (
-    AMPLITUDE,
-    BAND,
-    FIGURE,
-    FREQUENCY,
-    OUTPUT,
-    SET,
-    VALUES,
-    Count,
-    Option,
-    OutputFile,
-    Quiet,
-    RigFile,
-    dashpot_command,
-)
 from dashpot.app.parameters import input_amplitudes, merged, parameter_values
 from dashpot.app.progress import progress
 from dashpot.errors import UsageError
@@ -33,42 +19,42 @@ if TYPE_CHECKING:
 TEST = "The drive"
 
 
-@dashpot_command(
+@opt.dashpot_command(
     "dashpot response rig.toml --set k3=1e9 --band 2:14 --amplitude u=1mm --figure curves.png",
     "dashpot response rig.toml --band 2:14 --amplitude 0.2mm --amplitude 1mm --backbone 1 -o curves.csv",
     "dashpot response rig.toml --at 9Hz --amplitude 2mm --figure folds.png",
 )
 def command(
-    rig: RigFile,
-    values: Annotated[tuple[dict[str, Amount], ...], SET, VALUES],
+    rig: opt.RigFile,
+    values: Annotated[tuple[dict[str, Amount], ...], opt.SET, opt.VALUES],
     band: Annotated[
         tuple[float, float] | None,
-        Option("--band LOWER:UPPER", BAND, TEST),
+        opt.Option("--band LOWER:UPPER", opt.BAND, TEST),
         "Frequencies of the curves, Hz.",
     ],
     at: Annotated[
         float | None,
-        Option("--at HZ", FREQUENCY, TEST),
+        opt.Option("--at HZ", opt.FREQUENCY, TEST),
         "In place of --band: one frequency, at which the drive grows from 1 % of --amplitude to all of it.",
     ],
     amplitudes: Annotated[
         tuple[Amount | dict[str, Amount], ...],
-        Option("--amplitude [INPUT=]VALUE", AMPLITUDE, TEST, multiple=True),
+        opt.Option("--amplitude [INPUT=]VALUE", opt.AMPLITUDE, TEST, multiple=True),
         "Amplitude of all inputs (2mm, 10N) or of one (u=2mm).  May be repeated: one curve for each.  "
         "[default: 1 m, rad, N or N·m]",
     ],
     backbone: Annotated[
         tuple[int, ...],
-        Option("--backbone MODE", Count(1, 1000), TEST, multiple=True),
+        opt.Option("--backbone MODE", opt.Count(1, 1000), TEST, multiple=True),
         "Add the backbone of that mode, its free undamped motions (1 is the lowest).  May be repeated.",
     ],
     out: Annotated[
         str | None,
-        Option("--out -o FILE.csv", OutputFile(), OUTPUT),
+        opt.Option("--out -o FILE.csv", opt.OutputFile(), opt.OUTPUT),
         "Write the points of the curves as a table.",
     ],
-    figure: Annotated[str | None, FIGURE, "Draw the curves, unstable motions dashed."],
-    quiet: Quiet,
+    figure: Annotated[str | None, opt.FIGURE, "Draw the curves, unstable motions dashed."],
+    quiet: opt.Quiet,
 ) -> None:
     """Follow the settled motion of a nonlinear RIG along the frequency or the size of the drive.
 

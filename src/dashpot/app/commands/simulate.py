@@ -7,24 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from dashpot.app.options import (
-    AMPLITUDE,
-    FREQUENCIES,
-    FREQUENCY,
-    INPUT_FILE,
-    NUMBER,
-    OUTPUT,
-    SEED,
-    SET,
-    VALUES,
-    Count,
-    Option,
-    OutputFile,
-    Quiet,
-    RelativeNoise,
-    RigFile,
-    dashpot_command,
-)
+from dashpot.app import options as opt
 from dashpot.app.parameters import input_amplitudes, merged, parameter_values
 from dashpot.app.progress import progress
 from dashpot.errors import DataError, Problem, UsageError, printable
@@ -37,61 +20,63 @@ if TYPE_CHECKING:
 TEST = "The test"
 
 
-@dashpot_command(
+@opt.dashpot_command(
     "dashpot simulate rig.toml --set m1=3,c1=20,c2=30 --frequencies 1:10:0.5 --out data.csv",
     "dashpot simulate rig.toml --frequencies 0.5:25/40log --amplitude u=2mm --table -o amplitudes.csv",
     "dashpot simulate rig.toml --estimate estimate.json --input shaker.csv --out predicted.csv",
     "dashpot simulate rig.toml --input shaker.csv --out record.csv",
 )
 def command(
-    rig: RigFile,
-    values: Annotated[tuple[dict[str, Amount], ...], SET, VALUES],
+    rig: opt.RigFile,
+    values: Annotated[tuple[dict[str, Amount], ...], opt.SET, opt.VALUES],
     frequencies: Annotated[
         tuple[float, ...] | None,
-        Option("--frequencies LIST|RANGE", FREQUENCIES, TEST),
+        opt.Option("--frequencies LIST|RANGE", opt.FREQUENCIES, TEST),
         "Frequencies in Hz: a list 1,2,5, start:stop:step, or start:stop/points (start:stop/pointslog on a "
         "logarithmic scale).",
     ],
     input_file: Annotated[
         str | None,
-        Option("--input FILE", INPUT_FILE, TEST),
+        opt.Option("--input FILE", opt.INPUT_FILE, TEST),
         "In place of --frequencies: a record whose input channels drive the rig from rest, of any excitation.",
     ],
     estimate: Annotated[
         str | None,
-        Option("--estimate FILE.json", INPUT_FILE, "The rig"),
+        opt.Option("--estimate FILE.json", opt.INPUT_FILE, "The rig"),
         "Take the values of an estimate, with --input: writes its prediction without noise, and the uncertainty of "
         "each predicted output as NAME_sd.",
     ],
     samples: Annotated[
-        int, Option("--samples N", Count(4, 100_000_000), TEST, default=200), "Samples of each dwell."
+        int, opt.Option("--samples N", opt.Count(4, 100_000_000), TEST, default=200), "Samples of each dwell."
     ],
     rate: Annotated[
         float | None,
-        Option("--rate HZ", FREQUENCY, TEST),
+        opt.Option("--rate HZ", opt.FREQUENCY, TEST),
         "Sampling rate.  [default: the samples spread over --periods]",
     ],
     periods: Annotated[
         float,
-        Option("--periods N", NUMBER, TEST, default="10"),
+        opt.Option("--periods N", opt.NUMBER, TEST, default="10"),
         "Periods of each dwell, where no rate is given.",
     ],
     amplitudes: Annotated[
         tuple[Amount | dict[str, Amount], ...],
-        Option("--amplitude [INPUT=]VALUE", AMPLITUDE, TEST, multiple=True),
+        opt.Option("--amplitude [INPUT=]VALUE", opt.AMPLITUDE, TEST, multiple=True),
         "Amplitude of all inputs (2mm, 10N) or of one (u=2mm).  May be repeated.  [default: 1 m, rad, N or N·m]",
     ],
-    relative_noise: RelativeNoise,
-    seed: Annotated[int, SEED, "the noise"],
+    relative_noise: opt.RelativeNoise,
+    seed: Annotated[int, opt.SEED, "the noise"],
     out: Annotated[
-        str, Option("--out -o FILE.csv", OutputFile(), OUTPUT, required=True), "The file to write."
+        str,
+        opt.Option("--out -o FILE.csv", opt.OutputFile(), opt.OUTPUT, required=True),
+        "The file to write.",
     ],
     table: Annotated[
         bool,
-        Option("--table", None, OUTPUT),
+        opt.Option("--table", None, opt.OUTPUT),
         "Write complex amplitudes with their noise, not samples.",
     ],
-    quiet: Quiet,
+    quiet: opt.Quiet,
 ) -> None:
     """Write the test data that RIG would yield: stepped sine, or its motion under a record of its inputs.
 

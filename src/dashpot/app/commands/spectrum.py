@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from typing import Annotated
 
+from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions
-from dashpot.app.options import NEEDED_FILES, OUTPUT, Option, OutputFile, Quiet, RigFile, dashpot_command
 from dashpot.errors import printable
 
 
-@dashpot_command(
+@opt.dashpot_command(
     "dashpot spectrum rig.toml records.csv --out amplitudes.csv",
     "dashpot spectrum rig.toml run.csv --frequency 4.5 --orders 1,3 --settle auto -o amplitudes.csv",
 )
 def command(
-    rig: RigFile,
-    records: Annotated[tuple[str, ...], NEEDED_FILES, "Files of time records, of any format."],
+    rig: opt.RigFile,
+    records: Annotated[tuple[str, ...], opt.NEEDED_FILES, "Files of time records, of any format."],
     out: Annotated[
         str,
-        Option("--out -o FILE.csv", OutputFile(), OUTPUT, required=True),
+        opt.Option("--out -o FILE.csv", opt.OutputFile(), opt.OUTPUT, required=True),
         "The table of amplitudes to write.",
     ],
     options: RecordOptions,
-    quiet: Quiet,
+    quiet: opt.Quiet,
 ) -> None:
     """Turn time RECORDS of the channels that RIG lists into a table of complex amplitudes with their noise.
 

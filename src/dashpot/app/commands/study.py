@@ -7,43 +7,33 @@ from typing import Annotated
 
 import click
 
+from dashpot.app import options as opt
 from dashpot.app.cli import resumable
 from dashpot.app.data_files import tell_notes
-from dashpot.app.options import (
-    FOLDER,
-    INPUT_FILE,
-    OUTPUT,
-    Count,
-    Dask,
-    Option,
-    Quiet,
-    Workers,
-    dashpot_command,
-)
 from dashpot.app.report_files import Report
 from dashpot.errors import printable
 
 FEW = 2000  # identifications below which starting processes costs more than they save
 
 
-@dashpot_command("dashpot study study.toml", "dashpot study study.toml --draws 200 --out quick")
+@opt.dashpot_command("dashpot study study.toml", "dashpot study study.toml --draws 200 --out quick")
 def command(
     ctx: click.Context,
-    study: Annotated[str, Option("", INPUT_FILE), "Study file (TOML)."],
+    study: Annotated[str, opt.Option("", opt.INPUT_FILE), "Study file (TOML)."],
     out: Annotated[
         str | None,
-        Option("--out -o FOLDER", FOLDER, OUTPUT),
+        opt.Option("--out -o FOLDER", opt.FOLDER, opt.OUTPUT),
         "Folder for draws, summary and pictures.  [default: a folder of the file's name]",
     ],
     draws: Annotated[
         int | None,
-        Option("--draws N", Count(2), "The study"),
+        opt.Option("--draws N", opt.Count(2), "The study"),
         "Draws of each scenario, in place of those in the file.",
     ],
     report: Report,
-    workers: Workers,
-    dask: Dask,
-    quiet: Quiet,
+    workers: opt.Workers,
+    dask: opt.Dask,
+    quiet: opt.Quiet,
 ) -> None:
     """Run the Monte Carlo study that the file STUDY describes, or continue one that was interrupted.
 

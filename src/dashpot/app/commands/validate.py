@@ -4,20 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated
 
+from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions, estimate_and_rig
-from dashpot.app.options import (
-    INPUT_FILE,
-    JSON,
-    NEEDED_FILES,
-    OUTPUT,
-    RECORDS,
-    STDOUT,
-    Option,
-    OutputFile,
-    Quiet,
-    dashpot_command,
-    write_result,
-)
 from dashpot.app.progress import progress
 from dashpot.app.report_files import Report
 from dashpot.errors import UsageError
@@ -31,30 +19,30 @@ if TYPE_CHECKING:
     from dashpot.model.rigfile import Rig
 
 
-@dashpot_command(
+@opt.dashpot_command(
     "dashpot validate estimate.json other_run.csv",
     "dashpot validate estimate.json run3.csv --rig rig.toml --figure prediction.svg",
 )
 def command(
     files: Annotated[
         tuple[str, ...],
-        NEEDED_FILES,
+        opt.NEEDED_FILES,
         "The estimate (JSON of identify), then data files as for identify.",
     ],
     rig: Annotated[
         str | None,
-        Option("--rig RIG.toml", INPUT_FILE, RECORDS),
+        opt.Option("--rig RIG.toml", opt.INPUT_FILE, opt.RECORDS),
         "The rig file of the estimate.  [default: the one that the estimate names]",
     ],
-    json_out: Annotated[str | None, JSON, "the figures"],
+    json_out: Annotated[str | None, opt.JSON, "the figures"],
     figure: Annotated[
         str | None,
-        Option("--figure --picture FILE.svg|png|pdf", OutputFile(formats=PICTURES), OUTPUT),
+        opt.Option("--figure --picture FILE.svg|png|pdf", opt.OutputFile(formats=PICTURES), opt.OUTPUT),
         "Draw the first record, or the settled lines, measured and predicted.",
     ],
     report: Report,
     records: RecordOptions,
-    quiet: Quiet,
+    quiet: opt.Quiet,
 ) -> None:
     """Predict records from their inputs with an estimate made from other records: FIT and χ² of every channel.
 
@@ -95,8 +83,8 @@ def command(
         for part in predictions
     ]
     content = {"records": rows, "diagnosis": [finding.content() for finding in findings]}
-    write_result(json_out, to_json(content))
-    if not quiet and json_out != STDOUT:
+    opt.write_result(json_out, to_json(content))
+    if not quiet and json_out != opt.STDOUT:
         from dashpot.present.tables.layout import console
         from dashpot.present.tables.validation import show_validation
 
