@@ -25,6 +25,7 @@ from dashpot.check.diagnosis.diagnose import examined
 from dashpot.check.diagnosis.record_channels import require_sound_channels
 from dashpot.check.diagnosis.wording import with_likely_causes
 from dashpot.check.identifiability import Structure, structure
+from dashpot.check.nonlinear_structure import nonlinear_structure
 from dashpot.check.verdict import examined_records, with_causes
 from dashpot.data import readers
 from dashpot.data.conditioning.settings import Conditioning
@@ -55,7 +56,14 @@ from dashpot.model.observation import measures_input
 from dashpot.model.rigfile import Rig, default_channels, read_rig
 from dashpot.numerics.blas_threads import one_blas_thread
 from dashpot.quantities import frequencies as frequencies_of
-from dashpot.study.simulate import driven_record, dwells, response_band, simulate_records
+from dashpot.study.simulate import (
+    driven_record,
+    dwells,
+    response_band,
+    settled_motion,
+    settled_records,
+    simulate_records,
+)
 
 if TYPE_CHECKING:
     from dashpot.present.schematic.drawing import Drawing, ModeDrawing
@@ -214,7 +222,10 @@ def check(
     Raises IdentifiabilityError where the rig has no steady response, DataError where the data do not suit the rig.
     """
     spectrum = None if data is None else _spectrum(rig, data, frequency_hz, None, [])
-    return structure(rig.model, rig.channels if spectrum is None else spectrum.channels, spectrum, seed)
+    channels = rig.channels if spectrum is None else spectrum.channels
+    if len(rig.model.nonlinear):
+        return nonlinear_structure(rig.model, channels, spectrum)
+    return structure(rig.model, channels, spectrum, seed)
 
 
 @one_blas_thread()
@@ -249,6 +260,9 @@ def simulate(
         return tuple(driven_record(model, theta, rig.channels, drive, rng) for drive in drives)
     chosen: Sequence[float] = frequencies_of(frequencies) if isinstance(frequencies, str) else frequencies
     test = dwells(model, chosen, samples, amplitudes=amplitudes, periods=periods, rate=rate)
+    if len(model.nonlinear):
+        settled = settled_motion(model, theta, rig.channels, test)
+        return tuple(settled_records(settled, test, random_generator(seed)))
     return tuple(simulate_records(model, model.parameters(theta), rig.channels, test, random_generator(seed)))
 
 

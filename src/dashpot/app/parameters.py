@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from dashpot.errors import UsageError
+from dashpot.errors import Problem, UsageError
 from dashpot.quantities import quantity_of_unit
 
 if TYPE_CHECKING:
@@ -25,22 +25,31 @@ def merged(settings: Sequence[Mapping[str, Amount]], option: str) -> dict[str, A
     return everything
 
 
-def parameter_values(rig: Rig, settings: Mapping[str, Amount], option: str = "--set") -> dict[str, float]:
-    """Values of unknowns in SI units.  Raises UsageError with every name or unit that is wrong."""
-    from dashpot.errors import Problem
+def parameter_values(
+    rig: Rig, settings: Sequence[Mapping[str, Amount]], *, whole: bool = False
+) -> dict[str, float]:
+    """Values of unknowns from --set, in SI units; with `whole`, each has one there or in the rig file.
 
-    unknown = {unknown.name: unknown.unit for unknown in rig.model.unknowns}
+    Raises UsageError with every name or unit that is wrong, or every unknown without a value.
+    """
+    unknown = {unknown.name: unknown for unknown in rig.model.unknowns}
     elements = {element.name for element in rig.model.elements}
     problems, values = [], {}
-    for name, amount in settings.items():
+    for name, amount in merged(settings, "--set").items():
         if name in unknown:
-            values[name] = _in_si(name, amount, unknown[name], option)
+            values[name] = _in_si(name, amount, unknown[name].unit, "--set")
         elif name in elements:
             cure = "change it there, or leave it out here"
-            problems.append(Problem(f"{option} {name}: the rig file gives its value", rig.path, cure))
+            problems.append(Problem(f"--set {name}: the rig file gives its value", rig.path, cure))
         else:
-            what = f"{option}: {name!r} is not an unknown of this rig"
+            what = f"--set: {name!r} is not an unknown of this rig"
             problems.append(Problem(what, rig.path, f"its unknowns are {', '.join(unknown)}"))
+    if whole and not problems:
+        problems = [
+            Problem(f"{name} has no value", rig.path, f"add --set {name}=1.0, or a guess in the rig file")
+            for name, one in unknown.items()
+            if name not in values and one.prior is None and one.guess is None
+        ]
     if problems:
         raise UsageError(problems)
     return values

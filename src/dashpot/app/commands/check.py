@@ -42,11 +42,9 @@ def command(
     Exit codes: 0 all can be found; 2 bad usage, model or data; 3 some cannot: each line says which combinations can be
     found and what would help; 5 not enough memory.
     """
-    from dashpot.api import identify
+    from dashpot.api import check, identify
     from dashpot.check.data_findings import data_findings, findings_content
     from dashpot.check.deficiencies import require_full_rank, structure_content
-    from dashpot.check.identifiability import structure
-    from dashpot.check.nonlinear_structure import nonlinear_structure
     from dashpot.io.json_document import to_json
     from dashpot.model.rigfile import read_rig
 
@@ -58,10 +56,7 @@ def command(
     spectrum = records.read(read, data) if data else None
     channels = read.channels if spectrum is None else spectrum.channels
     with progress("check", quiet):
-        if len(model.nonlinear):
-            verdict = nonlinear_structure(model, channels, spectrum)
-        else:
-            verdict = structure(model, channels, spectrum, seed)
+        verdict = check(read, spectrum, seed=seed)
     content = structure_content(model, channels, verdict)
     found = None
     if verdict.identifiable and spectrum is not None:

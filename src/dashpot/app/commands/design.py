@@ -11,7 +11,7 @@ import click
 
 from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions
-from dashpot.app.parameters import drive_amplitude, input_is_angular, merged, parameter_values
+from dashpot.app.parameters import drive_amplitude, input_is_angular, parameter_values
 from dashpot.app.progress import progress
 from dashpot.app.report_files import Report
 from dashpot.errors import UsageError
@@ -226,7 +226,7 @@ def _question(rig: Rig, wanted: Wanted, records: RecordOptions) -> Question:
 
     data, earlier = _earlier(rig, wanted.after, records)
     estimate = None if wanted.estimate_file is None else Estimate.load(wanted.estimate_file)
-    values = parameter_values(rig, merged(wanted.settings, "--set"))
+    values = parameter_values(rig, wanted.settings)
     units = {unknown.name: unknown.unit for unknown in rig.model.unknowns}
     for name, value in values.items():
         if value < 0 and units[name] == "kg":

@@ -8,7 +8,7 @@ import click
 
 from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions, estimate_and_rig
-from dashpot.app.parameters import merged, parameter_values
+from dashpot.app.parameters import parameter_values
 from dashpot.app.progress import progress
 from dashpot.errors import UsageError, printable
 from dashpot.export.formats import contents
@@ -85,7 +85,7 @@ def command(
         if rig_file is not None:
             raise UsageError("--rig goes with an estimate, and this is a rig file", source, "leave it out")
         rig = read_rig(source)
-        of_rig = identified_rig(rig, None, parameter_values(rig, merged(values, "--set")))
+        of_rig = identified_rig(rig, None, parameter_values(rig, values))
     else:
         if values:
             raise UsageError("--set goes with a rig file, and this is an estimate", source, "leave it out")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, cast
 
 from dashpot.app import options as opt
-from dashpot.app.commands.simulate import require_values
-from dashpot.app.parameters import input_amplitudes, merged, parameter_values
+from dashpot.app.parameters import input_amplitudes, parameter_values
 from dashpot.app.progress import progress
 from dashpot.errors import UsageError
 from dashpot.quantities import Amount
@@ -61,88 +60,57 @@ def command(
     The curves go through folds; the text says which parts are stable and where they turn.  Every unknown needs a
     value: from --set, or the value or guess of the rig file.
     """
+    from dashpot.model.observation import measures_input
     from dashpot.model.rigfile import read_rig
-    from dashpot.study.response_curves import require_nonlinear
+    from dashpot.study import response_curves as study
 
     if band is not None and at is not None:
         raise UsageError("--band and --at exclude each other", cure="leave one of them out")
     if band is None and at is None:
         cure = "give --band 1:10 to follow the frequency, or --at 5 to follow the amplitude"
         raise UsageError("nothing says what varies along the curves", cure=cure)
-    rig_read = read_rig(rig)
-    values_si = parameter_values(rig_read, merged(values, "--set"))
-    require_values(rig_read, values_si)
-    require_nonlinear(rig_read.model)
-    if not _moving(rig_read):
+    read = read_rig(rig)
+    model, channels = read.model, read.channels
+    given = parameter_values(read, values, whole=True)
+    study.require_nonlinear(model)
+    moving = [c for c, channel in enumerate(channels) if not measures_input(model, channel)]
+    if not moving:
         cure = "add one of a coordinate to [channels], or take that section out"
         raise UsageError("no channel shows how the rig moves: all show its inputs", rig, cure)
+    theta, curves = model.theta(given), []
     with progress("response", quiet):
-        curves = _curves(rig_read, values_si, band, at, amplitudes)
-        bones = _backbones(rig_read, values_si, backbone, curves)
+        for label, drive in _drives(read, amplitudes):
+            if band is not None:
+                curve = study.frequency_curve(model, theta, channels, drive, band, label=label)
+            else:
+                curve = study.amplitude_curve(model, theta, channels, drive, cast(float, at), label=label)
+            curves.append(curve)
+        swing = study.largest_stretch(curves)
+        bones = [
+            study.backbone_curve(model, theta, channels, mode - 1, swing, label=f"backbone of mode {mode}")
+            for mode in backbone
+        ]
     if out is not None:
-        _write(rig_read, [*curves, *bones], out)
+        _write(read, [*curves, *bones], out)
     if figure is not None:
-        _draw(rig_read, curves, bones, at is not None, figure)
+        _draw(read, moving, curves, [] if band is None else bones, band is None, figure)
     if not quiet:
         from dashpot.present.tables.layout import console
         from dashpot.present.tables.response_curves import show_curves
 
-        show_curves(console(), [*curves, *bones], at is not None)
-
-
-def _moving(rig: Rig) -> list[int]:
-    """Positions of the channels that show more than inputs."""
-    from dashpot.model.observation import measures_input
-
-    return [c for c, channel in enumerate(rig.channels) if not measures_input(rig.model, channel)]
+        show_curves(console(), [*curves, *bones], band is None)
 
 
 def _drives(
     rig: Rig, amplitudes: Sequence[Amount | Mapping[str, Amount]]
-) -> list[tuple[str, dict[str, float]]]:
-    """(label, amplitudes by input) of each curve."""
-    common = [given for given in amplitudes if not isinstance(given, Mapping)]
+) -> Iterator[tuple[str, dict[str, float]]]:
+    """(label, amplitudes by input) of each curve: one for each amplitude that is not of an input by name."""
     named = [given for given in amplitudes if isinstance(given, Mapping)]
-    drives = []
-    for whole in common if common else [None]:
-        given: list[Amount | Mapping[str, Amount]] = [*named, *([] if whole is None else [whole])]
-        words = [str(whole)] if whole is not None else []
+    of_all = [given for given in amplitudes if not isinstance(given, Mapping)]
+    for common in [[each] for each in of_all] or [[]]:
+        words = [str(each) for each in common]
         words += [f"{name} {amount}" for one in named for name, amount in one.items()]
-        drives.append((", ".join(words) if words else "unit drive", input_amplitudes(rig.model, given)))
-    return drives
-
-
-def _curves(
-    rig: Rig,
-    values: Mapping[str, float],
-    band: tuple[float, float] | None,
-    at: float | None,
-    amplitudes: Sequence[Amount | Mapping[str, Amount]],
-) -> list[MotionCurve]:
-    from dashpot.study.response_curves import amplitude_curve, frequency_curve
-
-    theta = rig.model.theta(values)
-    curves = []
-    for label, drive in _drives(rig, amplitudes):
-        if band is not None:
-            curves.append(frequency_curve(rig.model, theta, rig.channels, drive, band, label=label))
-        elif at is not None:
-            curves.append(amplitude_curve(rig.model, theta, rig.channels, drive, at, label=label))
-    return curves
-
-
-def _backbones(
-    rig: Rig, values: Mapping[str, float], modes: Sequence[int], curves: Sequence[MotionCurve]
-) -> list[MotionCurve]:
-    """Backbones as far as the curves swing."""
-    from dashpot.study.response_curves import backbone_curve, largest_stretch
-
-    theta = rig.model.theta(values)
-    largest = largest_stretch(curves)
-    return [
-        backbone_curve(rig.model, theta, rig.channels, mode - 1, largest, label=f"backbone of mode {mode}")
-        for mode in modes
-    ]
+        yield ", ".join(words) or "unit drive", input_amplitudes(rig.model, [*named, *common])
 
 
 def _write(rig: Rig, curves: Sequence[MotionCurve], out: str) -> None:
@@ -171,22 +139,23 @@ def _write(rig: Rig, curves: Sequence[MotionCurve], out: str) -> None:
 
 
 def _draw(
-    rig: Rig, curves: Sequence[MotionCurve], bones: Sequence[MotionCurve], by_amplitude: bool, path: str
+    rig: Rig,
+    moving: Sequence[int],
+    curves: Sequence[MotionCurve],
+    bones: Sequence[MotionCurve],
+    by_amplitude: bool,
+    path: str,
 ) -> None:
     import numpy as np
 
     from dashpot.present.figures.response import DrawnCurve, response_curves
     from dashpot.present.figures.style import write_figure
 
-    moving = _moving(rig)
     scale = np.array([rig.channels[c].scale for c in moving])
-    drawn = [
-        DrawnCurve(
-            curve.label, curve.share if by_amplitude else curve.frequency_hz, curve.swing[:, moving] / scale,
-            curve.stable, curve.folds, thin=curve in bones,
-        )
-        for curve in (*curves, *([] if by_amplitude else bones))
-    ]  # fmt: skip
+    drawn = []
+    for curve in (*curves, *bones):
+        at, swing = curve.share if by_amplitude else curve.frequency_hz, curve.swing[:, moving] / scale
+        drawn.append(DrawnCurve(curve.label, at, swing, curve.stable, curve.folds, thin=curve not in curves))
     names = [rig.channels[c].name for c in moving]
     units = [rig.channels[c].unit or "SI" for c in moving]
     label = "drive / stated amplitude" if by_amplitude else "frequency, Hz"

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from dashpot.app import options as opt
-from dashpot.app.parameters import input_amplitudes, merged, parameter_values
+from dashpot.app.parameters import input_amplitudes, parameter_values
 from dashpot.app.progress import progress
-from dashpot.errors import DataError, Problem, UsageError, printable
+from dashpot.errors import DataError, UsageError, printable
 from dashpot.quantities import Amount
 
 if TYPE_CHECKING:
@@ -83,8 +84,8 @@ def command(
     Every unknown needs a value: from --set, or the value or guess of the rig file.  Each channel gets
     the noise that the rig file states for it: `noise` (in its unit) and `relative_noise`.
     """
-    import numpy as np
-
+    from dashpot.api import predicted_motion, simulate
+    from dashpot.arrays import random_generator
     from dashpot.data.readers import write_amplitudes, write_records
     from dashpot.estimate.result import Estimate
     from dashpot.model.observation import with_relative_noise
@@ -97,7 +98,6 @@ def command(
     if table and frequencies is None:
         raise UsageError("--table is for stepped sine", cure="leave it out, or give --frequencies")
     read = read_rig(rig)
-    model, channels = read.model, read.channels
     told = ""
     if estimate is not None:
         if input_file is None or values:
@@ -106,44 +106,42 @@ def command(
                 cure="give --input, and no --set beside --estimate",
             )
         with progress("simulate", quiet):
-            inputs = _input_record(read, input_file)
-            predicted, sd = study.response_band(model, Estimate.load(estimate), channels, inputs)
-        write_records([predicted], out, [sd])
+            [predicted] = predicted_motion(Estimate.load(estimate), _input_record(read, input_file), read)
+        assert predicted.sd is not None
+        write_records([predicted], out, [predicted.sd])
         what, told = f"{len(predicted.time)} samples", ", with ± of the estimate as NAME_sd"
     else:
-        values_si = parameter_values(read, merged(values, "--set"))
-        require_values(read, values_si)
-        drive = input_amplitudes(model, amplitudes)
-        if frequencies is not None:
-            _require_drive(read, drive)
+        given = parameter_values(read, values, whole=True)
+        drive = input_amplitudes(read.model, amplitudes)
         if relative_noise is not None:
-            channels = with_relative_noise(model, channels, relative_noise)
-        theta, rng = model.theta(values_si), np.random.default_rng(seed)
-        with progress("simulate", quiet):
-            if frequencies is None:
-                inputs = _input_record(read, str(input_file))
-                record = study.driven_record(model, theta, channels, inputs, rng)
-                write_records([record], out)
-                what = f"{len(record.time)} samples"
-            else:
-                test = study.dwells(model, frequencies, samples, amplitudes=drive, periods=periods, rate=rate)
-                if len(model.nonlinear):
-                    motion = study.settled_motion(model, theta, channels, test)
-                    if table:
-                        write_amplitudes(study.settled_spectrum(motion, test, rng), out)
+            noisy = with_relative_noise(read.model, read.channels, relative_noise)
+            read = replace(read, channels=noisy)
+        how: dict[str, Any] = {"amplitudes": drive, "periods": periods, "rate": rate}
+        if frequencies is None:
+            with progress("simulate", quiet):
+                records = simulate(read, given, _input_record(read, str(input_file)), seed=seed)
+                write_records(records, out)
+            what = f"{len(records[0].time)} samples"
+        else:
+            _require_drive(read, drive)
+            with progress("simulate", quiet):
+                if table:
+                    model, channels, rng = read.model, read.channels, random_generator(seed)
+                    theta, test = model.theta(given), study.dwells(model, frequencies, samples, **how)
+                    if len(model.nonlinear):
+                        motion = study.settled_motion(model, theta, channels, test)
+                        spectrum = study.settled_spectrum(motion, test, rng)
                     else:
-                        write_records(study.settled_records(motion, test, rng), out)
-                elif table:
-                    p = model.parameters(theta)
-                    spectrum = study.simulate_spectrum(model, p, channels, test, rng, drift=1)
+                        p = model.parameters(theta)
+                        spectrum = study.simulate_spectrum(model, p, channels, test, rng, drift=1)
                     write_amplitudes(spectrum, out)
                 else:
-                    p = model.parameters(theta)
-                    write_records(study.simulate_records(model, p, channels, test, rng), out)
-                many = "1 frequency" if len(frequencies) == 1 else f"{len(frequencies)} frequencies"
-                what = f"{many}, {'amplitudes' if table else f'{samples} samples at each'}"
+                    write_records(simulate(read, given, frequencies, samples=samples, seed=seed, **how), out)
+            many = "1 frequency" if len(frequencies) == 1 else f"{len(frequencies)} frequencies"
+            what = f"{many}, {'amplitudes' if table else f'{samples} samples at each'}"
     if not quiet:
-        click.echo(f"{printable(out)}: {what}; channels {', '.join(c.name for c in channels)}{told}")
+        names = ", ".join(channel.name for channel in read.channels)
+        click.echo(f"{printable(out)}: {what}; channels {names}{told}")
 
 
 def _input_record(rig: Rig, path: str) -> Record:
@@ -170,16 +168,3 @@ def _require_drive(rig: Rig, drive: Mapping[str, complex]) -> None:
             rig.path,
             f"add --amplitude {missing[0]}=1mm or whatever drives it",
         )
-
-
-def require_values(rig: Rig, values: Mapping[str, float]) -> None:
-    """Every unknown needs a value.  Raises UsageError with all that have none."""
-    missing = [
-        u.name for u in rig.model.unknowns if u.name not in values and u.prior is None and u.guess is None
-    ]
-    problems = [
-        Problem(f"{name} has no value", rig.path, f"add --set {name}=1.0, or a guess in the rig file")
-        for name in missing
-    ]
-    if problems:
-        raise UsageError(problems)
