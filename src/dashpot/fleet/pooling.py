@@ -97,20 +97,8 @@ def usual(name: str, unit: str, values: Real, sd: Real, parameters: int = 1) -> 
     slope, slope_sd, p = _trend(
         np.flatnonzero(present) / max(len(values) - 1, 1), y, scale, ~outlier[present]
     )
-    return Usual(
-        name,
-        unit,
-        count,
-        median,
-        spread,
-        _rms(s),
-        limit,
-        z,
-        outlier,
-        slope,
-        slope_sd,
-        min(p * parameters, 1.0),
-    )
+    drift = (slope, slope_sd, min(p * parameters, 1.0))
+    return Usual(name, unit, count, median, spread, _rms(s), limit, z, outlier, *drift)
 
 
 def _rms(sd: Real) -> float:
@@ -188,21 +176,26 @@ def pooled(name: str, unit: str, values: Real, sd: Real, used: Bools | None = No
     mean = float(np.sum(weight * mu))
     mean_variance = float(np.sum(weight * (mu_variance + (mu - mean) ** 2)))
     centre, variance = _shrunk(y, s, grid, weight, mu, mu_variance)
-    pooled_sd = np.sqrt(variance)
 
     def whole(part: Real, own: Real) -> Real:
         everyone = np.where(known, own, np.nan)
         everyone[present] = part
         return everyone
 
-    each, each_sd = middle + unit_size * centre, unit_size * pooled_sd
+    each, each_sd = whole(middle + unit_size * centre, values), whole(unit_size * np.sqrt(variance), sd)
     return Population(
-        name, unit, len(y), middle + unit_size * mean, unit_size * float(np.sqrt(mean_variance)), unit_size * tau,
-        (unit_size * ends[0], unit_size * ends[1]),
-        whole(each, values), whole(each_sd, sd),
-        whole(each - QUANTILE * each_sd, values - QUANTILE * sd),
-        whole(each + QUANTILE * each_sd, values + QUANTILE * sd),
-    )  # fmt: skip
+        name,
+        unit,
+        count=len(y),
+        mean=middle + unit_size * mean,
+        mean_sd=unit_size * float(np.sqrt(mean_variance)),
+        spread=unit_size * tau,
+        spread_interval=(unit_size * ends[0], unit_size * ends[1]),
+        values=each,
+        sd=each_sd,
+        lower=each - QUANTILE * each_sd,
+        upper=each + QUANTILE * each_sd,
+    )
 
 
 def restricted_likelihood(y: Real, s: Real, tau: Real) -> Real:
@@ -215,13 +208,18 @@ def restricted_likelihood(y: Real, s: Real, tau: Real) -> Real:
     return -0.5 * (np.sum(np.log(variance), axis=-1) + np.log(total) + square)
 
 
+def _most(y: Real, s: Real) -> float:
+    """Beyond any spread that the data allow; of values all alike, as those that rest at a bound, by their noise."""
+    return 5.0 * (float(np.max(np.abs(y))) or float(np.max(s)))
+
+
 def _spread(y: Real, s: Real) -> tuple[float, tuple[float, float]]:
     """τ at the maximum of the restricted likelihood, and where it has fallen by half the 95 % quantile of χ²."""
 
     def cost(tau: float) -> float:
         return -float(restricted_likelihood(y, s, np.array([tau]))[0])
 
-    most = 5.0 * (float(np.max(np.abs(y))) or float(np.max(s)))  # all alike, as values that rest at a bound
+    most = _most(y, s)
     coarse = np.concatenate([[0.0], np.geomspace(1e-4, most, 60)])
     best = int(np.argmax(restricted_likelihood(y, s, coarse)))
     low, high = coarse[max(best - 1, 0)], coarse[min(best + 1, len(coarse) - 1)]
@@ -252,7 +250,7 @@ def _grid(y: Real, s: Real, tau: float) -> tuple[Real, Real]:
 
     Flat in τ², as Morris (1983) chose so that intervals cover: flat in τ they held 93 % where τ is of the noise's size.
     """
-    most = 5.0 * (float(np.max(np.abs(y))) or float(np.max(s)))  # all alike, as values that rest at a bound
+    most = _most(y, s)
     low, high = _end(y, s, tau, LIKELY, 0.0), _end(y, s, tau, LIKELY, most)
     grid = low + (np.arange(STEPS) + 0.5) / STEPS * (high - low)
     logs = restricted_likelihood(y, s, grid)

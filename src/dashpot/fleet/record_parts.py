@@ -123,16 +123,13 @@ def _require_alike(parts: Sequence[Estimate]) -> None:
     first = parts[0]
     for part in parts:
         if part.names != first.names:
-            names = sorted(set(part.names) ^ set(first.names))
-            raise DataError(
-                f"parts of the data estimate different unknowns ({', '.join(names)})", cure="identify apart"
-            )
+            names = ", ".join(sorted(set(part.names) ^ set(first.names)))
+            raise DataError(f"parts of the data estimate different unknowns ({names})", cure="identify apart")
         for channel, sign in first.signs.items():
             if float(part.signs[channel]) != float(sign):
-                raise DataError(
-                    f"the sign of {channel} comes out differently in different parts of the data",
-                    cure="was a sensor turned? identify the parts before and after apart",
-                )
+                what = f"the sign of {channel} comes out differently in different parts of the data"
+                cure = "was a sensor turned? identify the parts before and after apart"
+                raise DataError(what, cure=cure)
 
 
 def _estimate(
@@ -165,17 +162,15 @@ def _estimate(
 
 def _together(each: Sequence[Sequence[Notice]]) -> tuple[Notice, ...]:
     """What is noticed in any part, once, and in how many it is where that is not all."""
-    first: dict[tuple[str, tuple[str, ...]], Notice] = {}
-    count: dict[tuple[str, tuple[str, ...]], int] = {}
+    alike: dict[tuple[str, tuple[str, ...]], list[Notice]] = {}
     for notices in each:
         for key, notice in {(notice.code, notice.of): notice for notice in notices}.items():
-            first.setdefault(key, notice)
-            count[key] = count.get(key, 0) + 1
+            alike.setdefault(key, []).append(notice)
     return tuple(
-        notice
-        if count[key] == len(each)
-        else replace(notice, text=f"{notice.text} ({count[key]} of {len(each)} parts)")
-        for key, notice in first.items()
+        first
+        if len(others) + 1 == len(each)
+        else replace(first, text=f"{first.text} ({len(others) + 1} of {len(each)} parts)")
+        for first, *others in alike.values()
     )
 
 
@@ -213,10 +208,9 @@ def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) 
 
 
 def _how(together: Merged) -> Notice:
-    text = (
-        f"{counted(len(together.away), 'part')} of the data, each identified by itself, and merged; their scatter "
-        f"has χ² {together.chi2:.4g} with {together.dof} degrees of freedom (p = {together.p:.2g})"
-    )
+    parts = counted(len(together.away), "part")
+    scatter = f"χ² {together.chi2:.4g} with {together.dof} degrees of freedom (p = {together.p:.2g})"
+    text = f"{parts} of the data, each identified by itself, and merged; their scatter has {scatter}"
     return Notice("parts_merged", text)
 
 
@@ -226,10 +220,8 @@ def _disagreement(together: Merged, names: Sequence[str]) -> list[Notice]:
         return []
     part, unknown = divmod(int(np.argmax(np.abs(together.away))), len(together.estimate.names))
     name, away = together.estimate.names[unknown], together.away[part, unknown]
-    text = (
-        f"the parts disagree by more than their noise (p = {together.p:.1g}): {name} of {names[part]} lies "
-        f"{abs(away):.3g} standard deviations {'above' if away > 0 else 'below'} the merged one"
-    )
+    off = f"{abs(away):.3g} standard deviations {'above' if away > 0 else 'below'} the merged one"
+    text = f"the parts disagree by more than their noise (p = {together.p:.1g}): {name} of {names[part]} lies {off}"
     return [Notice("parts_disagree", text, (name,))]
 
 
@@ -242,11 +234,9 @@ def _misfits(names: Sequence[str], parts: Sequence[Estimate]) -> list[Notice]:
     ]
     if not wrong or bdtrc(len(wrong) - 1, len(parts), ALARMS) > DISAGREE:
         return []
-    codes = Counter(reason.code for _, assessment in wrong for reason in assessment.reasons)
-    most, _ = codes.most_common(1)[0]
-    name, reason = next(
-        (name, reason) for name, each in wrong for reason in each.reasons if reason.code == most
-    )
+    reasons = [(name, reason) for name, each in wrong for reason in each.reasons]
+    ((most, _),) = Counter(reason.code for _, reason in reasons).most_common(1)
+    name, reason = next((name, reason) for name, reason in reasons if reason.code == most)
     text = f"{len(wrong)} of {counted(len(parts), 'part')} do not fit by themselves: {reason.text} ({name})"
     return [Notice("parts_misfit", text, reason.of)]
 
@@ -261,9 +251,9 @@ def _common_doubts(assessed: Sequence[Assessment]) -> list[Notice]:
     unsure = [reasons for reasons in doubts if reasons]
     if 2 * len(unsure) <= len(assessed):
         return []
-    codes = Counter(reason.code for reasons in unsure for reason in reasons)
-    most, _ = codes.most_common(1)[0]
-    return [next(reason for reasons in unsure for reason in reasons if reason.code == most)]
+    told = [reason for reasons in unsure for reason in reasons]
+    ((most, _),) = Counter(reason.code for reason in told).most_common(1)
+    return [next(reason for reason in told if reason.code == most)]
 
 
 def _over_parts(shares: Sequence[Mapping[str, float]]) -> dict[str, float]:
@@ -274,15 +264,13 @@ def _over_parts(shares: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 def _findings(assessed: Sequence[Assessment]) -> tuple[Finding, ...]:
     """Causes that parts name, those named by most first, and of these those that are named earlier."""
-    count: Counter[tuple[str, tuple[str, ...]]] = Counter()
-    best: dict[tuple[str, tuple[str, ...]], tuple[int, Finding]] = {}
+    named: dict[tuple[str, tuple[str, ...]], list[tuple[int, Finding]]] = {}
     for each in assessed:
         for place, finding in enumerate(each.findings):
-            key = finding.kind, finding.of
-            count[key] += 1
-            best[key] = min(best.get(key, (place, finding)), (place, finding), key=lambda entry: entry[0])
-    ordered = sorted(best, key=lambda key: (-count[key], best[key][0]))
-    return tuple(best[key][1] for key in ordered)
+            named.setdefault((finding.kind, finding.of), []).append((place, finding))
+    each_first = [(len(alike), min(alike, key=lambda entry: entry[0])) for alike in named.values()]
+    ordered = sorted(each_first, key=lambda entry: (-entry[0], entry[1][0]))
+    return tuple(finding for _, (_, finding) in ordered)
 
 
 MOST_LINES = 250_000  # of a part: some 2 kB each are held while it is identified
@@ -327,12 +315,13 @@ def identify_in_parts(
         if progress is not None:
             progress(len(results), len(paths))
     each = [results[path] for path in paths]
-    failures = [failure for parts in each for failure in parts.failures]
-    estimates = [estimate for parts in each for estimate in parts.estimates]
+    failures, estimates, names, notes = (
+        [entry for parts in each for entry in getattr(parts, kind)]
+        for kind in ("failures", "estimates", "names", "notes")
+    )
     if not estimates:
         raise failures[0]
-    estimate = merged_parts(rig.model, [name for parts in each for name in parts.names], estimates)
-    notes = [note for parts in each for note in parts.notes]
+    estimate = merged_parts(rig.model, names, estimates)
     if failures:
         text = f"{counted(len(failures), 'part')} left out, the first because {failures[0]}"
         estimate = replace(estimate, warnings=(*estimate.warnings, Notice("parts_left_out", text)))
@@ -372,9 +361,8 @@ def parts_of(task: FileTask, reading: Reading) -> Iterator[tuple[str, Spectrum]]
     records = continuous(reading.records)
     long = max(records, key=lambda record: len(record.time))
     begin = cut(long, 0.0, min(2 * MOST_LINES / len(long.time), 1.0))
-    lines_per_sample = task.treatment.spectrum(task.rig, replace(reading, records=(begin,))).lines / len(
-        begin.time
-    )
+    lines = task.treatment.spectrum(task.rig, replace(reading, records=(begin,))).lines
+    lines_per_sample = lines / len(begin.time)
     if lines_per_sample * samples <= MOST_LINES:
         yield task.path, task.treatment.spectrum(task.rig, reading)
         return
@@ -393,9 +381,6 @@ def _identified(task: FileTask, spectrum: Spectrum, name: str) -> Estimate:
         model, spectrum, treatment.method, seed=treatment.seed, positive=treatment.positive
     )
     if not bool(estimate.converged):
-        raise ConvergenceError(
-            f"{estimate.method} did not converge in {int(estimate.iterations)} iterations",
-            name,
-            "leave it out",
-        )
+        what = f"{estimate.method} did not converge in {int(estimate.iterations)} iterations"
+        raise ConvergenceError(what, name, "leave it out")
     return examined(model, spectrum, estimate, seed=treatment.seed, within=task.rig.within)

@@ -169,17 +169,14 @@ class PartReader:
                 middle = (first + end) // 2
                 return self._at_once(rows, first, middle) | self._at_once(rows, middle, end)
             if whole is not None:
-                return dict(
-                    zip(range(first, end), _cuts(whole, (0, *some.ends[:-1]), some.ends), strict=True)
-                )
+                return dict(enumerate(_cuts(whole, (0, *some.ends[:-1]), some.ends), first))
         return self._one_by_one(some, first)
 
     def _lines_of_all(self, rows: HeldRows) -> Spectrum | None:
         """The lines of all rigs one after the other; None where a rig's lines are not what each of them is alone."""
         columns = array_columns(rows.source, dict(rows.columns), dict(rows.units))
-        if any(
-            pair.to_radian is not None for pair in amplitude_columns(columns).values()
-        ):  # phases are looked at from line to line
+        # Phases are looked at from line to line
+        if any(pair.to_radian is not None for pair in amplitude_columns(columns).values()):
             return None
         content = interpret(columns, self.rig.channels, self._circumstances)
         if content.records or len(content.spectra) != 1:
@@ -189,9 +186,8 @@ class PartReader:
             return None
         if "unknown" in lines.noise:  # it is sought in neighbouring lines
             return None
-        return (
-            lines if self.treatment.spectrum(self.rig, Reading((), lines, content.notes)) is lines else None
-        )
+        treated = self.treatment.spectrum(self.rig, Reading((), lines, content.notes))
+        return lines if treated is lines else None
 
     def _one_by_one(self, part: Files | HeldRows, first: int) -> dict[int, Cut]:
         """Of data sets each read by itself, counted from `first`."""
@@ -219,26 +215,17 @@ class PartReader:
         return Circumstances(self.treatment.frequency_hz, 0)
 
 
-# Repeats of one test
-
-
 def _cuts(whole: Spectrum, starts: Sequence[int], ends: Sequence[int]) -> list[Cut]:
     """The lines between these places, with all that those of a batch have in common, bit by bit."""
     silent = np.diagonal(whole.covariance, axis1=-2, axis2=-1) == 0
-    arrays = (
-        whole.frequency_hz, whole.samples, whole.dof, whole.experiment, whole.stretch,
-        np.isfinite(whole.amplitudes), np.isnan(whole.covariance), silent,
-    )  # fmt: skip
+    gaps = (np.isfinite(whole.amplitudes), np.isnan(whole.covariance), silent)
+    arrays = (whole.frequency_hz, whole.samples, whole.dof, whole.experiment, whole.stretch, *gaps)
     shared = repr((whole.channels, whole.stretches, whole.moments is None))
-    return [
-        Cut(
-            whole,
-            start,
-            end,
-            (shared, whole.noise[start:end], *(array[start:end].tobytes() for array in arrays)),
-        )
-        for start, end in zip(starts, ends, strict=True)
-    ]
+    cuts = []
+    for start, end in zip(starts, ends, strict=True):
+        own = (array[start:end].tobytes() for array in arrays)
+        cuts.append(Cut(whole, start, end, (shared, whole.noise[start:end], *own)))
+    return cuts
 
 
 def alike_cuts(cuts: Mapping[int, Cut]) -> list[list[int]]:
@@ -296,19 +283,18 @@ class FleetOutcome:
     @property
     def failed(self) -> list[int]:
         """Rows without an estimate."""
-        return [int(k) for k in np.flatnonzero(self.columns["status"] == "failed")]
+        return np.flatnonzero(self.columns["status"] == "failed").tolist()
 
     @property
     def misfits(self) -> list[int]:
         """Rows whose residuals are larger than the noise allows, at LEVEL for the whole fleet (Bonferroni)."""
-        return [int(k) for k in np.flatnonzero(self.columns["p"] < LEVEL / self.count)]
+        return np.flatnonzero(self.columns["p"] < LEVEL / self.count).tolist()
 
     @property
     def outliers(self) -> list[int]:
         """Rows in which some parameter is unlike the rest of the fleet."""
-        if not self.usual:
-            return []
-        return [int(k) for k in np.flatnonzero(np.any([row.outlier for row in self.usual], axis=0))]
+        unlike = [row.outlier for row in self.usual]
+        return np.flatnonzero(np.any(unlike, axis=0)).tolist() if unlike else []
 
     def table(self) -> dict[str, Any]:
         """The columns of the result file: rows as they are, z and outliers, pooled values where there are any."""
@@ -332,22 +318,15 @@ class FleetOutcome:
         populations = {row.name: row for row in self.populations or ()}
         parameters: dict[str, Any] = {}
         for row in self.usual:
-            parameters[row.name] = {
-                "unit": row.unit, "count": row.count, "median": row.median, "spread": row.spread, "noise": row.noise,
-                "drift": row.slope, "drift_sd": row.slope_sd, "drift_p": row.drift_p,
-                "outliers": [str(self.columns["name"][k]) for k in np.flatnonzero(row.outlier)],
-            }  # fmt: skip
+            own = {name: getattr(row, name) for name in ("unit", "count", "median", "spread", "noise")}
+            own |= {"drift": row.slope, "drift_sd": row.slope_sd, "drift_p": row.drift_p}
+            own["outliers"] = [str(self.columns["name"][k]) for k in np.flatnonzero(row.outlier)]
             if (of := populations.get(row.name)) is not None:
-                parameters[row.name]["population"] = {
-                    "mean": of.mean,
-                    "mean_sd": of.mean_sd,
-                    "spread": of.spread,
-                    "spread_interval95": list(of.spread_interval),
-                }
-        return {
-            "dashpot": version("dashpot"), "rig": self.rig, "data_sets": self.count, "failed": len(self.failed),
-            "misfits": len(self.misfits), "parameters": parameters,
-        }  # fmt: skip
+                interval = {"spread_interval95": list(of.spread_interval)}
+                own["population"] = {"mean": of.mean, "mean_sd": of.mean_sd, "spread": of.spread, **interval}
+            parameters[row.name] = own
+        counts = {"data_sets": self.count, "failed": len(self.failed), "misfits": len(self.misfits)}
+        return {"dashpot": version("dashpot"), "rig": self.rig, **counts, "parameters": parameters}
 
 
 def run_fleet(
