@@ -7,9 +7,8 @@ import pytest
 
 from dashpot.errors import UsageError
 from dashpot.model.modes import modes
-from dashpot.reproduce.yamane1989.reproduction import reproduce
+from dashpot.reproduce.yamane1989.reproduction import eigenvalues, farther, reproduce, rms_spread
 from dashpot.reproduce.yamane1989.rig import paper_model, paper_prints, tables_study
-from dashpot.reproduce.yamane1989.tables import eigenvalues, farther, rms_spread
 from dashpot.study.montecarlo import run_scenarios
 from dashpot.study.scenario import scenarios
 

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Real
+from dashpot.arrays import Complex, Real
 from dashpot.errors import UsageError
+from dashpot.model.modes import eigenpairs, modes
+from dashpot.model.network import Model
 from dashpot.reproduce.yamane1989.rig import (
     DRAWS,
     FIGURE2_LEVELS,
@@ -22,24 +24,286 @@ from dashpot.reproduce.yamane1989.rig import (
     METHODS,
     SEED,
     figures_study,
+    paper_model,
+    paper_prints,
     tables_study,
 )
-from dashpot.reproduce.yamane1989.tables import (
-    Draws,
-    EigenvalueEntry,
-    PrintedColumn,
-    Rank,
-    farther,
-    identified_eigenvalues,
-    ranking,
-    table_1,
-    table_2,
-    table_3,
-    table_4,
-)
 from dashpot.study.blocks import Map
-from dashpot.study.montecarlo import LEVELS, run_scenarios
+from dashpot.study.montecarlo import LEVELS, Results, Summary, run_scenarios
 from dashpot.study.scenario import Scenario, scenarios
+
+# The noise draws of all scenarios, found by what they vary, and the paper's tables beside them.
+
+
+class Draws:
+    """Repeats and summaries of the scenarios of the paper's studies, by scenario and method."""
+
+    def __init__(self, results: Results) -> None:
+        self.results = results
+        self.paper = paper_prints()
+        self.repeats = {scenario.name: results.repeats(scenario) for scenario in results.scenarios}
+        self.summaries = {scenario.name: results.summaries(scenario) for scenario in results.scenarios}
+
+    def at(self, **wanted: str | float | int) -> Scenario:
+        """The scenario with these factors; CASE-3, relative noise of 10 %, all unknown, 56 a frequency if not said.
+
+        Raises KeyError where there is none.
+        """
+        samples = {} if "in_all" in wanted else {"samples": self.paper.samples}
+        usual = {"frequencies": "CASE-3", "kind": "relative", "noise": 0.1, "unknowns": "all"}
+        factors = usual | samples | wanted
+        for scenario in self.results.scenarios:
+            if all(scenario.factors.get(key) == value for key, value in factors.items()):
+                return scenario
+        raise KeyError(str(factors))
+
+    def summary(self, scenario: Scenario, method: str) -> Summary:
+        """Summary of one method."""
+        return self.summaries[scenario.name][method]
+
+    def errors(self, scenario: Scenario, method: str) -> Real:
+        """Relative errors in %, (good draws, unknowns)."""
+        return self.repeats[scenario.name][method].errors(scenario.theta)
+
+    def rms_spread(self, scenario: Scenario, method: str) -> float:
+        """Root mean square over the parameters of the spread of a method's errors, %."""
+        return rms_spread(self.errors(scenario, method))[0]
+
+
+def rms_spread(errors: Real) -> tuple[float, float]:
+    """Root mean square over the parameters of the spread of errors (draws, parameters), and its standard error."""
+    squares = np.mean((errors - np.mean(errors, axis=0)) ** 2, axis=-1)
+    count = len(squares)
+    rms = float(np.sqrt(np.sum(squares) / (count - 1)))
+    return rms, float(np.std(squares) / (2 * rms * np.sqrt(count)))
+
+
+def farther(errors: Real, given: Real) -> float:
+    """Share of the draws (draws, parameters) farther from their mean than `given`, by Mahalanobis' distance."""
+    away = errors - np.mean(errors, axis=0)
+    L = np.linalg.cholesky(np.cov(away.T))
+    distance = np.sum(np.linalg.solve(L, away.T) ** 2, axis=0)
+    distance_of_given = float(np.sum(np.linalg.solve(L, given - np.mean(errors, axis=0)) ** 2))
+    return float((1 + np.sum(distance >= distance_of_given)) / (1 + len(distance)))
+
+
+@dataclass(frozen=True)
+class TableEntry:
+    """One parameter in one column of a table; `printed` is None where the paper has nothing.
+
+    z           (printed − mean) / spread
+    percentile  share of the draws below the printed value, %
+    """
+
+    parameter: str
+    printed: float | None
+    mean: float
+    mean_se: float
+    spread: float
+    spread_se: float
+    low: float
+    high: float
+    bound: float
+    coverage: float
+    z: float | None
+    percentile: float | None
+
+
+@dataclass(frozen=True)
+class PrintedColumn:
+    """One method in one column of a table.
+
+    rms          root mean square spread over the parameters, %, and its standard error
+    bound        the same of the Cramér-Rao bound
+    printed_rms  root mean square of the printed errors;   luck  share of draws whose rms error is smaller, %
+    joint_p      probability of a draw as far from the mean as the printed one, all parameters together
+    """
+
+    table: str
+    title: str
+    method: str
+    draws: int
+    failed: int
+    entries: tuple[TableEntry, ...]
+    rms: float
+    rms_se: float
+    rms_error: float
+    bound: float
+    printed_rms: float | None
+    luck: float | None
+    joint_p: float | None
+
+
+@dataclass(frozen=True)
+class EigenvalueEntry:
+    """One eigenvalue (1/s) of the identified rigs: printed, mean over the draws, sd of real and imaginary part."""
+
+    table: str
+    title: str
+    method: str
+    printed: complex
+    mean: complex
+    sd: complex
+
+
+@dataclass(frozen=True)
+class Rank:
+    """A case under one kind of noise: rms spreads (of ls the rms error, bias included), %; places, 1 is the best."""
+
+    kind: str
+    case: str
+    samples: int
+    iv: float
+    iv_se: float
+    oiv: float
+    oiv_se: float
+    ls: float
+    bound: float
+    place_iv: int
+    place_oiv: int
+
+
+def eigenvalues(rig: Model, theta: Real) -> Complex:
+    """Eigenvalues with Im > 0 of many rigs, in order of |λ|, (draws, n); theta (draws, unknowns).
+
+    Rigs with overdamped modes have fewer: what is missing is NaN.
+    """
+    values, _ = eigenpairs(rig, rig.parameters(theta))
+    upper = values.imag > 1e-9 * np.abs(values)
+    order = np.argsort(np.where(upper, np.abs(values), np.inf), axis=-1)[:, : rig.n]
+    return np.where(
+        np.take_along_axis(upper, order, axis=-1), np.take_along_axis(values, order, axis=-1), np.nan
+    )
+
+
+def table_1() -> tuple[EigenvalueEntry, ...]:
+    """Eigenvalues of the rig as modelled here beside the printed ones."""
+    paper, rig = paper_prints(), paper_model()
+    modelled = modes(rig, rig.parameters(rig.theta(dict(paper.values)))).eigenvalues
+    return tuple(
+        EigenvalueEntry("Table 1", "model", "–", complex(value), complex(ours), 0j)
+        for value, ours in zip(paper.eigenvalues, modelled, strict=True)
+    )
+
+
+def table_2(draws: Draws) -> tuple[PrintedColumn, ...]:
+    """Noise levels: every method at every level."""
+    levels, printed = draws.paper.levels, draws.paper.table2
+    return tuple(
+        table_column(draws, "Table 2", f"{100 * level:g} %", draws.at(noise=level), name, given)
+        for row, level in enumerate(levels)
+        for name, given in ((name, printed[name][row] if name in printed else None) for name in METHODS)
+    )
+
+
+def table_3(draws: Draws) -> tuple[PrintedColumn, ...]:
+    """Six unknowns and four."""
+    six, four = draws.at(), draws.at(unknowns=FOUR)
+    values = np.array(list(draws.paper.table3.values()))
+    return (
+        table_column(draws, "Table 3", "6 unknown", six, "iv", draws.paper.table4["CASE-3"]),
+        table_column(draws, "Table 3", "4 unknown", four, "iv", values),
+        table_column(draws, "Table 3", "6 unknown", six, "oiv", None),
+        table_column(draws, "Table 3", "4 unknown", four, "oiv", None),
+    )
+
+
+def table_4(draws: Draws) -> tuple[PrintedColumn, ...]:
+    """Input frequencies: every method in every case."""
+    paper = draws.paper
+    given = {name: paper.table4 if name == "iv" else dict.fromkeys(paper.cases) for name in METHODS}
+    return tuple(
+        table_column(draws, "Table 4", case, draws.at(frequencies=case), name, given[name][case])
+        for case in paper.cases
+        for name in METHODS
+    )
+
+
+def table_column(
+    draws: Draws, table: str, title: str, scenario: Scenario, method: str, given: Real | None
+) -> PrintedColumn:
+    """One column; `given` (unknowns,) are the printed errors, %, None where the paper has none."""
+    summary, errors = draws.summary(scenario, method), draws.errors(scenario, method)
+    rms, rms_se = rms_spread(errors)
+    size = np.sqrt(np.mean(errors**2, axis=-1))
+    printed_rms = None if given is None else float(np.sqrt(np.mean(given**2)))
+    entries = tuple(
+        _entry(unknown.name, j, summary, errors[:, j], None if given is None else float(given[j]))
+        for j, unknown in enumerate(scenario.model.unknowns)
+    )
+    counts = (summary.draws, summary.failed)
+    return PrintedColumn(
+        *(table, title, method, *counts, entries, rms, rms_se),
+        rms_error=float(np.sqrt(np.mean(size**2))),
+        bound=summary.rms_bound,
+        printed_rms=printed_rms,
+        luck=None if printed_rms is None else 100 * float(np.mean(size < printed_rms)),
+        joint_p=None if given is None else farther(errors, given),
+    )
+
+
+def _entry(name: str, j: int, summary: Summary, errors: Real, printed: float | None) -> TableEntry:
+    """The j-th parameter, with the errors of its draws, (draws,)."""
+    mean, spread = float(summary.mean[j]), float(summary.spread[j])
+    return TableEntry(
+        parameter=name,
+        printed=printed,
+        mean=mean,
+        mean_se=float(summary.mean_se[j]),
+        spread=spread,
+        spread_se=float(summary.spread_se[j]),
+        low=float(summary.quantiles[0, j]),
+        high=float(summary.quantiles[-1, j]),
+        bound=float(summary.bound[j]),
+        coverage=float(summary.coverage[j]),
+        z=None if printed is None else (printed - mean) / spread,
+        percentile=None if printed is None else 100 * float(np.mean(errors < printed)),
+    )
+
+
+def identified_eigenvalues(draws: Draws) -> tuple[EigenvalueEntry, ...]:
+    """Eigenvalues of the identified rigs, as Tables 2 and 4 print them."""
+    paper = draws.paper
+    places = [
+        ("Table 2", f"{100 * level:g} %", draws.at(noise=level), name, given)
+        for name in ("ls", "iv")
+        for level, given in zip(paper.levels, paper.table2_eigenvalues[name], strict=False)
+    ]
+    places += [
+        ("Table 4", case, draws.at(frequencies=case), "iv", given)
+        for case, given in paper.table4_eigenvalues.items()
+    ]
+    entries = []
+    for table, title, scenario, method, given in places:
+        repeats = draws.repeats[scenario.name][method]
+        values = eigenvalues(scenario.model, repeats.values[repeats.good])
+        for value, column in zip(given, values.T, strict=True):
+            sd = complex(float(np.std(column.real)), float(np.std(column.imag)))
+            mean = complex(np.mean(column))
+            entries.append(EigenvalueEntry(table, title, method, complex(value), mean, sd))
+    return tuple(entries)
+
+
+def ranking(draws: Draws) -> tuple[Rank, ...]:
+    """The four cases under both kinds of noise."""
+    ranks = []
+    for kind in ("relative", "constant"):
+        scenarios = {case: draws.at(frequencies=case, kind=kind) for case in draws.paper.cases}
+        spreads = {
+            name: {case: rms_spread(draws.errors(scenario, name)) for case, scenario in scenarios.items()}
+            for name in ("iv", "oiv")
+        }
+        for case, scenario in scenarios.items():
+            iv, oiv = (
+                1 + sum(other[0] < each[case][0] for other in each.values()) for each in spreads.values()
+            )
+            samples = int(np.sum(scenario.test.samples))
+            ls = float(np.sqrt(np.mean(draws.errors(scenario, "ls") ** 2)))
+            bound = draws.summary(scenario, "oiv").rms_bound
+            both = (*spreads["iv"][case], *spreads["oiv"][case])
+            ranks.append(Rank(kind, case, samples, *both, ls, bound, place_iv=iv, place_oiv=oiv))
+    return tuple(ranks)
+
 
 # The paper's figures again, as data.
 
@@ -91,13 +355,12 @@ def figure_2(draws: Draws) -> FigureData:
     paper = draws.paper
     scenarios = [draws.at(noise=level) for level in FIGURE2_LEVELS]
     x = 100 * np.array(FIGURE2_LEVELS)
+    columns = {parameter: paper.unknown.index(parameter) for parameter in FIGURE2_PARAMETERS}
     points = [
-        PrintedPoint(
-            name, parameter, 100 * level, float(paper.table2[name][row, paper.unknown.index(parameter)])
-        )
+        PrintedPoint(name, parameter, 100 * level, float(paper.table2[name][row, column]))
         for name in ("ls", "iv")
         for row, level in enumerate(paper.levels)
-        for parameter in FIGURE2_PARAMETERS
+        for parameter, column in columns.items()
     ]
     curves = [
         _curve(draws, scenarios, x, name, parameter) for parameter in FIGURE2_PARAMETERS for name in METHODS
@@ -110,13 +373,9 @@ def figure_3(draws: Draws) -> FigureData:
     paper = draws.paper
     scenarios = [draws.at(in_all=samples) for samples in FIGURE3_SAMPLES]
     x = np.array(FIGURE3_SAMPLES, dtype=float)
+    printed = dict(zip(paper.unknown, paper.table4["CASE-3"].tolist(), strict=True))
     points = [
-        PrintedPoint(
-            "iv",
-            parameter,
-            float(CLAIM_SAMPLES),
-            float(paper.table4["CASE-3"][paper.unknown.index(parameter)]),
-        )
+        PrintedPoint("iv", parameter, float(CLAIM_SAMPLES), printed[parameter])
         for parameter in FIGURE3_PARAMETERS
     ]
     curves = [
@@ -143,8 +402,7 @@ def _curve(draws: Draws, scenarios: Sequence[Scenario], x: Real, method: str, pa
     )
 
 
-# What the repeats show beyond the paper, in numbers; `present` puts them into words. Errors and shares in
-# %.
+# What the repeats show beyond the paper, in numbers; `present` puts them into words.  Errors and shares in %.
 
 
 CLAIMED = 1.04  # %: what "about 1 %" takes in (section 3.3)

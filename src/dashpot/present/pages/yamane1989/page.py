@@ -29,6 +29,7 @@ from dashpot.reproduce.yamane1989.reproduction import (
     FIGURE2_PARAMETERS,
     FIGURE3_PARAMETERS,
     Efficiency,
+    EigenvalueEntry,
     ErrorCurve,
     FewerUnknowns,
     FigureData,
@@ -38,11 +39,13 @@ from dashpot.reproduce.yamane1989.reproduction import (
     OneDraw,
     PaperOrder,
     PrintedAmongDraws,
+    PrintedColumn,
+    Rank,
     Reproduction,
     SamplesForOnePerCent,
+    TableEntry,
 )
 from dashpot.reproduce.yamane1989.rig import true_rig
-from dashpot.reproduce.yamane1989.tables import EigenvalueEntry, PrintedColumn, Rank, TableEntry
 
 # The reproduction of Yamane (1989) as tables of text, for a terminal and for a page.
 
