@@ -13,6 +13,7 @@ import re
 import tomllib
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -28,17 +29,10 @@ from dashpot.io.words import quoted, shown
 # until then is kept.
 
 
-Path = tuple[str | int, ...]
+Place = tuple[str | int, ...]
 
-_BLANK = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
-_SPACE = re.compile(r"[ \t]*")
-_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
-_STRING = re.compile(
-    r'''"""(?:[^"\\]|\\.|"(?!""))*"{3,5} | \'\'\'(?:[^\']|\'(?!\'\'))*\'{3,5}
-      | "(?:[^"\\\n]|\\.)*" | \'[^\'\n]*\' ''',
-    re.VERBOSE | re.DOTALL,
-)
-_SCALAR = re.compile(r"[^,\]}#\n]*")
+_TEXT = r'''"""(?:[^"\\]|\\.|"(?!""))*"{3,5}|\'\'\'(?:[^\']|\'(?!\'\'))*\'{3,5}|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\''''
+_TOKEN = re.compile(rf"[ \t\r]+|#[^\n]*|(?P<text>{_TEXT})|(?P<bare>[A-Za-z0-9_-]+)|(?P<mark>.)", re.DOTALL)
 
 
 class Lines:
@@ -64,7 +58,7 @@ class Lines:
                 return lines[-1]
         return None
 
-    def twice(self) -> tuple[Path, int, int] | None:
+    def twice(self) -> tuple[Place, int, int] | None:
         """The first key that is defined again, with the lines of its first and second definition."""
         again = [(lines[1], path, lines[0]) for path, lines in self._where.items() if len(lines) > 1]
         if not again:
@@ -78,162 +72,128 @@ class _LostError(Exception):
 
 
 class _Scan:
+    """Where keys are defined, each time, and where tables are first mentioned that only stand within other keys."""
+
     def __init__(self, text: str) -> None:
-        self.text = text
+        found = (match for match in _TOKEN.finditer(text) if match.lastgroup is not None)
+        self.tokens = [(match.lastgroup, match[0], match.start()) for match in found]
         self.at = 0
-        self.defined: dict[Path, list[int]] = {}
-        self.mentioned: dict[Path, int] = {}
-        self._counts: dict[Path, int] = {}  # of the tables in arrays of tables
+        self.defined: dict[Place, list[int]] = {}
+        self.mentioned: dict[Place, int] = {}
+        self._counts: dict[Place, int] = {}  # of the tables in arrays of tables
 
     def run(self) -> None:
-        try:
-            prefix: Path = ()
+        """Go through the text, as far as it is TOML."""
+        prefix: Place = ()
+        with suppress(_LostError, RecursionError):
             while True:
-                self._skip(_BLANK)
-                if self.at >= len(self.text):
+                self._pass_lines()
+                if self._here is None:
                     return
-                if self.text[self.at] == "[":
+                if self._here == "[":
                     prefix = self._header()
                 else:
                     self._pair(prefix)
-                self._skip(_SPACE)
-                if self.at < len(self.text) and self.text[self.at] not in "#\r\n":
+                if self._here not in (None, "\n"):
                     return
-        except (_LostError, RecursionError):
-            return
 
-    def _header(self) -> Path:
-        start = self.at
-        double = self.text.startswith("[[", start)
-        self.at += 2 if double else 1
-        key = self._key()
-        self._expect("]]" if double else "]")
-        path: Path = ()
-        for part in key[:-1]:
-            path = (*path, part)
-            self.mentioned.setdefault(path, start)
-            if path in self._counts:
-                path = (*path, self._counts[path])
-        path = (*path, key[-1])
-        if not double:
-            self._define(path, start)
-            return path
-        self._counts[path] = self._counts.get(path, -1) + 1
-        self.mentioned.setdefault(path, start)
-        path = (*path, self._counts[path])
-        self._define(path, start)
-        return path
+    @property
+    def _here(self) -> str | None:
+        """The text of the token that comes next; None at the end."""
+        return self.tokens[self.at][1] if self.at < len(self.tokens) else None
 
-    def _pair(self, prefix: Path) -> None:
-        self._skip(_SPACE)
-        start = self.at
-        key = self._key()
+    def _took(self, mark: str) -> bool:
+        """Whether this comes next, and is passed."""
+        there = self._here == mark
+        self.at += there
+        return there
+
+    def _expect(self, mark: str) -> None:
+        if not self._took(mark):
+            raise _LostError
+
+    def _pass_lines(self) -> None:
+        while self._took("\n"):
+            pass
+
+    def _position(self) -> int:
+        if self.at >= len(self.tokens):
+            raise _LostError
+        return self.tokens[self.at][2]
+
+    def _header(self) -> Place:
+        start = self._position()
+        self._expect("[")
+        double = self._took("[")
+        *around, last = self._key()
+        for _ in range(1 + double):
+            self._expect("]")
+        place: Place = ()
+        for part in around:
+            place = (*place, part)
+            self.mentioned.setdefault(place, start)
+            if place in self._counts:
+                place = (*place, self._counts[place])
+        place = (*place, last)
+        if double:
+            self._counts[place] = self._counts.get(place, -1) + 1
+            self.mentioned.setdefault(place, start)
+            place = (*place, self._counts[place])
+        self.defined.setdefault(place, []).append(start)
+        return place
+
+    def _pair(self, prefix: Place) -> None:
+        start, key = self._position(), self._key()
         self._expect("=")
         for length in range(1, len(key)):
             self.mentioned.setdefault((*prefix, *key[:length]), start)
-        path = (*prefix, *key)
-        self._define(path, start)
-        self._value(path)
+        place = (*prefix, *key)
+        self.defined.setdefault(place, []).append(start)
+        self._value(place)
 
     def _key(self) -> tuple[str, ...]:
         parts: list[str] = []
         while True:
-            self._skip(_SPACE)
-            bare = _BARE_KEY.match(self.text, self.at)
-            if bare is not None:
-                self.at = bare.end()
-                parts.append(bare[0])
-            else:
-                parts.append(self._quoted())
-            self._skip(_SPACE)
-            if not self.text.startswith(".", self.at):
-                return tuple(parts)
+            self._position()
+            kind, text, _ = self.tokens[self.at]
             self.at += 1
+            if kind == "bare":
+                parts.append(text)
+            elif kind == "text" and "\n" not in text:
+                try:
+                    parts.append(str(tomllib.loads(f"key = {text}")["key"]))
+                except tomllib.TOMLDecodeError:
+                    parts.append(text[1:-1])
+            else:
+                raise _LostError
+            if not self._took("."):
+                return tuple(parts)
 
-    def _quoted(self) -> str:
-        match = _STRING.match(self.text, self.at)
-        if match is None:
+    def _value(self, place: Place) -> None:
+        if self._took("["):
+            item = 0
+            self._pass_lines()
+            while not self._took("]"):
+                self.defined.setdefault((*place, item), []).append(self._position())
+                self._value((*place, item))
+                item += 1
+                self._end_of_item("]")
+        elif self._took("{"):
+            self._pass_lines()  # later versions of TOML allow line breaks here
+            while not self._took("}"):
+                self._pair(place)
+                self._end_of_item("}")
+        else:  # a text, or all that is written of a number or a moment
+            while self._here not in (None, "\n", ",", "]", "}"):
+                self.at += 1
+
+    def _end_of_item(self, close: str) -> None:
+        """Behind an item comes a comma, or the end."""
+        self._pass_lines()
+        if self._took(","):
+            self._pass_lines()
+        elif self._here != close:
             raise _LostError
-        self.at = match.end()
-        if match[0].startswith("'"):
-            return match[0][1:-1]
-        return re.sub(
-            r"\\(?:u([0-9a-fA-F]{4})|U([0-9a-fA-F]{8})|(.))", self._unescaped, match[0][1:-1], flags=re.DOTALL
-        )
-
-    @staticmethod
-    def _unescaped(match: re.Match[str]) -> str:
-        if match[3] is not None:
-            return {"b": "\b", "t": "\t", "n": "\n", "f": "\f", "r": "\r", "e": "\x1b"}.get(
-                match[3], match[3]
-            )
-        code = int(match[1] or match[2], 16)
-        return chr(code) if code <= 0x10FFFF else "?"
-
-    def _value(self, path: Path) -> None:
-        self._skip(_SPACE)
-        first = self.text[self.at : self.at + 1]
-        if first == "[":
-            self._list(path)
-        elif first == "{":
-            self._inline_table(path)
-        elif first in ('"', "'"):
-            match = _STRING.match(self.text, self.at)
-            if match is None:
-                raise _LostError
-            self.at = match.end()
-        else:
-            self._skip(_SCALAR)
-
-    def _list(self, path: Path) -> None:
-        self.at += 1
-        item = 0
-        while True:
-            self._skip(_BLANK)
-            if self.text.startswith("]", self.at):
-                self.at += 1
-                return
-            if self.at >= len(self.text):
-                raise _LostError
-            self._define((*path, item), self.at)
-            self._value((*path, item))
-            item += 1
-            self._skip(_BLANK)
-            if self.text.startswith(",", self.at):
-                self.at += 1
-            elif not self.text.startswith("]", self.at):
-                raise _LostError
-
-    def _inline_table(self, path: Path) -> None:
-        self.at += 1
-        while True:
-            self._skip(_BLANK)  # later versions of TOML allow line breaks here
-            if self.text.startswith("}", self.at):
-                self.at += 1
-                return
-            self._pair(path)
-            self._skip(_BLANK)
-            if self.text.startswith(",", self.at):
-                self.at += 1
-            elif not self.text.startswith("}", self.at):
-                raise _LostError
-
-    def _define(self, path: Path, at: int) -> None:
-        self.defined.setdefault(path, []).append(at)
-
-    def _skip(self, pattern: re.Pattern[str]) -> None:
-        match = pattern.match(self.text, self.at)
-        if match is not None:
-            self.at = match.end()
-
-    def _expect(self, what: str) -> None:
-        self._skip(_SPACE)
-        if not self.text.startswith(what, self.at):
-            raise _LostError
-        self.at += len(what)
-
-
-Place = tuple[str | int, ...]
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -13,80 +12,47 @@ import pyarrow as pa
 
 from dashpot.data.readers.arrays import PIECE, ArrayColumns, Streamed
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.guarded import guarded
 from dashpot.io.json_document import array_of
 from dashpot.io.ledger import noted
 
 SMALL = 1 << 16  # numbers of a file up to which it is read whole: column by column takes ten times as long
 
 
-@dataclass(frozen=True)
-class ParquetReader:
-    """Columns are read when they are asked for."""
-
-    format: str = "Parquet"
-    extra: str | None = None
-
-    def sniff(self, file: DataFile) -> bool:
-        """The first bytes say so."""
-        return file.head.startswith(b"PAR1")
-
-    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """The table."""
-        return guarded(file, self.format, lambda: self._parts(file))
-
-    def _parts(self, file: DataFile) -> Generator[ArrayColumns]:
-        import pyarrow.parquet as pq
-
-        content = pq.ParquetFile(noted(file.path), pre_buffer=False)  # else whole columns are held
-        schema, rows = content.schema_arrow, content.metadata.num_rows
-        _check_unpacked(file, schema, rows)
-        if rows * len(schema.names) <= SMALL:
-            with suppress(OSError, pa.ArrowException):  # of a column that may not be asked for
-                table = content.read(use_threads=False)
-                yield _columns(file, schema, rows, lambda i: iter([table.column(i)]))
-                return
-
-        def batches(column: int) -> Iterator[Any]:
-            for batch in content.iter_batches(batch_size=PIECE, columns=[schema.names[column]]):
-                yield pa.chunked_array([batch.column(0)])
-
-        yield _columns(file, schema, rows, batches)
-
-
-@dataclass(frozen=True)
-class FeatherReader:
-    """Columns are read when they are asked for; the others are neither read nor unpacked then."""
-
-    format: str = "Feather"
-    extra: str | None = None
-
-    def sniff(self, file: DataFile) -> bool:
-        """The first bytes say so."""
-        return file.head.startswith((b"ARROW1", b"FEA1"))
-
-    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """The table."""
-        return guarded(file, self.format, lambda: self._parts(file))
-
-    def _parts(self, file: DataFile) -> Generator[ArrayColumns]:
-        if file.head.startswith(b"FEA1"):  # of before 2020
-            import pyarrow.feather as feather
-
-            table = feather.read_table(noted(file.path))
-            yield _columns(file, table.schema, table.num_rows, lambda i: iter([table.column(i)]))
+def read_parquet(file: DataFile, parquet: Any) -> Iterator[ArrayColumns]:
+    """The table; its columns are read when they are asked for."""
+    content = parquet.ParquetFile(noted(file.path), pre_buffer=False)  # else whole columns are held
+    schema, rows = content.schema_arrow, content.metadata.num_rows
+    _check_unpacked(file, schema, rows)
+    if rows * len(schema.names) <= SMALL:
+        with suppress(OSError, pa.ArrowException):  # of a column that may not be asked for
+            table = content.read(use_threads=False)
+            yield _columns(file, schema, rows, lambda i: iter([table.column(i)]))
             return
-        source = pa.memory_map(str(noted(file.path)))
 
-        def batches(column: int) -> Iterator[Any]:
-            content = pa.ipc.open_file(source, options=pa.ipc.IpcReadOptions(included_fields=[column]))
-            for k in range(content.num_record_batches):
-                yield pa.chunked_array([content.get_batch(k).column(0)])
+    def batches(column: int) -> Iterator[Any]:
+        for batch in content.iter_batches(batch_size=PIECE, columns=[schema.names[column]]):
+            yield pa.chunked_array([batch.column(0)])
 
-        schema = pa.ipc.open_file(source).schema
-        rows = sum(len(batch) for batch in batches(0)) if schema.names else 0
-        _check_unpacked(file, schema, rows)
-        yield _columns(file, schema, rows, batches)
+    yield _columns(file, schema, rows, batches)
+
+
+def read_feather(file: DataFile, feather: Any) -> Iterator[ArrayColumns]:
+    """The table; its columns are read when they are asked for, and the others neither read nor unpacked then."""
+    if file.head.startswith(b"FEA1"):  # of before 2020
+        table = feather.read_table(noted(file.path))
+        yield _columns(file, table.schema, table.num_rows, lambda i: iter([table.column(i)]))
+        return
+    source = pa.memory_map(str(noted(file.path)))
+
+    def batches(column: int) -> Iterator[Any]:
+        content = pa.ipc.open_file(source, options=pa.ipc.IpcReadOptions(included_fields=[column]))
+        for k in range(content.num_record_batches):
+            yield pa.chunked_array([content.get_batch(k).column(0)])
+
+    schema = pa.ipc.open_file(source).schema
+    rows = sum(len(batch) for batch in batches(0)) if schema.names else 0
+    _check_unpacked(file, schema, rows)
+    yield _columns(file, schema, rows, batches)
 
 
 def _check_unpacked(file: DataFile, schema: Any, rows: int) -> None:

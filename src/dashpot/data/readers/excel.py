@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
-from dataclasses import dataclass
 from typing import Any
 from zipfile import ZipFile
 
 from dashpot.data.readers.columns import MOST_COLUMNS
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.guarded import damaged, guarded, library
+from dashpot.data.readers.guarded import damaged, guarded
 from dashpot.data.readers.text import Table, open_table
 from dashpot.errors import DataError
 
@@ -17,44 +16,38 @@ ZIP = b"PK\x03\x04"
 TRUTHS = ("true", "false")  # as text; as numbers 1 and 0
 
 
-@dataclass(frozen=True)
-class ExcelReader:
-    """Sheets with a header row; empty sheets are left out."""
+def is_excel(file: DataFile) -> bool:
+    """A zip archive or compound file of that name, or with the parts of a workbook in front."""
+    head = file.head
+    if head.startswith(b"\xd0\xcf\x11\xe0"):
+        return True
+    names = (b"[Content_Types].xml", b"xl/", b"_rels/", b"docProps/", b"opendocument.spreadsheet")
+    return head.startswith(ZIP) and (
+        file.suffix in (".xlsx", ".xlsm", ".xlsb", ".ods") or any(name in head[:200] for name in names)
+    )
 
-    format: str = "Excel"
-    extra: str | None = "formats"
 
-    def sniff(self, file: DataFile) -> bool:
-        """A zip archive or compound file of that name, or with the parts of a workbook in front."""
-        head = file.head
-        if head.startswith(b"\xd0\xcf\x11\xe0"):
-            return True
-        names = (b"[Content_Types].xml", b"xl/", b"_rels/", b"docProps/", b"opendocument.spreadsheet")
-        return head.startswith(ZIP) and (
-            file.suffix in (".xlsx", ".xlsm", ".xlsb", ".ods") or any(name in head[:200] for name in names)
-        )
+def read_excel(file: DataFile, fastexcel: Any) -> Iterator[Table]:
+    """The sheets with a header row; empty ones are left out.  Raises DataError where the file cannot be read."""
+    if file.head.startswith(ZIP):
+        with damaged(file.name, "Excel"), file.reading() as stream, ZipFile(stream) as archive:
+            file.check_unpacked(sum(item.file_size for item in archive.infolist()))
+    count = 0
+    for place, text in guarded(file, "Excel", lambda: _sheets(file, fastexcel)):
+        count += 1
+        yield open_table(file.rewritten([text]), source=place)
+    if not count:
+        raise DataError("the workbook is empty", file.name, "give one with a header row and data")
 
-    def parts(self, file: DataFile) -> Iterator[Table]:
-        """The sheets that hold anything.  Raises DataError where the file cannot be read."""
-        fastexcel = library("fastexcel", "formats", file.name, self.format)
-        if file.head.startswith(ZIP):
-            with damaged(file.name, self.format), file.reading() as stream, ZipFile(stream) as archive:
-                file.check_unpacked(sum(item.file_size for item in archive.infolist()))
-        count = 0
-        for place, text in guarded(file, self.format, lambda: self._sheets(file, fastexcel)):
-            count += 1
-            yield open_table(file.rewritten([text]), source=place)
-        if not count:
-            raise DataError("the workbook is empty", file.name, "give one with a header row and data")
 
-    def _sheets(self, file: DataFile, fastexcel: Any) -> Generator[tuple[str, bytes]]:
-        """Place and text of the sheets that hold anything."""
-        book = fastexcel.read_excel(bytes(file.contents))
-        names = list(book.sheet_names)
-        for name in names:
-            text = _text(book, name)
-            if text.count(b"\n") > 1 or (text and len(names) == 1):
-                yield f"{file.name} ({name})" if len(names) > 1 else file.name, text
+def _sheets(file: DataFile, fastexcel: Any) -> Generator[tuple[str, bytes]]:
+    """Place and text of the sheets that hold anything."""
+    book = fastexcel.read_excel(bytes(file.contents))
+    names = list(book.sheet_names)
+    for name in names:
+        text = _text(book, name)
+        if text.count(b"\n") > 1 or (text and len(names) == 1):
+            yield f"{file.name} ({name})" if len(names) > 1 else file.name, text
 
 
 def _text(book: Any, name: str) -> bytes:

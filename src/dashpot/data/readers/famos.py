@@ -55,47 +55,34 @@ class _Group:
         return bool(self.components) and self.components[0].size != 0 and self.components[0].kind != DIGITAL
 
 
-@dataclass(frozen=True)
-class FamosReader:
-    """Channels of one length and sampling are a part; one with an abscissa of its own is a part alone.
+def read_famos(file: DataFile) -> Iterator[ArrayColumns]:
+    """The channels: those of one length and sampling are a part, one with an abscissa of its own is a part alone.
 
-    Digital channels, which hold switches, are passed over.
+    Digital channels, which hold switches, are passed over.  Raises DataError for what is damaged or cut off.
     """
-
-    format: str = "FAMOS"
-    extra: str | None = None
-
-    def sniff(self, file: DataFile) -> bool:
-        """The first key says so."""
-        return file.head.startswith(b"|CF,2,")
-
-    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """The channels, by length and sampling.  Raises DataError for what is damaged or cut off."""
-        data = file.contents
-        groups, blocks = _read(data, file.name)
-        together: dict[tuple[int, float, float], dict[str, Any]] = {}
-        units: dict[str, str | None] = {}
-        count = 0
-        for number, group in enumerate(groups, start=1):
-            if not group.holds_motion:
-                continue
-            component = group.components[0]
-            count += 1
-            values = [_values(each, data, blocks, file.name) for each in group.components[:2]]
-            name = component.name or f"channel_{number}"
-            if len(values) == 2 and len(values[0]) == len(values[1]):
-                yield array_columns(
-                    file.name, {TIME: values[1], name: values[0]}, {name: component.unit or None}
-                )
-                continue
-            key = len(values[0]), component.step or group.step, component.start or group.start
-            together.setdefault(key, {})[name] = values[0]
-            units[name] = component.unit or None
-        if not count:
-            raise DataError("there are no channels with samples of motion or force", file.name, "record some")
-        for (rows, step, start), columns in together.items():
-            time = {TIME: steps(start, step, rows)} if step > 0 else {}
-            yield array_columns(file.name, {**time, **columns}, units)
+    data = file.contents
+    groups, blocks = _read(data, file.name)
+    together: dict[tuple[int, float, float], dict[str, Any]] = {}
+    units: dict[str, str | None] = {}
+    count = 0
+    for number, group in enumerate(groups, start=1):
+        if not group.holds_motion:
+            continue
+        component = group.components[0]
+        count += 1
+        values = [_values(each, data, blocks, file.name) for each in group.components[:2]]
+        name = component.name or f"channel_{number}"
+        if len(values) == 2 and len(values[0]) == len(values[1]):
+            yield array_columns(file.name, {TIME: values[1], name: values[0]}, {name: component.unit or None})
+            continue
+        key = len(values[0]), component.step or group.step, component.start or group.start
+        together.setdefault(key, {})[name] = values[0]
+        units[name] = component.unit or None
+    if not count:
+        raise DataError("there are no channels with samples of motion or force", file.name, "record some")
+    for (rows, step, start), columns in together.items():
+        time = {TIME: steps(start, step, rows)} if step > 0 else {}
+        yield array_columns(file.name, {**time, **columns}, units)
 
 
 def _read(data: Content, source: str) -> tuple[list[_Group], dict[int, tuple[int, int]]]:

@@ -64,7 +64,7 @@ def damaged(source: str, what: str) -> Iterator[None]:
         ) from None
 
 
-def guarded(file: DataFile, what: str, parts: Callable[[], Generator[Part]]) -> Iterator[Part]:
+def guarded(file: DataFile, what: str, parts: Callable[[], Iterator[Part]]) -> Iterator[Part]:
     """The parts of a file of the format `what`, which a process of its own reads, as it does their columns later.
 
     Raises DataError, one line, where the library raises anything, aborts, hangs, or asks for more memory than the file
@@ -98,7 +98,7 @@ def guarded(file: DataFile, what: str, parts: Callable[[], Generator[Part]]) -> 
 class _Parts:
     """What answers in the other process: the part that was asked for last, and the first, may be asked for columns."""
 
-    def __init__(self, parts: Generator[Any], source: str, what: str) -> None:
+    def __init__(self, parts: Iterator[Any], source: str, what: str) -> None:
         self.parts, self.source, self.what = parts, source, what
         self.numbers = count()
         self.held: dict[int, ArrayColumns] = {}
@@ -108,7 +108,8 @@ class _Parts:
         """Let go of the parts, and so of the file."""
         self.held.clear()
         self.streams.clear()
-        self.parts.close()
+        if isinstance(self.parts, Generator):
+            self.parts.close()
         gc.collect()  # objects of asammdf hold each other, and a scratch file
 
     def __call__(self, request: Any, /) -> Any:

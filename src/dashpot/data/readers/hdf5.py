@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mmap
 from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,12 +12,10 @@ import numpy as np
 
 from dashpot.data.readers.arrays import LONG, PIECE, ArrayColumns, Streamed, parts_of_variables
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.guarded import guarded, library
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
 from dashpot.io.words import shown
 
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
 UNITS = ("unit", "units", "Unit", "Units", "unit_string")
 MOST_GROUPS = 10_000
 MOST_OBJECTS = 100_000  # links followed in one file: 3 s of work
@@ -29,38 +27,31 @@ SMALLEST_HEAP = 4096  # bytes
 VLEN = 9  # libhdf5's class of sequences of any length, as which it takes some damaged texts and dies of them
 
 
-@dataclass(frozen=True)
-class Hdf5Reader:
-    """Every group that holds datasets of numbers is a part; attributes of a group and its parents are scalars of it."""
+def is_hdf5(file: DataFile) -> bool:
+    """The signature stands at one of the places where it may."""
+    return any(file.head[at : at + 8] == b"\x89HDF\r\n\x1a\n" for at in (0, 512, 1024, 2048))
 
-    format: str = "HDF5"
-    extra: str | None = "formats"
 
-    def sniff(self, file: DataFile) -> bool:
-        """The signature at one of the places where it may stand."""
-        return any(file.head[at : at + 8] == SIGNATURE for at in (0, 512, 1024, 2048))
+def read_hdf5(file: DataFile, h5py: Any) -> Iterator[ArrayColumns]:
+    """The groups that hold datasets of numbers, the outermost first.
 
-    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """The groups, the outermost first.  Raises DataError where the file cannot be read."""
-        h5py = library("h5py", "formats", file.name, self.format)
-        return guarded(file, self.format, lambda: self._parts(file, h5py))
-
-    def _parts(self, file: DataFile, h5py: Any) -> Generator[ArrayColumns]:
-        _refuse_endless_heaps(file.contents)
-        anything = False
-        with h5py.File(noted(file.path), "r") as content:
-            for name, scalars, datasets in _Walk(h5py, content, file).groups():
-                variables, units = dict(scalars), {}
-                for key, item in datasets.items():
-                    variables |= _variable(key, item)
-                    units[key] = _unit(item)
-                    variables |= {k: v for k, v in _scalars(item).items() if k not in variables}
-                if any(np.size(value) > 1 for value in variables.values()):
-                    anything = True
-                    place = f"{file.name} ({name})" if name else file.name
-                    yield from parts_of_variables(place, variables, units)
-        if not anything:
-            raise DataError("there are no datasets of numbers", file.name, "save the channels as datasets")
+    Attributes of a group and of those around it are scalars of it.
+    """
+    _refuse_endless_heaps(file.contents)
+    anything = False
+    with h5py.File(noted(file.path), "r") as content:
+        for name, scalars, datasets in _Walk(h5py, content, file).groups():
+            variables, units = dict(scalars), {}
+            for key, item in datasets.items():
+                variables |= _variable(key, item)
+                units[key] = _unit(item)
+                variables |= {k: v for k, v in _scalars(item).items() if k not in variables}
+            if any(np.size(value) > 1 for value in variables.values()):
+                anything = True
+                place = f"{file.name} ({name})" if name else file.name
+                yield from parts_of_variables(place, variables, units)
+    if not anything:
+        raise DataError("there are no datasets of numbers", file.name, "save the channels as datasets")
 
 
 @dataclass

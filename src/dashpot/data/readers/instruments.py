@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -37,51 +37,45 @@ _NO_TIMES = re.compile(rb"^X_Columns[^\w\n]+No\b", re.MULTILINE)
 _HEAD = re.compile(rb"^(LabVIEW Measurement|Channels)\b", re.MULTILINE)  # of the file, of a segment
 
 
-@dataclass(frozen=True)
-class LabViewReader:
-    """LabVIEW measurement files."""
+def is_labview(file: DataFile) -> bool:
+    """The first row says so."""
+    return file.head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"LabVIEW Measurement")
 
-    format: str = "LabVIEW measurement"
-    extra: str | None = None
 
-    def sniff(self, file: DataFile) -> bool:
-        """The first row says so."""
-        return file.head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"LabVIEW Measurement")
+def read_labview(file: DataFile) -> Iterator[Table]:
+    """The segments.  Times are those written where they are, not multiples of the rounded Delta_X of the header.
 
-    def parts(self, file: DataFile) -> Iterator[Table]:
-        """The segments.  Times are those written where they are, not multiples of the rounded Delta_X of the header.
-
-        Raises DataError where there is no column of time, or another one for each channel, or another step.
-        """
-        data = file.contents
-        ends = [match.end() for match in _END.finditer(data)]
-        no_times = bool(ends) and _NO_TIMES.search(data, 0, ends[0]) is not None
-        heads = [i for i, end in enumerate(ends) if data[end : end + len(FIRST)] == FIRST.encode()]
-        if not heads:  # what is missing is said
-            yield open_table(file.rewritten([data[:LOOKED_AT]]), FIRST)
-        counted = above = 0
-        for number, i in enumerate(heads, start=1):
-            end = ends[i]
-            next_head = _HEAD.search(data, end)
-            source = file.name if len(heads) == 1 else f"{file.name} (segment {number})"
-            above += sum(lines.count(b"\n") for lines in whole_lines(data, counted, end))
-            counted = end
-            rows = _without_comments(data, end, next_head.start() if next_head else len(data))
-            table = open_table(file.rewritten(rows), FIRST, source)
-            if table.header.count(FIRST) > 1:
-                cure = "save it with one column of time (X_Columns One)"
-                raise DataError("there is a column of time for each channel", source, cure)
-            header = text_of(data[ends[i - 1] if i else 0 : end])
-            units = [unit or None for unit in _listed(header, "Y_Unit_Label")]
-            channels = len(table.header) - 1
-            clock = _clock(header, source) if no_times else None
-            yield replace(
-                table,
-                header=("" if no_times and clock is None else TIME, *table.header[1:]),
-                units=(None, *(units + [None] * channels)[:channels]),
-                first_row=table.first_row + above,
-                clock=clock,
-            )
+    Raises DataError where there is no column of time, or another one for each channel, or another step.
+    """
+    data = file.contents
+    ends = [match.end() for match in _END.finditer(data)]
+    no_times = bool(ends) and _NO_TIMES.search(data, 0, ends[0]) is not None
+    heads = [i for i, end in enumerate(ends) if data[end : end + len(FIRST)] == FIRST.encode()]
+    if not heads:  # what is missing is said
+        yield open_table(file.rewritten([data[:LOOKED_AT]]), FIRST)
+    counted = above = 0
+    for number, i in enumerate(heads, start=1):
+        end = ends[i]
+        next_head = _HEAD.search(data, end)
+        source = file.name if len(heads) == 1 else f"{file.name} (segment {number})"
+        above += sum(lines.count(b"\n") for lines in whole_lines(data, counted, end))
+        counted = end
+        rows = _without_comments(data, end, next_head.start() if next_head else len(data))
+        table = open_table(file.rewritten(rows), FIRST, source)
+        if table.header.count(FIRST) > 1:
+            cure = "save it with one column of time (X_Columns One)"
+            raise DataError("there is a column of time for each channel", source, cure)
+        header = text_of(data[ends[i - 1] if i else 0 : end])
+        units = [unit or None for unit in _listed(header, "Y_Unit_Label")]
+        channels = len(table.header) - 1
+        clock = _clock(header, source) if no_times else None
+        yield replace(
+            table,
+            header=("" if no_times and clock is None else TIME, *table.header[1:]),
+            units=(None, *(units + [None] * channels)[:channels]),
+            first_row=table.first_row + above,
+            clock=clock,
+        )
 
 
 def _listed(header: str, label: str) -> list[str]:
@@ -140,31 +134,25 @@ UNITS = {"Acc_": "m/s²", "FreeAcc_": "m/s²", "Gyr_": "deg/s", "Euler_": "deg"}
 WRAP = 1 << 32  # µs, the clock starts again after 71.6 minutes
 
 
-@dataclass(frozen=True)
-class XsensReader:
-    """The file of one Xsens DOT sensor."""
+def is_xsens(file: DataFile) -> bool:
+    """Its columns are there."""
+    return COUNTER.encode() in file.head and CLOCK.encode() in file.head
 
-    format: str = "Xsens DOT"
-    extra: str | None = None
 
-    def sniff(self, file: DataFile) -> bool:
-        """Its columns are there."""
-        return COUNTER.encode() in file.head and CLOCK.encode() in file.head
-
-    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """What the sensor measured: `time_s` is its own clock, which synchronised sensors share."""
-        table = open_table(file, COUNTER)
-        ticks, first, notes = _ticks(table)
-        rows = len(ticks) - first
-        columns: list[Any] = [ticks[first:] * 1e-6]
-        names, units = [TIME], ["s"]
-        for i, name in enumerate(table.header):
-            unit = next((unit for prefix, unit in UNITS.items() if name.startswith(prefix)), None)
-            if unit is not None:
-                names.append(name)
-                units.append(unit)
-                columns.append(Streamed(rows, partial(_from, table, i, first)))
-        yield ArrayColumns(file.name, tuple(names), tuple(units), tuple(notes), rows, tuple(columns))
+def read_xsens(file: DataFile) -> Iterator[ArrayColumns]:
+    """What the sensor measured: `time_s` is its own clock, which synchronised sensors share."""
+    table = open_table(file, COUNTER)
+    ticks, first, notes = _ticks(table)
+    rows = len(ticks) - first
+    columns: list[Any] = [ticks[first:] * 1e-6]
+    names, units = [TIME], ["s"]
+    for i, name in enumerate(table.header):
+        unit = next((unit for prefix, unit in UNITS.items() if name.startswith(prefix)), None)
+        if unit is not None:
+            names.append(name)
+            units.append(unit)
+            columns.append(Streamed(rows, partial(_from, table, i, first)))
+    yield ArrayColumns(file.name, tuple(names), tuple(units), tuple(notes), rows, tuple(columns))
 
 
 def _from(table: Table, column: int, first: int) -> Iterator[Real]:

@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -57,7 +57,6 @@ from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.toml_document import TomlDocument, Wanted, read_toml
 from dashpot.io.words import did_you_mean, listed, shown, written
-from dashpot.notices import Notice
 from dashpot.quantities import quantity
 
 # What a manifest of a test may say, key by key, and how a fault in it is told.
@@ -524,20 +523,29 @@ def read_group(group: FileGroup, channels: Sequence[Channel], frequency_hz: floa
 
     Raises DataError, one line, for what is missing or damaged in a file, or does not fit its entry.
     """
+    entry, found = group.entry, Interpreted()
     driven = frequency_hz if group.frequency_hz is None else group.frequency_hz
-    circumstances = Circumstances(driven, group.experiment, group.entry.rate_hz)
-    if group.entry.sensors:
-        interpreted = _joined(group, channels, circumstances)
+    circumstances = Circumstances(driven, group.experiment, entry.rate_hz)
+    if entry.sensors:
+        found = _joined(group, channels, circumstances)
     else:
         (path,) = group.paths.values()
-        interpreted = Interpreted()
         for columns in _parts(group, path):
-            chosen, named = _chosen(group, columns, group.entry.columns, channels)
-            interpreted += interpret(chosen, named, circumstances)
-    interpreted = _windowed(interpreted, group)
-    if group.entry.lines is None:
-        return interpreted
-    return _averaged(interpreted, line_numbers(group.entry.lines, group.place), group)
+            chosen, named = _chosen(group, columns, entry.columns, channels)
+            found += interpret(chosen, named, circumstances)
+    names = {name for columns in (entry.columns, *entry.sensors.values()) for name in columns}
+    if not names.isdisjoint(channel.name for channel in channels):
+        # What else is in a file of which the entry chooses columns is not worth a note.
+        notes = tuple(note for note in found.notes if note.code != "columns_not_read")
+        found = replace(found, notes=notes)
+    if entry.window_s is not None:
+        window = entry.window_s
+        joint = (
+            replace(each, parts=tuple(_cut(part, window) for part in each.parts)) for each in found.joint
+        )
+        records = tuple(_cut(record, window) for record in found.records)
+        found = replace(found, records=records, joint=tuple(joint))
+    return found if entry.lines is None else _averaged(found, line_numbers(entry.lines, group.place), group)
 
 
 def _parts(group: FileGroup, path: Path) -> Iterator[Columns]:
@@ -591,15 +599,7 @@ def _chosen(
                 units[chosen.need(name)] = unit
         chosen = replace(chosen, units=tuple(units))
     named = [by_name[name] for name in names if name in by_name]
-    return _only(chosen, named), tuple(named) if named else tuple(channels)
-
-
-def _only(columns: Columns, named: Sequence[Channel]) -> Columns:
-    """The same; what else is in a file of which the entry chooses columns is not worth a note."""
-    return columns if not named else replace(columns, notes=(*columns.notes, _CHOSEN))
-
-
-_CHOSEN = Notice("columns_chosen", "")
+    return chosen, tuple(named) if named else tuple(channels)
 
 
 def _joined(group: FileGroup, channels: Sequence[Channel], circumstances: Circumstances) -> Interpreted:
@@ -619,32 +619,10 @@ def _joined(group: FileGroup, channels: Sequence[Channel], circumstances: Circum
     given = (sensors, circumstances.frequency_hz, circumstances.experiment, source)
     own = group.entry.clock == "own"
     joint, notices = aligned_sensors(*given, group.entry.align_s) if own else joined_sensors(*given)
-    notes = [*_said(notes), *notices]
+    notes += notices
     if isinstance(joint, ClockedRecords):
         return Interpreted(notes=tuple(notes), joint=(joint,))
     return Interpreted((joint,), notes=tuple(notes))
-
-
-def _said(notes: Iterable[Notice]) -> list[Notice]:
-    """Notes that are worth saying where the entry chooses the columns."""
-    notes = list(notes)
-    chosen = _CHOSEN in notes
-    return [n for n in notes if n != _CHOSEN and not (chosen and n.code == "columns_not_read")]
-
-
-def _windowed(found: Interpreted, group: FileGroup) -> Interpreted:
-    """The records within the window of the entry, notes tidied."""
-    found = replace(found, notes=tuple(_said(found.notes)))
-    window = group.entry.window_s
-    if window is None:
-        return found
-    return replace(
-        found,
-        records=tuple(_cut(record, window) for record in found.records),
-        joint=tuple(
-            replace(joint, parts=tuple(_cut(part, window) for part in joint.parts)) for joint in found.joint
-        ),
-    )
 
 
 def _cut(record: Record, window: tuple[float, float]) -> Record:

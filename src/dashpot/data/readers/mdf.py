@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import io
 import mmap
-from collections.abc import Generator, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -13,46 +12,28 @@ import numpy as np
 
 from dashpot.data.readers.arrays import LONG, ArrayColumns, Streamed, array_columns
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.guarded import guarded, library
 from dashpot.data.readers.time_columns import TIME
 from dashpot.errors import DataError
 
 
-@dataclass(frozen=True)
-class MdfReader:
-    """Channel groups; the master channel is the time."""
-
-    format: str = "MDF"
-    extra: str | None = "mdf"
-
-    def sniff(self, file: DataFile) -> bool:
-        """The first bytes say so."""
-        return file.head.startswith((b"MDF     ", b"UnFinMF "))
-
-    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """The groups that hold numbers.  Raises DataError where the file cannot be read."""
-        asammdf = library("asammdf", "mdf", file.name, self.format)
-        return guarded(file, self.format, lambda: self._parts(file, asammdf))
-
-    def _parts(self, file: DataFile, asammdf: Any) -> Generator[ArrayColumns]:
-        content = file.contents
-        _refuse_rings(content)
-        with io.BytesIO(content) if isinstance(content, bytes) else file.reading() as stream:
-            mdf = asammdf.MDF(stream)
-            mdf.configure(read_fragment_size=1 << 24)  # bytes of records that are read at once
-            groups = [group.channel_group for group in mdf.groups]
-            file.check_unpacked(
-                sum(group.cycles_nr * getattr(group, "samples_byte_nr", 0) for group in groups)
-            )
-            count = 0
-            for number, group in enumerate(mdf.groups):
-                columns, units = _group(mdf, number, group)
-                if columns:
-                    count += 1
-                    place = f"{file.name} (group {number + 1})" if len(groups) > 1 else file.name
-                    yield array_columns(place, columns, units)
-            if not count:
-                raise DataError("there are no channels with samples", file.name, "record something")
+def read_mdf(file: DataFile, asammdf: Any) -> Iterator[ArrayColumns]:
+    """The groups that hold numbers; the master channel is the time."""
+    content = file.contents
+    _refuse_rings(content)
+    with io.BytesIO(content) if isinstance(content, bytes) else file.reading() as stream:
+        mdf = asammdf.MDF(stream)
+        mdf.configure(read_fragment_size=1 << 24)  # bytes of records that are read at once
+        groups = [group.channel_group for group in mdf.groups]
+        file.check_unpacked(sum(group.cycles_nr * getattr(group, "samples_byte_nr", 0) for group in groups))
+        count = 0
+        for number, group in enumerate(mdf.groups):
+            columns, units = _group(mdf, number, group)
+            if columns:
+                count += 1
+                place = f"{file.name} (group {number + 1})" if len(groups) > 1 else file.name
+                yield array_columns(place, columns, units)
+        if not count:
+            raise DataError("there are no channels with samples", file.name, "record something")
 
 
 def _refuse_rings(content: bytes | mmap.mmap) -> None:

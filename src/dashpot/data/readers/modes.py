@@ -27,7 +27,7 @@ from dashpot.data.readers.datafile import DataFile, open_file
 from dashpot.data.readers.text import open_table
 from dashpot.data.readers.uff.function import UffStream, dataset_starts, skip_dataset
 from dashpot.data.readers.uff.modes import USUAL_SD, read_uff_modes
-from dashpot.data.readers.uff.reader import UffReader
+from dashpot.data.readers.uff.reader import is_universal
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.json_document import from_json
 from dashpot.io.ledger import noted
@@ -66,7 +66,7 @@ def modes_and_notes(
     if os.fspath(path).lower().endswith(".json"):
         return _modes_of(_columns_of_json(path, coordinates), coordinates), []
     file = open_file(path)
-    if UffReader().sniff(file):
+    if is_universal(file):
         return read_uff_modes(file, coordinates, channels, relative_sd)
     return _modes_of(open_table(file), coordinates), []
 
@@ -83,7 +83,7 @@ def holds_modes(path: AnyPath) -> bool:
         return False
     try:
         file = open_file(path)
-        if UffReader().sniff(file):
+        if is_universal(file):
             return _datasets(file) == {55}
         text = name.removesuffix(".gz").endswith((".csv", ".txt"))
         return text and {FREQUENCY, FREQUENCY_SD} <= {bare(column)[0] for column in _first_row(file)}

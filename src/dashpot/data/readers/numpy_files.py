@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -17,46 +16,42 @@ from dashpot.errors import DataError
 from dashpot.io.ledger import noted
 
 
-@dataclass(frozen=True)
-class NumpyReader:
-    """Arrays by their names; units as a text array NAME_unit."""
+def is_numpy(file: DataFile) -> bool:
+    """A saved array, or a zip archive that begins with one."""
+    packed = file.head.startswith(b"PK\x03\x04") and b".npy" in file.head[30:300]
+    return packed or file.head.startswith(b"\x93NUMPY")
 
-    format: str = "NumPy"
-    extra: str | None = None
 
-    def sniff(self, file: DataFile) -> bool:
-        """A saved array, or a zip archive that begins with one."""
+def read_numpy(file: DataFile) -> Iterator[ArrayColumns]:
+    """The arrays of one length each; their units are text arrays NAME_unit.
+
+    Raises DataError where the file cannot be read.
+    """
+    variables: dict[str, Any] = {}
+    units: dict[str, str | None] = {}
+    with damaged(file.name, "NumPy"):
         if file.head.startswith(b"\x93NUMPY"):
-            return True
-        return file.head.startswith(b"PK\x03\x04") and b".npy" in file.head[30:300]
-
-    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """The arrays of one length each.  Raises DataError where the file cannot be read."""
-        variables: dict[str, Any] = {}
-        units: dict[str, str | None] = {}
-        with damaged(file.name, self.format):
-            if file.head.startswith(b"\x93NUMPY"):
-                variables = _fields(np.load(noted(file.path), mmap_mode="r", allow_pickle=False))
-            else:
-                with file.reading() as stream, np.load(cast(Any, stream), allow_pickle=False) as archive:
-                    file.check_unpacked(sum(item.file_size for item in archive.zip.infolist()))
-                    if len(archive.files) > 2 * MOST_COLUMNS:  # units among them
-                        what = f"there are {len(archive.files)} arrays"
-                        raise DataError(what, file.name, "give a file with fewer")
-                    for name in archive.files:
-                        array = _streamed_member(file, archive.zip, name)
-                        array = archive[name] if array is None else array
-                        if isinstance(array, Streamed):
-                            variables[name] = array
-                        elif array.dtype.kind == "U" and array.ndim == 0 and name.endswith("_unit"):
-                            units[name.removesuffix("_unit")] = str(array)
-                        elif array.dtype.names:
-                            variables |= _fields(array)
-                        else:
-                            variables[name] = array
-        if not any(np.size(value) > 1 for value in variables.values()):
-            raise DataError("there are no named arrays of numbers", file.name, "save them by np.savez(x1=…)")
-        yield from parts_of_variables(file.name, variables, units)
+            variables = _fields(np.load(noted(file.path), mmap_mode="r", allow_pickle=False))
+        else:
+            with file.reading() as stream, np.load(cast(Any, stream), allow_pickle=False) as archive:
+                file.check_unpacked(sum(item.file_size for item in archive.zip.infolist()))
+                if len(archive.files) > 2 * MOST_COLUMNS:  # units among them
+                    what = f"there are {len(archive.files)} arrays"
+                    raise DataError(what, file.name, "give a file with fewer")
+                for name in archive.files:
+                    array = _streamed_member(file, archive.zip, name)
+                    array = archive[name] if array is None else array
+                    if isinstance(array, Streamed):
+                        variables[name] = array
+                    elif array.dtype.kind == "U" and array.ndim == 0 and name.endswith("_unit"):
+                        units[name.removesuffix("_unit")] = str(array)
+                    elif array.dtype.names:
+                        variables |= _fields(array)
+                    else:
+                        variables[name] = array
+    if not any(np.size(value) > 1 for value in variables.values()):
+        raise DataError("there are no named arrays of numbers", file.name, "save them by np.savez(x1=…)")
+    yield from parts_of_variables(file.name, variables, units)
 
 
 def _fields(array: Any) -> dict[str, Any]:

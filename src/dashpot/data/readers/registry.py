@@ -2,73 +2,82 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Protocol
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
-from dashpot.data.readers.arrow_files import FeatherReader, ParquetReader
+from dashpot.data.readers.arrow_files import read_feather, read_parquet
 from dashpot.data.readers.columns import Columns
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.excel import ExcelReader
-from dashpot.data.readers.famos import FamosReader
-from dashpot.data.readers.hdf5 import Hdf5Reader
-from dashpot.data.readers.instruments import LabViewReader, XsensReader
-from dashpot.data.readers.matlab import MatlabReader
-from dashpot.data.readers.mdf import MdfReader
-from dashpot.data.readers.numpy_files import NumpyReader
-from dashpot.data.readers.tdms import TdmsReader
-from dashpot.data.readers.text import TextReader
-from dashpot.data.readers.uff.reader import UffReader
-from dashpot.data.readers.wav import WavReader
+from dashpot.data.readers.excel import is_excel, read_excel
+from dashpot.data.readers.famos import read_famos
+from dashpot.data.readers.guarded import guarded, library
+from dashpot.data.readers.hdf5 import is_hdf5, read_hdf5
+from dashpot.data.readers.instruments import is_labview, is_xsens, read_labview, read_xsens
+from dashpot.data.readers.matlab import read_matlab
+from dashpot.data.readers.mdf import read_mdf
+from dashpot.data.readers.numpy_files import is_numpy, read_numpy
+from dashpot.data.readers.tdms import read_tdms
+from dashpot.data.readers.text import is_text, read_text
+from dashpot.data.readers.uff.reader import is_universal, read_universal
+from dashpot.data.readers.wav import is_wav, read_wav
 from dashpot.errors import DataError
 
-# What a reader of a file format is.
 
-
-class Reader(Protocol):
-    """One file format.  A new one is a module with such a value and a line in the registry.
+@dataclass(frozen=True)
+class Reader:
+    """One file format.
 
     The parts of a file are its groups, blocks or sheets: columns of one length each.  Readers know nothing of rigs:
     `time_s` is a part's time where the format has its own sampling, `frequency_hz` and `experiment` what it says of
     the drive; `OUT/IN_re`, `OUT/IN_im` are frequency response functions.
+
+    format   its name, for messages
+    read     gives the parts of a file; takes the library, where one is needed.  Raises DataError, one line, for what
+             is damaged or cut off; where native code reads, anything
+    starts   what its files begin with, or
+    sniff    whether a file is of this format, by its first bytes or its name
+    module   the library, and the extra of dashpot that installs it
+    native   whether it is native code, which then works in a process of its own
     """
 
-    @property
-    def format(self) -> str:
-        """The name of the format, for messages."""
+    format: str
+    read: Callable[..., Iterator[Columns]]
+    starts: tuple[bytes, ...] = ()
+    sniff: Callable[[DataFile], bool] = lambda file: False
+    module: tuple[str, str] | None = None
+    native: bool = False
 
-    @property
-    def extra(self) -> str | None:
-        """The extra of dashpot that installs what the reader needs; None: nothing."""
-
-    def sniff(self, file: DataFile) -> bool:
-        """Whether a file is of this format, by its first bytes or its name."""
-
-    def parts(self, file: DataFile) -> Iterable[Columns]:
-        """The parts of a file.  Raises DataError, one line, for what is damaged or cut off."""
+    def parts(self, file: DataFile) -> Iterator[Columns]:
+        """The parts of a file.  Raises DataError, one line, for what is damaged or cut off, or not installed."""
+        needed = [] if self.module is None else [library(*self.module, file.name, self.format)]
+        if not self.native:
+            return self.read(file, *needed)
+        return guarded(file, self.format, lambda: self.read(file, *needed))
 
 
-READERS: tuple[Reader, ...] = (
-    MatlabReader(),
-    Hdf5Reader(),
-    NumpyReader(),
-    ParquetReader(),
-    FeatherReader(),
-    ExcelReader(),
-    WavReader(),
-    TdmsReader(),
-    MdfReader(),
-    FamosReader(),
-    UffReader(),
-    LabViewReader(),
-    XsensReader(),
-    TextReader(),
+_FORMATS = "formats"
+READERS = (
+    Reader("MATLAB", read_matlab, (b"MATLAB 5.0 MAT-file",), module=("scipy.io", ""), native=True),
+    Reader("HDF5", read_hdf5, sniff=is_hdf5, module=("h5py", _FORMATS), native=True),
+    Reader("NumPy", read_numpy, sniff=is_numpy),
+    Reader("Parquet", read_parquet, (b"PAR1",), module=("pyarrow.parquet", ""), native=True),
+    Reader("Feather", read_feather, (b"ARROW1", b"FEA1"), module=("pyarrow.feather", ""), native=True),
+    Reader("Excel", read_excel, sniff=is_excel, module=("fastexcel", _FORMATS)),
+    Reader("WAV", read_wav, sniff=is_wav),
+    Reader("TDMS", read_tdms, (b"TDSm", b"TDSh"), module=("nptdms", _FORMATS), native=True),
+    Reader("MDF", read_mdf, (b"MDF     ", b"UnFinMF "), module=("asammdf", "mdf"), native=True),
+    Reader("FAMOS", read_famos, (b"|CF,2,",)),
+    Reader("UFF", read_universal, sniff=is_universal),
+    Reader("LabVIEW measurement", read_labview, sniff=is_labview),
+    Reader("Xsens DOT", read_xsens, sniff=is_xsens),
+    Reader("text", read_text, sniff=lambda file: is_text(file.head)),
 )
 
 
 def reader_of(file: DataFile) -> Reader:
     """The first reader whose file it is.  Raises DataError where there is none."""
     for reader in READERS:
-        if reader.sniff(file):
+        if file.head.startswith(reader.starts) or reader.sniff(file):
             return reader
     known = ", ".join(reader.format for reader in READERS)
     raise DataError("the file is not text, and its format is not known", file.name, f"there are {known}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, BinaryIO
@@ -19,7 +19,6 @@ from dashpot.data.readers.arrays import (
     steps,
 )
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.guarded import guarded, library
 from dashpot.data.readers.time_columns import TIME, TIME_NAMES
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
@@ -106,42 +105,27 @@ LEAD = 28  # bytes that begin a segment: tag, contents, version, its length, the
 UNFINISHED = 2**64 - 1
 
 
-@dataclass(frozen=True)
-class TdmsReader:
-    """Every group is a part; channels are read when they are asked for."""
-
-    format: str = "TDMS"
-    extra: str | None = "formats"
-
-    def sniff(self, file: DataFile) -> bool:
-        """The first bytes say so."""
-        return file.head.startswith((b"TDSm", b"TDSh"))
-
-    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """The groups, split by the lengths of their channels.  Raises DataError where the file cannot be read."""
-        nptdms = library("nptdms", "formats", file.name, self.format)
-        return guarded(file, self.format, lambda: self._parts(file, nptdms))
-
-    def _parts(self, file: DataFile, nptdms: Any) -> Generator[ArrayColumns]:
-        with file.reading() as stream:
-            _refuse_cut_off(stream, file.name)
-            content = nptdms.TdmsFile(stream, read_metadata_only=True, keep_open=True)
-            if getattr(content, "_incomplete_channel_properties", None):
-                raise DataError("the file is cut off", file.name, "copy it again")
-            groups = list(content.groups())
-            count = 0
-            for group in groups:
-                lengths: dict[int, list[Any]] = {}
-                for channel in group.channels():
-                    if np.dtype(channel.dtype).kind in "fiubM" and len(channel):
-                        lengths.setdefault(len(channel), []).append(channel)
-                scalars = {**content.properties, **group.properties}
-                for channels in lengths.values():
-                    count += 1
-                    place = f"{file.name} ({group.name})" if len(groups) > 1 else file.name
-                    yield _part(place, file, content, channels, scalars)
-            if not count:
-                raise DataError("there are no channels with samples", file.name, "record something")
+def read_tdms(file: DataFile, nptdms: Any) -> Iterator[ArrayColumns]:
+    """The groups, split by the lengths of their channels, which are read when they are asked for."""
+    with file.reading() as stream:
+        _refuse_cut_off(stream, file.name)
+        content = nptdms.TdmsFile(stream, read_metadata_only=True, keep_open=True)
+        if getattr(content, "_incomplete_channel_properties", None):
+            raise DataError("the file is cut off", file.name, "copy it again")
+        groups = list(content.groups())
+        count = 0
+        for group in groups:
+            lengths: dict[int, list[Any]] = {}
+            for channel in group.channels():
+                if np.dtype(channel.dtype).kind in "fiubM" and len(channel):
+                    lengths.setdefault(len(channel), []).append(channel)
+            scalars = {**content.properties, **group.properties}
+            for channels in lengths.values():
+                count += 1
+                place = f"{file.name} ({group.name})" if len(groups) > 1 else file.name
+                yield _part(place, file, content, channels, scalars)
+        if not count:
+            raise DataError("there are no channels with samples", file.name, "record something")
 
 
 def _refuse_cut_off(stream: BinaryIO, source: str) -> None:

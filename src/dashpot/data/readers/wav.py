@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
 
@@ -22,34 +21,30 @@ from dashpot.units import SHARE
 UNKNOWN = 2**32 - 1  # a size that stands elsewhere
 
 
-@dataclass(frozen=True)
-class WavReader:
-    """Channels are channel_1, channel_2, …; a manifest gives them their names and units."""
+def is_wav(file: DataFile) -> bool:
+    """The first bytes say so."""
+    return file.head[:4] in (b"RIFF", b"RIFX", b"RF64") and file.head[8:12] == b"WAVE"
 
-    format: str = "WAV"
-    extra: str | None = None
 
-    def sniff(self, file: DataFile) -> bool:
-        """The first bytes say so."""
-        return file.head[:4] in (b"RIFF", b"RIFX", b"RF64") and file.head[8:12] == b"WAVE"
+def read_wav(file: DataFile) -> Iterator[ArrayColumns]:
+    """All channels, channel_1, channel_2, …; a manifest gives them their names and units.
 
-    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """All channels.  Raises DataError where the file ends before its last sample."""
-        from scipy.io.wavfile import WavFileWarning
+    Raises DataError where the file ends before its last sample.
+    """
+    from scipy.io.wavfile import WavFileWarning
 
-        with damaged(file.name, self.format), warnings.catch_warnings():
-            warnings.filterwarnings("ignore", category=WavFileWarning)  # of chunks that it does not know
-            warnings.filterwarnings("error", message=".*(EOF|end of file|incomplete).*")
-            rate, samples = _read(file)
-        if rate <= 0:
-            raise DataError(f"the sampling rate is {rate} Hz", file.name, "the file is damaged")
-        values = samples[:, None] if samples.ndim == 1 else samples
-        columns: dict[str, Any] = {
-            f"channel_{i + 1}": Streamed(len(values), partial(_pieces, values, i))
-            for i in range(values.shape[1])
-        }
-        units = {} if values.dtype.kind == "f" else dict.fromkeys(columns, SHARE)
-        return iter([array_columns(file.name, {TIME: steps(0.0, 1 / rate, len(values)), **columns}, units)])
+    with damaged(file.name, "WAV"), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", category=WavFileWarning)  # of chunks that it does not know
+        warnings.filterwarnings("error", message=".*(EOF|end of file|incomplete).*")
+        rate, samples = _read(file)
+    if rate <= 0:
+        raise DataError(f"the sampling rate is {rate} Hz", file.name, "the file is damaged")
+    values = samples[:, None] if samples.ndim == 1 else samples
+    columns: dict[str, Any] = {
+        f"channel_{i + 1}": Streamed(len(values), partial(_pieces, values, i)) for i in range(values.shape[1])
+    }
+    units = {} if values.dtype.kind == "f" else dict.fromkeys(columns, SHARE)
+    return iter([array_columns(file.name, {TIME: steps(0.0, 1 / rate, len(values)), **columns}, units)])
 
 
 def _read(file: DataFile) -> tuple[int, Any]:

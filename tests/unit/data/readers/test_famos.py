@@ -55,7 +55,7 @@ def test_units_in_the_characters_of_windows(tmp_path):
     path = tmp_path / "a.dat"
     raw = channel(1, "x", "?", np.arange(3.0).tobytes(), 8, 8, 0.5)
     path.write_bytes(HEAD + raw.replace(b",1,1,?", b",1,1,\xb0"))
-    (part,) = famos.FamosReader().parts(open_file(path))
+    (part,) = famos.read_famos(open_file(path))
     assert part.units == (None, "°")
 
 
@@ -64,11 +64,11 @@ def test_switches_are_passed_over(tmp_path):
     switch = channel(1, "on", "", np.arange(4, dtype="<u2").tobytes(), 11, 2, 0.5)
     bit = channel(2, "bit", "", np.arange(4, dtype="<u2").tobytes(), 3, 2, 0.5).replace(b",16,0,", b",16,4,")
     path.write_bytes(HEAD + switch + bit + channel(3, "x", "", np.arange(4.0).tobytes(), 8, 8, 0.5))
-    (part,) = famos.FamosReader().parts(open_file(path))
+    (part,) = famos.read_famos(open_file(path))
     assert part.header == ("time_s", "x")
     path.write_bytes(HEAD + switch)
     with pytest.raises(DataError, match="no channels with samples of motion or force"):
-        list(famos.FamosReader().parts(open_file(path)))
+        list(famos.read_famos(open_file(path)))
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_samples_between_others_are_refused(tmp_path, layout):
     raw = channel(1, "x", "", np.arange(4.0).tobytes(), 8, 8, 0.5)
     path.write_bytes(HEAD + raw.replace(b",64,0,0,1,0;", layout))
     with pytest.raises(DataError, match="the samples of x lie between others"):
-        list(famos.FamosReader().parts(open_file(path)))
+        list(famos.read_famos(open_file(path)))
 
 
 def test_damaged_files(tmp_path):

@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 
 from dashpot.data.readers import datafile, hdf5
+from dashpot.data.readers.registry import reader_of
 from dashpot.errors import DataError
 from tests.unit.data.readers.attacks import READS_ANOTHER, write_hdf5
 
 h5py = pytest.importorskip("h5py")
 
 
+def opened(path):
+    file = datafile.open_file(path)
+    return reader_of(file).parts(file)
+
+
 def parts(path):
-    return [
-        (part.source, part.header, part.rows) for part in hdf5.Hdf5Reader().parts(datafile.open_file(path))
-    ]
+    return [(part.source, part.header, part.rows) for part in opened(path)]
 
 
 @pytest.mark.parametrize("name", ["data.h5", "data.mat"])
@@ -79,6 +83,6 @@ def test_attributes_of_groups_around_a_group_are_its_own_unless_it_has_them(tmp_
         for k in range(2):
             file[f"run{k}/x"] = np.arange(5.0)
         file["run1"].attrs["frequency_hz"] = 3.0
-    read = [part.numbers(range(3)) for part in hdf5.Hdf5Reader().parts(datafile.open_file(path))]
+    read = [part.numbers(range(3)) for part in opened(path)]
     assert [columns[1][0] for columns in read] == [2.0, 3.0]
     assert [columns[2][1] for columns in read] == [0.01, 0.01]

@@ -9,7 +9,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.periods import average_periods
 from dashpot.data.readers import read
 from dashpot.data.readers.datafile import open_file
-from dashpot.data.readers.instruments import LabViewReader
+from dashpot.data.readers.instruments import read_labview
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 
@@ -161,7 +161,7 @@ class TestLabview:
         path = tmp_path / "a.lvm"
         units = "Y_Unit_Label\tm/s²\tN\nDelta_X"
         path.write_bytes(lvm().replace("Delta_X", units).encode("cp1252"))
-        (segment,) = LabViewReader().parts(open_file(path))
+        (segment,) = read_labview(open_file(path))
         assert segment.units == (None, "m/s²", "N")
 
     def test_several_segments(self, tmp_path):

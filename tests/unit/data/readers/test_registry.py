@@ -15,21 +15,16 @@ from dashpot.data.readers.arrays import ArrayColumns, array_columns
 from dashpot.data.readers.datafile import DataFile
 
 
-class JsonLines:
+def read_lists(file: DataFile) -> Iterator[ArrayColumns]:
     """Lists of numbers by name, as JSON."""
-
-    format, extra = "JSON of lists", None
-
-    def sniff(self, file: DataFile) -> bool:
-        return file.head.startswith(b'{"lists"')
-
-    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        lists = json.loads(file.contents)["lists"]
-        yield array_columns(file.name, {name: np.array(values) for name, values in lists.items()})
+    lists = json.loads(file.contents)["lists"]
+    yield array_columns(file.name, {name: np.array(values) for name, values in lists.items()})
 
 
 def test_a_new_format_is_a_reader_and_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "READERS", (JsonLines(), *registry.READERS))
+    monkeypatch.setattr(
+        registry, "READERS", (registry.Reader("JSON of lists", read_lists, (b'{"lists"',)), *registry.READERS)
+    )
     lists = {"time_s": np.arange(6) / 10, "x": np.arange(6.0)}
     path = tmp_path / "data.lists"
     path.write_text(json.dumps({"lists": {name: values.tolist() for name, values in lists.items()}}))

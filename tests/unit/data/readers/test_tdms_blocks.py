@@ -15,7 +15,8 @@ from dashpot.data.readers import guarded
 from dashpot.data.readers import tdms as tdms_blocks
 from dashpot.data.readers.arrays import ArrayColumns
 from dashpot.data.readers.datafile import open_file
-from dashpot.data.readers.tdms import UNFINISHED, TdmsReader
+from dashpot.data.readers.registry import reader_of
+from dashpot.data.readers.tdms import UNFINISHED
 
 DOUBLE, INTEGER = 10, 3
 DESCRIBED, NEW, NUMBERS = 1 << 1, 1 << 2, 1 << 3  # contents of a segment
@@ -32,7 +33,7 @@ def require_the_same(path: Path) -> None:
     with TdmsFile.open(path) as content:
         wanted = {channel.name: channel[:] for group in content.groups() for channel in group.channels()}
         read: dict[str, Real] = {}
-        for part in TdmsReader().parts(open_file(path)):
+        for part in reader_of(open_file(path)).parts(open_file(path)):
             assert isinstance(part, ArrayColumns)
             for at, name in enumerate(part.header):
                 read[name] = part.numbers([at])[at]
@@ -121,7 +122,9 @@ def test_dates_and_texts_are_left_to_nptdms(tmp_path: Path) -> None:
         assert tdms_blocks.sample_blocks(content, "/'g'/'when'") is None
         assert tdms_blocks.sample_blocks(content, "/'g'/'x'") is not None
         assert tdms_blocks.sample_blocks(content, "/'g'/'y'") is None
-        parts = TdmsReader().parts(open_file(tmp_path / "a.tdms"))  # kept, for what is let go is closed
+        parts = reader_of(open_file(tmp_path / "a.tdms")).parts(
+            open_file(tmp_path / "a.tdms")
+        )  # kept, for what is let go is closed
         part = next(parts)
         assert part.header == ("when", "x", "y")
         assert part.numbers([2])[2].tolist() == [0, 1, 2, 3, 4]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -49,7 +48,6 @@ def from_vax(words: Any, width: int) -> Real:
 
 MARK = b"-1"
 LONGEST_LINE = 10_000  # bytes; lines have 80
-PIECE_STREAM = 1 << 24  # bytes that are read at once
 
 
 class UffStream:
@@ -81,25 +79,23 @@ class UffStream:
 
     def block(self, size: int) -> bytes:
         """So many bytes.  Raises DataError where there are fewer."""
-        return b"".join(self._pieces(size))
+        data = self._stream.read(size)
+        if len(data) < size:
+            raise self.cut_off()
+        return data
+
+    def ends_after(self, size: int) -> bool:
+        """Whether the dataset ends behind so many bytes."""
+        at = self.position
+        self._stream.seek(at + size)
+        mark = self._stream.read(6).strip(b"\r\n ")
+        self._stream.seek(at)
+        return mark.startswith(MARK)
 
     @property
     def position(self) -> int:
         """The byte of the file that comes next."""
         return self._stream.tell()
-
-    def skip(self, size: int) -> None:
-        """Pass over so many bytes.  Raises DataError where there are fewer."""
-        for _ in self._pieces(size):
-            pass
-
-    def _pieces(self, missing: int) -> Iterator[bytes]:
-        while missing:
-            piece = self._stream.read(min(missing, PIECE_STREAM))
-            if not piece:
-                raise self.cut_off()
-            yield piece
-            missing -= len(piece)
 
     def cut_off(self) -> DataError:
         """The file ends inside a dataset."""
@@ -240,6 +236,9 @@ class _Shape:
         return 2 if self.complex else 1
 
 
+Blocks = Callable[[UffStream, _Shape], Iterator[Block]]
+
+
 def read_function(stream: UffStream, start: DatasetStart) -> NodalFunction:
     """The function of a dataset 58 or 58b.  Raises DataError, with file and line, for what is damaged or cut off."""
     lines = [stream.line() for _ in range(LINES)]
@@ -253,15 +252,23 @@ def read_function(stream: UffStream, start: DatasetStart) -> NodalFunction:
         raise stream.wrong("the header of a function is damaged") from None
     if not 0 <= shape.count <= MOST_VALUES:
         raise stream.wrong(f"{shape.count} values cannot be")
-    long = _long(stream, start, shape) if kind == TIME_RESPONSE else None
-    if long is not None:
-        abscissa, ordinate = np.zeros(0), np.zeros(0)
+    long: LongSamples | None = None
+    abscissa: Real = np.zeros(0)
+    ordinate: Real | Complex = np.zeros(0)
+    blocks: Blocks = _text_blocks
+    if start.binary:
+        blocks = partial(_binary_blocks, layout=_layout(stream, start, shape))
+    if kind == TIME_RESPONSE and not shape.complex and shape.count >= LONG:
+        long = _long(stream, shape, blocks)
     else:
-        uneven, numbers = _binary(stream, start, shape) if start.binary else _text(stream, shape)
-        even = shape.start + shape.step * np.arange(shape.count)
-        abscissa = np.asarray(even if uneven is None else uneven, dtype=np.float64)
-        _require_finite(abscissa, stream.place)
+        read = list(blocks(stream, shape))
+        numbers = np.concatenate([np.zeros((0, shape.of_value)), *(numbers for _, numbers in read)])
         ordinate = numbers[:, 0] + 1j * numbers[:, 1] if shape.complex else numbers[:, 0]
+        if shape.even:
+            abscissa = np.asarray(shape.start + shape.step * np.arange(shape.count), dtype=np.float64)
+        else:
+            abscissa = np.concatenate([np.zeros(0), *(x for x, _ in read if x is not None)])
+        _require_finite(abscissa, stream.place)
     return NodalFunction(
         kind, response, reference, abscissa, ordinate,
         _label(lines[8]), _label(lines[9]), ids, shape.even, kinds[3], z_value, long,
@@ -303,25 +310,8 @@ def _require_finite(abscissa: Real, place: str) -> None:
         raise DataError("the abscissa of a function is not finite", place, "export the file again")
 
 
-def _text(stream: UffStream, shape: _Shape) -> Block:
-    """All values of a dataset in text."""
-    blocks = list(_text_blocks(stream, shape))
-    numbers = np.concatenate([np.zeros((0, shape.of_value)), *(numbers for _, numbers in blocks)])
-    if shape.even:
-        return None, numbers
-    return np.concatenate([np.zeros(0), *(x for x, _ in blocks if x is not None)]), numbers
-
-
 def _text_blocks(stream: UffStream, shape: _Shape) -> Iterator[Block]:
-    """Values of a dataset in text, which is read to its end."""
-    for cells in _cells(stream, shape):
-        numbers = _parsed(cells, stream)
-        table = numbers.reshape(-1, shape.of_value if shape.even else shape.of_value + 1)
-        yield (None, table) if shape.even else (table[:, 0], table[:, 1:])
-
-
-def _cells(stream: UffStream, shape: _Shape) -> Iterator[list[bytes]]:
-    """The numbers of a dataset in text, as they are written, of so many whole values at a time; and its end."""
+    """Values of a dataset in text, some at a time, to its end."""
     widths = [20 if shape.double else 13] * shape.of_value
     if not shape.even:
         widths.insert(0, 13)
@@ -332,7 +322,7 @@ def _cells(stream: UffStream, shape: _Shape) -> Iterator[list[bytes]]:
     read = 0
     while read < needed:
         fields = _fields(stream.line(), ends, at_most)
-        if not fields or fields == [MARKER]:
+        if not fields or fields == [MARK]:
             raise stream.wrong(f"the dataset holds {read} of {needed} numbers")
         cells += fields
         read += len(fields)
@@ -340,12 +330,14 @@ def _cells(stream: UffStream, shape: _Shape) -> Iterator[list[bytes]]:
             raise stream.wrong(f"the dataset holds more than {needed} numbers")
         if len(cells) > 1 << 16 or read == needed:
             whole = len(cells) // len(widths) * len(widths)
-            yield cells[:whole]
+            try:  # numbers as Fortran writes them
+                numbers = np.array([x.replace(b"D", b"E").replace(b"d", b"e") for x in cells[:whole]])
+                table = numbers.astype(float).reshape(-1, len(widths))
+            except ValueError:
+                raise stream.wrong("something that is not a number stands among the values") from None
+            yield (None, table) if shape.even else (table[:, 0], table[:, 1:])
             del cells[:whole]
     expect_end(stream)
-
-
-MARKER = b"-1"
 
 
 def _fields(line: bytes, ends: list[int], at_most: int) -> list[bytes]:
@@ -353,14 +345,6 @@ def _fields(line: bytes, ends: list[int], at_most: int) -> list[bytes]:
     fields = line.split()
     touching = not fields or len(fields) > at_most or any(field.count(b".") != 1 for field in fields)
     return _fixed(line, ends) if touching else fields
-
-
-def _parsed(cells: list[bytes], stream: UffStream) -> Real:
-    """Numbers as Fortran writes them."""
-    try:
-        return np.array([cell.replace(b"D", b"E").replace(b"d", b"e") for cell in cells]).astype(float)
-    except ValueError:
-        raise stream.wrong("something that is not a number stands among the values") from None
 
 
 def _fixed(line: bytes, ends: list[int]) -> list[bytes]:
@@ -375,8 +359,38 @@ def _fixed(line: bytes, ends: list[int]) -> list[bytes]:
     return fields
 
 
-def _layout(stream: UffStream, start: DatasetStart) -> tuple[int, int, int]:
-    """Order of bytes, kind of floats and number of bytes of a dataset 58b."""
+def _long(stream: UffStream, shape: _Shape, blocks: Blocks) -> LongSamples:
+    """Many real numbers, which are passed over."""
+    at, line = stream.position, stream.number
+
+    def again() -> Iterator[Block]:
+        with stream.file.reading() as raw:
+            raw.seek(at)
+            yield from blocks(UffStream(raw, stream.file, line), shape)
+
+    values = Streamed(shape.count, lambda: (numbers[:, 0] for _, numbers in again()))
+    digest = hashlib.blake2b()
+    for times, _ in blocks(stream, shape):
+        if times is not None:
+            _require_finite(times, stream.place)
+            digest.update(times.tobytes())
+    if not shape.even:
+        return LongSamples(Streamed(shape.count, lambda: (x for x, _ in again())), values, digest.digest())
+    _require_finite(np.array([shape.start, shape.step]), stream.place)
+    return LongSamples(steps(shape.start, shape.step, shape.count), values, (shape.start, shape.step))
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How the bytes of a dataset 58b are written: order, kind of floats, bytes of a value and its abscissa."""
+
+    little: bool
+    floats: int
+    row: int
+
+
+def _layout(stream: UffStream, start: DatasetStart, shape: _Shape) -> _Layout:
+    """The layout.  Where the number of bytes is wrong, as some programs write it, the end of the dataset decides."""
     try:
         order, floats = int(start.rest[:6]), int(start.rest[6:12])
         lines, size = int(start.rest[12:24]), int(start.rest[24:36])
@@ -384,97 +398,38 @@ def _layout(stream: UffStream, start: DatasetStart) -> tuple[int, int, int]:
         raise stream.wrong("the first line of a dataset 58b is damaged") from None
     if order not in (1, 2) or floats not in (1, 2, 3) or lines != LINES:
         raise stream.wrong("the first line of a dataset 58b says what cannot be")
-    return order, floats, size
-
-
-def _long(stream: UffStream, start: DatasetStart, shape: _Shape) -> LongSamples | None:
-    """Many real numbers, which are passed over; None for others, and where the number of bytes is wrong."""
-    if shape.count < LONG or shape.complex:
-        return None
-    blocks: Callable[[UffStream], Iterator[Block]] = partial(_text_blocks, shape=shape)
-    if start.binary:
-        order, floats, size = _layout(stream, start)
-        row = next((row for row in _rows(shape) if row * shape.count == size), None)
-        if row is None:
-            return None
-        blocks = partial(_binary_blocks, shape=shape, row=row, order=order, floats=floats)
-    at, line = stream.position, stream.number
-
-    def again() -> Iterator[Block]:
-        with stream.file.reading() as raw:
-            raw.seek(at)
-            yield from blocks(UffStream(raw, stream.file, line))
-
-    values = Streamed(shape.count, lambda: (numbers[:, 0] for _, numbers in again()))
-    if not shape.even:
-        digest = hashlib.blake2b()
-        for times, _ in blocks(stream):
-            assert times is not None
-            _require_finite(times, stream.place)
-            digest.update(times.tobytes())
-        return LongSamples(Streamed(shape.count, lambda: (x for x, _ in again())), values, digest.digest())
-    if start.binary:
-        stream.skip(size)
-        expect_end(stream)
-    else:
-        for _ in _cells(stream, shape):
-            pass
-    _require_finite(np.array([shape.start, shape.step]), stream.place)
-    return LongSamples(steps(shape.start, shape.step, shape.count), values, (shape.start, shape.step))
-
-
-def _binary_blocks(stream: UffStream, shape: _Shape, row: int, order: int, floats: int) -> Iterator[Block]:
-    """Values of a dataset 58b in rows of so many bytes, which is read to its end."""
-    for first in range(0, shape.count, PIECE):
-        count = min(PIECE, shape.count - first)
-        yield _decoded(stream.block(count * row), row, order, floats, shape)
-    expect_end(stream)
-
-
-def _rows(shape: _Shape) -> list[int]:
-    """Bytes that a value may take: its abscissa is in single precision, which some write like the ordinate."""
     width = 8 if shape.double else 4
-    return [shape.of_value * width + x for x in ((0,) if shape.even else (4, width))]
+    # The abscissa is in single precision, which some write like the ordinate.
+    rows = [shape.of_value * width + x for x in ((0,) if shape.even else (4, width))]
+    fitting = [row for row in rows if row * shape.count == size]
+    fitting += [row for row in rows if stream.ends_after(row * shape.count)]
+    return _Layout(order == 1, floats, [*fitting, *rows][0])
 
 
-def _binary(stream: UffStream, start: DatasetStart, shape: _Shape) -> Block:
-    """All values of a dataset 58b."""
-    order, floats, size = _layout(stream, start)
-    rows = _rows(shape)
-    row = next((r for r in rows if r * shape.count == size), None)
-    data = stream.block(shape.count * (rows[0] if row is None else row))
-    if row is None and len(rows) > 1 and rows[1] != rows[0]:
-        # The number of bytes is wrong, as some programs write it: the end of the dataset decides.
-        following = stream.block(min(6, shape.count * (rows[1] - rows[0])))
-        if following.strip(b"\r\n ")[:2] == MARKER:
-            return _decoded(data, rows[0], order, floats, shape)
-        data += following + stream.block(shape.count * (rows[1] - rows[0]) - len(following))
-        row = rows[1]
+def _binary_blocks(stream: UffStream, shape: _Shape, layout: _Layout) -> Iterator[Block]:
+    """Values of a dataset 58b, some at a time, to its end."""
+    width = 8 if shape.double else 4
+    of_abscissa = layout.row - shape.of_value * width
+    fields: list[Any] = [("x", f"V{of_abscissa}")] if of_abscissa else []
+    fields.append(("y", f"V{width}", (shape.of_value,)))
+    for first in range(0, shape.count, PIECE):
+        data = stream.block(min(PIECE, shape.count - first) * layout.row)
+        table = np.frombuffer(data, dtype=fields)
+        y = _floats(table["y"], layout, width).reshape(len(table), shape.of_value)
+        yield (_floats(table["x"], layout, of_abscissa) if of_abscissa else None), y
     expect_end(stream)
-    return _decoded(data, row or rows[0], order, floats, shape)
 
 
-def _decoded(data: bytes, row: int, order: int, floats: int, shape: _Shape) -> Block:
-    """Numbers from bytes of one row for each value."""
-    mark, width = "<" if order == 1 else ">", 8 if shape.double else 4
-    of_abscissa = row - shape.of_value * width
-    fields: list[tuple[str, Any]] = [("x", f"V{of_abscissa}")] if of_abscissa else []
-    table = np.frombuffer(data, dtype=[*fields, ("y", f"V{width}", (shape.of_value,))])
-    y = _floats(np.ascontiguousarray(table["y"]), mark, width, floats).reshape(len(table), shape.of_value)
-    if not of_abscissa:
-        return None, y
-    return _floats(np.ascontiguousarray(table["x"]), mark, of_abscissa, floats).ravel(), y
-
-
-def _floats(raw: Any, mark: str, width: int, floats: int) -> Real:
+def _floats(raw: Any, layout: _Layout, width: int) -> Real:
     """Numbers of one width: IEEE, DEC VAX (1) or IBM (3)."""
-    data = raw.tobytes()
-    if floats == 2:
+    data, mark = raw.tobytes(), "<" if layout.little else ">"
+    if layout.floats == 2:
         return np.frombuffer(data, dtype=f"{mark}f{width}").astype(float)
-    whole = np.frombuffer(data, dtype=f"{mark}u{width}")
-    return from_ibm(whole, width) if floats == 3 else from_vax(np.frombuffer(data, dtype="<u2"), width)
+    if layout.floats == 3:
+        return from_ibm(np.frombuffer(data, dtype=f"{mark}u{width}"), width)
+    return from_vax(np.frombuffer(data, dtype="<u2"), width)
 
 
 def packed_size(count: int, double: bool, complex_values: bool) -> int:
     """Bytes of the values of an evenly spaced dataset 58b."""
-    return count * struct.calcsize("d" if double else "f") * (2 if complex_values else 1)
+    return count * (8 if double else 4) * (2 if complex_values else 1)

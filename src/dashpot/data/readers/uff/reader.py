@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,49 +31,44 @@ MODES = 55  # number of the dataset
 KINDS = (TIME_RESPONSE, FRF, TRANSMISSIBILITY, SPECTRUM)
 
 
-@dataclass(frozen=True)
-class UffReader:
+def is_universal(file: DataFile) -> bool:
+    """The first lines are the mark of a dataset and its number."""
+    lines = file.head[:1000].split(b"\n", 3)
+    lines = [line for line in lines if line.strip()]
+    if len(lines) < 2 or lines[0].strip() != MARK or not lines[0].startswith(b"  "):
+        return False
+    return lines[1][:6].strip().isdigit()
+
+
+def read_universal(file: DataFile) -> Iterator[ArrayColumns]:
     """Samples over time, spectra and frequency responses.
 
     A column has the name of ID line 1 where that differs among the functions, else of the entity, else its node and
     direction, such as 3+Z; FRFs are OUT/IN.  The third axis, where it is a frequency, is the drive frequency.
+    Raises DataError, with the line, for what is damaged or cut off.
     """
-
-    format: str = "UFF"
-    extra: str | None = None
-
-    def sniff(self, file: DataFile) -> bool:
-        """The first lines are the mark of a dataset and its number."""
-        lines = file.head[:1000].split(b"\n", 3)
-        lines = [line for line in lines if line.strip()]
-        if len(lines) < 2 or lines[0].strip() != MARK or not lines[0].startswith(b"  "):
-            return False
-        return lines[1][:6].strip().isdigit()
-
-    def parts(self, file: DataFile) -> Iterator[ArrayColumns]:
-        """The parts, one after another.  Raises DataError, with the line, for what is damaged or cut off."""
-        count = 0
-        held: list[NodalFunction] = []
-        others: set[int] = set()
-        for function in functions_of(file, others):
-            if function.kind not in KINDS:
-                continue
-            if held and not _together(held, function):
-                count += 1
-                yield _part(file.name, count, held)
-                held = []
-            held.append(function)
-        if held:
-            yield _part(file.name, count + 1, held)
-        elif not count:
-            cure = "export samples over time, spectra or frequency responses (dataset 58)"
-            what = "the file holds no samples, spectra or frequency responses"
-            if MODES in others:
-                what, cure = (
-                    f"{what}, but modes (dataset 55)",
-                    "identify a rig that has their coordinates by it",
-                )
-            raise DataError(what, file.name, cure)
+    count = 0
+    held: list[NodalFunction] = []
+    others: set[int] = set()
+    for function in functions_of(file, others):
+        if function.kind not in KINDS:
+            continue
+        if held and not _together(held, function):
+            count += 1
+            yield _part(file.name, count, held)
+            held = []
+        held.append(function)
+    if held:
+        yield _part(file.name, count + 1, held)
+    elif not count:
+        cure = "export samples over time, spectra or frequency responses (dataset 58)"
+        what = "the file holds no samples, spectra or frequency responses"
+        if MODES in others:
+            what, cure = (
+                f"{what}, but modes (dataset 55)",
+                "identify a rig that has their coordinates by it",
+            )
+        raise DataError(what, file.name, cure)
 
 
 def functions_of(file: DataFile, others: set[int] | None = None) -> Iterator[NodalFunction]:
