@@ -25,11 +25,6 @@ from dashpot.model.nonlinear.harmonic_balance import harmonic_unit_forces, perio
 from dashpot.model.nonlinear.harmonics import complex_of
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
-# Whether the laws of nonlinear elements are finite numbers in the measured motion.
-
-
-LARGEST = 1e100  # of a unit force: squares of what is larger overflow
-
 
 def require_finite_laws(model: Model, d: Real, v: Real) -> None:
     """Raises DataError where a law without unknown constants divides by zero, overflows or is no number.
@@ -37,11 +32,10 @@ def require_finite_laws(model: Model, d: Real, v: Real) -> None:
     d, v (e, …, instants): elongations and rates of the nonlinear elements in the measured motion.
     """
     known = model.constants_map[1]
-    for row, (index, inner) in enumerate(zip(model.nonlinear, model.constant_slices, strict=True)):
-        element = model.elements[int(index)]
-        law = element.force_law
-        assert law is not None
-        if any(constant.unknown for constant in law.constants) or law.has_state:
+    for row, (index, law, inner) in enumerate(
+        zip(model.nonlinear, model.laws, model.constant_slices, strict=True)
+    ):
+        if law.has_state or any(constant.unknown for constant in law.constants):
             continue
         elongation, rate = d[row], v[row]
         with np.errstate(all="ignore"):
@@ -50,7 +44,7 @@ def require_finite_laws(model: Model, d: Real, v: Real) -> None:
             what = "divides by zero"
         elif np.any(np.isnan(force)):
             what = "is not defined"
-        elif not np.all(np.abs(force) < LARGEST):
+        elif not np.all(np.abs(force) < 1e100):  # squares of what is larger overflow
             what = "overflows"
         else:
             continue
@@ -60,7 +54,7 @@ def require_finite_laws(model: Model, d: Real, v: Real) -> None:
             if name in law.expression.names
         ]
         raise DataError(
-            f"the law {law.text!r} of {element.name} {what} within the measured motion "
+            f"the law {law.text!r} of {model.elements[int(index)].name} {what} within the measured motion "
             f"({joined(reach)}, in SI units)",
             cure="write one that is finite there",
         )
@@ -105,16 +99,11 @@ def measured_motion(data: Prepared) -> MeasuredMotion:
     dwells = dwells_of(model, data.spectrum)
     linear = unit_forces(model, data.spectrum.omega, states.X, states.U)
     motion = MeasuredMotion(model, dwells, measured_elongations(model, dwells, states), linear, states.f)
-    _require_finite_laws(motion)
-    return motion
-
-
-def _require_finite_laws(motion: MeasuredMotion) -> None:
-    """Raises DataError where a law, its constants known, is no finite number within the measured motion."""
-    model, q = motion.model, motion.elongations
-    there, rate, _ = period_basis((q.shape[-1] - 1) // 2, samples_of(model, motion.dwells.orders))
+    q, omega = motion.elongations, dwells.omega[:, None]
+    there, rate, _ = period_basis((q.shape[-1] - 1) // 2, samples_of(model, dwells.orders))
     rows = np.moveaxis(q, 2, 0)
-    require_finite_laws(model, rows @ there.T, motion.dwells.omega[:, None] * (rows @ rate.T))
+    require_finite_laws(model, rows @ there.T, omega * (rows @ rate.T))
+    return motion
 
 
 def scale_of_lines(motion: MeasuredMotion) -> Real:
@@ -178,31 +167,23 @@ def harmonic_least_squares(data: Prepared) -> Solution:
 
     The covariance is that of the scatter between dwells.  Raises UsageError where an inner constant is unknown.
     """
-    model = data.model
-    require_known_constants(model)
+    require_known_constants(data.model)
     motion = measured_motion(data)
     weight = scale_of_lines(motion)
-    theta, _ = regression(motion, model.constants_map[1], weight)
-    a = motion.unit_forces(model.constants_map[1])
-    Phi = regressors_of(model, a)
-    e = known_side(model, a, motion.f) - np.einsum("klnu,ku->kln", Phi, theta)
-    rows = Phi.shape[-3] * Phi.shape[-2]
-    left = hermitian((Phi * weight[:, None, None]).reshape(len(Phi), rows, -1))
-    bread = scaled_inverse((left @ Phi.reshape(len(Phi), rows, -1)).real)
+    N, right, Phi, h = weighted_normal_equations(motion, data.model.constants_map[1], weight)
+    theta, bread = solve_scaled(N, right), scaled_inverse(N)
+    e = h - np.einsum("klnu,ku->kln", Phi, theta)
     scores = np.einsum("klnu,kln->klu", np.conj(Phi), e).real * weight[:, None]
     by_dwell = motion.dwells.by_dwell(scores)
     count = len(motion.dwells.omega)
-    spread = count / max(count - 1, 1)
-    meat = spread * np.einsum("kru,krv->kuv", by_dwell, by_dwell)
+    meat = count / max(count - 1, 1) * np.einsum("kru,krv->kuv", by_dwell, by_dwell)
     return closed_form(theta, bread @ meat @ bread)
 
 
-# The equation of motion at the measured harmonics of dwells, as real rows with the noise that each dwell's
-# rows share.
+# The equation of motion at the measured harmonics of dwells, as real rows with the noise that each dwell's rows share.
 #
-# A nonlinear law mixes the harmonics of its dwell: with ∂a/∂q of the alternating transform the noise of the
-# equation is, to first order, H Σ Hᵀ with H = Bᵀ p ∂a/∂q [B D] of the nonlinear elements beside the linear
-# ones' (THEORY §9).
+# A nonlinear law mixes the harmonics of its dwell: with ∂a/∂q of the alternating transform the noise of the equation
+# is, to first order, H Σ Hᵀ with H = Bᵀ p ∂a/∂q [B D] of the nonlinear elements beside the linear ones' (THEORY §9).
 
 
 @dataclass(frozen=True)
@@ -226,22 +207,19 @@ class HarmonicEquations:
         return self.motion.model.constants_map[1]
 
     def regression(self, a: Complex) -> tuple[Real, Real]:
-        """Φ (K, dwells, rows, unknowns) and h (K, dwells, rows) with unit forces a (K, lines, elements)."""
-        model = self.motion.model
-        both = np.concatenate(
-            [regressors_of(model, a), known_side(model, a, self.motion.f)[..., None]], axis=-1
-        )
-        rows = self._by_dwell(both)
-        return rows[..., :-1], rows[..., -1]
+        """Φ (K, dwells, rows, unknowns) and h (K, dwells, rows) with unit forces a (K, lines, elements).
 
-    def _by_dwell(self, lines: Complex) -> Real:
-        """(K, lines, n, …) as real rows of each dwell, (K, dwells, slots · 2 · n, …), 0 where it has fewer lines."""
-        dwells = self.motion.dwells
-        K, _, n = lines.shape[:3]
-        rows = np.zeros((K, len(dwells.omega), dwells.slots, 2, n, *lines.shape[3:]))
-        rows[:, dwells.dwell, dwells.slot, 0] = lines.real
-        rows[:, dwells.dwell, dwells.slot, 1] = lines.imag
-        return rows.reshape(K, len(dwells.omega), -1, *lines.shape[3:])
+        The real rows of a dwell, slots · 2 · n, are 0 where it has fewer lines than another.
+        """
+        model, dwells = self.motion.model, self.motion.dwells
+        side = known_side(model, a, self.motion.f)[..., None]
+        both = np.concatenate([regressors_of(model, a), side], axis=-1)
+        K, _, n, columns = both.shape
+        rows = np.zeros((K, len(dwells.omega), dwells.slots, 2, n, columns))
+        rows[:, dwells.dwell, dwells.slot, 0] = both.real
+        rows[:, dwells.dwell, dwells.slot, 1] = both.imag
+        flat = rows.reshape(K, len(dwells.omega), -1, columns)
+        return flat[..., :-1], flat[..., -1]
 
     def least_squares(self) -> Real:
         """θ of equally weighted rows of the measured harmonics, (K, unknowns)."""
@@ -269,23 +247,10 @@ class HarmonicEquations:
         linear[..., s.n + s.r :] -= model.S
         H = np.zeros((K, R, dwells.slots, 2, model.n, dwells.slots, 2, q))
         at = (slice(None), dwells.dwell, dwells.slot)
-        for row, column, part in (
-            (0, 0, linear.real),
-            (0, 1, -linear.imag),
-            (1, 0, linear.imag),
-            (1, 1, linear.real),
-        ):
-            H[(*at, row, slice(None), dwells.slot, column)] = np.moveaxis(part, 1, 0)
+        H[(*at, slice(None), slice(None), dwells.slot)] = np.moveaxis(_real_blocks(linear), 1, 0)
         H += self._mixed(p[:, model.nonlinear], span[model.nonlinear])
         spread = np.zeros((len(s.covariance), R, dwells.slots, 2, q, 2, q))
-        half = np.moveaxis(s.covariance / 2, 1, 0)
-        for row, column, part in (
-            (0, 0, half.real),
-            (0, 1, -half.imag),
-            (1, 0, half.imag),
-            (1, 1, half.real),
-        ):
-            spread[(*at, row, slice(None), column)] = part
+        spread[at] = _real_blocks(s.covariance / 2)
         size = dwells.slots * 2 * model.n
         of_lines = H.reshape(K, R, size, dwells.slots, 2 * q)
         carried = np.einsum("kratx,krtxy->kraty", of_lines, spread.reshape(*spread.shape[:3], 2 * q, 2 * q))
@@ -359,6 +324,13 @@ class HarmonicEquations:
         meat = np.einsum("krau,krab,krbv->kuv", left, C, left, optimize=True) + variance**2 * precision
         half = scaled_inverse(np.einsum("krau,krav->kuv", left, Phi) + variance * precision)
         return half @ meat @ np.swapaxes(half, -1, -2)
+
+
+def _real_blocks(blocks: Complex) -> Real:
+    """Complex matrices (..., rows, columns) as those of real and imaginary parts, (..., 2, rows, 2, columns)."""
+    real = np.stack([blocks.real, -blocks.imag], axis=-2)
+    turned = np.stack([blocks.imag, blocks.real], axis=-2)
+    return np.stack([real, turned], axis=-4)
 
 
 def require_direct(data: Prepared) -> None:

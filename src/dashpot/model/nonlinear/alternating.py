@@ -83,9 +83,7 @@ def alternate(
     a = np.empty_like(q)
     slope = np.empty((N, e, W, W) if slopes else (0, e, W, W))
     by_constant, states = [], []
-    for row, (index, own) in enumerate(zip(model.nonlinear, model.constant_slices, strict=True)):
-        law = model.elements[int(index)].force_law
-        assert law is not None
+    for row, (law, own) in enumerate(zip(model.laws, model.constant_slices, strict=True)):
         d, v = q[:, row] @ there.T, omega[:, None] * (q[:, row] @ rate.T)
         g = constants[:, own]
         if law.has_state:

@@ -28,20 +28,16 @@ from dashpot.model.nonlinear.harmonic_balance import (
     solved,
 )
 from dashpot.model.nonlinear.harmonics import Drive, complex_of, joined_drives, real_of
-from dashpot.model.nonlinear.integration import NODES, Integrator, forcing, propagator
+from dashpot.model.nonlinear.integration import NODES, Forcing, Integrator, forcing, propagator
 
 # Stability of periodic motions: Floquet multipliers from the linearised motion over one period (THEORY §9).
 #
-# The product of the tangents of all steps of a period is the monodromy matrix. Where no law has a state the
-# tangents follow from the slopes of the laws along the motion of the harmonic balance, all steps and dwells
-# at once. States of laws are states of the motion: there the period is cut into segments, integrated side
-# by side from the states of the harmonic balance. Source: Nayfeh and Balachandran (1995), Applied Nonlinear
-# Dynamics, section 3.2.
-
+# The product of the tangents of all steps of a period is the monodromy matrix. Where no law has a state the tangents
+# follow from the slopes of the laws along the motion of the harmonic balance, all steps and dwells at once. States of
+# laws are states of the motion: there the period is cut into segments, integrated side by side from the states of the
+# harmonic balance. Source: Nayfeh and Balachandran (1995), Applied Nonlinear Dynamics, section 3.2.
 
 SEGMENTS = 32  # of a period, integrated side by side
-FEWEST = 128  # instants of a period
-MARGIN = 1e-6  # by which a multiplier may exceed 1: rounding of what does not decay
 
 
 def floquet_multipliers(model: Model, theta: Real, drive: Drive, at: Periodic) -> Complex:
@@ -50,10 +46,9 @@ def floquet_multipliers(model: Model, theta: Real, drive: Drive, at: Periodic) -
     theta (unknowns,) of all N dwells.  Raises ModelError where the motion cannot be integrated: a coordinate without
     mass, or a hysteretic damper.
     """
-    times = max(FEWEST, 4 * (drive.orders + 1))
+    times = max(128, 4 * (drive.orders + 1))
     times += -times % SEGMENTS
-    laws = [e.force_law for e in model.elements if e.force_law is not None]
-    if any(law.has_state for law in laws):
+    if any(law.has_state for law in model.laws):
         monodromy = _integrated(model, theta, drive, at, times)
     else:
         monodromy = _along_motions(model, theta, drive, at, times)
@@ -70,14 +65,8 @@ def _along_motions(model: Model, theta: Real, drive: Drive, at: Periodic, times:
         for row, omega in enumerate(drive.omega):
             step = propagator(model, p, 2 * np.pi / (float(omega) * times))
             pulled = np.moveaxis(step.Wn, 1, 2).reshape(4, 2 * n, nodes)
-            reach_d, reach_v = (
-                (Bn @ pulled[:, :n]).reshape(nodes, nodes),
-                (Bn @ pulled[:, n:]).reshape(nodes, nodes),
-            )
-            free_d, free_v = (
-                (Bn @ step.E[:, :n]).reshape(nodes, 2 * n),
-                (Bn @ step.E[:, n:]).reshape(nodes, 2 * n),
-            )
+            reach_d, reach_v = ((Bn @ part).reshape(nodes, -1) for part in (pulled[:, :n], pulled[:, n:]))
+            free_d, free_v = ((Bn @ part).reshape(nodes, -1) for part in (step.E[:, :n], step.E[:, n:]))
             d, v = by_d[row][..., None], by_v[row][..., None]
             forces = solved(np.eye(nodes) - d * reach_d - v * reach_v, d * free_d + v * free_v)
             monodromy[row] = _product(step.E[3] + pulled[3] @ forces)
@@ -90,9 +79,7 @@ def _law_slopes(model: Model, constants: Real, omega: Real, delta: Real, times: 
     there, rate, _ = period_basis((W - 1) // 2, times)
     angle = 2 * np.pi / times * np.arange((W + 1) // 2)
     by_d, by_v = np.zeros((2, N, times, len(NODES), e))
-    for row, (index, inner) in enumerate(zip(model.nonlinear, model.constant_slices, strict=True)):
-        law = model.elements[int(index)].force_law
-        assert law is not None
+    for row, (law, inner) in enumerate(zip(model.laws, model.constant_slices, strict=True)):
         g = np.broadcast_to(constants[inner], (N, inner.stop - inner.start))
         for node, share in enumerate(NODES):
             q = real_of(complex_of(delta[:, row]) * np.exp(1j * share * angle))
@@ -126,8 +113,7 @@ def stable_motions(model: Model, theta: Real, drive: Drive, at: Periodic) -> Boo
     except ModelError:
         return None
     with np.errstate(invalid="ignore"):
-        stable: Bools = np.abs(multipliers[:, 0]) <= 1 + MARGIN
-    return stable
+        return np.abs(multipliers[:, 0]) <= 1 + 1e-6  # rounding of what does not decay
 
 
 def _period(model: Model, theta: Real, drive: Drive, row: int, times: int) -> Integrator:
@@ -139,7 +125,7 @@ def _period(model: Model, theta: Real, drive: Drive, row: int, times: int) -> In
     longer = np.concatenate([period[-lead:], period, period[: lead + 1]])
     step = 2 * np.pi / (drive.omega[row] * times)
     whole = forcing(step, longer)
-    return Integrator(model, theta, type(whole)(step, whole.coefficients[lead : lead + times]), 1)
+    return Integrator(model, theta, Forcing(step, whole.coefficients[lead : lead + times]), 1)
 
 
 def _states(model: Model, drive: Drive, at: Periodic, row: int, times: int) -> Real:
@@ -158,25 +144,19 @@ def _states(model: Model, drive: Drive, at: Periodic, row: int, times: int) -> R
 
 def _integrated(model: Model, theta: Real, drive: Drive, at: Periodic, times: int) -> Real:
     """Monodromy matrices by integration from the states of the harmonic balance, (N, states, states)."""
+    first = np.arange(0, times, times // SEGMENTS)
     rows = []
     for row in range(len(drive.omega)):
         machine = _period(model, theta, drive, row, times)
-        rows.append(_monodromy(machine, _states(model, drive, at, row, times), times))
+        state = _states(model, drive, at, row, times)[first]
+        slope = np.zeros((len(first), machine.states, machine.states))
+        slope[:] = np.eye(machine.states)
+        with np.errstate(all="ignore"):
+            for step in range(times // SEGMENTS):
+                stepped = machine.advance(state, slope, first + step, False)
+                state, slope = stepped.state, stepped.slope
+            rows.append(_product(slope))
     return np.array(rows)
-
-
-def _monodromy(machine: Integrator, states: Real, times: int) -> Real:
-    """Product of the tangents of the segments, (states, states)."""
-    length = times // SEGMENTS
-    first = np.arange(0, times, length)
-    state = states[first]
-    slope = np.zeros((len(first), machine.states, machine.states))
-    slope[:] = np.eye(machine.states)
-    with np.errstate(all="ignore"):
-        for step in range(length):
-            stepped = machine.advance(state, slope, first + step, False)
-            state, slope = stepped.state, stepped.slope
-        return _product(slope)
 
 
 FIRST, SMALLEST, LARGEST = 0.01, 1e-6, 0.05  # steps, of the way

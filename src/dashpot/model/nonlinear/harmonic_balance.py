@@ -92,30 +92,22 @@ def linear_stiffness(model: Model, p: Real, jw: Complex) -> Complex:
 def _regular_inverse(D: Complex) -> Complex:
     """D⁻¹; what nothing holds (a floating rig at order 0) is held by a spring too soft to matter."""
     n = D.shape[-1]
-    size = np.max(np.abs(D), axis=(-2, -1), keepdims=True)
-    largest = np.max(size, axis=1, keepdims=True)
-    soft = np.zeros_like(size)
-    soft[:, :1] = 1e-10 * np.where(size[:, :1] > 1e-12 * largest, size[:, :1], largest)
+    constant, size = D[:, 0], np.max(np.abs(D), axis=(-2, -1))
+    diagonal = np.sqrt(np.abs(np.diagonal(constant, axis1=-2, axis2=-1)))
+    held = np.where(diagonal > 0, diagonal, 1.0)
+    with np.errstate(all="ignore"):
+        scaled = constant / (held[:, :, None] * held[:, None, :])
+        least = np.linalg.svd(np.where(np.isfinite(scaled), scaled, 0.0), compute_uv=False)[:, -1]
+    loose = (least < 1e-12 * n) | np.any(diagonal == 0, axis=-1)
+    largest = np.max(size, axis=1)
+    soft = 1e-10 * np.where(size[:, 0] > 1e-12 * largest, size[:, 0], largest)
+    regular = D.copy()
+    regular[:, 0] += np.where(loose, soft, 0.0)[:, None, None] * np.eye(n)
     try:
         with np.errstate(all="ignore"):
-            return np.linalg.inv(D + np.where(_singular(D), soft, 0.0) * np.eye(n)).astype(np.complex128)
+            return np.linalg.inv(regular).astype(np.complex128)
     except np.linalg.LinAlgError:
         return np.full_like(D, np.nan)
-
-
-def _singular(D: Complex) -> Bools:
-    """Whether the constant term of the response is not held, (N, H + 1, 1, 1)."""
-    n = D.shape[-1]
-    loose = np.zeros((*D.shape[:2], 1, 1), dtype=bool)
-    diagonal = np.sqrt(np.abs(np.diagonal(D[:, 0], axis1=-2, axis2=-1)))
-    held = np.where(diagonal > 0, diagonal, 1.0)
-    scaled = D[:, 0] / (held[:, :, None] * held[:, None, :])
-    with np.errstate(all="ignore"):
-        finite = np.where(np.isfinite(scaled), scaled, 0.0)
-    loose[:, 0, 0, 0] = (np.linalg.svd(finite, compute_uv=False)[:, -1] < 1e-12 * n) | np.any(
-        diagonal == 0, axis=-1
-    )
-    return loose
 
 
 # The equations of harmonic balance in the elongations of the nonlinear elements, and Newton's method on
@@ -334,16 +326,8 @@ def solved(matrix: Real, right: Real) -> Real:
         return np.full_like(right, np.nan)
 
 
-RAMP = (
-    0.03,
-    0.1,
-    0.2,
-    0.35,
-    0.5,
-    0.7,
-    0.85,
-    1.0,
-)  # shares of the drive on the way to a response far from linear
+# Shares of the drive on the way to a response far from linear
+RAMP = (0.03, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0)
 
 
 @dataclass(frozen=True)
@@ -411,8 +395,8 @@ def _grown(model: Model, p: Real, constants: Real, drive: Drive, at: Balanced, t
 
 def samples_of(model: Model, orders: int) -> int:
     """Instants of a period at which the laws are evaluated: more where they are not smooth."""
-    rough = any(not element.force_law.smooth for element in model.elements if element.force_law is not None)
-    wanted = max(16 * (orders + 1), 256) if rough else max(6 * (orders + 1), 32)
+    smooth = all(law.smooth for law in model.laws)
+    wanted = max(6 * (orders + 1), 32) if smooth else max(16 * (orders + 1), 256)
     return 1 << int(np.ceil(np.log2(wanted)))
 
 
@@ -464,9 +448,16 @@ def harmonic_unit_forces(model: Model, drive: Drive, at: Periodic) -> Complex:
 
 
 def slopes(
-    model: Model, p: Real, drive: Drive, at: Periodic, a: Complex, along_p: Real, along_constants: Real,
-    along_U: Complex | None = None, along_f: Complex | None = None,
-) -> Slopes:  # fmt: skip
+    model: Model,
+    p: Real,
+    drive: Drive,
+    at: Periodic,
+    a: Complex,
+    along_p: Real,
+    along_constants: Real,
+    along_U: Complex | None = None,
+    along_f: Complex | None = None,
+) -> Slopes:
     """Slopes along Q directions of the parameters, (elements, Q), the constants, (G, Q), and the inputs' harmonics.
 
     a: the unit forces of all elements, by `harmonic_unit_forces`.
@@ -483,7 +474,11 @@ def slopes(
     strength = p[:, chosen]
     # Explicit load: −Bᵀ (a ∘ dp) − Bᵀ p ∂a/∂g dg + R dU + S df
     load = -np.einsum("ei,nhe,eq->nhiq", model.B, a, along_p)
-    by_constant = _by_constants(model, at, along_constants)  # (N, H + 1, e, Q)
+    real = np.zeros((*at.delta.shape, Q))  # ∂a/∂g dg at fixed motion
+    for row, own in enumerate(model.constant_slices):
+        if own.stop > own.start:
+            real[:, row] = np.einsum("nwg,gq->nwq", at.forces.by_constant[row], along_constants[own])
+    by_constant = complex_rows(real)  # (N, H + 1, e, Q)
     load = load - np.einsum("ei,ne,nheq->nhiq", Bn, strength, by_constant)
     inner = strength[:, :, None, None] * at.forces.slope - share_blocks(linear.share)
     stretched = np.zeros((N, orders + 1, len(chosen), Q), dtype=np.complex128)
@@ -509,17 +504,6 @@ def slopes(
     return Slopes(dX, d_a, d_delta)
 
 
-def _by_constants(model: Model, at: Periodic, along: Real) -> Complex:
-    """∂a/∂g dg of the nonlinear elements at fixed motion, (N, H + 1, e, Q)."""
-    N, e, W = at.delta.shape
-    real = np.zeros((N, e, W, along.shape[1]))
-    for row, (index, inner) in enumerate(zip(model.nonlinear, model.constant_slices, strict=True)):
-        del index
-        if inner.stop > inner.start:
-            real[:, row] = np.einsum("nwg,gq->nwq", at.forces.by_constant[row], along[inner])
-    return complex_rows(real)
-
-
 def truncation(model: Model, p: Real, constants: Real, drive: Drive, at: Periodic) -> Real:
     """Error of the elongations for harmonics left out, over their size: the force at twice the orders, (N,)."""
     wider = drive.with_orders(2 * drive.orders + 1)
@@ -542,9 +526,15 @@ def truncation(model: Model, p: Real, constants: Real, drive: Drive, at: Periodi
 
 
 def settled_orders(
-    model: Model, p: Real, constants: Real, drive: Drive, start: Real | None = None,
-    *, tolerance: float = 1e-7, most: int = 63,
-) -> tuple[Periodic, Drive]:  # fmt: skip
+    model: Model,
+    p: Real,
+    constants: Real,
+    drive: Drive,
+    start: Real | None = None,
+    *,
+    tolerance: float = 1e-7,
+    most: int = 63,
+) -> tuple[Periodic, Drive]:
     """The response with as many harmonics as bring the truncation error below `tolerance`, at most `most`.
 
     p (lines, elements), constants (lines, G).

@@ -19,12 +19,7 @@ from dashpot.model.nonlinear.force_law import ForceLaw
 
 # The mirror image of a rig: the one that moves by −x(t) where this one moves by x(t).
 #
-# Driven at odd harmonics alone, both show the same odd harmonics half a period later; even ones differ in
-# sign.
-
-
-POINTS = np.linspace(-1.7, 1.9, 13)  # not symmetric themselves, in units of the law's own lengths and speeds
-ALIKE = 1e-9
+# Driven at odd harmonics alone, both show the same odd harmonics half a period later; even ones differ in sign.
 
 
 def mirrored(model: Model, theta: Real) -> Real | None:
@@ -35,9 +30,7 @@ def mirrored(model: Model, theta: Real) -> Real | None:
     """
     image = theta.copy()
     constants, slope = model.inner_constants(theta), model.constants_map[0]
-    for index, inner in zip(model.nonlinear, model.constant_slices, strict=True):
-        law = model.elements[int(index)].force_law
-        assert law is not None
+    for index, law, inner in zip(model.nonlinear, model.laws, model.constant_slices, strict=True):
         turned = _turned(law, constants[inner])
         if turned is None:
             return None
@@ -60,9 +53,10 @@ def _turned(law: ForceLaw, g: Real) -> tuple[float, tuple[float, ...]] | None:
         return 1.0, (1.0,) * len(g)
     lengths = [abs(c) for c, name in zip(g, law.constant_names, strict=True) if law.exponents[1][name][0] > 0]
     scale = max(lengths, default=1.0)
-    d, v = (part.ravel() for part in np.meshgrid(scale * POINTS, scale * POINTS))
+    points = scale * np.linspace(-1.7, 1.9, 13)  # not symmetric themselves
+    d, v = (part.ravel() for part in np.meshgrid(points, points))
     original = np.broadcast_to(law(-d, -v, d, g[None]).value, (1, len(d)))
-    size = np.max(np.abs(original)) * ALIKE
+    size = np.max(np.abs(original)) * 1e-9
     for flips in product((1.0, -1.0), repeat=len(g)):
         image = np.broadcast_to(law(d, v, d, (g * flips)[None]).value, (1, len(d)))
         for strength in (1.0, -1.0):
@@ -131,22 +125,6 @@ def real_of(X: Complex) -> Real:
     return q
 
 
-def as_blocks(Z: Complex) -> Real:
-    """Complex factors of each harmonic, (..., H + 1, i, j), as one real matrix (..., i, W, j, W)."""
-    orders, i, j = Z.shape[-3] - 1, *Z.shape[-2:]
-    W = 2 * orders + 1
-    blocks = np.zeros((*Z.shape[:-3], i, W, j, W))
-    blocks[..., :, 0, :, 0] = Z[..., 0, :, :].real
-    h = np.arange(orders)
-    part = np.moveaxis(Z[..., 1:, :, :], -3, 0)
-    # Advanced indices apart from each other come first.
-    blocks[..., :, 2 * h + 1, :, 2 * h + 1] = part.real
-    blocks[..., :, 2 * h + 2, :, 2 * h + 2] = part.real
-    blocks[..., :, 2 * h + 1, :, 2 * h + 2] = -part.imag
-    blocks[..., :, 2 * h + 2, :, 2 * h + 1] = part.imag
-    return blocks
-
-
 @lru_cache(maxsize=8)
 def rates_of_orders(orders: int) -> Complex:
     """jh for the orders h = 0 … orders, (orders + 1,)."""
@@ -155,9 +133,15 @@ def rates_of_orders(orders: int) -> Complex:
 
 def share_blocks(share: Complex) -> Real:
     """The linear share of each element, (N, H + 1, e), as real matrices (N, e, W, W)."""
-    per_element = np.moveaxis(share, -1, 1)[..., None, None]
-    blocks = as_blocks(per_element)
-    return blocks[..., 0, :, 0, :]
+    each = np.moveaxis(share, -1, 1)
+    W = 2 * each.shape[-1] - 1
+    blocks = np.zeros((*each.shape[:2], W, W))
+    re, im = np.arange(1, W, 2), np.arange(2, W, 2)
+    blocks[..., 0, 0] = each[..., 0].real
+    blocks[..., re, re] = blocks[..., im, im] = each[..., 1:].real
+    blocks[..., im, re] = each[..., 1:].imag
+    blocks[..., re, im] = -each[..., 1:].imag
+    return blocks
 
 
 def rows_of(X: Complex) -> Real:

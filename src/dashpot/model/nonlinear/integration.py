@@ -182,10 +182,8 @@ class StepForces:
     def rows(self, chosen: slice) -> StepForces:
         """Those of some of the segments, without the states of laws."""
         by_g = tuple(by[chosen] for by in self.by_g)
-        return replace(
-            self, a=self.a[chosen], by_d=self.by_d[chosen], by_v=self.by_v[chosen], by_z0=self.by_z0[chosen], by_g=by_g,
-            z=self.z[chosen], held=(),
-        )  # fmt: skip
+        a, by_d, by_v, by_z0 = (part[chosen] for part in (self.a, self.by_d, self.by_v, self.by_z0))
+        return StepForces(a, by_d, by_v, by_z0, by_g, self.z[chosen], (), self.full)
 
 
 def held_states(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: float) -> HeldStates:
@@ -315,9 +313,7 @@ class Integrator:
         force, self.inputs = loads(model, self.p, drive, substeps)
         self.offset = np.zeros(model.S.shape[1]) if offset is None else offset
         self.force = force + model.S @ self.offset
-        self.laws: tuple[ForceLaw, ...] = tuple(
-            e.force_law for e in model.elements if e.force_law is not None
-        )
+        self.laws = model.laws
         self.with_state = [row for row, law in enumerate(self.laws) if law.has_state]
         self.states = 2 * model.n + len(self.with_state)
         self.offsets = model.S  # constant forces that are unknown: one direction for each force input
@@ -339,11 +335,18 @@ class Integrator:
         return len(self.model.unknowns) + int(self.offsets.shape[1])
 
     def advance(
-        self, state: Real, slope: Real, index: Ints, with_unknowns: bool, guess: PointForces | None = None
+        self,
+        state: Real,
+        slope: Real,
+        index: Ints,
+        with_unknowns: bool,
+        guess: PointForces | None = None,
+        moved: InputLoads | None = None,
     ) -> Stepped:
         """One step of the segments at the steps `index` (S,); slope (S, states, Q) may have no columns.
 
-        guess: the forces of the same step of a motion nearby.
+        guess: the forces of the same step of a motion nearby; moved: what inputs do in it, where the last columns of
+        the slopes are along these.
         """
         n, S = self.model.n, len(state)
         base = (state[:, : 2 * n] @ self.grown).reshape(S, 4, 2 * n) + self.forced[index]
@@ -356,30 +359,7 @@ class Integrator:
             return Stepped(np.concatenate([end, at.z[:, 3]], axis=1), slope, (at.a, at.z))
         nodes = base + (flat @ self.pulled.reshape(8 * n, flat.shape[1]).T).reshape(base.shape)
         after = np.concatenate([nodes[:, 3], at.z[:, 3]], axis=1)
-        return Stepped(after, self._slopes(slope, nodes, at, index, with_unknowns), (at.a, at.z))
-
-    def along_inputs(
-        self, state: Real, slope: Real, index: Ints, moved: InputLoads, guess: PointForces | None = None
-    ) -> Stepped:
-        """As `advance`; the last columns of the slopes are those along the inputs, of which `moved` tells this step."""
-        n, S, Q = self.model.n, len(state), slope.shape[-1]
-        base = (state[:, : 2 * n] @ self.grown).reshape(S, 4, 2 * n) + self.forced[index]
-        free_d = base[..., :n] @ self.Bn.T + self.moved_d[index]
-        free_v = base[..., n:] @ self.Bn.T + self.moved_v[index]
-        at = self._solve(free_d, free_v, state[:, 2 * n :], guess)
-        end = base[:, 3] + at.a.reshape(S, -1) @ self.pulled[3].T
-        grown = (self.grown.T @ slope[:, : 2 * n]).reshape(S, 4, 2 * n, Q)
-        columns = moved.force.shape[-1]
-        grown[..., Q - columns :] += (self.driven @ moved.force.reshape(4 * n, columns)).reshape(
-            4, 2 * n, columns
-        )
-        direct = np.zeros((S, 4, len(self.laws), Q))
-        for i, row in enumerate(self.with_state):
-            direct[:, :, row] += at.by_z0[:, :, row, None] * slope[:, None, 2 * n + i]
-        nothing = np.zeros((4, len(self.laws), Q - columns))
-        d, v = (np.concatenate([nothing, self.Dn @ way], axis=-1) for way in (moved.shift, moved.rate))
-        after = self._behind(slope, grown, direct, at, d, v)
-        return Stepped(np.concatenate([end, at.z[:, 3]], axis=1), after, (at.a, at.z))
+        return Stepped(after, self._slopes(slope, nodes, at, index, with_unknowns, moved), (at.a, at.z))
 
     def input_loads(self) -> list[InputLoads]:
         """What the coefficients of the inputs' cubics do in each of the steps between two samples."""
@@ -450,47 +430,21 @@ class Integrator:
 
     def _instant_forces(self, motion: Motion, x: Real, v: Real, u: Real, du: Real) -> StepForces:
         d, rate = x @ self.Bn.T + u @ self.Dn.T, v @ self.Bn.T + du @ self.Dn.T
-        return self._instant(d, rate, motion.state[:, None, 2 * self.model.n :])
-
-    def _instant(self, d: Real, v: Real, z: Real) -> StepForces:
-        """Unit forces and slopes at single instants, (S, 1, e), the states z of the laws being given."""
-        S, K, e = d.shape
-        a, by_z0 = np.zeros((S, K, e)), np.zeros((S, K, e))
-        by_d, by_v, by_g = np.zeros((S, K, e)), np.zeros((S, K, e)), []
-        nothing = np.zeros((S, K))
-        for row, (law, own) in enumerate(zip(self.laws, self.model.constant_slices, strict=True)):
-            g = np.broadcast_to(self.constants[own], (S, own.stop - own.start))
-            inside, held = nothing, None
-            if law.has_state:
-                inside = z[..., self.with_state.index(row)]
-            if law.operator:
-                held = held_states(law, d[..., row], v[..., row], inside, inside[:, 0], g, 0.0)
-                inside = held.z
-            at = law(d[..., row], v[..., row], inside, g)
-            a[..., row] = at.value
-            by_d[..., row], by_v[..., row] = at.slopes.get("d", nothing), at.slopes.get("v", nothing)
-            by_z0[..., row] = by_z = at.slopes.get("z", nothing)
-            columns = [np.broadcast_to(at.slopes.get(name, nothing), (S, K)) for name in law.constant_names]
-            inner = np.stack(columns, axis=-1) if columns else np.zeros((S, K, 0))
-            if held is not None:
-                by_d[..., row] += by_z * held.by_d[..., 0]
-                by_z0[..., row] *= held.by_z0
-                inner = inner + by_z[..., None] * held.by_g
-            by_g.append(inner)
-        return StepForces(a, by_d.reshape(S, -1), by_v.reshape(S, -1), by_z0, tuple(by_g), z, (), False)
+        z = motion.state[:, None, 2 * self.model.n :]
+        return self._forces(d, rate, z, z[:, 0], 0.0)
 
     def _solve(self, free_d: Real, free_v: Real, z0: Real, guess: PointForces | None) -> StepForces:
         """Forces at the points of a step, from elongations and rates without them, by Newton's method on the forces."""
         S = len(free_d)
         if guess is None or not np.all(np.isfinite(guess[0])):
-            first = self._forces(free_d, free_v, np.repeat(z0[:, None], 4, axis=1), z0)
+            first = self._forces(free_d, free_v, np.repeat(z0[:, None], 4, axis=1), z0, self.step.h)
             a, z = first.a.reshape(S, -1), first.z
         else:
             a, z = guess[0].reshape(S, -1), guess[1]
         for _ in range(24):  # Newton's method, at most
             d = free_d + (a @ self.reach_d.T).reshape(free_d.shape)
             v = free_v + (a @ self.reach_v.T).reshape(free_v.shape)
-            at = self._forces(d, v, z, z0)
+            at = self._forces(d, v, z, z0, self.step.h)
             z = at.z
             change = np.linalg.solve(self._matrix(at), (at.a.reshape(S, -1) - a)[..., None])[..., 0]
             a = a + change
@@ -510,8 +464,11 @@ class Integrator:
             np.eye(len(self.reach_d)) - at.by_d[..., None] * self.reach_d - at.by_v[..., None] * self.reach_v
         )
 
-    def _forces(self, d: Real, v: Real, z: Real, z0: Real) -> StepForces:
-        """Unit forces at the nodes and how they change with d and v at the nodes and with z at the start."""
+    def _forces(self, d: Real, v: Real, z: Real, z0: Real, h: float) -> StepForces:
+        """Unit forces at the nodes and how they change with d and v at the nodes and with z at the start.
+
+        At single instants, h = 0, states that follow a rate are given.
+        """
         S, K, e = d.shape
         full = bool(self.with_state)
         a, by_z0 = np.zeros((S, K, e)), np.zeros((S, K, e))
@@ -521,28 +478,25 @@ class Integrator:
         nothing, nodes = np.zeros((S, K)), np.arange(K)
         for row, (law, own) in enumerate(zip(self.laws, self.model.constant_slices, strict=True)):
             g = np.broadcast_to(self.constants[own], (S, own.stop - own.start))
-            inside = nothing
-            held = None
+            inside, held = nothing, None
             if law.has_state:
                 i = self.with_state.index(row)
-                held = held_states(law, d[..., row], v[..., row], z[..., i], z0[:, i], g, self.step.h)
+                inside = z[..., i]
+            if law.operator or (law.has_state and h):
+                held = held_states(law, d[..., row], v[..., row], inside, z0[:, i], g, h)
                 inside = z_new[..., i] = held.z
                 states.append(held)
             at = law(d[..., row], v[..., row], inside, g)
             a[..., row] = at.value
-            slope_d, slope_v = at.slopes.get("d", nothing), at.slopes.get("v", nothing)
-            if not full:
-                by_d[..., row], by_v[..., row] = slope_d, slope_v
-            else:
-                by_d[:, nodes, row, nodes, row] = slope_d
-                by_v[:, nodes, row, nodes, row] = slope_v
+            place = (slice(None), nodes, row, nodes, row) if full else (..., row)
+            by_d[place], by_v[place] = at.slopes.get("d", nothing), at.slopes.get("v", nothing)
             columns = [np.broadcast_to(at.slopes.get(name, nothing), (S, K)) for name in law.constant_names]
             inner = np.stack(columns, axis=-1) if columns else np.zeros((S, K, 0))
+            by_z0[..., row] = by_z = np.broadcast_to(at.slopes.get("z", nothing), (S, K))
             if held is not None:
-                by_z = np.broadcast_to(at.slopes.get("z", nothing), (S, K))
                 by_d[:, :, row, :, row] += by_z[..., None] * held.by_d
                 by_v[:, :, row, :, row] += by_z[..., None] * held.by_v
-                by_z0[..., row] = by_z * held.by_z0
+                by_z0[..., row] *= held.by_z0
                 inner = inner + by_z[..., None] * held.by_g
             by_g.append(inner)
         wide = (S, K * e, K * e) if full else (S, K * e)
@@ -550,10 +504,19 @@ class Integrator:
             a, by_d.reshape(wide), by_v.reshape(wide), by_z0, tuple(by_g), z_new, tuple(states), full
         )
 
-    def _slopes(self, slope: Real, nodes: Real, at: StepForces, index: Ints, with_unknowns: bool) -> Real:
-        """Slopes of the state behind the step: the linearised step, with the loads that unknowns bring."""
+    def _slopes(
+        self,
+        slope: Real,
+        nodes: Real,
+        at: StepForces,
+        index: Ints,
+        with_unknowns: bool,
+        moved: InputLoads | None,
+    ) -> Real:
+        """Slopes of the state behind the step, from those before it (S, states, Q): the linearised step, with the loads
+        that unknowns and inputs bring."""
         model, n, S, e, Q = self.model, self.model.n, len(slope), len(self.laws), slope.shape[-1]
-        base = (self.grown.T @ slope[:, : 2 * n]).reshape(S, 4, 2 * n, Q)
+        base = (self.grown.T @ slope[:, : 2 * n]).reshape(S, 4, 2 * n, Q)  # at fixed unit forces
         direct = np.zeros((S, 4, e, Q))  # of the unit forces at fixed d and v
         for i, row in enumerate(self.with_state):
             direct[:, :, row] += at.by_z0[:, :, row, None] * slope[:, None, 2 * n + i]
@@ -568,26 +531,13 @@ class Integrator:
             )
             base[..., first : first + m] += (self.driven @ load.reshape(S, 4 * n, m)).reshape(S, 4, 2 * n, m)
             base[..., first + m :] += self.offset_moved
-        after = self._behind(slope, base, direct, at)
-        for i, row in enumerate(self.with_state if with_unknowns else ()):
-            inner = model.constant_slices[row]
-            after[:, 2 * n + i, first : first + m] += at.held[i].by_g[:, 3] @ model.constants_map[0][inner]
-        return after
-
-    def _behind(
-        self, slope: Real, base: Real, direct: Real, at: StepForces, moved_d: Real | float = 0.0,
-        moved_v: Real | float = 0.0,
-    ) -> Real:  # fmt: skip
-        """Slopes of the state behind the step, from those before it (S, states, Q).
-
-        base (S, 4, 2 n, Q): slopes at the nodes at fixed unit forces; direct (S, 4, e, Q): of the unit forces at fixed
-        elongations and rates, which inputs change by moved_d and moved_v (4, e, Q).
-        """
-        n, S, Q = self.model.n, len(slope), slope.shape[-1]
-        free_d, free_v = (
-            self.Bn @ base[:, :, :n] + moved_d,
-            self.Bn @ base[:, :, n:] + moved_v,
-        )  # (S, 4, e, Q)
+        free_d, free_v = self.Bn @ base[:, :, :n], self.Bn @ base[:, :, n:]  # (S, 4, e, Q)
+        if moved is not None:
+            columns = moved.force.shape[-1]
+            driven = (self.driven @ moved.force.reshape(4 * n, columns)).reshape(4, 2 * n, columns)
+            base[..., Q - columns :] += driven
+            free_d[..., Q - columns :] += self.Bn @ driven[:, :n] + self.Dn @ moved.shift
+            free_v[..., Q - columns :] += self.Bn @ driven[:, n:] + self.Dn @ moved.rate
         right = direct + at.times(free_d, free_v)
         d_a = np.linalg.solve(self._matrix(at), right.reshape(S, -1, Q))
         after = np.empty_like(slope)
@@ -602,6 +552,9 @@ class Integrator:
                 + np.einsum("sl,slq->sq", held.by_d[:, 3], d_d[:, :, row])
                 + np.einsum("sl,slq->sq", held.by_v[:, 3], d_v[:, :, row])
             )
+            if with_unknowns:
+                inner = model.constant_slices[row]
+                after[:, 2 * n + i, first : first + m] += held.by_g[:, 3] @ model.constants_map[0][inner]
         return after
 
     def _unit_loads(self, nodes: Real, at: StepForces, force: Real, u: Real, du: Real) -> Real:

@@ -86,7 +86,7 @@ def tangent(
     for sub, moved in enumerate(machine.input_loads()):
         index = np.arange(N - 1) * machine.substeps + sub
         guess = None if known is None else (known[0][:, sub], known[1][:, sub])
-        stepped = machine.along_inputs(state, slope, index, moved, guess)
+        stepped = machine.advance(state, slope, index, False, guess, moved)
         state, slope = stepped.state, stepped.slope
     shown, direct = np.zeros((N, len(derivative), machine.states)), np.zeros((N, len(derivative), 4 * q))
     by_state, by_input = _accelerations(machine, motion) if 2 in derivative else (None, None)
