@@ -461,8 +461,8 @@ def report(estimate: Estimate, path: AnyPath, level: float = 0.95) -> str:
     Responses and residuals are in it where the estimate still has what it was made from: one that was read from JSON
     has not.  Raises UsageError for another ending and for a batch.
     """
-    from dashpot.present.pages.page import provenance_of
-    from dashpot.present.pages.report import identification_report
+    from dashpot.present.identification import identification_report
+    from dashpot.present.page import provenance_of
 
     if estimate.values.ndim != 1:
         raise UsageError("a batch of estimates has no report", cure="take one of them")
@@ -488,28 +488,25 @@ def report(estimate: Estimate, path: AnyPath, level: float = 0.95) -> str:
 
 def text(value: Estimate | Comparison) -> str:
     """What the command prints of a result."""
-    from dashpot.present.tables.comparison import show_comparison
-    from dashpot.present.tables.estimate import estimate_text
-    from dashpot.present.tables.layout import printed
+    from dashpot.present.comparison import comparison_document
+    from dashpot.present.document import printed
+    from dashpot.present.estimate import estimate_text
 
-    if isinstance(value, Comparison):
-        return printed(lambda out: show_comparison(out, value))
-    return estimate_text(value)
+    return printed(comparison_document(value)) if isinstance(value, Comparison) else estimate_text(value)
 
 
 def html(value: Rig | Record | Spectrum | Estimate | Comparison) -> str:
     """A value as HTML, for a notebook."""
-    from dashpot.present.tables import spectrum as tables
-    from dashpot.present.tables.comparison import comparison_html
-    from dashpot.present.tables.estimate import estimate_html
+    from dashpot.present.comparison import comparison_document
+    from dashpot.present.data import notebook_document
+    from dashpot.present.document import html_of
+    from dashpot.present.estimate import estimate_document
 
     if isinstance(value, Estimate):
-        return estimate_html(value) if value.values.ndim == 1 else f"<p>{len(value.values)} estimates</p>"
-    if isinstance(value, Comparison):
-        return comparison_html(value)
-    if isinstance(value, Rig):
-        return tables.rig_html(value)
-    return tables.record_html(value) if isinstance(value, Record) else tables.spectrum_html(value)
+        if value.values.ndim > 1:
+            return f"<p>{len(value.values)} estimates</p>"
+        return html_of(estimate_document(value, untried=()))
+    return html_of(comparison_document(value) if isinstance(value, Comparison) else notebook_document(value))
 
 
 def plot(value: Estimate | Comparison, level: float = 0.95) -> Any:

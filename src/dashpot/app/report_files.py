@@ -15,7 +15,7 @@ from dashpot.io.words import REPORTS, chosen_format
 
 if TYPE_CHECKING:
     from dashpot.model.rigfile import Rig
-    from dashpot.present.pages.page import Provenance
+    from dashpot.present.document import Provenance
 
 ARGUMENTS = "dashpot.arguments"  # what was typed, in the context's meta
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
@@ -61,7 +61,7 @@ class Report:
         """How the running command computes its result; files are those read so far."""
         import shlex
 
-        from dashpot.present.pages.page import provenance_of
+        from dashpot.present.page import provenance_of
 
         context = click.get_current_context()
         command = shlex.join(["dashpot", *context.meta.get(ARGUMENTS, ())])
@@ -80,7 +80,7 @@ class Report:
             yield
         except (IdentifiabilityError, ConvergenceError) as error:
             if self:
-                from dashpot.present.pages.report import failure_report
+                from dashpot.present.identification import failure_report
 
                 self.write(failure_report(rig.model, rig.channels, error, self.provenance))
             raise

@@ -74,6 +74,10 @@ class Residuals:
     def __post_init__(self) -> None:
         freeze(self)
 
+    def compared(self) -> list[int]:
+        """Places of the channels that can be compared with a prediction."""
+        return [i for i in range(len(self.channels)) if np.any(np.isfinite(self.normalised[:, i]))]
+
     def worst(self) -> tuple[str, float, float] | None:
         """(channel, frequency in Hz, |normalised| / √2) of the largest residual; None where there is none."""
         size = np.nan_to_num(np.abs(self.normalised)) / np.sqrt(2)

@@ -12,7 +12,7 @@ from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.table_noise import with_residual_noise
 from dashpot.estimate.result import Estimate
-from dashpot.present.text.estimate import profiles_in_words
+from dashpot.present.estimate import profiles_in_words
 from tests import rigs
 from tests.networks import network
 from tests.whole_rigs import four_seen_at_two

@@ -7,7 +7,7 @@ import pytest
 
 from dashpot import Channel, dwells, identify, simulate_spectrum
 from dashpot.check.validation import validate
-from dashpot.present.text.validation import prediction_in_words
+from dashpot.present.validation import prediction_in_words
 from tests.nonlinear_rigs import motions, settled, two_masses
 from tests.two_masses import SHAKEN, SHAKEN_TRUTH
 

@@ -9,7 +9,8 @@ from rich.console import Console
 
 from dashpot.data.inspection import guessed_quantity, inspect_file, suggested_channels
 from dashpot.errors import DataError
-from dashpot.present.tables.inspection import part_in_words, picture, show_inspection
+from dashpot.present.data import inspection_document, part_in_words, picture
+from dashpot.present.document import show
 from tests.unit.data.readers.written import WRITERS, recording
 
 
@@ -56,7 +57,7 @@ def test_what_is_shown(noisy):
     inspection = inspect_file(noisy)
     out = Console(width=80, record=True, file=None, force_terminal=False)
     with out.capture() as capture:
-        show_inspection(out, inspection)
+        show(out, inspection_document(inspection))
     text = capture.get()
     assert "996 samples, 100 Hz over 9.99 s" in text
     assert "3 gaps, the longest from" in text

@@ -12,7 +12,7 @@ from dashpot.design.test_setup import Schedule
 from dashpot.design.transients import lines_of_dwells, unsettled_dwells
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.present.text.design import plan_in_words
+from dashpot.present.design import plan_in_words
 from tests.designs import AMPLITUDE, RATE, advised, light_setup
 
 

@@ -7,7 +7,7 @@ from dashpot.present.notices import REMEDIED, notice_guide
 
 SOURCE = Path(__file__).parents[3] / "src" / "dashpot"
 # Codes that are composed when they are given, and places that pass on the codes of others.
-COMPOSED = {"study/runner.py": {"damaged_blocks", "outdated_blocks"}}
+COMPOSED = {"study/montecarlo.py": {"damaged_blocks", "outdated_blocks"}}
 PASSED_ON = {"estimate/assessment.py", "estimate/result.py"}
 
 

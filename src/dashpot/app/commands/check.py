@@ -70,25 +70,12 @@ def command(
     with report.of_failure(read):
         require_full_rank(verdict, model, channels, rig)
     if report:
-        from dashpot.present.pages.others import check_report
+        from dashpot.present.check import check_report
 
         report.write(check_report(model, channels, verdict, spectrum, found, level, report.provenance))
-    if quiet or json_out == opt.STDOUT:
-        return 0
-    from dashpot.present.tables.check import show_known, show_paragraphs
-    from dashpot.present.tables.layout import console
-    from dashpot.present.text.check import collinearity_in_words, profile_in_words, structure_in_words
+    if not quiet and json_out != opt.STDOUT:
+        from dashpot.present.check import check_document
+        from dashpot.present.document import say
 
-    out, lines = console(), None if spectrum is None else spectrum.lines
-    show_paragraphs(out, structure_in_words(verdict, [channel.name for channel in channels], lines))
-    if found is not None and spectrum is not None:
-        units = dict(zip(found.estimate.names, found.estimate.units, strict=True))
-        out.print()
-        show_paragraphs(out, collinearity_in_words(found.collinearity, spectrum, units))
-        if found.profiles:
-            out.print()
-            show_paragraphs(out, [profile_in_words(one) for one in found.profiles])
-        if found.known_errors is not None:
-            out.print()
-            show_known(out, found.known_errors)
+        say(check_document(verdict, [channel.name for channel in channels], spectrum, found))
     return 0

@@ -72,7 +72,7 @@ def command(
     from dashpot.data.readers.modes import modes_and_notes
     from dashpot.estimate.registry import method, method_class
     from dashpot.model.rigfile import read_rig
-    from dashpot.present.tables.layout import console
+    from dashpot.present.document import say
 
     if elements:
         if not data:
@@ -111,15 +111,15 @@ def command(
 
         write_figure(figure, comparison_figure(comparison, level))
     if report:
-        from dashpot.present.pages.others import comparison_report
+        from dashpot.present.comparison import comparison_report
 
         channels = read.channels if spectrum is None else spectrum.channels
         report.write(comparison_report(read.model, channels, comparison, level, report.provenance))
     opt.write_result(json_out, comparison.to_json())
     if not quiet and json_out != opt.STDOUT:
-        from dashpot.present.tables.comparison import show_comparison
+        from dashpot.present.comparison import comparison_document
 
-        show_comparison(console(), comparison, level)
+        say(comparison_document(comparison, level))
     unsettled = [name for name, estimate in comparison.estimates.items() if not bool(estimate.converged)]
     if not unsettled:
         return 0
@@ -154,8 +154,8 @@ def _named(methods: str | None, data: bool, modal: bool) -> list[str]:
 def _elements(rig: Rig, data: Sequence[str], records: RecordOptions, json_out: str | None) -> int:
     """Nonlinear elements by evidence: from whole records by integration, else from the harmonics of dwells."""
     from dashpot.check.element_evidence import compare_in_dwells, compare_in_records
-    from dashpot.present.tables.element_evidence import show_elements
-    from dashpot.present.tables.layout import console
+    from dashpot.present.comparison import elements_document
+    from dashpot.present.document import say
 
     reading = records.reading(rig, data)
     if reading.continuous:
@@ -166,5 +166,5 @@ def _elements(rig: Rig, data: Sequence[str], records: RecordOptions, json_out: s
         evidence = compare_in_dwells(rig.model, spectrum)
     opt.write_result(json_out, evidence.to_json())
     if not records.quiet and json_out != opt.STDOUT:
-        show_elements(console(), evidence)
+        say(elements_document(evidence))
     return 0

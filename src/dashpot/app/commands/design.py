@@ -205,15 +205,15 @@ def command(
     if csv is not None and result.plan is not None:
         write_text(csv, plan_to_csv(result.plan, drive_units(read.model)))
     if report:
-        from dashpot.present.pages.others import design_report
+        from dashpot.present.design import design_report
 
         report.write(design_report(result, report.provenance))
     _draw(result, figure, drawn_progress, question)
     if not quiet and json_out != opt.STDOUT:
-        from dashpot.present.tables.design import show_answer
-        from dashpot.present.tables.layout import console
+        from dashpot.present.design import answer_document
+        from dashpot.present.document import say
 
-        show_answer(result, console())
+        say(answer_document(result), apart=True)
     return 0
 
 

@@ -118,13 +118,13 @@ def _write(outcome: FleetOutcome, out: str, json_out: str | None, quiet: bool) -
 
     from dashpot.app.options import STDOUT, write_result
     from dashpot.io.json_document import to_json
-    from dashpot.present.tables.fleet import show_fleet
-    from dashpot.present.tables.layout import console
+    from dashpot.present.document import say
+    from dashpot.present.fleet import fleet_document
     from dashpot.study.blocks import write_table
 
     summary = outcome.summary()
     write_table(Path(out), outcome.table(), json.dumps(summary).encode())
     write_result(json_out, to_json(summary))
     if not quiet and json_out != STDOUT:
-        show_fleet(outcome, console())
+        say(fleet_document(outcome))
         click.echo(printable(out))

@@ -117,7 +117,7 @@ def command(
     if figure is not None:
         _draw(figure, read, found)
     if report:
-        from dashpot.present.pages.report import identification_report
+        from dashpot.present.identification import identification_report
 
         page = identification_report(
             read.model,
@@ -321,38 +321,39 @@ def _draw(path: str, rig: Rig, found: Identified) -> None:
     from dashpot.present.figures.style import write_figure
 
     if found.spectrum is None:
-        from dashpot.present.figures.validation import drawn_of, prediction_figure
+        from dashpot.present.figures.spectra import drawn_of, prediction_figure
 
         write_figure(path, prediction_figure(drawn_of(found.histories)))
     else:
-        from dashpot.present.pages.report import fit_figure
+        from dashpot.present.identification import fit_figure
 
         write_figure(path, fit_figure(rig.model, found.spectrum, found.estimate))
 
 
 def _show(rig: Rig, found: Identified, level: float, matrices: bool) -> None:
     from dashpot.model.unstructured import free_names
-    from dashpot.present.tables.estimate import show_estimate
-    from dashpot.present.tables.layout import console
+    from dashpot.present.document import say
+    from dashpot.present.estimate import estimate_document
 
-    show_estimate(console(), found.estimate, level, untried=found.untried)
+    say(estimate_document(found.estimate, level, untried=found.untried), apart=True)
     # Free matrices are what the rig is, as long as no hysteretic damper, which is in none of them, stands beside them.
     if matrices or (free_names(rig.model) and not len(rig.model.by_matrix["H"])):
         from dashpot.estimate.linear.definite import matrices_of
-        from dashpot.present.tables.estimate import show_matrices
+        from dashpot.present.document import Document
+        from dashpot.present.estimate import matrix_sections
 
         angular = set(rig.model.coordinates) <= rig.model.angles
-        show_matrices(console(), matrices_of(rig.model, found.estimate), angular)
+        say(Document("", matrix_sections(matrices_of(rig.model, found.estimate), angular)), apart=True)
     if found.held:
-        from dashpot.present.tables.validation import show_validation
+        from dashpot.present.validation import validation_document
 
-        show_validation(console(), found.held)
+        say(validation_document(found.held), apart=True)
 
 
 def _ending(estimate: Estimate, strict: bool) -> int:
     """The exit code, and a line where the iteration has not converged."""
     from dashpot.estimate.inference.diagnostics import UNSEEN_LAW
-    from dashpot.present.text.estimate import sentence
+    from dashpot.present.words import sentence
 
     if bool(estimate.converged):
         misfits = estimate.assessment is not None and estimate.assessment.verdict == "does not fit"

@@ -32,15 +32,15 @@ def command(
     from dashpot.data.inspection import inspect_file, suggested_channels
     from dashpot.data.readers.manifest import files_named
     from dashpot.io.atomic import write_text
-    from dashpot.present.tables.inspection import show_inspection
-    from dashpot.present.tables.layout import console
+    from dashpot.present.data import inspection_document
+    from dashpot.present.document import say
 
-    out, inspections = console(), []
+    inspections = []
     for path in (each for name in files for each in files_named(name)):
         with progress(reading_of([str(path)])):
             inspection = inspect_file(path)
         inspections.append(inspection)
-        show_inspection(out, inspection)
+        say(inspection_document(inspection))
     table = suggested_channels(inspections)
     if channels is not None:
         write_text(channels, table)

@@ -39,8 +39,8 @@ def command(
     The same seed gives the same numbers, whatever the number of processes.
     """
     from dashpot.app.workers import cores, mapping
-    from dashpot.present.pages.yamane1989.page import show_reproduction, write_reproduction
-    from dashpot.present.tables.layout import console
+    from dashpot.present.document import say
+    from dashpot.present.reproduction import reproduction_document, write_reproduction
     from dashpot.reproduce.yamane1989.reproduction import reproduce
 
     count = workers if workers is not None else 1 if draws < FEW else cores()
@@ -49,6 +49,6 @@ def command(
     how = report.provenance if report else None
     written = write_reproduction(reproduction, report.report, figures, provenance=how, write=write_report)
     if not quiet:
-        show_reproduction(reproduction, console())
+        say(reproduction_document(reproduction))
         for name in written:
             click.echo(printable(name))

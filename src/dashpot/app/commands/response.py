@@ -95,10 +95,10 @@ def command(
     if figure is not None:
         _draw(read, moving, curves, [] if band is None else bones, band is None, figure)
     if not quiet:
-        from dashpot.present.tables.layout import console
-        from dashpot.present.tables.response_curves import show_curves
+        from dashpot.present.document import say
+        from dashpot.present.response import curves_document
 
-        show_curves(console(), [*curves, *bones], band is None)
+        say(curves_document([*curves, *bones], band is None))
 
 
 def _drives(
@@ -148,8 +148,8 @@ def _draw(
 ) -> None:
     import numpy as np
 
-    from dashpot.present.figures.response import DrawnCurve, response_curves
     from dashpot.present.figures.style import write_figure
+    from dashpot.present.response import DrawnCurve, response_curves
 
     scale = np.array([rig.channels[c].scale for c in moving])
     drawn = []

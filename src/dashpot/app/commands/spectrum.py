@@ -32,12 +32,12 @@ def command(
     from dashpot.data.readers import write_amplitudes
     from dashpot.model.observation import channel_unit
     from dashpot.model.rigfile import read_rig
-    from dashpot.present.tables.layout import console
-    from dashpot.present.tables.spectrum import show_spectrum
+    from dashpot.present.data import spectrum_document
+    from dashpot.present.document import say
 
     read = read_rig(rig)
     spectrum = options.read(read, records)
     write_amplitudes(spectrum, out)
     if not quiet:
         units = [channel_unit(read.model, channel) for channel in spectrum.channels]
-        show_spectrum(console(), spectrum, units, printable(out))
+        say(spectrum_document(spectrum, units, printable(out)))

@@ -52,9 +52,8 @@ def command(
 
     from dashpot.app.progress import progress
     from dashpot.app.workers import shared_out
-    from dashpot.present.figures.study import study_pictures
-    from dashpot.present.tables.layout import console
-    from dashpot.present.tables.study import show_study
+    from dashpot.present.document import say
+    from dashpot.present.study import study_document, study_pictures
     from dashpot.study.montecarlo import run_study
     from dashpot.study.scenario import scenarios
 
@@ -73,11 +72,11 @@ def command(
     pictures = study_pictures(outcome)
     written = write_pictures(folder, pictures)
     if report.report is not None:
-        from dashpot.present.pages.others import study_report
+        from dashpot.present.study import study_report
 
         report.write(study_report(outcome, pictures, report.provenance))
         written.append(report.report)
     if not quiet:
-        show_study(outcome, console())
+        say(study_document(outcome))
         for name in [str(Path(folder) / "summary.parquet"), *written]:
             click.echo(printable(name))

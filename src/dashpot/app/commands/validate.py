@@ -55,12 +55,12 @@ def command(
     estimate, read = estimate_and_rig(files[0], rig)
     predictions, findings = validated(read, estimate, records.reading(read, files[1:]), records)
     if figure is not None:
+        from dashpot.present.figures.spectra import drawn_of, prediction_figure
         from dashpot.present.figures.style import write_figure
-        from dashpot.present.figures.validation import drawn_of, prediction_figure
 
         write_figure(figure, prediction_figure(drawn_of(predictions)))
     if report:
-        from dashpot.present.pages.others import validation_report
+        from dashpot.present.validation import validation_report
 
         report.write(
             validation_report(read.model, read.channels, estimate, predictions, findings, report.provenance)
@@ -85,10 +85,10 @@ def command(
     content = {"records": rows, "diagnosis": [finding.content() for finding in findings]}
     opt.write_result(json_out, to_json(content))
     if not quiet and json_out != opt.STDOUT:
-        from dashpot.present.tables.layout import console
-        from dashpot.present.tables.validation import show_validation
+        from dashpot.present.document import say
+        from dashpot.present.validation import validation_document
 
-        show_validation(console(), predictions, findings)
+        say(validation_document(predictions, findings), apart=True)
 
 
 def predictions_of(

@@ -26,7 +26,7 @@ from dashpot.design.plan import Plan, plan_curves
 from dashpot.design.plan_files import phase_deg
 from dashpot.present.figures import design as draw
 from dashpot.present.figures.style import COLOURS, INK, MODEL, MUTED, limit_axis, style
-from dashpot.present.text.numbers import short
+from dashpot.present.words import short
 
 # Pictures of a planned test and of data as they came in: from answers to arrays to figures.
 

@@ -1,4 +1,4 @@
-"""Figures of an identification, from arrays alone."""
+"""Figures of an identification: lines and records as measured and predicted, residuals, what data tell."""
 
 from __future__ import annotations
 
@@ -9,17 +9,249 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import FixedLocator, MaxNLocator, MultipleLocator
 
 from dashpot.arrays import Complex, Real
 from dashpot.check.profile import Profile
-from dashpot.check.residuals import DwellHistory
-from dashpot.present.figures.design import HEAT
+from dashpot.check.residuals import DwellHistory, FrequencyResponse, Residuals
+from dashpot.check.validation import RecordPrediction
 from dashpot.present.figures.interactive import AxisLabel, hover, hover_cells
-from dashpot.present.figures.style import BAD, COLOURS, DATA, HALF_PAGE, INK, MODEL, MUTED, limit_axis, style
-from dashpot.present.text.numbers import short
+from dashpot.present.figures.style import (
+    BAD,
+    COLOURS,
+    DATA,
+    HALF_PAGE,
+    HEAT,
+    INK,
+    MODEL,
+    MUTED,
+    heat_bar,
+    limit_axis,
+    panels,
+    plain_log,
+    row_names,
+    style,
+)
+from dashpot.present.words import short
 
-# Dwells in time: measured and predicted, the part used shaded; from histories alone.
+FREQUENCY, PHASE = AxisLabel("frequency", "Hz"), AxisLabel("phase", "°")
+MANY = 300  # lines from which dots are small and drawn as a picture within the picture
+MOST_ROWS = 3  # of one picture: a printed page holds it below what stands before
+MOST_PLANES = 8
+REACH = 1.96  # standard deviations of a 95 % band
+RAYLEIGH_95 = 1.73  # of an amplitude's size over its standard deviation, √(−ln 0.05)
+
+
+def rows_of_pictures(rows: int) -> list[range]:
+    """Neighbouring rows for each of several pictures, about as many in each."""
+    pictures = -(-rows // MOST_ROWS)
+    ends = [rows * k // pictures for k in range(pictures + 1)]
+    return [range(first, end) for first, end in pairwise(ends)]
+
+
+def frequency_axis(axes: Axes, f: Real) -> None:
+    """Logarithmic where it spans much, with plain numbers."""
+    if not len(f) or float(np.max(f)) <= 3 * float(np.min(f)):
+        return
+    axes.set_xscale("log")
+    wide = float(np.max(f)) > 300 * float(np.min(f))  # more numbers would run into each other
+    plain_log(axes.xaxis, (1.0,) if wide else (1.0, 2.0, 5.0))
+
+
+# Amplitude and phase over frequency.
+
+
+def response_figure(responses: Sequence[FrequencyResponse]) -> Figure:
+    """A row for each response, amplitude left and phase right: dots with ±2 sd, the model with its 95 % band."""
+    with style():
+        figure, pairs = _amplitudes_and_phases(
+            [f"{shown.channel} over {shown.reference}" for shown in responses],
+            [shown.unit for shown in responses],
+            responses[0].lines_hz,
+        )
+        for (left, right), shown in zip(pairs, responses, strict=True):
+            size, f = np.abs(shown.response), shown.frequency_hz
+            _draw_measured(left, right, shown.lines_hz, np.abs(shown.measured), shown.sd, shown.phase_deg)
+            if np.any(np.isfinite(shown.log_sd)):
+                width = np.exp(np.minimum(REACH * np.nan_to_num(shown.log_sd), 20.0))
+                _band(left, f, size / width, size * width)
+            if np.any(np.isfinite(shown.phase_sd_deg)):
+                width = np.minimum(REACH * np.nan_to_num(shown.phase_sd_deg), 180.0)
+                _band(right, f, shown.curve_deg - width, shown.curve_deg + width)
+            left.plot(f, size, color=MODEL, lw=1.2, label="model", zorder=4)
+            right.plot(f, shown.curve_deg, color=MODEL, lw=1.2, label="model", zorder=4)
+            _amplitude_axis(left, np.append(np.abs(shown.measured), size))
+            low, high = float(np.min(shown.curve_deg)), float(np.max(shown.curve_deg))
+            limit_axis(right.set_ylim, np.floor((low - 30) / 90) * 90, np.ceil((high + 30) / 90) * 90)
+            right.yaxis.set_major_locator(MultipleLocator(90 if high - low < 400 else 180))
+        _legend_above(figure, pairs[0][0], 3)
+    return figure
+
+
+def amplitude_and_phase(
+    names: Sequence[str],
+    units: Sequence[str],
+    lines_hz: Real,
+    measured: Complex,
+    sd: Real,
+    predicted: Complex,
+) -> Figure:
+    """A row for each channel, amplitude left and phase right: measured as dots with ±2 sd, predicted as crosses.
+
+    measured, sd, predicted (lines, channels).
+    """
+    marks: dict[str, Any] = {"marker": "x", "ls": "", "color": MODEL, "ms": 6, "zorder": 2, "label": "model"}
+    if len(lines_hz) > MANY:
+        marks |= {"marker": ".", "ms": 2, "rasterized": True, "zorder": 4}
+    with style():
+        figure, pairs = _amplitudes_and_phases(names, units, lines_hz)
+        for (left, right), y, spread, model in zip(pairs, measured.T, sd.T, predicted.T, strict=True):
+            expected = np.degrees(np.angle(model))
+            # in the turn that is nearest to what is predicted
+            phase = expected + (np.degrees(np.angle(y)) - expected + 180) % 360 - 180
+            _draw_measured(left, right, lines_hz, np.abs(y), spread, phase)
+            left.plot(lines_hz, np.abs(model), **marks)
+            right.plot(lines_hz, expected, **marks)
+            _amplitude_axis(left, np.abs(y))
+            right.set_ylim(-200, 200)
+            right.set_yticks([-180, -90, 0, 90, 180])
+        pairs[0][0].legend(loc="best")
+    return figure
+
+
+def residual_channels_figure(found: Residuals, places: Sequence[int]) -> Figure:
+    """Channels as measured and as predicted."""
+    # Of another experiment's channel there is nothing to compare a prediction with.
+    predicted = np.where(np.isfinite(found.measured), found.predicted, np.nan)[:, places]
+    names, units = [found.channels[i] for i in places], [found.units[i] for i in places]
+    f, measured, sd = found.frequency_hz, found.measured[:, places], found.sd[:, places]
+    return amplitude_and_phase(names, units, f, measured, sd, predicted)
+
+
+def _amplitudes_and_phases(
+    titles: Sequence[str], units: Sequence[str], lines_hz: Real
+) -> tuple[Figure, list[tuple[Axes, Axes]]]:
+    """A figure with a row of two panels for each title, amplitude and phase over frequency."""
+    rows, ratios = len(titles), {"width_ratios": [3, 2]}
+    size = (8.6, max(1.75 * rows, 2.4) + 0.5)
+    figure, flat = panels(2 * rows, 2, size, sharex=True, gridspec_kw=ratios)
+    pairs = list(zip(flat[::2], flat[1::2], strict=True))
+    for (left, right), title, unit in zip(pairs, titles, units, strict=True):
+        left.set_title(title)
+        left.set_ylabel(unit or "ratio")
+        right.set_ylabel("phase, °")
+        hover(left, FREQUENCY, AxisLabel("amplitude", unit))
+        hover(right, FREQUENCY, PHASE)
+    for axes in flat:
+        frequency_axis(axes, lines_hz)
+    for axes in flat[-2:]:
+        axes.set_xlabel("frequency, Hz")
+    return figure, pairs
+
+
+def _draw_measured(left: Axes, right: Axes, lines_hz: Real, size: Real, sd: Real, phase: Real) -> None:
+    """Amplitudes and phases in degrees as dots with ±2 sd, (lines,) each."""
+    many = len(lines_hz) > MANY
+    dots: dict[str, Any] = {"fmt": "o", "color": DATA, "rasterized": many, "zorder": 2}
+    dots |= {"ms": 1.6, "elinewidth": 0.4} if many else {"ms": 3.2, "elinewidth": 0.8}
+    dots["label"] = "measured, ±2 sd" if np.any(sd > 0) else "measured"
+    with np.errstate(invalid="ignore", divide="ignore"):
+        angle = np.degrees(np.where(size > 0, sd / size, 0.0))
+    # an error bar that reaches down to nothing must not flatten the picture
+    reach = [np.nan_to_num(np.minimum(2 * sd, 0.999 * size)), np.nan_to_num(2 * sd)]
+    left.errorbar(lines_hz, size, yerr=reach, **dots)
+    right.errorbar(lines_hz, phase, yerr=np.nan_to_num(np.minimum(2 * angle, 180)), **dots)
+
+
+def _band(axes: Axes, f: Real, low: Real, high: Real) -> None:
+    axes.fill_between(f, low, high, color=MODEL, alpha=0.25, lw=0, zorder=3, label="95 % band of the model")
+
+
+def _amplitude_axis(axes: Axes, sizes: Real) -> None:
+    """Logarithmic around these amplitudes, with plain numbers where they fit."""
+    positive = sizes[np.isfinite(sizes) & (sizes > 0)]
+    if len(positive):
+        axes.set_yscale("log")
+        low, high = float(np.min(positive)) / 1.6, float(np.max(positive)) * 1.6
+        limit_axis(axes.set_ylim, low, high)
+        if high < 300 * low:
+            plain_log(axes.yaxis)
+
+
+def _legend_above(figure: Figure, axes: Axes, columns: int) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=columns)
+
+
+def nyquist_figure(responses: Sequence[FrequencyResponse]) -> Figure:
+    """The first responses in the complex plane: each resonance is a circle; lines join measured and model."""
+    shown = responses[:MOST_PLANES]
+    columns = min(len(shown), 4)
+    with style():
+        width = 8.6 if columns > 2 else 0.4 + 2.6 * columns
+        size = (width, 0.3 + width / columns * -(-len(shown) // columns))
+        figure, grid = panels(len(shown), columns, size)
+        for axes, response in zip(grid, shown, strict=True):
+            H, curve, many = response.measured, response.response, len(response.measured) > MANY
+            dots: dict[str, Any] = {
+                "color": DATA,
+                "ms": 1.6 if many else 3.2,
+                "rasterized": many,
+                "label": "measured",
+            }
+            axes.axhline(0, color=MUTED, lw=0.5)
+            axes.axvline(0, color=MUTED, lw=0.5)
+            axes.plot(curve.real, curve.imag, color=MODEL, lw=1.2, zorder=3)
+            axes.plot(H.real, H.imag, "o", zorder=4, **dots)
+            lines = [f"{short(float(f), 4)} Hz" for f in response.lines_hz]
+            parts = AxisLabel("real part", response.unit), AxisLabel("imaginary part", response.unit)
+            hover(axes, *parts, lines)
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.set_title(f"{response.channel} over {response.reference}")
+            axes.set_xlabel(f"real part{', ' + response.unit if response.unit else ''}")
+            axes.set_ylabel("imaginary part")
+            axes.xaxis.set_major_locator(MaxNLocator(4))
+            axes.yaxis.set_major_locator(MaxNLocator(4))
+    return figure
+
+
+# Whole records, and dwells in time.
+
+
+def drawn_of(predictions: Sequence[RecordPrediction]) -> RecordPrediction:
+    """What is drawn of several: the first whole record, or, where there is none, the settled lines."""
+    return next((part for part in predictions if part.samples), predictions[0])
+
+
+def prediction_figure(part: RecordPrediction, rows: Sequence[int] | None = None) -> Figure:
+    """A whole record in time (left) and by frequency, or settled lines; of all channels or of those in these places."""
+    chosen = range(len(part.channels)) if rows is None else rows
+    names, units = [part.channels[i] for i in chosen], [part.units[i] for i in chosen]
+    f, shown, expected = part.frequency_hz, part.measured[:, chosen], part.predicted[:, chosen]
+    if not part.samples:
+        return amplitude_and_phase(names, units, f, shown, np.full(shown.shape, np.nan), expected)
+    time, measured, predicted = part.histories()
+    looks = (("measured", DATA, 0.8), ("predicted", MODEL, 0.7), ("difference", BAD, 0.6))
+    with style():
+        figure, flat = panels(2 * len(names), 2, (9, 2.1 * len(names) + 0.4))
+        rows_of = zip(chosen, names, units, flat[::2], flat[1::2], strict=True)
+        for row, (place, name, unit, left, right) in enumerate(rows_of):
+            histories = measured[:, place], predicted[:, place]
+            spectra = shown[:, row], expected[:, row]
+            for k, (label, colour, width) in enumerate(looks):
+                history = histories[k] if k < 2 else histories[0] - histories[1]
+                spectrum = spectra[k] if k < 2 else spectra[0] - spectra[1]
+                left.plot(time, history, color=colour, linewidth=width, label=label)
+                right.semilogy(f, np.abs(spectrum), color=colour, linewidth=width, label=label)
+            hover(left, AxisLabel("time", "s"), AxisLabel(name, unit))
+            hover(right, FREQUENCY, AxisLabel(name, unit))
+            left.set_ylabel(f"{name}, {unit}")
+            right.set_ylabel(unit)
+            right.set_title(name)
+        _legend_above(figure, flat[0], 3)
+        flat[-2].set_xlabel("time, s")
+        flat[-1].set_xlabel("frequency, Hz")
+    return figure
 
 
 COLUMNS = 300  # of the outline of a dwell
@@ -31,7 +263,7 @@ USED = "#d7e8f0"
 def whole_dwells(dwells: Sequence[DwellHistory]) -> Figure:
     """A column for each dwell, a row for each channel: the reach of each period, the part used shaded."""
     with style():
-        figure, grid = _panels(dwells)
+        figure, grid = _dwell_panels(dwells)
         for column, dwell in enumerate(dwells):
             inside = (dwell.time >= dwell.begin) & (dwell.time <= dwell.end)
             predicted = dwell.predicted(dwell.time[inside])
@@ -42,35 +274,33 @@ def whole_dwells(dwells: Sequence[DwellHistory]) -> Figure:
                 middle, low, high = _outline(dwell.time[inside], predicted[:, row], dwell.frequency_hz)
                 axes.plot(middle, low, color=MODEL, lw=1.3, zorder=4, label="predicted")
                 axes.plot(middle, high, color=MODEL, lw=1.3, zorder=4)
-        _legend(figure, grid[0, 0])
+        _legend_above(figure, grid[0, 0], 2)
     return figure
 
 
 def beginnings(dwells: Sequence[DwellHistory]) -> Figure:
     """The same channels around the beginning of the part used: samples as points, the prediction as a curve."""
     with style():
-        figure, grid = _panels(dwells)
+        figure, grid = _dwell_panels(dwells)
         for column, dwell in enumerate(dwells):
             period = 1 / dwell.frequency_hz
             first = max(dwell.begin - period, 0.0)
             last = min(dwell.begin + PERIODS * period, float(dwell.time[-1]))
             kept = (dwell.time >= first) & (dwell.time <= last)
+            every = max(int(np.sum(kept)) // POINTS, 1)
+            samples, measured = dwell.time[kept][::every], dwell.measured[kept][::every]
             time = np.linspace(first, last, POINTS)
             curve = dwell.predicted(time)
-            every = max(int(np.sum(kept)) // POINTS, 1)
             for row, axes in enumerate(grid[:, column]):
                 _used(axes, dwell.begin, min(dwell.end, last))
-                axes.plot(
-                    dwell.time[kept][::every], dwell.measured[kept, row][::every], "o", ms=2.0, color=MUTED,
-                    zorder=2, label="measured",
-                )  # fmt: skip
+                axes.plot(samples, measured[:, row], "o", ms=2.0, color=MUTED, zorder=2, label="measured")
                 axes.plot(time, curve[:, row], color=MODEL, lw=1.0, zorder=4, label="predicted")
                 hover(axes, AxisLabel("time", "s"), AxisLabel(dwell.channels[row], dwell.units[row]))
-        _legend(figure, grid[0, 0])
+        _legend_above(figure, grid[0, 0], 2)
     return figure
 
 
-def _panels(dwells: Sequence[DwellHistory]) -> tuple[Figure, Any]:
+def _dwell_panels(dwells: Sequence[DwellHistory]) -> tuple[Figure, Any]:
     rows = len(dwells[0].channels)
     figure = Figure(figsize=(max(3.0 * len(dwells), 5.0), max(1.5 * rows, 2.0) + 0.5))
     grid = figure.subplots(rows, len(dwells), squeeze=False, sharex="col", sharey="row")
@@ -80,11 +310,6 @@ def _panels(dwells: Sequence[DwellHistory]) -> tuple[Figure, Any]:
     for name, unit, axes in zip(dwells[0].channels, dwells[0].units, grid[:, 0], strict=True):
         axes.set_ylabel(f"{name}, {unit}")
     return figure, grid
-
-
-def _legend(figure: Figure, axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=2)
 
 
 def _used(axes: Axes, begin: float, end: float) -> None:
@@ -105,197 +330,7 @@ def _outline(time: Real, values: Real, frequency_hz: float) -> tuple[Real, Real,
     return middles, np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
 
 
-# Figures of what data tell: shares of the information by frequency, profiles of the likelihood.
-
-
-TICKS = 10
-
-
-def shares_figure(names: Sequence[str], frequency_hz: Real, shares: Real) -> Figure:
-    """What lines (or bands, by their middle) tell of each unknown, per cent; shares (lines, unknowns)."""
-    lines = len(frequency_hz)
-    with style():
-        figure = Figure(figsize=(HALF_PAGE, max(1.6, 0.26 * len(names) + 1.0)))
-        axes = figure.subplots()
-        top = max(float(np.nanmax(shares, initial=0.0)), 1e-9)
-        mesh = axes.pcolormesh(
-            np.arange(lines + 1), np.arange(len(names) + 1), 100 * shares.T, cmap=HEAT, vmin=0, vmax=100 * top,
-            rasterized=lines * len(names) > 2000,
-        )  # fmt: skip
-        step = max(1, -(-lines // TICKS))
-        places = np.arange(0, lines, step)
-        axes.xaxis.set_major_locator(FixedLocator([float(k) + 0.5 for k in places]))
-        axes.set_xticklabels([short(float(frequency_hz[k]), 3) for k in places])
-        axes.yaxis.set_major_locator(FixedLocator([k + 0.5 for k in range(len(names))]))
-        axes.set_yticklabels(list(names))
-        axes.set_ylim(len(names), 0)
-        columns = [f"{short(float(f), 4)} Hz" for f in frequency_hz]
-        hover_cells(axes, names, columns, 100 * shares.T, AxisLabel("share", "%"))
-        axes.tick_params(length=0)
-        axes.grid(visible=False)
-        axes.set_xlabel("frequency, Hz")
-        bar = figure.colorbar(mesh, ax=axes, pad=0.01)
-        bar.set_label("% of the information")
-        bar.outline.set_visible(False)
-    return figure
-
-
-def profile_figure(profiles: Sequence[Profile]) -> Figure:
-    """Rise of χ² along each unknown, all others fitted again, beside the parabola of the normal interval."""
-    columns = min(len(profiles), 2)
-    rows = -(-len(profiles) // columns)
-    with style():
-        figure = Figure(figsize=(HALF_PAGE if columns == 2 else 3.2, 0.6 + 2.2 * rows))
-        grid = np.atleast_2d(figure.subplots(rows, columns, squeeze=False))
-        for axes, shown in zip(grid.flat, profiles, strict=False):
-            axes.plot(shown.points, shown.rise, color=MODEL, lw=1.4, label="profile")
-            value, half = float(shown.value), (float(shown.normal_upper) - float(shown.normal_lower)) / 2
-            x = np.linspace(float(np.min(shown.points)), float(np.max(shown.points)), 100)
-            limit = float(shown.threshold)
-            axes.plot(
-                x, limit * ((x - value) / half) ** 2, color=MUTED, lw=1.0, ls=(0, (3, 2)), label="normal"
-            )
-            axes.axhline(limit, color=INK, lw=0.7)
-            for end in (float(shown.lower), float(shown.upper)):
-                if np.isfinite(end):
-                    axes.axvline(end, color=BAD if bool(shown.misleads) else MODEL, lw=0.8)
-            limit_axis(axes.set_ylim, 0, 2.2 * limit)
-            hover(
-                axes, AxisLabel(shown.name, "" if shown.unit == "1" else shown.unit), AxisLabel("rise of χ²")
-            )
-            axes.set_title(shown.name)
-            axes.set_xlabel("" if shown.unit == "1" else shown.unit)
-            axes.set_ylabel("rise of χ²")
-        for axes in list(grid.flat)[len(profiles) :]:
-            axes.set_visible(False)
-        grid.flat[0].legend(loc="upper center")
-    return figure
-
-
-FREQUENCY, PHASE = AxisLabel("frequency", "Hz"), AxisLabel("phase", "°")
-MANY = 300  # lines from which dots are small and drawn as a picture within the picture
-MOST_ROWS = 3  # of one picture: a printed page holds it below what stands before
-RAYLEIGH_95 = 1.73  # of an amplitude's size over its standard deviation, √(−ln 0.05)
-
-
-def _logarithmic(f: Real) -> bool:
-    return bool(len(f)) and float(np.max(f)) > 3 * float(np.min(f))
-
-
-def frequency_axis(axes: Axes, f: Real) -> None:
-    """Logarithmic where it spans much, with plain numbers."""
-    if not _logarithmic(f):
-        return
-    axes.set_xscale("log")
-    wide = float(np.max(f)) > 300 * float(np.min(f))  # more numbers would run into each other
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0), numticks=12))
-    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-
-
-def degrees(values: Complex) -> Real:
-    """Phases in degrees, (−180, 180]."""
-    return np.degrees(np.angle(values))
-
-
-def rows_of_pictures(rows: int) -> list[range]:
-    """Neighbouring rows for each of several pictures, about as many in each."""
-    pictures = -(-rows // MOST_ROWS)
-    ends = [rows * k // pictures for k in range(pictures + 1)]
-    return [range(first, end) for first, end in pairwise(ends)]
-
-
-def amplitude_and_phase(
-    names: Sequence[str],
-    units: Sequence[str],
-    lines_hz: Real,
-    measured: Complex,
-    sd: Real,
-    curve_hz: Real | None,
-    curve: Complex | None,
-    predicted: Complex | None,
-) -> Figure:
-    """A row for each channel, amplitude left and phase right: measured as dots with ±2 sd, the model as a line.
-
-    measured, sd, predicted (lines, channels); curve (points, channels) between the lines, or None: then `predicted`
-    stands as crosses at the lines.
-    """
-    rows = len(names)
-    with style():
-        figure = Figure(figsize=(8.6, max(1.8 * rows, 2.2) + 0.4))
-        grid = figure.subplots(rows, 2, squeeze=False, sharex=True, gridspec_kw={"width_ratios": [3, 2]})
-        for row, (name, unit) in enumerate(zip(names, units, strict=True)):
-            left, right = grid[row]
-            model = None if predicted is None else predicted[:, row]
-            _draw_measured(left, right, lines_hz, measured[:, row], sd[:, row], model)
-            if curve is not None and curve_hz is not None:
-                left.plot(curve_hz, np.abs(curve[:, row]), color=MODEL, lw=1.3, label="model", zorder=2)
-                phase = _unbroken(degrees(curve[:, row]))
-                right.plot(curve_hz, phase, color=MODEL, lw=1.3, label="model", zorder=2)
-            elif model is not None:
-                marks: dict[str, Any] = {"marker": "x", "ls": "", "color": MODEL, "ms": 6, "zorder": 2}
-                if len(lines_hz) > MANY:
-                    marks |= {"marker": ".", "ms": 2, "rasterized": True, "zorder": 4}
-                left.plot(lines_hz, np.abs(model), label="model", **marks)
-                right.plot(lines_hz, degrees(model), label="model", **marks)
-            _amplitude_axis(left, np.abs(measured[:, row]), None if curve is None else np.abs(curve[:, row]))
-            left.set_title(name)
-            left.set_ylabel(unit)
-            right.set_ylabel("phase, °")
-            right.set_ylim(-200, 200)
-            right.set_yticks([-180, -90, 0, 90, 180])
-            hover(left, FREQUENCY, AxisLabel("amplitude", unit))
-            hover(right, FREQUENCY, PHASE)
-            for axes in (left, right):
-                frequency_axis(axes, lines_hz)
-        for axes in grid[-1]:
-            axes.set_xlabel("frequency, Hz")
-        grid[0][0].legend(loc="best")
-    return figure
-
-
-def _draw_measured(
-    left: Axes, right: Axes, lines_hz: Real, y: Complex, sd: Real, predicted: Complex | None
-) -> None:
-    """Amplitudes and phases as dots with ±2 sd; phases in the turn that is nearest to what is predicted."""
-    many = len(lines_hz) > MANY
-    dots: dict[str, Any] = {
-        "fmt": "o",
-        "color": DATA,
-        "label": "measured, ±2 sd" if np.any(sd > 0) else "measured",
-        "zorder": 3,
-        "rasterized": many,
-    }
-    dots |= {"ms": 1.6, "elinewidth": 0.4} if many else {"ms": 3.2, "elinewidth": 0.8}
-    size = np.abs(y)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        angle = np.degrees(np.where(size > 0, sd / size, np.nan))
-    reach = [np.nan_to_num(np.minimum(2 * sd, 0.999 * size)), np.nan_to_num(2 * sd)]
-    left.errorbar(lines_hz, size, yerr=reach, **dots)
-    phase = degrees(y) if predicted is None else _beside(degrees(y), degrees(predicted))
-    right.errorbar(lines_hz, phase, yerr=np.nan_to_num(np.minimum(2 * angle, 180)), **dots)
-
-
-def _amplitude_axis(axes: Axes, size: Real, model: Real | None) -> None:
-    """Logarithmic, from the data and the model; an error bar that reaches down to nothing must not flatten both."""
-    everything = size if model is None else np.append(size, model)
-    positive = everything[np.isfinite(everything) & (everything > 0)]
-    if len(positive):
-        axes.set_yscale("log")
-        limit_axis(axes.set_ylim, float(np.min(positive)) / 2, float(np.max(positive)) * 2)
-
-
-def _beside(phase: Real, reference: Real) -> Real:
-    """The same phases, in the turn that is nearest to the reference."""
-    return reference + (phase - reference + 180) % 360 - 180
-
-
-def _unbroken(phase: Real) -> Real:
-    """A gap where the phase jumps by a turn, so that no line crosses the picture."""
-    jump = np.abs(np.diff(phase)) > 180
-    out = phase.copy()
-    out[1:][jump] = np.nan
-    return out
+# What data tell: residuals, correlations, shares of the information by frequency, profiles of the likelihood.
 
 
 def residual_plot(
@@ -314,10 +349,12 @@ def residual_plot(
             there = np.isfinite(size[:, k])
             if np.any(there):
                 many = int(np.sum(there)) > MANY
-                axes.plot(
-                    lines_hz[there], size[there, k], marks[k % len(marks)], color=COLOURS[k % len(COLOURS)],
-                    ms=2 if many else 4, label=name, rasterized=many,
-                )  # fmt: skip
+                look: dict[str, Any] = {
+                    "color": COLOURS[k % len(COLOURS)],
+                    "ms": 2 if many else 4,
+                    "rasterized": many,
+                }
+                axes.plot(lines_hz[there], size[there, k], marks[k % len(marks)], label=name, **look)
         largest = float(np.max(size[np.isfinite(size)], initial=RAYLEIGH_95))
         if largest > 12:
             axes.set_yscale("symlog", linthresh=2)
@@ -326,25 +363,23 @@ def residual_plot(
             name, f, value = worst
             right = f > float(np.sqrt(np.max(lines_hz) * max(np.min(lines_hz), 1e-12)))
             axes.annotate(
-                f"{name}, {f:.4g} Hz: {short(value, 2)}", (f, value), textcoords="offset points",
-                xytext=(-6 if right else 6, 4), ha="right" if right else "left", fontsize=8, color=INK,
-            )  # fmt: skip
+                f"{name}, {f:.4g} Hz: {short(value, 2)}",
+                (f, value),
+                textcoords="offset points",
+                xytext=(-6 if right else 6, 4),
+                ha="right" if right else "left",
+                fontsize=8,
+                color=INK,
+            )
         axes.set_ylabel("residual / sd")
         hover(axes, FREQUENCY, AxisLabel("residual", "sd"))
         axes.set_xlabel("frequency, Hz")
         frequency_axis(axes, lines_hz)
         handles, labels = axes.get_legend_handles_labels()
         if handles and len(labels) <= 12:
-            figure.legend(
-                handles, labels, loc="outside upper left", ncols=6, handletextpad=0.1, columnspacing=1.2
-            )
+            layout = {"ncols": 6, "handletextpad": 0.1, "columnspacing": 1.2}
+            figure.legend(handles, labels, loc="outside upper left", **layout)
     return figure
-
-
-def _luminance(colour: Real) -> float:
-    """Relative luminance of a colour (red, green, blue, …), WCAG 2: text on less than 0.18 is best white."""
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour[:3].tolist()]
-    return float(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
 
 
 def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
@@ -362,14 +397,12 @@ def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
         image = axes.imshow(matrix, cmap="RdBu", vmin=-1, vmax=1)
         if count <= 12:
             colours = image.to_rgba(np.nan_to_num(matrix))
-            for i in range(count):
-                for j in range(count):
-                    value = float(matrix[i, j])
-                    if np.isfinite(value):
-                        ink = "white" if _luminance(colours[i, j]) < 0.18 else INK
-                        text = f"{value:.2f}".replace("0.", ".").replace("-", "−") if i != j else "1"
-                        text = "0" if abs(value) < 0.005 else text
-                        axes.text(j, i, text, ha="center", va="center", color=ink, fontsize=7.5)
+            for i, j in np.argwhere(np.isfinite(matrix)).tolist():
+                value = float(matrix[i, j])
+                text = f"{value:.2f}".replace("0.", ".").replace("-", "−") if i != j else "1"
+                text = "0" if abs(value) < 0.005 else text
+                ink = "white" if _luminance(colours[i, j]) < 0.18 else INK
+                axes.text(j, i, text, ha="center", va="center", color=ink, fontsize=7.5)
         if count <= 40:
             axes.set_xticks(range(count), names, rotation=45 if max(map(len, names)) > 3 else 0)
             axes.set_yticks(range(count), names)
@@ -377,4 +410,66 @@ def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
         for spine in axes.spines.values():
             spine.set_visible(False)
         figure.colorbar(image, ax=axes, shrink=0.8, ticks=[-1, 0, 1])
+    return figure
+
+
+def _luminance(colour: Real) -> float:
+    """Relative luminance of a colour (red, green, blue, …), WCAG 2: text on less than 0.18 is best white."""
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour[:3].tolist()]
+    return float(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
+
+
+def shares_figure(names: Sequence[str], frequency_hz: Real, shares: Real) -> Figure:
+    """What lines (or bands, by their middle) tell of each unknown, per cent; shares (lines, unknowns)."""
+    lines = len(frequency_hz)
+    with style():
+        figure = Figure(figsize=(HALF_PAGE, max(1.6, 0.26 * len(names) + 1.0)))
+        axes = figure.subplots()
+        top = max(float(np.nanmax(shares, initial=0.0)), 1e-9)
+        edges = np.arange(lines + 1), np.arange(len(names) + 1)
+        look: dict[str, Any] = {
+            "cmap": HEAT,
+            "vmin": 0,
+            "vmax": 100 * top,
+            "rasterized": lines * len(names) > 2000,
+        }
+        mesh = axes.pcolormesh(*edges, 100 * shares.T, **look)
+        places = np.arange(0, lines, max(1, -(-lines // 10)))
+        axes.xaxis.set_major_locator(FixedLocator([float(k) + 0.5 for k in places]))
+        axes.set_xticklabels([short(float(frequency_hz[k]), 3) for k in places])
+        row_names(axes, [k + 0.5 for k in range(len(names))], names)
+        axes.set_ylim(len(names), 0)
+        columns = [f"{short(float(f), 4)} Hz" for f in frequency_hz]
+        hover_cells(axes, names, columns, 100 * shares.T, AxisLabel("share", "%"))
+        axes.tick_params(length=0)
+        axes.grid(visible=False)
+        axes.set_xlabel("frequency, Hz")
+        heat_bar(mesh, axes, "% of the information")
+    return figure
+
+
+def profile_figure(profiles: Sequence[Profile]) -> Figure:
+    """Rise of χ² along each unknown, all others fitted again, beside the parabola of the normal interval."""
+    columns = min(len(profiles), 2)
+    size = (HALF_PAGE if columns == 2 else 3.2, 0.6 + 2.2 * -(-len(profiles) // columns))
+    with style():
+        figure, grid = panels(len(profiles), columns, size)
+        for axes, shown in zip(grid, profiles, strict=True):
+            axes.plot(shown.points, shown.rise, color=MODEL, lw=1.4, label="profile")
+            value, half = float(shown.value), (float(shown.normal_upper) - float(shown.normal_lower)) / 2
+            x = np.linspace(float(np.min(shown.points)), float(np.max(shown.points)), 100)
+            limit = float(shown.threshold)
+            parabola = limit * ((x - value) / half) ** 2
+            axes.plot(x, parabola, color=MUTED, lw=1.0, ls=(0, (3, 2)), label="normal")
+            axes.axhline(limit, color=INK, lw=0.7)
+            for end in (float(shown.lower), float(shown.upper)):
+                if np.isfinite(end):
+                    axes.axvline(end, color=BAD if bool(shown.misleads) else MODEL, lw=0.8)
+            limit_axis(axes.set_ylim, 0, 2.2 * limit)
+            unit = "" if shown.unit == "1" else shown.unit
+            hover(axes, AxisLabel(shown.name, unit), AxisLabel("rise of χ²"))
+            axes.set_title(shown.name)
+            axes.set_xlabel(unit)
+            axes.set_ylabel("rise of χ²")
+        grid[0].legend(loc="upper center")
     return figure

@@ -5,14 +5,20 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from PIL import Image
 
 from dashpot.estimate.registry import METHODS
@@ -23,6 +29,7 @@ INK, MUTED, GRID = "#1f2933", "#7b8794", "#e4e7eb"
 MODEL, DATA, BAD = "#0b6e99", "#1f2933", "#b5372b"
 _UNSAID = {"svg": ("Date", "Creator"), "png": ("Software",), "pdf": ("CreationDate", "Creator", "Producer")}
 COLOURS = ("#0b6e99", "#c4661f", "#4a7c3a", "#8a4f9e", "#b5372b", "#5c6b7a", "#b08a1e", "#2f8f83")
+HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", "#d5e6ee", "#7fb6cd", "#0b6e99", "#083d56"])
 DPI = 180
 HALF_PAGE = 6.2  # inches of a figure that stands in half of a wide page: its text is as large as the page's
 
@@ -65,6 +72,38 @@ def style() -> Iterator[None]:
     """The look of all figures."""
     with mpl.rc_context(_STYLE):  # type: ignore[arg-type]  # the stub wants every key as a literal
         yield
+
+
+def panels(
+    count: int, columns: int, size: tuple[float, float], kind: type[Figure] = Figure, **settings: Any
+) -> tuple[Figure, list[Axes]]:
+    """A figure of that size (inches) with `count` panels in rows of `columns`, and the panels."""
+    figure = kind(figsize=size)
+    grid = list(figure.subplots(-(-count // columns), columns, squeeze=False, **settings).flat)
+    for axes in grid[count:]:
+        axes.set_visible(False)
+    return figure, grid[:count]
+
+
+def plain_log(axis: Axis, subs: Sequence[float] = (1.0, 2.0, 5.0), form: str = "{x:g}") -> None:
+    """Plain numbers along a logarithmic axis, at these multiples of powers of ten."""
+    axis.set_major_locator(LogLocator(subs=subs, numticks=14))
+    axis.set_major_formatter(StrMethodFormatter(form))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def row_names(axes: Axes, places: Sequence[float], names: Sequence[str]) -> None:
+    """Names of rows at the left, without ticks."""
+    axes.set_yticks(places, names)
+    axes.tick_params(axis="y", length=0)
+
+
+def heat_bar(mesh: ScalarMappable, axes: Axes, label: str, ticks: Sequence[float] | None = None) -> Colorbar:
+    """The scale of colours beside a heat map."""
+    bar = axes.figure.colorbar(mesh, ax=axes, pad=0.01, ticks=ticks)
+    bar.set_label(label)
+    bar.outline.set_visible(False)
+    return bar
 
 
 def limit_axis(limits: Callable[[float | None, float | None], object], low: float, high: float) -> None:

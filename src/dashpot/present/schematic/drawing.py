@@ -13,14 +13,17 @@ from typing import Any, Literal
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
-from dashpot.arrays import Complex
+from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel
+from dashpot.check.data_findings import doubtful as doubtful_of
 from dashpot.errors import UsageError
 from dashpot.estimate.result import Estimate
 from dashpot.io.atomic import write_bytes
 from dashpot.io.words import PICTURES, chosen_format
 from dashpot.model.modes import modes
 from dashpot.model.network import Model
+from dashpot.present.document import Picture
+from dashpot.present.estimate import aperiodic_in_words
 from dashpot.present.figures.style import style
 from dashpot.present.schematic.connections import Connections, connections
 from dashpot.present.schematic.geometry import (
@@ -38,8 +41,7 @@ from dashpot.present.schematic.layout import BADGES, Knowledge, Labels, Placer, 
 from dashpot.present.schematic.scene import Part, Shape, corners, scene_parts
 from dashpot.present.schematic.svg import COLOURS, FILLS, moving_document, svg_document
 from dashpot.present.schematic.symbols import XY
-from dashpot.present.text.estimate import aperiodic_in_words, sentence
-from dashpot.present.text.numbers import short
+from dashpot.present.words import sentence, short
 
 # A wide drawing cut into rows below each other, so that its texts can be read on a page.
 
@@ -307,6 +309,7 @@ def _text(figure: Figure, text: Text, width: float, height: float) -> None:
 
 
 MOST_ELEMENTS, MOST_BODIES = 60, 40
+BESIDE = 640.0  # px of a drawing that still has room beside the parameters
 
 
 @dataclass(frozen=True)
@@ -369,6 +372,33 @@ def schematic(
     rows, *size = folded(scene_parts(layout, model, said), layout.width, layout.height)
     drawn, width, height = framed(rows, (size[0], size[1]), model, said, estimate is not None, level, note)
     return Drawing(model.name or "Rig", model, said, parts, layout, tuple(drawn), width, height)
+
+
+def rig_picture(
+    model: Model,
+    channels: Sequence[Channel],
+    estimate: Estimate | None = None,
+    unsure: Collection[str] | None = None,
+    level: float = 0.95,
+) -> Picture | None:
+    """The drawing of the rig for a page; None where it is too large for one.
+
+    `unsure` names the doubtful parameters: without it those of the estimate whose intervals say little.
+    """
+    if unsure is None:
+        unsure = () if estimate is None else doubtful_of(estimate, level)
+    try:
+        drawing = schematic(model, channels, estimate, unsure, level)
+    except UsageError:
+        return None
+    return Picture(drawing.svg(), drawing.title, wide=drawing.width > BESIDE)
+
+
+def true_rig_picture(model: Model, theta: Real, channels: Sequence[Channel]) -> Picture | None:
+    """The drawing of a rig with its true values θ (unknowns,), of which there is no estimate."""
+    true = {unknown.name: float(value) for unknown, value in zip(model.unknowns, theta, strict=True)}
+    elements = tuple(replace(each, value=true.get(each.name, each.value), sd=None) for each in model.elements)
+    return rig_picture(replace(model, elements=elements), channels)
 
 
 def drawing_description(drawing: Drawing) -> str:

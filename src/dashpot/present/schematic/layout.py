@@ -17,6 +17,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
+from dashpot.present.estimate import parameter_rows
 from dashpot.present.schematic.connections import GROUND, Body, Connections, Link, Push
 from dashpot.present.schematic.geometry import (
     ENTRY,
@@ -42,8 +43,7 @@ from dashpot.present.schematic.geometry import (
     stacked,
     with_hops,
 )
-from dashpot.present.tables.estimate import parameter_rows
-from dashpot.present.text.numbers import plain, short
+from dashpot.present.words import plain, short
 
 # The order in which bodies are drawn: a tree from left to right, and the links that skip bodies.
 #

@@ -1,0 +1,210 @@
+"""What the channels and the data can determine, as a document: structure, collinearity, profiles, known errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from dashpot.channel import Channel
+from dashpot.check.data_findings import Collinearity, Combination, DataFindings, doubtful, shares_by_band
+from dashpot.check.identifiability import Structure
+from dashpot.check.profile import Profile
+from dashpot.check.sensitivity import KnownErrors
+from dashpot.data.spectrum import Spectrum
+from dashpot.io.words import joined, listed
+from dashpot.model.network import Model
+from dashpot.present.document import Document, Provenance, Section, TableColumn, columns_of, section
+from dashpot.present.estimate import parameter_columns
+from dashpot.present.figures.spectra import profile_figure, shares_figure
+from dashpot.present.page import figure_picture, page_html
+from dashpot.present.schematic.drawing import rig_picture
+from dashpot.present.words import alike, short
+
+MOST_NAMES = 40  # unknowns in one picture
+MOST_PROFILES = 12  # drawn
+MOST_IDLE = 20  # frequencies that are listed one by one
+
+
+def check_document(
+    structure: Structure, channels: Sequence[str], spectrum: Spectrum | None, found: DataFindings | None
+) -> Document:
+    """What is printed of a rig whose unknowns can be found; with data, of what they determine only poorly."""
+    lines = None if spectrum is None else spectrum.lines
+    sections = [section("", *structure_in_words(structure, channels, lines))]
+    if found is not None and spectrum is not None:
+        sections.append(_hardly_separated(found, spectrum))
+        sections.append(section("Profiles", *map(profile_in_words, found.profiles)))
+        if found.known_errors is not None:
+            said = "How far an error of 1 % of each known parameter moves the estimates:"
+            sections.append(section("", said, known_columns(found.known_errors)))
+    return Document("", tuple(each for each in sections if each.blocks))
+
+
+def check_report(
+    model: Model,
+    channels: Sequence[Channel],
+    structure: Structure,
+    spectrum: Spectrum | None = None,
+    found: DataFindings | None = None,
+    level: float = 0.95,
+    provenance: Provenance | None = None,
+) -> str:
+    """HTML page of the same."""
+    lines = None if spectrum is None else spectrum.lines
+    estimate = None if found is None else found.estimate
+    unsure = () if estimate is None else doubtful(estimate, level)
+    apart = [] if found is None else [name for e in found.collinearity.combinations for name in e.names]
+    poor = dict.fromkeys([*apart, *unsure])
+    return page_html(
+        Document(
+            model.name or "Check",
+            () if found is None or spectrum is None else tuple(_evidence(found, spectrum)),
+            "open" if poor or structure.permutation_ambiguities else "good",
+            model.summary.removeprefix(f"{model.name}: "),
+            f"All unknowns can be found{f', but {joined(poor)} only poorly' if poor else ''}.",
+            tuple(structure_in_words(structure, [c.name for c in channels], lines)),
+            answer=None if estimate is None else section("Parameters", parameter_columns(estimate, level)),
+            drawing=rig_picture(model, channels, estimate, unsure, level),
+            steps=tuple(_steps(found)),
+            terms=() if found is None else ("±", "interval", "bound", "share", "profile"),
+            provenance=provenance,
+        )
+    )
+
+
+def _steps(found: DataFindings | None) -> list[str]:
+    if found is None:
+        return [
+            "Design the test: dashpot design RIG --samples N.",
+            "Then: dashpot identify RIG DATA --report report.html.",
+        ]
+    steps = [
+        f"Know {entry.best} from elsewhere, or add a sensor that separates {joined(entry.names)}."
+        for entry in found.collinearity.combinations[:3]
+    ]
+    if found.collinearity.idle:
+        steps.append(
+            "Leave out the frequencies that contribute nothing, and dwell longer where they contribute most."
+        )
+    return steps or ["Identify: dashpot identify RIG DATA --report report.html."]
+
+
+def _evidence(found: DataFindings, spectrum: Spectrum) -> list[Section]:
+    sections = [_hardly_separated(found, spectrum), *shares_section(found.collinearity, spectrum)]
+    if found.profiles:
+        shown = found.profiles[:MOST_PROFILES]
+        names = joined([entry.name for entry in shown])
+        picture = figure_picture(profile_figure(shown), f"Profiles of {names}")
+        sections.append(section("Profiles", *map(profile_in_words, found.profiles), picture))
+    if found.known_errors is not None:
+        text = "Change of each estimate, per cent, for an error of one per cent of each known parameter."
+        columns = known_columns(found.known_errors)
+        sections.append(section("Errors of known parameters", text, columns, whole=True))
+    return sections
+
+
+def _hardly_separated(found: DataFindings, spectrum: Spectrum) -> Section:
+    units = dict(zip(found.estimate.names, found.estimate.units, strict=True))
+    said = collinearity_in_words(found.collinearity, spectrum, units)
+    return section("What the data hardly separate", *said, whole=True)
+
+
+def shares_section(weak: Collinearity, spectrum: Spectrum) -> list[Section]:
+    """What each line tells of each unknown, where they are few enough for a picture."""
+    if len(weak.names) > MOST_NAMES:
+        return []
+    figure = shares_figure(weak.names, *shares_by_band(weak, spectrum.frequency_hz))
+    text = "Which frequencies determine each unknown: per cent of the information on it."
+    if weak.idle:
+        text += f" {len(weak.idle)} of {spectrum.lines} lines contribute to no unknown."
+    picture = figure_picture(figure, "Share of the information on each unknown by frequency")
+    return [section("Information by frequency", text, picture)]
+
+
+def known_columns(errors: KnownErrors) -> list[TableColumn]:
+    """Per cent by which each unknown moves for an error of 1 % of each known parameter."""
+    rows = (
+        (name, *(f"{x:+.2f} %" if math.isfinite(x) else "–" for x in row))
+        for name, row in zip(errors.known, errors.relative.tolist(), strict=True)
+    )
+    return columns_of(["1 % of", *(f"{name}>" for name in errors.unknowns)], rows)
+
+
+def structure_in_words(structure: Structure, channels: Sequence[str], lines: int | None = None) -> list[str]:
+    """What a structure without deficiencies means, one paragraph each."""
+    count = len(structure.names)
+    unknowns = f"the {count} unknowns" if count > 1 else "the unknown"
+    at = "" if lines is None else f" at these {lines} frequencies"
+    paragraphs = [
+        f"Identifiable: {unknowns} ({listed(structure.names)}) can be found from {listed(channels)}{at}."
+    ]
+    if structure.prior_dependent:
+        paragraphs.append(f"Identifiable only through the prior on {listed(structure.prior_dependent)}.")
+    for first, other in structure.permutation_ambiguities:
+        paragraphs.append(
+            f"{first} and {other} are unmeasured and interchangeable: the data cannot say which is which. "
+            "Give an element of one of them a min or max."
+        )
+    return paragraphs
+
+
+def combination_in_words(combination: Combination, units: dict[str, str]) -> str:
+    """A combination of unknowns that the data hardly determine, its effect and its cure."""
+    wide = short(max(combination.widening.tolist()), 2)
+    if len(combination.names) == 1:
+        name = combination.names[0]
+        return f"{name} can hardly be separated from the other unknowns: that makes its interval {wide} times wider."
+    moves = ", ".join(
+        f"{name} {x:+.2g}" + (" s" if units.get(name) == "s" else "")
+        for name, x in zip(combination.names, combination.direction.tolist(), strict=True)
+    )
+    return (
+        f"{joined(combination.names)} can hardly be separated: changed together in proportion ({moves}) they are "
+        f"uncertain by {short(100 * combination.spread, 2)} % (1 sd), and their intervals are up to {wide} times "
+        f"wider for it. If {combination.best} were known, the intervals of the others would shrink to "
+        f"{short(100 * combination.narrowing, 2)} %."
+    )
+
+
+def collinearity_in_words(collinearity: Collinearity, spectrum: Spectrum, units: dict[str, str]) -> list[str]:
+    """Strong collinearities and frequencies without information, one paragraph each."""
+    paragraphs = [combination_in_words(combination, units) for combination in collinearity.combinations]
+    if not paragraphs:
+        paragraphs.append("No strong collinearity: no interval is inflated tenfold.")
+    every = spectrum.frequency_hz.tolist()
+    idle = [every[line] for line in collinearity.idle]
+    if len(idle) > MOST_IDLE:
+        telling = sorted(set(every) - set(idle))
+        where = f"; the most informative lie from {telling[0]:.4g} to {telling[-1]:.4g} Hz" if telling else ""
+        text = f"{len(idle)} of the {len(every)} frequencies add almost no information on any unknown{where}."
+        paragraphs.append(text)
+    elif idle:
+        named = joined(f"{f:.4g}" for f in idle)
+        paragraphs.append(f"Frequencies that add almost no information on any unknown: {named} Hz.")
+    return paragraphs
+
+
+def profile_in_words(profile: Profile) -> str:
+    """Both intervals of one unknown, and which to trust (no batch axes)."""
+    ends = [
+        float(profile.lower),
+        float(profile.upper),
+        float(profile.normal_lower),
+        float(profile.normal_upper),
+    ]
+    size = (ends[3] - ends[2]) / 4
+    value, low, high, left, right = alike([float(profile.value), *ends], size)
+    low, high = (("none" if math.isinf(x) else text) for x, text in ((ends[0], low), (ends[1], high)))
+    unit = "" if profile.unit == "1" else f" {profile.unit}"
+    text = (
+        f"{profile.name} = {value}{unit}: {100 * profile.level:g} % interval from the profile {low} … {high}, "
+        f"normal {left} … {right}"
+    )
+    if bool(profile.improved):
+        return f"{text}. On the way there is a better fit than the estimate: give guesses, or more starting values."
+    if math.isinf(ends[0]) or math.isinf(ends[1]):
+        return f"{text}. The normal interval misleads: the data set no limit on one side."
+    if bool(profile.misleads):
+        off = f"{100 * float(profile.difference):.0f} %"
+        return f"{text}. The normal interval misleads (an end is off by {off} of its length)."
+    return f"{text}. They agree."

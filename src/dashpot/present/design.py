@@ -1,0 +1,281 @@
+"""A planned test as a document: its dwells, the expected intervals, how close to optimal it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from dashpot.design.advise import Answer
+from dashpot.design.allocation import Criterion, ExpectedPrecision
+from dashpot.design.plan import Plan
+from dashpot.design.plan_files import phase_deg
+from dashpot.design.test_setup import drive_units
+from dashpot.design.transients import UnsettledTest
+from dashpot.io.words import counted, joined
+from dashpot.present.document import Document, Paragraph, Provenance, Section, Table, TableColumn, section
+from dashpot.present.figures.design import planned_test_figure
+from dashpot.present.page import figure_picture, page_html
+from dashpot.present.schematic.drawing import rig_picture
+from dashpot.present.words import alike, capitalised, names_of, percent, rounded, sentence, short
+
+NEGLIGIBLE = 0.01  # per cent that rounding may cost for a test to be called optimal
+WASTE = 0.05  # of the information: what waiting for the steady state may cost
+NOTHING = "–"
+NORMAL_95 = 1.96
+NO_TEST = "No test is needed: what is already known reaches the target."
+_SCENARIOS = {"worst": "worst of", "average": "average over"}
+
+
+def answer_document(answer: Answer) -> Document:
+    """What is printed of an answer: the dwells, the expected intervals, and what they are worth."""
+    first: list[Paragraph] = []
+    if answer.verdict is not None:
+        first.append(Paragraph(stopping_in_words(answer), "green" if answer.verdict.reached else ""))
+    if answer.choice is not None:
+        chosen, *others = sensors_in_words(answer)
+        first += [Paragraph(chosen), *(Paragraph(line, "dim") for line in others)]
+    plan = answer.plan
+    if plan is None:
+        return Document(answer.setup.model.name, (section("", *first, Paragraph(NO_TEST, "green")),))
+    columns = dwell_columns(plan, drive_units(answer.setup.model))
+    notes = (Paragraph(sentence(f"Note: {note}"), "yellow") for note in answer.notes)
+    return Document(
+        answer.setup.model.name,
+        (
+            section("", *first),
+            section("Dwells", Table(columns, [""] * len(plan.dwells) + ["dim"])),
+            section("Expected intervals", expected_columns(answer)),
+            section("", *plan_in_words(answer, plan), *notes),
+        ),
+    )
+
+
+def design_report(answer: Answer, provenance: Provenance | None = None) -> str:
+    """HTML page of a planned test."""
+    model, plan = answer.setup.model, answer.plan
+    names = names_of(model, answer.setup.channels)
+    statements = [] if answer.verdict is None else [stopping_in_words(answer)]
+    statements += sensors_in_words(answer) if answer.choice is not None else []
+    dwells: Section | None = None
+    evidence: tuple[Section, ...] = ()
+    headline = NO_TEST
+    if plan is not None:
+        said, *more = plan_in_words(answer, plan)
+        statements += more
+        headline = f"{counted(len(plan.dwells), 'dwell')}, {plan.samples} samples. {said}"
+        dwells = section("Dwells", dwell_columns(plan, drive_units(model)))
+        figure = planned_test_figure(answer)
+        shown = "Dwells, what each frequency tells, and the expected intervals"
+        evidence = (
+            section("Expected intervals", expected_columns(answer)),
+            section("Why these frequencies", figure_picture(figure, shown)),
+        )
+    return page_html(
+        Document(
+            model.name or "The next test",
+            evidence,
+            "good" if answer.verdict is not None and answer.verdict.reached else "open",
+            "The next test.",
+            headline,
+            tuple(statements),
+            tuple(sentence(capitalised(note, names)) for note in answer.notes),
+            dwells,
+            rig_picture(model, answer.setup.channels, answer.estimate),
+            (
+                "Write the dwells as a table for the shaker's controller: option --csv FILE.",
+                "After the test: dashpot identify RIG DATA.",
+            ),
+            ("±", "bound", "duality gap"),
+            provenance,
+        )
+    )
+
+
+# Sentences.
+
+
+def plan_in_words(answer: Answer, plan: Plan) -> list[str]:
+    """What the test gives by its criterion, how close to optimal it is, and how it compares."""
+    predicted = plan.predicted
+    name = plan.criterion.name
+    names = plan.criterion.names
+    of = f" of {joined(names)}" if names else ""
+    if len(names) == 1:
+        name = "relative standard deviation"  # a mean of one
+    over = ""
+    if answer.robust is not None:
+        over = f", {_SCENARIOS[answer.setup.over]} {len(answer.setup.theta)} scenarios"
+    figure = figure_in_words(plan.criterion, plan.predicted.figure)
+    lines = [f"{name[0].upper()}{name[1:]}{of}{over}: {figure}.", _optimality(plan)]
+    if len(predicted.names) > 1:
+        rms = short(100 * predicted.rms())
+        known = [unknown.name for unknown in answer.setup.model.unknowns if unknown.sd is not None]
+        including = f", {joined(known)} included, whose sd is stated" if known else ""
+        lines.append(
+            f"Rms of the relative standard deviations of all {len(predicted.names)} parameters{including}: {rms} %."
+        )
+    if answer.robust is not None:
+        where = "found by search" if answer.setup.over == "worst" else "of these scenarios"
+        lines.append(f"Worst case ({where}): {figure_in_words(plan.criterion, answer.robust.worst)}.")
+    if answer.comparison is not None:
+        other = answer.comparison
+        line = (
+            f"The other test ({len(other.schedule.frequency_hz)} frequencies) gives "
+            f"{figure_in_words(plan.criterion, other.predicted.figure)} from as many samples: it needs "
+            f"{_times(other.factor)} the samples for the same precision"
+        )
+        if other.factor_iv is not None:
+            line += f", {_times(other.factor_iv)} with the paper's instrumental variables"
+        lines.append(f"{line}.")
+    if answer.unsettled is not None:
+        lines.append(_used_whole(plan, answer.unsettled))
+    return lines
+
+
+def _used_whole(plan: Plan, whole: UnsettledTest) -> str:
+    """What the same test gives if nothing is left out, and so what it costs to wait."""
+    gives = figure_in_words(plan.criterion, whole.predicted.figure)
+    if not any(dwell.settle_s for dwell in plan.dwells):
+        return (
+            f"No dwell waits for the steady state: with the transients in it the test gives {gives}, and the motion "
+            "would have to be settled for the figures above."
+        )
+    if whole.thrown_away > WASTE:
+        return (
+            f"Waiting for the steady state is a waste: recorded from the first sample on and used whole, transients "
+            f"included, the same test gives {gives}; the settled parts alone throw away "
+            f"{100 * whole.thrown_away:.0f} % of the information."
+        )
+    if whole.thrown_away < -WASTE:
+        return f"Waiting pays: used whole, with noise in proportion to the transients, the same test gives {gives}."
+    return f"Waiting costs little: used whole, transients included, the same test gives {gives}."
+
+
+def _optimality(plan: Plan) -> str:
+    cost = 100 * max(plan.loss, 0.0)
+    gap = f"duality gap {plan.gap:.1e}"
+    if cost < NEGLIGIBLE:
+        best = "better by more than 0.01 %"
+        return f"Optimal: no test of {plan.samples:,.0f} samples in this band is {best} ({gap})."
+    return (
+        f"The best test of as many samples in this band gives {figure_in_words(plan.criterion, plan.ideal)} ({gap}); "
+        f"whole periods and limits cost {short(cost, 2)} %."
+    )
+
+
+def figure_in_words(criterion: Criterion, value: float) -> str:
+    """A criterion's figure: a relative standard deviation; of targets, in multiples of them."""
+    return f"{short(value)} × target" if criterion.targets is not None else f"{short(100 * value)} %"
+
+
+def _times(factor: float) -> str:
+    return f"{factor:.3g} times" if math.isfinite(factor) else "infinitely many times"
+
+
+def stopping_in_words(answer: Answer) -> str:
+    """Whether the data there are reach the target, and what would."""
+    verdict = answer.verdict
+    assert verdict is not None
+    if verdict.reached:
+        return f"Enough: {verdict.reason}."
+    if not math.isfinite(verdict.more):
+        return f"Not enough yet: {verdict.reason}."
+    best = ""
+    if answer.plan is not None and answer.plan.predicted.figure <= 1.0001:
+        best = f", or the test below with {answer.plan.samples:,.0f}"
+    return (
+        f"Not enough yet: {verdict.reason}; {verdict.more:,.0f} more samples of the same kind would do{best}."
+    )
+
+
+def sensors_in_words(answer: Answer) -> list[str]:
+    """The sensors chosen, then the next best sets."""
+    choice = answer.choice
+    assert choice is not None
+    how = "all sets were tried" if choice.complete else "by exchange; perhaps not the very best set"
+    lines = [f"Sensors: {joined(choice.best)} ({how})."]
+    lines += [
+        f"  {joined(names)}: {figure_in_words(answer.criterion, figure)}"
+        for names, figure in choice.ranking[1:4]
+    ]
+    return lines
+
+
+# Tables.
+
+
+def dwell_columns(plan: Plan, units: Mapping[str, str]) -> list[TableColumn]:
+    """A row for each dwell, and the sums below."""
+    dwells = plan.dwells
+    places = (*(str(k + 1) for k in range(len(dwells))), "total")
+    columns = [
+        TableColumn("dwell", places, "right"),
+        TableColumn("frequency, Hz", (*(f"{dwell.frequency_hz:.6g}" for dwell in dwells), ""), "right"),
+    ]
+    for name in dwells[0].amplitudes:
+        cells = (_amplitude(dwell.amplitudes[name]) for dwell in dwells)
+        columns.append(TableColumn(f"drive {name}, {units[name]}", (*cells, ""), "right"))
+    if plan.time_s is not None:
+        settling = sum(dwell.settle_s for dwell in dwells)
+        timed = {
+            "settle, s": (*(short(dwell.settle_s) for dwell in dwells), short(settling)),
+            "periods": (*(str(dwell.periods) for dwell in dwells), ""),
+            "measure, s": (
+                *(short(dwell.time_s or 0.0, 4) for dwell in dwells),
+                short(plan.time_s - settling, 4),
+            ),
+        }
+        columns += [TableColumn(title, cells, "right") for title, cells in timed.items()]
+    samples = (*(str(dwell.samples) for dwell in dwells), str(plan.samples))
+    return [*columns, TableColumn("samples", samples, "right")]
+
+
+def _amplitude(z: complex) -> str:
+    if abs(z.imag) > 1e-12 * abs(z):
+        return f"{abs(z):.4g} ∠{phase_deg(z):.0f}°"
+    return f"{z.real:.4g}"
+
+
+def expected_columns(answer: Answer) -> list[TableColumn]:
+    """Values, the expected ± with its interval, and what is known now and what another test would give."""
+    assert answer.plan is not None
+    expected = answer.plan.predicted
+    values, spreads, intervals = [], [], []
+    for value, sd in zip(expected.values.tolist(), expected.sd.tolist(), strict=True):
+        shown, spread = rounded(value, sd)
+        values.append(shown)
+        spreads.append(spread)
+        intervals.append(" … ".join(alike([value - NORMAL_95 * sd, value + NORMAL_95 * sd], sd)))
+    columns = [
+        TableColumn("parameter", tuple(expected.names)),
+        TableColumn("value", tuple(values), "right"),
+        TableColumn("expected ±", tuple(spreads), "right"),
+        TableColumn("unit", tuple("" if unit == "1" else unit for unit in expected.units)),
+        TableColumn("± %", _relative(expected, expected), "right"),
+        TableColumn("95 % interval", tuple(intervals), "right"),
+    ]
+    if answer.estimate is not None:
+        e = answer.estimate
+        now = {n: percent(float(sd), float(v)) for n, sd, v in zip(e.names, e.sd, e.values, strict=True)}
+        cells = tuple(now.get(name, NOTHING) for name in expected.names)
+        columns.append(TableColumn("now\n± %", cells, "right"))
+    if answer.unsettled is not None:
+        columns.append(TableColumn("whole\n± %", _relative(answer.unsettled.predicted, expected), "right"))
+    if answer.comparison is not None:
+        other = answer.comparison
+        columns.append(TableColumn("other\n± %", _relative(other.predicted, expected), "right"))
+        if other.iv is not None:
+            columns.append(TableColumn("other,\niv ± %", _relative(other.iv, expected), "right"))
+    return columns
+
+
+def _relative(precision: ExpectedPrecision, rows: ExpectedPrecision) -> tuple[str, ...]:
+    """Relative standard deviations in per cent, for the parameters of `rows`."""
+    relative = {
+        name: short(100 * share, 2)
+        for name, value, share in zip(
+            precision.names, precision.values.tolist(), precision.relative.tolist(), strict=True
+        )
+        if value != 0
+    }
+    return tuple(relative.get(name, NOTHING) for name in rows.names)

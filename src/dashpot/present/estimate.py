@@ -1,0 +1,266 @@
+"""An estimate as a document: parameters, matrices and modes, and sentences on what they are worth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from rich.cells import cell_len
+
+from dashpot.estimate.likelihood.input_noise import INPUT_NOISE
+from dashpot.estimate.linear.definite import FreeMatrices
+from dashpot.estimate.result import MISFIT, RESIDUALS, Estimate, ModeValues
+from dashpot.io.words import joined
+from dashpot.model.unstructured import Letter
+from dashpot.present.document import (
+    Document,
+    Paragraph,
+    Section,
+    Table,
+    TableColumn,
+    columns_of,
+    printed,
+    section,
+)
+from dashpot.present.notices import OPTIONS, with_remedy
+from dashpot.present.verdict import fit_paragraphs
+from dashpot.present.words import aligned, alike, capitalised, percent, plain, rounded, sentence, short
+
+UNITS = {False: {"M": "kg", "C": "N·s/m", "K": "N/m"}, True: {"M": "kg·m²", "C": "N·m·s/rad", "K": "N·m/rad"}}
+MOST_ROWS = 200  # of tied or of known parameters; of more the table shows the first few
+FIRST_ROWS = 10
+SAID_BY_THE_FIT = ("model_misfit", "unknown_noise")  # codes
+
+Entry = TypeVar("Entry")
+
+
+def estimate_document(
+    estimate: Estimate, level: float = 0.95, *, untried: Collection[str] = tuple(OPTIONS)
+) -> Document:
+    """What is printed of an estimate (no batch axes); `untried` as `warnings_in_words` has it."""
+    dim = ["dim" if row.known else "" for row in parameter_rows(estimate, level)]
+    convergence = Paragraph(convergence_in_words(estimate), "" if bool(estimate.converged) else "bold red")
+    warnings = (f"Warning: {text}" for text in warnings_in_words(estimate, untried=untried))
+    sections = [
+        section("", convergence),
+        section(
+            "Parameters",
+            Table(parameter_columns(estimate, level), dim),
+            Paragraph(left_out, "dim") if (left_out := left_out_in_words(estimate)) else None,
+        ),
+        section("Signs", signs_in_words(estimate)),
+        section("Modes", mode_columns(estimate.modes) if has_modes(estimate) else None),
+        section(
+            "Fit",
+            *fit_paragraphs(estimate),
+            *remarks(estimate),
+            *(Paragraph(text, "yellow") for text in warnings),
+        ),
+    ]
+    return Document(estimate.model, tuple(each for each in sections if each.blocks))
+
+
+def estimate_text(estimate: Estimate) -> str:
+    """What the command prints of an estimate; of a batch, one line."""
+    if estimate.values.ndim > 1:
+        return repr(estimate)
+    return printed(estimate_document(estimate, untried=()))
+
+
+# Sentences.
+
+
+def convergence_in_words(estimate: Estimate) -> str:
+    """Whether the iteration converged."""
+    count = int(estimate.iterations)
+    if not bool(estimate.converged):
+        return f"{estimate.method}: NOT CONVERGED after {count} iterations; these are the values of the last one."
+    how = "in closed form" if count == 0 else f"converged in {count} iteration{'' if count == 1 else 's'}"
+    return f"{estimate.method}: {how}."
+
+
+def remarks(estimate: Estimate) -> list[str]:
+    """What ± and the bound are, which noise of inputs they count, and which intervals follow a profile."""
+    noise = [sentence(capitalised(note.text)) for note in estimate.notes if note.code == INPUT_NOISE]
+    texts = [basis_in_words(estimate), " ".join(noise), profiles_in_words(estimate)]
+    if np.any(np.isfinite(estimate.bound_sd)):
+        texts.append("The bound is the smallest ± that any unbiased method can reach (Cramér-Rao).")
+    return [text for text in texts if text]
+
+
+def basis_in_words(estimate: Estimate) -> str:
+    """What ± is, and what it includes."""
+    if estimate.basis == MISFIT:
+        return (
+            "± is one standard deviation. It is widened for the misfit of the model; "
+            "'noise only' assumes a perfect model and is too small here."
+        )
+    if estimate.basis == RESIDUALS:
+        return "± is one standard deviation, estimated from the scatter of the residuals."
+    return "± is one standard deviation from the noise of the data."
+
+
+def profiles_in_words(estimate: Estimate) -> str:
+    """Which intervals are not symmetric, for they follow χ²; empty where all are normal."""
+    names = list(estimate.profiles)
+    if not names:
+        return ""
+    verb = "Profile interval" if len(names) == 1 else "Profile intervals"
+    open_ended = [name for name in names if not all(map(math.isfinite, estimate.profiles[name][0]))]
+    limit = f" The data set no limit on {joined(open_ended)} on one side." if open_ended else ""
+    return f"{verb}: {joined(names)} (χ² is not parabolic there, so ± misleads).{limit}"
+
+
+def warnings_in_words(estimate: Estimate, *, untried: Collection[str] = tuple(OPTIONS)) -> tuple[str, ...]:
+    """Warnings beside what fit and verdict say anyway, each with what to do about it.
+
+    `untried`: treatments of time records that were not chosen; amplitudes are as they are.
+    """
+    said = dict.fromkeys(SAID_BY_THE_FIT, frozenset[str]())
+    if estimate.assessment is not None:
+        # A reason speaks for the warning of the same code, unless that concerns others than it names.
+        said |= {notice.code: frozenset(notice.of) for notice in estimate.assessment.reasons}
+        said |= {"reversed_phase": frozenset[str]()} if estimate.assessment.findings else {}
+    return tuple(
+        sentence(with_remedy(notice, untried=untried))
+        for notice in estimate.warnings
+        if notice.code not in said or (said[notice.code] and not said[notice.code].issuperset(notice.of))
+    )
+
+
+def left_out_in_words(estimate: Estimate) -> str:
+    """How many parameters the table does not show; empty where it shows all."""
+    parts = [
+        f"{len(entries) - FIRST_ROWS:,} more that are {what}"
+        for entries, what in ((estimate.tied, "tied"), (estimate.known, "known"))
+        if len(entries) > MOST_ROWS
+    ]
+    return f"Not shown: {' and '.join(parts)}." if parts else ""
+
+
+def signs_in_words(estimate: Estimate) -> str:
+    """The signs of the channels whose sign was unknown; empty where there are none."""
+    pairs = [f"{name} {'+' if float(sign) > 0 else '−'}" for name, sign in estimate.signs.items()]
+    return f"Signs found: {', '.join(pairs)}." if pairs else ""
+
+
+def aperiodic_in_words(rate: float) -> str:
+    """What a mode without oscillation does, by its real eigenvalue in 1/s."""
+    if rate == 0:
+        return "moves freely, no restoring force"
+    kind = "decays" if rate < 0 else "grows"
+    return f"does not oscillate: {kind} in {short(1 / abs(rate))} s"
+
+
+# Tables.
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One parameter, as text; `known` are given, not found; `tie` says of which unknown it is a multiple."""
+
+    name: str
+    value: str
+    sd: str
+    unit: str
+    known: bool = False
+    tie: str = ""
+    share: str = ""
+    low: str = ""
+    high: str = ""
+    bound: str = ""
+    noise: str = ""
+
+
+def parameter_rows(estimate: Estimate, level: float = 0.95) -> list[ParameterRow]:
+    """Unknowns in order, then tied parameters, then known ones; digits as far as the sd allows."""
+    everything = estimate.parameters()
+    rows = []
+    for name, low, high, noise in zip(
+        estimate.names, *estimate.interval(level), estimate.noise_sd.tolist(), strict=True
+    ):
+        v = everything[name]
+        shown = rounded(v.value, v.sd)
+        ends = alike((float(low), float(high)), v.sd)
+        spread = percent(v.sd, v.value), *ends, short(v.bound_sd, 2), short(noise, 2)
+        rows.append(ParameterRow(name, *shown, v.unit, False, "", *spread))
+    for name, root, times, unit in _shown(estimate.tied):
+        shown = rounded(everything[name].value, everything[name].sd)
+        tie = f"= {root}" if times == 1 else f"= {times:g} × {root}"
+        rows.append(ParameterRow(name, *shown, unit, tie=tie))
+    for name, number, unit in _shown(estimate.known):
+        rows.append(ParameterRow(name, plain(number), "known", unit, known=True))
+    return rows
+
+
+def _shown(entries: Sequence[Entry]) -> Sequence[Entry]:
+    """What a table shows of tied or known parameters: all of some, the first of the many that a large rig has."""
+    return entries if len(entries) <= MOST_ROWS else entries[:FIRST_ROWS]
+
+
+def parameter_columns(estimate: Estimate, level: float = 0.95) -> list[TableColumn]:
+    """Name, value, unit, ±, relative ±, interval, bound; where the model does not fit, also the ± of noise only."""
+    rows = parameter_rows(estimate, level)
+    low, high = (max((len(getattr(row, end)) for row in rows), default=0) for end in ("low", "high"))
+    # ±, and whether the fit, on whose residuals it rests, could be tested
+    spread = "±, not\ntested>" if estimate.basis == RESIDUALS else "±>"
+    heads = ["parameter", "value>", spread, "unit", "± %>", f"{100 * level:g} % interval^"]
+    optional = {"±, noise\nonly>": estimate.basis == MISFIT, "bound>": np.any(np.isfinite(estimate.bound_sd))}
+    texts = []
+    for row in rows:
+        interval = f"{row.low.rjust(low)} … {row.high.ljust(high)}" if row.low else row.tie
+        unit = "" if row.unit == "1" else row.unit
+        more = [text for text, there in zip((row.noise, row.bound), optional.values(), strict=True) if there]
+        texts.append((row.name, row.value, row.sd, unit, row.share, interval, *more))
+    return columns_of([*heads, *(head for head, there in optional.items() if there)], texts)
+
+
+def has_modes(estimate: Estimate) -> bool:
+    """Whether there are modes to show."""
+    return estimate.modes is not None and len(estimate.modes.eigenvalues) > 0
+
+
+def mode_columns(modes: ModeValues | None) -> list[TableColumn]:
+    """Natural frequencies and damping ratios with their standard deviations; modes that do not oscillate."""
+    assert modes is not None
+    rows = []
+    for k, eigenvalue in enumerate(modes.eigenvalues.tolist()):
+        if eigenvalue.imag == 0:
+            rows.append(("–", "", "–", "", aperiodic_in_words(eigenvalue.real)))
+            continue
+        frequency = rounded(float(modes.frequency_hz[k]), float(modes.frequency_sd[k]))
+        damping = rounded(float(modes.damping_ratio[k]), float(modes.damping_sd[k]))
+        rows.append((*frequency, *damping, "unstable" if eigenvalue.real > 0 else ""))
+    *numbers, remarks = zip(*rows, strict=True)
+    texts = [[str(k + 1) for k in range(len(rows))], *map(aligned, numbers), remarks]
+    heads = ["mode>", "frequency, Hz>", "±>", "damping ratio>", "±>", ""]
+    columns = columns_of(heads, zip(*texts, strict=True))
+    return columns if any(remarks) else columns[:-1]
+
+
+def matrix_sections(matrices: FreeMatrices, angular: bool = False) -> tuple[Section, ...]:
+    """Every matrix that was found, its upper triangle, value ± standard deviation."""
+    letters = dict.fromkeys(letter for letter, _, _ in matrices.entries)
+    return tuple(
+        section(letter, matrix_columns(matrices, letter, UNITS[angular][letter])) for letter in letters
+    )
+
+
+def matrix_columns(matrices: FreeMatrices, letter: Letter, unit: str) -> list[TableColumn]:
+    """Coordinates, then a column of the upper triangle for each."""
+    values, sd = getattr(matrices, letter), matrices.sd(letter)
+    free = {(i, j) for which, i, j in matrices.entries if which == letter}
+    columns = [TableColumn(f"{letter}, {unit}", tuple(matrices.coordinates))]
+    for j, name in enumerate(matrices.coordinates):
+        pairs = [rounded(values[i, j], sd[i, j]) if (i, j) in free else ("0", "") for i in range(j + 1)]
+        left = aligned([value for value, _ in pairs])
+        widest = max(map(cell_len, left))
+        texts = [
+            f"{value.rjust(widest)} ± {spread}" if spread else value.rjust(widest)
+            for value, (_, spread) in zip(left, pairs, strict=True)
+        ]
+        columns.append(TableColumn(name, (*texts, *[""] * (len(matrices.coordinates) - j - 1))))
+    return columns

@@ -1,0 +1,118 @@
+"""A fleet as a document: what is usual of each parameter, and which rigs are unlike the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dashpot.fleet.pooling import Population, Usual
+from dashpot.fleet.runner import FleetOutcome
+from dashpot.io.words import counted, shown
+from dashpot.present.document import Document, Paragraph, TableColumn, columns_of, section
+from dashpot.present.words import short
+
+MOST = 10  # rigs that are named one by one
+PATH = 200  # characters of the name of a data set, which may be a path: its end says which it is
+NOTHING = "–"
+LEGEND = (
+    "Spread: of the rigs themselves, by median absolute deviations, the noise taken out. Noise: rms standard deviation "
+    "of the estimates. Drift: change from the first to the last data set, where it is more than chance."
+)
+POPULATION_LEGEND = (
+    "Population by restricted maximum likelihood, outliers left out: its mean, and the standard deviation of the rigs "
+    "around it with its 95 % interval."
+)
+
+
+def fleet_document(outcome: FleetOutcome) -> Document:
+    """What is printed: the summary, and what stands out."""
+    title = shown(outcome.rig) if outcome.rig else "Fleet"
+    answered = outcome.count - len(outcome.failed)
+    parts = [
+        section("", usual_columns(outcome.usual)),
+        section("", Paragraph(LEGEND, "dim")),
+    ]
+    if outcome.populations:
+        parts.append(section("", population_columns(outcome.populations)))
+        parts.append(section("", Paragraph(POPULATION_LEGEND, "dim")))
+    return Document(
+        f"{title}: {counted(outcome.count, 'data set')}, {answered} identified",
+        (section(""), *parts, *(section("", line) for line in fleet_remarks(outcome))),
+    )
+
+
+def usual_columns(parameters: Sequence[Usual]) -> list[TableColumn]:
+    """Median, spread, noise, drift and the number of outliers of every parameter."""
+    rows = (
+        (
+            shown(row.name),
+            "" if row.unit == "1" else row.unit,
+            short(row.median, 4),
+            short(row.spread, 2),
+            short(row.noise, 2),
+            _drift(row),
+            str(int(np.sum(row.outlier))) if np.any(row.outlier) else NOTHING,
+        )
+        for row in parameters
+    )
+    return columns_of(["parameter", "unit", "median>", "spread>", "noise>", "drift>", "outliers>"], rows)
+
+
+def population_columns(populations: Sequence[Population]) -> list[TableColumn]:
+    """Mean and spread of every parameter's population."""
+    rows = (
+        (
+            shown(row.name),
+            "" if row.unit == "1" else row.unit,
+            short(row.mean, 4),
+            short(row.mean_sd, 2),
+            short(row.spread, 2),
+            " – ".join(short(end, 2) for end in row.spread_interval),
+        )
+        for row in populations
+    )
+    return columns_of(["parameter", "unit", "mean>", "±>", "spread>", "95 %>"], rows)
+
+
+def fleet_remarks(outcome: FleetOutcome) -> list[str]:
+    """Outliers with what is unusual of them, failed data sets with their reasons, misfits, drift."""
+    columns = outcome.columns
+    lines = []
+    order = sorted(
+        outcome.outliers, key=lambda k: -max(float(np.nan_to_num(abs(u.z[k]))) for u in outcome.usual)
+    )
+    unlike = [f"{shown(str(columns['name'][k]))} ({_why(outcome.usual, k)})" for k in order]
+    if unlike:
+        lines.append(f"Unlike the others: {_first(unlike, ', ')}.")
+    drifting = [
+        f"{shown(row.name)} by {_drift(row)} (p = {row.drift_p:.1g})" for row in outcome.usual if row.drifts
+    ]
+    if drifting:
+        lines.append(f"Drift over the fleet: {', '.join(drifting)}.")
+    misfits = [shown(str(columns["name"][k]), PATH) for k in outcome.misfits]
+    if misfits:
+        lines.append(f"The model does not fit {counted(len(misfits), 'data set')}: {_first(misfits, ', ')}.")
+    if len(outcome.failed):
+        by_reason: dict[str, list[str]] = {}
+        for k in outcome.failed:
+            by_reason.setdefault(str(columns["reason"][k]), []).append(shown(str(columns["name"][k]), PATH))
+        failed = [f"{_first(names, ', ')}: {reason}" for reason, names in by_reason.items()]
+        lines.append(f"Failed: {counted(len(outcome.failed), 'data set')}. {_first(failed, '; ')}")
+    stalled = [shown(str(name), PATH) for name in columns["name"][columns["status"] == "not converged"]]
+    if stalled:
+        lines.append(f"Not converged: {_first(stalled, ', ')}.")
+    return lines
+
+
+def _why(usual: Sequence[Usual], k: int) -> str:
+    return ", ".join(f"{shown(row.name)} {row.z[k]:+.1f} sd" for row in usual if row.outlier[k])
+
+
+def _first(texts: Sequence[str], between: str) -> str:
+    more = len(texts) - MOST
+    return between.join(texts[:MOST]) + (f" and {more} more" if more > 0 else "")
+
+
+def _drift(one: Usual) -> str:
+    return short(one.slope, 2) if one.drifts else NOTHING

@@ -1,0 +1,428 @@
+"""The report of an identification: answer, evidence, and what to do next; and of one that gave nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from dashpot.channel import Channel
+from dashpot.check.data_findings import Collinearity, doubtful, undetermined
+from dashpot.check.evidence import Evidence, evidence_of, residuals_of
+from dashpot.check.residuals import DwellHistory, Residuals, correlation, responses_of_channels
+from dashpot.check.validation import RecordPrediction
+from dashpot.data.conditioning.used_dwells import UsedDwell
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
+from dashpot.estimate.result import Estimate
+from dashpot.io.words import joined
+from dashpot.model.network import Model
+from dashpot.present.check import profile_in_words, shares_section
+from dashpot.present.document import Document, Items, Picture, Provenance, Section, section
+from dashpot.present.estimate import (
+    convergence_in_words,
+    has_modes,
+    mode_columns,
+    parameter_columns,
+    remarks,
+    signs_in_words,
+    warnings_in_words,
+)
+from dashpot.present.figures import spectra as figures
+from dashpot.present.figures.comparison import estimate_figure
+from dashpot.present.figures.spectra import rows_of_pictures
+from dashpot.present.page import figure_picture, page_html
+from dashpot.present.schematic.drawing import mode_drawing, numbered_mode, rig_picture
+from dashpot.present.validation import fits_in_words, prediction_section
+from dashpot.present.verdict import (
+    VERDICTS,
+    diagnosis_in_words,
+    fit_paragraphs,
+    headline,
+    page_verdict,
+    remaining_in_words,
+)
+from dashpot.present.words import capitalised, names_of, percent, sentence, short
+
+MOST_PANELS = 16  # channels drawn with amplitude and phase
+MOST_IN_FILE = 6  # channels of a figure that stands alone
+MOST_NAMES = 40  # unknowns in one picture
+MOST_NAMED = 4  # unknowns named one by one
+TERMS = ("±", "interval", "bound", "χ²", "residual", "difference of the motion", "correlation")
+
+
+def identification_report(
+    model: Model,
+    spectrum: Spectrum | None,
+    estimate: Estimate,
+    level: float = 0.95,
+    provenance: Provenance | None = None,
+    *,
+    channels: Sequence[Channel] = (),
+    held_out: Sequence[RecordPrediction] = (),
+    untried: Collection[str] = (),
+    dwells: Sequence[UsedDwell] = (),
+    histories: Sequence[RecordPrediction] = (),
+) -> str:
+    """HTML page of an estimate and the spectrum it came from, if it came from one (no batch axes).
+
+    `channels` are drawn where there is no spectrum; `held_out` are predictions of what was not used; `untried`:
+    treatments of time records that were not chosen; `dwells`: those behind the spectrum's lines, some are drawn;
+    `histories`: the motion that the fit predicts for records without a spectrum.
+    """
+    shown = channels if spectrum is None else spectrum.channels
+    found = evidence_of(model, spectrum, estimate, level, dwells)
+    unsure = doubtful(estimate, level)
+    names = names_of(model, shown)
+    subtitle = convergence_in_words(estimate)
+    if spectrum is not None:
+        low, high = (
+            short(float(end), 4) for end in (spectrum.frequency_hz.min(), spectrum.frequency_hz.max())
+        )
+        subtitle += f" {spectrum.lines} lines from {low} to {high} Hz."
+    statements = _statements(estimate, names)
+    statements += [f"Held out and predicted: {text}" for text in fits_in_words(held_out)]
+    curved = [model.elements[i].name for i in model.nonlinear]
+    if curved:
+        statements.append(
+            f"The rig is nonlinear ({joined(curved)}): its modes are those of its linear part, and the values hold "
+            "for motions as large as those of this test."
+        )
+    shown_terms = {
+        ("band", "share"): spectrum is not None,
+        ("damping ratio",): has_modes(estimate),
+        ("FIT",): bool(held_out or histories),
+    }
+    treatments = [sentence(capitalised(note.text, names)) for note in estimate.notes]
+    return page_html(
+        Document(
+            estimate.model or "Identification",
+            (
+                *([prediction_section("Measured and model", histories)] if histories else []),
+                *_evidence(model, spectrum, estimate, found, held_out, len(dwells)),
+                *([section("What was done with the data", *treatments)] if treatments else []),
+            ),
+            page_verdict(estimate),
+            subtitle,
+            headline(estimate, unsure),
+            tuple(statements),
+            tuple(capitalised(text, names) for text in warnings_in_words(estimate, untried=untried)),
+            section(
+                "Parameters",
+                *remarks(estimate),
+                signs_in_words(estimate),
+                parameter_columns(estimate, level),
+            ),
+            rig_picture(model, shown, estimate, unsure, level),
+            tuple(next_steps(estimate, unsure, found.collinearity, plannable=not len(model.nonlinear))),
+            (*TERMS, *(term for terms, there in shown_terms.items() if there for term in terms)),
+            provenance,
+        )
+    )
+
+
+def failure_report(
+    model: Model,
+    channels: Sequence[Channel],
+    error: DashpotError,
+    provenance: Provenance | None = None,
+) -> str:
+    """HTML page of an identification that gave nothing: why, what would help, and the rig."""
+    names = names_of(model, channels)
+    problems = [sentence(capitalised(problem.what, names)) for problem in error.problems]
+    cures = [sentence(capitalised(problem.cure, names)) for problem in error.problems if problem.cure]
+    undecided = isinstance(error, IdentifiabilityError)
+    why = (
+        "the channels and data do not determine the unknowns"
+        if undecided
+        else "the iteration did not converge"
+    )
+    return page_html(
+        Document(
+            model.name or "Identification",
+            verdict="bad",
+            subtitle="No parameters were estimated.",
+            headline=f"No answer: {why}.",
+            statements=tuple(problems),
+            drawing=rig_picture(model, channels, unsure=undetermined(model, channels)),
+            steps=tuple(dict.fromkeys(cures)),
+            provenance=provenance,
+        )
+    )
+
+
+def _statements(estimate: Estimate, names: Collection[str]) -> list[str]:
+    """The verdict with its numbers and the motion that is left over; the headline has said the verdict itself."""
+    assessment = estimate.assessment
+    if assessment is None:
+        return []
+    causes = set(diagnosis_in_words(assessment.findings))
+    said = f"{VERDICTS[assessment.verdict][0]}: "
+    texts = [part.text for part in fit_paragraphs(estimate) if part.text not in causes]
+    return [capitalised(text.removeprefix(said), names) for text in texts]
+
+
+def fit_figure(model: Model, spectrum: Spectrum, estimate: Estimate) -> Figure:
+    """Measured and fitted: the first responses, or the first channels where no response can be formed.
+
+    No batch axes.  Raises UsageError where the data drive no output.
+    """
+    found = residuals_of(model, spectrum, estimate)
+    responses = responses_of_channels(model, estimate, spectrum, found)
+    if responses:
+        return figures.response_figure(responses[:MOST_IN_FILE])
+    driven = found.compared()
+    if not driven:
+        raise UsageError("no channel of these data depends on the estimate", "a figure of the fit")
+    return figures.residual_channels_figure(found, driven[:MOST_IN_FILE])
+
+
+# The evidence.
+
+
+def _evidence(
+    model: Model,
+    spectrum: Spectrum | None,
+    estimate: Estimate,
+    found: Evidence,
+    held_out: Sequence[RecordPrediction],
+    dwells: int,
+) -> list[Section]:
+    """Causes of a misfit, modes, responses, histories, residuals, intervals, correlations, what each line tells."""
+    sections = []
+    if estimate.assessment is not None and estimate.assessment.findings:
+        causes = Items(tuple(diagnosis_in_words(estimate.assessment.findings)))
+        sections.append(section("Why it does not fit", causes, whole=True))
+    if has_modes(estimate):
+        sections.append(_modes(model, estimate))
+    if spectrum is not None and found.residuals is not None:
+        sections += _responses(found, found.residuals, spectrum.carries_loads)
+        if found.records:
+            text = "The inputs are taken as measured; the fit also estimates their noise and so leaves less."
+            sections.append(prediction_section("In time, as used", found.records[:1], text))
+        if found.dwells:
+            sections.append(_dwells(found.dwells, dwells))
+        sections += _residuals(found.residuals)
+    if len(estimate.names) <= MOST_NAMES:
+        text = "Each unknown with its 95 % interval; shaded, the interval at the Cramér-Rao bound."
+        if any(unknown.sd is not None for unknown in model.unknowns):
+            text += " 'stated' is what the rig file says of it."
+        picture = figure_picture(estimate_figure(estimate, model=model), "Parameters with their intervals")
+        sections.append(section("Intervals", text, picture))
+        if len(estimate.names) > 1:
+            text = "Near ±1, two unknowns are hard to separate: their sum or difference is known better than either."
+            figure = figures.correlation_plot(estimate.names, correlation(estimate.covariance))
+            picture = figure_picture(figure, "Correlation matrix of the estimates", wide=False)
+            sections.append(section("Correlation", text, picture))
+    if found.collinearity is not None and spectrum is not None:
+        sections += shares_section(found.collinearity, spectrum)
+    if found.profiles:
+        names = joined([each.name for each in found.profiles])
+        figure = figures.profile_figure(found.profiles)
+        sections.append(
+            section(
+                "Profiles that differ",
+                "Where the curve is not the parabola, use the interval from the profile.",
+                Items(tuple(profile_in_words(each) for each in found.profiles)),
+                figure_picture(figure, f"Rise of χ² along {names}, beside the parabola of ± sd"),
+            )
+        )
+    return [*sections, *([prediction_section("Predicted, not used", held_out)] if held_out else [])]
+
+
+def _modes(model: Model, estimate: Estimate) -> Section:
+    """Natural frequencies and damping ratios, and the first shapes, moving."""
+    assert estimate.modes is not None
+    pictures = []
+    for number in range(1, min(len(estimate.modes.eigenvalues), 4) + 1):
+        title, shape = numbered_mode(model, estimate, number)
+        try:
+            pictures.append(Picture(mode_drawing(model, shape, title).svg(), title, wide=False))
+        except UsageError:
+            break
+    return section("Modes", mode_columns(estimate.modes), *pictures, whole=True)
+
+
+def _responses(found: Evidence, left: Residuals, carries_loads: bool) -> list[Section]:
+    """Responses, or channels where none can be formed, as measured and as predicted."""
+    every = found.responses
+    responses = every[:MOST_PANELS]
+    if responses:
+        text = "Output over input, measured and predicted by the estimated rig."
+        if carries_loads:
+            text += " The transients at both ends of the record, as estimated, are taken out of the measured motion."
+        panels = [
+            figure_picture(
+                figures.response_figure(part),
+                f"Amplitude and phase of {joined([shown.channel for shown in part])}, measured and model",
+            )
+            for part in (responses[rows.start : rows.stop] for rows in rows_of_pictures(len(responses)))
+        ]
+        in_plane = joined([r.channel for r in responses[: figures.MOST_PLANES]])
+        plane = figure_picture(
+            figures.nyquist_figure(responses), f"{in_plane} in the complex plane", wide=len(responses) > 2
+        )
+        text, circles = (
+            said + _first(most, len(every))
+            for said, most in ((text, MOST_PANELS), ("Each resonance is a circle.", figures.MOST_PLANES))
+        )
+        return [
+            section("Measured and model", text, *panels, whole=True),
+            section("In the complex plane", circles, plane, whole=True),
+        ]
+    driven = left.compared()
+    pictures = []
+    for rows in rows_of_pictures(len(driven[:MOST_PANELS])):
+        places = [driven[k] for k in rows]
+        shown = joined([left.channels[i] for i in places])
+        figure = figures.residual_channels_figure(left, places)
+        pictures.append(figure_picture(figure, f"Amplitude and phase of {shown}, measured and predicted"))
+    text = "Amplitude and phase of each channel, as measured and as predicted from the inputs."
+    text += _first(MOST_PANELS, len(driven))
+    return [section("Measured and model", text, *pictures, whole=True)] if pictures else []
+
+
+def _first(most: int, channels: int) -> str:
+    """That not all channels are drawn."""
+    return f" Drawn are the first {most} of {channels} channels." if channels > most else ""
+
+
+def _dwells(histories: Sequence[DwellHistory], dwells: int) -> Section:
+    """Some dwells in time, the part used shaded."""
+    cut = [
+        f"at {short(one.frequency_hz, 4)} Hz {short(one.begin, 3)} to {short(one.end, 3)} s of "
+        f"{short(float(one.time[-1]), 3)} s"
+        for one in histories
+        if one.begin > 0 or one.end < one.time[-1]
+    ]
+    shaded = (
+        f"Shaded is the part that was used: {joined(cut)}." if cut else "Each of these dwells was used whole."
+    )
+    channels = joined(histories[0].channels)
+    return section(
+        "Dwells in time",
+        shaded,
+        f"Shown are {len(histories)} of {dwells} dwells, with them the one with the largest residual and the one "
+        "of which least was used. Offsets are taken out; predicted is the steady motion.",
+        figure_picture(figures.whole_dwells(histories), f"Dwells of {channels} in time. {shaded}"),
+        figure_picture(
+            figures.beginnings(histories), f"{channels} where the part used begins, measured and predicted"
+        ),
+        whole=True,
+    )
+
+
+def _residuals(found: Residuals) -> list[Section]:
+    size = np.abs(found.normalised) / np.sqrt(2)
+    if not np.any(np.isfinite(size)):
+        return []
+    unit = "their rms (the noise is unknown)" if found.scaled else "the standard deviation of the noise"
+    texts = [
+        f"Size of measured minus predicted amplitude over {unit}; where the model fits, 95 % lie in the band."
+    ]
+    rms = [
+        f"{name} {short(value, 2)}"
+        for name, value in zip(found.channels, found.rms().tolist(), strict=True)
+        if np.isfinite(value)
+    ]
+    texts.append(f"Rms of each channel: {joined(rms)}.")
+    worst = found.worst()
+    if worst is not None:
+        name, f, value = worst
+        texts.append(f"The largest is {short(value, 2)}: {name} at {short(f, 4)} Hz.")
+    figure = figures.residual_plot(found.channels, found.frequency_hz, size, worst)
+    picture = figure_picture(figure, f"Residuals by frequency and channel. {texts[-1]}")
+    return [section("Residuals", *texts, picture)]
+
+
+# What to do next; commands are named with the files they would take.
+
+
+def next_steps(
+    estimate: Estimate, doubtful: Sequence[str], weak: Collinearity | None, *, plannable: bool = True
+) -> list[str]:
+    """The most useful things to do, the first first; `plannable`: whether `dashpot design` knows the rig."""
+    if not bool(estimate.converged):
+        return [
+            "Do not use these values.",
+            'Check the signs and units of the channels: gain = "unknown" for all but one shows a wrong one.',
+            "Give the unknowns guesses, or try another method (dashpot compare shows several).",
+        ]
+    steps = _on_fit(estimate)
+    parameters = [name for name in doubtful if "." not in name]
+    rig = estimate.rig or "rig.toml"
+    if parameters:
+        shown = joined(parameters[:MOST_NAMED]) + (" and others" if len(parameters) > MOST_NAMED else "")
+        are, pronoun = ("is", "it") if len(parameters) == 1 else ("are", "them")
+        hint = f" Design the next test for {pronoun}: {_design(rig, parameters[:MOST_NAMED])}."
+        steps.append(
+            f"{shown} {are} poorly determined: the interval extends more than half the value to either side."
+            f"{hint if plannable else ''}"
+        )
+    elif plannable and (least := _least_known(estimate)) is not None:
+        steps.append(
+            f"The least certain is {least[0]} (± {least[1]} %). To plan a test for it: {_design(rig, [least[0]])}."
+        )
+    if weak is not None and weak.combinations:
+        worst = weak.combinations[0]
+        steps.append(
+            f"{joined(worst.names[:MOST_NAMED])} are strongly correlated: "
+            f"if {worst.best} were known from elsewhere, their intervals would shrink to "
+            f"{percent(worst.narrowing, 1.0)} %."
+        )
+    if estimate.assessment is not None and estimate.assessment.verdict == "fits":
+        steps.append(
+            "Before relying on the result, predict a test that was not used: dashpot validate estimate.json OTHER.csv."
+        )
+    return steps
+
+
+def _design(rig: str, names: Sequence[str]) -> str:
+    """The command that plans a test for some unknowns."""
+    return f"dashpot design {rig} --after estimate.json --for {','.join(names)} --samples N"
+
+
+def _on_fit(estimate: Estimate) -> list[str]:
+    """What the verdict asks for."""
+    assessment = estimate.assessment
+    if assessment is None or assessment.verdict == "fits":
+        return []
+    if assessment.verdict == "cannot tell" and not estimate.fit.known_noise:
+        return [
+            (
+                "Give the noise of the sensors, so that the fit can be tested: columns NAME_sd, longer dwells or "
+                "repeated tests, or a record at rest (--noise-record)."
+            )
+        ]
+    if assessment.verdict == "cannot tell":
+        return ["Measure where the rig moves more, or longer: these data cannot confirm the model."]
+    if assessment.findings:
+        best = assessment.findings[0]
+        outlook = remaining_in_words(best)
+        step = f"Try the most likely cause: {best.change}."
+        if outlook:
+            step += f" {outlook.capitalize()}."
+        if best.channels or best.elements:
+            step += " dashpot identify --apply NEW.toml writes that rig file."
+        return [step]
+    return [
+        (
+            "Look where the residuals are largest: an element or a motion is missing there or a value is wrong, and "
+            "none of the usual mistakes explains it."
+        ),
+        (
+            "Until the model fits, use the values only within the frequencies of this test: they are the best for this "
+            "model, and their intervals are widened for the misfit."
+        ),
+    ]
+
+
+def _least_known(estimate: Estimate) -> tuple[str, str] | None:
+    """The parameter with the largest relative standard deviation, with it in per cent; None where there is none."""
+    pairs = [
+        (float(sd / abs(value)), name, percent(float(sd), float(value)))
+        for name, sd, value in zip(estimate.names, estimate.sd, estimate.values, strict=True)
+        if value != 0 and "." not in name
+    ]
+    return max(pairs)[1:] if pairs else None

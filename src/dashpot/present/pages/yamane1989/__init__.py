@@ -1,1 +1,0 @@
-"""The reproduction of Yamane (1989), for eyes."""

@@ -1,0 +1,16 @@
+"""Which groups of a study's scenarios are drawn."""
+
+import pytest
+
+from dashpot.present.study import MOST_ALIKE, FactorGroup, evenly_spread
+
+
+@pytest.mark.parametrize("levels", [1, MOST_ALIKE, MOST_ALIKE + 1, 200])
+def test_of_many_groups_alike_some_are_drawn_the_first_and_the_last_among_them(levels: int) -> None:
+    bars = [FactorGroup("frequencies", (("noise", k),), ("A", "B"), (), {}) for k in range(levels)]
+    curves = [FactorGroup("noise", (("frequencies", "A"),), (1.0, 2.0, 3.0), (), {})]
+    drawn = list(evenly_spread([*bars, *curves]))
+    of_bars = [group for group in drawn if group.factor == "frequencies"]
+    assert len(drawn) == len(of_bars) + 1
+    assert len(of_bars) == min(levels, MOST_ALIKE) == len({group.rest for group in of_bars})
+    assert (of_bars[0], of_bars[-1]) == (bars[0], bars[-1])
