@@ -19,7 +19,6 @@ from click.shell_completion import CompletionItem
 
 from dashpot.app.commands import COMMANDS
 from dashpot.app.memory import CURE, EXIT_CODE, NotEnoughMemoryError, lacked, limited, one_thread, secure_room
-from dashpot.app.options import WIDEST
 from dashpot.app.report_files import ARGUMENTS
 from dashpot.app.signals import Ended, answered, end_on_signals, leave_signals, request_lost
 from dashpot.errors import DashpotError, printable
@@ -27,7 +26,6 @@ from dashpot.io import ledger
 
 FAULT, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141  # 128 + signal, as shells report it
 TRACEBACK = "DASHPOT_TRACEBACK"
-MOST_PROBLEMS = 20  # that are told one by one
 COMPLETION = "_DASHPOT_COMPLETE"  # set by the script that `dashpot completion` prints
 
 
@@ -105,9 +103,7 @@ def _version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
         ctx.exit()
 
 
-@click.group(
-    cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDEST}
-)
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.option(
     "--version",
     is_flag=True,
@@ -179,9 +175,10 @@ def _refused(error: DashpotError) -> int:
     """One line for each of the first problems."""
     if limited() and lacked(error):
         return _starved(error)
-    _tell(str(problem) for problem in error.problems[:MOST_PROBLEMS])
-    if len(error.problems) > MOST_PROBLEMS:
-        _tell([f"{len(error.problems) - MOST_PROBLEMS} more problems; mend these first"])
+    most = 20  # a screenful is told one by one
+    _tell(str(problem) for problem in error.problems[:most])
+    if len(error.problems) > most:
+        _tell([f"{len(error.problems) - most} more problems; mend these first"])
     return error.exit_code
 
 

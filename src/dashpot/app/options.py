@@ -34,13 +34,23 @@ from dashpot.quantities import Amount
 STDOUT = "-"  # as the name of a file to write
 
 
-class InputFile(click.ParamType[str]):
+class PathType(click.ParamType[str]):
+    """A file or a folder; its completion is left to the shell."""
+
+    name = "file"
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """What asks the shell to go on."""
+        return [CompletionItem(incomplete, type="dir" if self.name == "folder" else "file")]
+
+
+class InputFile(PathType):
     """A file that is read; with `or_text`, what names none is a text with a meaning of its own.
 
     Whether a file is there, its reader says.
     """
-
-    name = "file"
 
     def __init__(self, or_text: bool = False) -> None:
         self.or_text = or_text
@@ -50,20 +60,12 @@ class InputFile(click.ParamType[str]):
         text = str(value)
         return text if self.or_text and not os.path.exists(text) else ledger.noted(text)
 
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """Left to the shell."""
-        return [CompletionItem(incomplete, type="file")]
 
-
-class OutputFile(click.ParamType[str]):
+class OutputFile(PathType):
     """A file to write; with `stdout`, - is standard output; with `new`, one that is there already is not replaced.
 
     Where there are `formats`, its name ends in one of them.
     """
-
-    name = "file"
 
     def __init__(self, stdout: bool = False, new: bool = False, formats: Sequence[str] = ()) -> None:
         self.stdout, self.new, self.formats = stdout, new, tuple(formats)
@@ -96,39 +98,23 @@ class OutputFile(click.ParamType[str]):
             chosen_format(target, self.formats)
         return target
 
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """Left to the shell."""
-        return [CompletionItem(incomplete, type="file")]
 
-
-class OutputFolder(click.ParamType[str]):
+class OutputFolder(PathType):
     """A folder that is made where it is missing.  What is written into it is checked when it is."""
 
     name = "folder"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The path.  Raises UsageError where the folder cannot be made."""
-        check_folder(str(value))
-        return str(value)
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """Left to the shell."""
-        return [CompletionItem(incomplete, type="dir")]
-
-
-def check_folder(target: str) -> None:
-    """Refuse a folder for output that cannot be made: its parent must exist.  Raises UsageError."""
-    if not target or "\0" in target:
-        raise UsageError("this is not the name of a folder", target or '""', "name another folder")
-    path = Path(target)
-    if os.path.exists(target) and not os.path.isdir(target):
-        raise UsageError("this is a file, not a folder", target, "name another folder")
-    if not os.path.exists(target) and not os.path.isdir(path.absolute().parent):
-        raise UsageError(f"the folder {path.parent} does not exist", target, "create it, or name another")
+        """The path.  Raises UsageError where the folder cannot be made: its parent must exist."""
+        target = str(value)
+        if not target or "\0" in target:
+            raise UsageError("this is not the name of a folder", target or '""', "name another folder")
+        path, there = Path(target), os.path.exists(target)
+        if there and not os.path.isdir(target):
+            raise UsageError("this is a file, not a folder", target, "name another folder")
+        if not there and not os.path.isdir(path.absolute().parent):
+            raise UsageError(f"the folder {path.parent} does not exist", target, "create it, or name another")
+        return target
 
 
 def write_result(target: str | None, text: str) -> None:
@@ -163,7 +149,6 @@ def write_pictures(folder: str | Path, pictures: Mapping[str, bytes]) -> list[st
 # usage error that names the option.
 
 
-MOST_ORDERS = 1000  # of the drive frequency: no record shows so many
 _THOUSANDS = re.compile(r"\d{1,3}(,\d{3})+")
 
 Value = TypeVar("Value")
@@ -250,7 +235,7 @@ def _whole_numbers(text: str) -> tuple[int, ...]:
             found += ends if len(ends) == 1 else range(ends[0], ends[1] + 1, *ends[2:])
     except (ValueError, TypeError, IndexError):
         found = []
-    if not found or min(found) < 1 or max(found) > MOST_ORDERS or len(found) > MOST_ORDERS:
+    if not found or min(found) < 1 or max(len(found), *found) > 1000:  # no record shows so many
         raise UsageError(f"{text.strip()!r} is not a list of multiples", cure="write them as 1,3,5 or 1:9:2")
     return tuple(dict.fromkeys(found))
 
@@ -354,7 +339,6 @@ class Count(click.ParamType[int]):
 GENERAL = "General"
 OUTPUT = "Output"
 RECORDS = "Time records (tables of amplitudes are used as they are)"
-WIDEST = 100  # columns of help text
 
 
 class Option:

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+import json
+from pathlib import Path
+from typing import Annotated, Any
 
 import click
 
 from dashpot.app import options as opt
 from dashpot.app.cli import resumable
 from dashpot.app.data_files import RecordOptions
+from dashpot.app.progress import progress
 from dashpot.errors import printable
-
-if TYPE_CHECKING:
-    from dashpot.fleet.data_sets import Source, Treatment
-    from dashpot.fleet.runner import FleetOutcome
-    from dashpot.model.rigfile import Rig
 
 FLEET = "The fleet"
 FEW = 40  # data sets below which starting processes costs more than they save
-ENDING = ".blocks"  # of the folder in which finished blocks are kept
 
 
 @opt.dashpot_command(
@@ -73,14 +70,20 @@ def command(
     Run again, only data sets that are new or have changed are computed. The result is the same to the bit with any
     number of workers.
     """
+    from dashpot.app.workers import shared_out
     from dashpot.check.deficiencies import require_identifiable
     from dashpot.fleet.data_sets import expanded, of_files, of_tables
+    from dashpot.fleet.runner import run_fleet
+    from dashpot.io.json_document import to_json
     from dashpot.io.ledger import noted
     from dashpot.model.rigfile import read_rig
+    from dashpot.present.document import say
+    from dashpot.present.fleet import fleet_document
+    from dashpot.study.blocks import write_table
 
-    rig_read = read_rig(rig)
-    rig_read.model.require_unknowns(rig)
-    require_identifiable(rig_read.model, rig_read.channels, rig)
+    read = read_rig(rig)
+    read.model.require_unknowns(rig)
+    require_identifiable(read.model, read.channels, rig)
     paths = [noted(path) for path in expanded(data, order)]
     source = of_files(paths) if rig_column is None else of_tables(paths, rig_column)
     if source.count == 1 and rig_column is None and not quiet:
@@ -88,43 +91,19 @@ def command(
             "note: a file is one rig; for a table of many, name the column that tells them: --rig-column",
             err=True,
         )
-    treatment = records.treatment(rig_read, chosen, positive, seed)
-    with resumable(ctx, f"finished data sets are kept in {out}{ENDING}"):
-        outcome = _run(rig_read, source, out, treatment, pool, workers, dask, quiet)
-    _write(outcome, out, json_out, quiet)
-    if len(outcome.failed) == len(outcome.columns["name"]):
-        ctx.exit(opt.NOT_CONVERGED)
-
-
-def _run(
-    rig: Rig, source: Source, out: str, treatment: Treatment, pool: bool, workers: int | None, dask: str | None,
-    quiet: bool,
-) -> FleetOutcome:  # fmt: skip
-    from pathlib import Path
-
-    from dashpot.app.progress import progress
-    from dashpot.app.workers import shared_out
-    from dashpot.fleet.runner import run_fleet
-
-    with shared_out(dask, workers, source.count < FEW) as mapper, progress("fleet", quiet) as moved:
-        return run_fleet(
-            rig, source, Path(f"{out}{ENDING}"), treatment, pool=pool, mapper=mapper, progress=moved
-        )
-
-
-def _write(outcome: FleetOutcome, out: str, json_out: str | None, quiet: bool) -> None:
-    import json
-    from pathlib import Path
-
-    from dashpot.app.options import STDOUT, write_result
-    from dashpot.io.json_document import to_json
-    from dashpot.present.document import say
-    from dashpot.present.fleet import fleet_document
-    from dashpot.study.blocks import write_table
-
+    treatment = records.treatment(read, chosen, positive, seed)
+    kept = f"{out}.blocks"  # the folder of finished blocks
+    with (
+        resumable(ctx, f"finished data sets are kept in {kept}"),
+        shared_out(dask, workers, source.count < FEW) as mapper,
+        progress("fleet", quiet) as moved,
+    ):
+        outcome = run_fleet(read, source, Path(kept), treatment, pool=pool, mapper=mapper, progress=moved)
     summary = outcome.summary()
     write_table(Path(out), outcome.table(), json.dumps(summary).encode())
-    write_result(json_out, to_json(summary))
-    if not quiet and json_out != STDOUT:
+    opt.write_result(json_out, to_json(summary))
+    if not quiet and json_out != opt.STDOUT:
         say(fleet_document(outcome))
         click.echo(printable(out))
+    if len(outcome.failed) == len(outcome.columns["name"]):
+        ctx.exit(opt.NOT_CONVERGED)

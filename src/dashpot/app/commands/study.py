@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import click
 from dashpot.app import options as opt
 from dashpot.app.cli import resumable
 from dashpot.app.data_files import tell_notes
+from dashpot.app.progress import progress
 from dashpot.app.report_files import Report
 from dashpot.errors import printable
 
@@ -41,22 +43,15 @@ def command(
     method, and pictures.  The result depends on the file alone, to the bit: neither on the number of processes nor on
     interruptions.
     """
-    from dashpot.app.options import check_folder, write_pictures
-    from dashpot.study.studyfile import read_study
-
-    description = read_study(study)
-    folder = out if out is not None else Path(study).stem
-    check_folder(folder)
-
-    from dataclasses import replace
-
-    from dashpot.app.progress import progress
     from dashpot.app.workers import shared_out
     from dashpot.present.document import say
     from dashpot.present.study import study_document, study_pictures
     from dashpot.study.montecarlo import run_study
     from dashpot.study.scenario import scenarios
+    from dashpot.study.studyfile import read_study
 
+    description = read_study(study)
+    folder = opt.FOLDER.convert(Path(study).stem if out is None else out, None, None)
     if draws is not None:
         description = replace(
             description, grids=tuple(replace(grid, draws=draws) for grid in description.grids)
@@ -70,7 +65,7 @@ def command(
         outcome = run_study(description, Path(folder), mapper=mapper, progress=moved)
     tell_notes(outcome.notes, quiet)
     pictures = study_pictures(outcome)
-    written = write_pictures(folder, pictures)
+    written = opt.write_pictures(folder, pictures)
     if report.report is not None:
         from dashpot.present.study import study_report
 
