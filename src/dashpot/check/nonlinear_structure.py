@@ -19,11 +19,11 @@ from dashpot.data.spectrum import SettledDwell, Spectrum
 from dashpot.errors import DashpotError, IdentifiabilityError, ModelError
 from dashpot.estimate.nonlinear.objective import NonlinearPart, WarmStart, evaluate, nonlinear_part
 from dashpot.estimate.preparation.prepared import prepare
+from dashpot.model.modes import typical_sizes
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate
 from dashpot.model.nonlinear.harmonics import complex_of
 from dashpot.model.observation import measures_input, observation_model
-from dashpot.model.typical_values import typical
 
 FREQUENCIES = 12  # of the drive, around the rig's own
 SIZES = (1.0, 0.4)  # of the drive
@@ -82,7 +82,7 @@ def _settled_test(model: Model, channels: Sequence[Channel]) -> Spectrum:
 
     A force input is as large as moves the typical spring by NOMINAL.
     """
-    sizes, rate = typical(model)
+    sizes, rate = typical_sizes(model)
     force = next(size for kind, size in sizes.items() if kind.value == "spring") * NOMINAL
     base = rate / (2 * np.pi) * np.geomspace(0.3, 2.0, FREQUENCIES)
     lines, dwell, amplitude = [], [], []
@@ -111,7 +111,7 @@ def _settled_test(model: Model, channels: Sequence[Channel]) -> Spectrum:
 
 def _nominal(model: Model, gains: int, delays: int, part: NonlinearPart) -> Real:
     """ψ near priors and guesses, elsewhere typical values, nonlinear forces a share of the linear ones."""
-    sizes, rate = typical(model)
+    sizes, rate = typical_sizes(model)
     elongation = float(np.max(np.abs(part.q)[..., : model.D.shape[1]], initial=0.0))
     elongation = elongation if elongation > 0 else NOMINAL
     stiffness = next(size for kind, size in sizes.items() if kind.value == "spring")

@@ -21,6 +21,7 @@ from dashpot.errors import IdentifiabilityError, ModelError, Problem
 from dashpot.estimate.method import Method
 from dashpot.io.words import listed, with_values
 from dashpot.model.elements import Law
+from dashpot.model.modes import typical_sizes
 from dashpot.model.network import Model
 from dashpot.model.observation import (
     ObservationModel,
@@ -29,7 +30,6 @@ from dashpot.model.observation import (
     measures_input,
     observation_model,
 )
-from dashpot.model.typical_values import typical
 from dashpot.numerics import finite_field as field
 from dashpot.numerics.finite_field import PRIME, ROOT
 
@@ -429,7 +429,7 @@ def nominal(model: Model, channels: Sequence[Channel]) -> tuple[Real, float]:
     No two alike: symmetry would hide directions that other values have, or show more than there are.
     """
     view = view_of(model, channels)
-    size, rate = typical(model)
+    size, rate = typical_sizes(model)
     values = []
     kinds = {element.name: element.kind for element in model.elements}
     for unknown in model.unknowns:

@@ -51,7 +51,7 @@ def method_class(name: str) -> type[Method]:
 
 def methods_for(model: Model) -> list[str]:
     """All methods that may differ for the rig: definite matrices count only where entries of matrices are free."""
-    from dashpot.model.unstructured import free_entries
+    from dashpot.model.matrix_elements import free_entries
 
     free = bool(free_entries(model))
     return [name for name in METHODS if free or not method_class(name).traits.definite]

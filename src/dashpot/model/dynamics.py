@@ -192,3 +192,21 @@ def sensitivities(model: Model, p: Real, omega: Real, X: Complex, U: Complex) ->
     """
     forces = model.B.T * unit_forces(model, omega, X, U)[..., None, :]
     return -solve_small(dynamic_stiffness(model, p, omega), forces)
+
+
+def kernel_rig(kernel: Any, model: Model, omega: Real) -> Any | None:
+    """A rig at its lines as the compiled kernel takes it, None of nonlinear rigs; the last ones are kept.
+
+    omega (lines,), rad/s.
+    """
+    if len(model.nonlinear):
+        return None
+    key = (kernel, omega.tobytes())
+    if key not in model.views:
+        factors = np.stack([law.factor(omega) for law in MATRICES.values()])
+        imaginary = np.any(factors.imag, axis=-1)
+        real = np.where(imaginary[:, None], factors.imag, factors.real)
+        rig = (model.B, model.D, model.T, model.p0, model.S, model.letters)
+        prior = (model.prior_precision, model.prior_mean)
+        model.views[key] = kernel.Rig(*rig, real, imaginary, np.ascontiguousarray(omega), *prior)
+    return model.views[key]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.errors import ModelError
 from dashpot.model.dynamics import Matrices, matrices
+from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_small
 
@@ -132,14 +134,15 @@ def _sizes(parts: Matrices) -> tuple[float, float, float]:
     return inertia, damping, stiff
 
 
-def _typical_rate(M: float, C: float, K: float) -> float:
+def _typical_rate(M: float, C: float, K: float, damping: float = 0.5, otherwise: float = 1.0) -> float:
+    """√(K/M); at a damping ratio 2ζ K/C or C/(2ζ M) where one of them is 0."""
     if M > 0 and K > 0:
         return float(np.sqrt(K / M))
     if C > 0 and K > 0:
-        return K / C
+        return 2 * damping * K / C
     if M > 0 and C > 0:
-        return C / M
-    return 1.0
+        return C / M / (2 * damping)
+    return otherwise
 
 
 def eigenpairs(model: Model, p: Real) -> tuple[Complex, Complex]:
@@ -207,3 +210,27 @@ def mode_sensitivities(model: Model, p: Real, values: Complex, shapes: Complex) 
     both = solve_small(system, right)
     dlam: Complex = both[..., n, :] * rate / length
     return dlam, both[..., :n, :]
+
+
+def typical_sizes(model: Model) -> tuple[Mapping[Kind, float], float]:
+    """(a parameter's size by kind, a typical ω in rad/s) from known values and guesses, where nobody says.
+
+    A damping ratio of 0.05 goes with them, and 30 rad/s where nothing tells.
+    """
+    ratio = 0.05
+    m, c, k = (_middle(model, letter) for letter in "MCK")
+    rate = _typical_rate(m, c, k, ratio, otherwise=30.0)
+    mass = m or (k / rate**2 if k else c / rate / (2 * ratio) if c else 1.0)
+    middle = {"M": m, "C": c, "K": k}
+    sizes = {kind: middle.get(kind.law.matrix) or kind.law.typical_size(mass, rate, ratio) for kind in Kind}
+    return sizes, rate
+
+
+def _middle(model: Model, letter: str) -> float:
+    """Geometric mean of the values and guesses of the elements of a matrix; 0 where there are none."""
+    elements = (
+        e for e in model.elements if e.law.matrix == letter and e.force_law is None and e.block is None
+    )
+    numbers = (e.guess if e.value is None else e.value for e in elements)
+    given = [number for number in numbers if number is not None and number > 0]
+    return float(np.exp(np.mean(np.log(given)))) if given else 0.0

@@ -14,7 +14,7 @@ from dashpot.estimate.likelihood.input_noise import INPUT_NOISE
 from dashpot.estimate.linear.definite import FreeMatrices
 from dashpot.estimate.result import MISFIT, RESIDUALS, Estimate, ModeValues
 from dashpot.io.words import joined
-from dashpot.model.unstructured import Letter
+from dashpot.model.matrix_elements import Letter
 from dashpot.present.document import (
     Document,
     Paragraph,

@@ -331,7 +331,7 @@ def _draw(path: str, rig: Rig, found: Identified) -> None:
 
 
 def _show(rig: Rig, found: Identified, level: float, matrices: bool) -> None:
-    from dashpot.model.unstructured import free_names
+    from dashpot.model.matrix_elements import free_names
     from dashpot.present.document import say
     from dashpot.present.estimate import estimate_document
 

@@ -25,10 +25,10 @@ from dashpot.estimate.result import Fit
 from dashpot.io.words import joined, with_values
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Kind
+from dashpot.model.matrix_elements import free_entries, free_names
 from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.model.observation import is_direct, measures_input
-from dashpot.model.unstructured import free_entries, free_names
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse, standard_deviations
 from dashpot.numerics.variance_tests import fishers_product

@@ -9,7 +9,7 @@ import numpy as np
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.linear.gram import compiled_result
-from dashpot.model.kernel_rig import kernel_rig
+from dashpot.model.dynamics import kernel_rig
 from dashpot.model.observation import ObservationModel, small
 from dashpot.numerics.kernel import kernel, threads
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel

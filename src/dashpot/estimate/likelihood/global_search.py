@@ -29,6 +29,7 @@ from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import amplitudes, unit_forces
 from dashpot.model.elements import Kind
+from dashpot.model.matrix_elements import free_names
 from dashpot.model.network import Model
 from dashpot.model.observation import (
     SPARSE_FROM,
@@ -37,7 +38,6 @@ from dashpot.model.observation import (
     channel_amplitudes,
     small,
 )
-from dashpot.model.unstructured import free_names
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult
 from dashpot.numerics.small_systems import scaled_inverse

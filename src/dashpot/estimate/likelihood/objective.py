@@ -27,13 +27,13 @@ from dashpot.estimate.likelihood.compiled import compiled_local, compiled_output
 from dashpot.estimate.likelihood.record_sums import by_record_line, ends_rank, record_sums
 from dashpot.estimate.nonlinear.objective import nonlinear_part, predict_harmonics
 from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.model.matrix_elements import free_names
 from dashpot.model.observation import (
     ChannelTransfer,
     ObservationModel,
     calibrated_transfer,
     small,
 )
-from dashpot.model.unstructured import free_names
 from dashpot.numerics.kernel import threads
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 from dashpot.numerics.small_systems import solve_small

@@ -22,7 +22,7 @@ from dashpot.estimate.likelihood.record_passes import (
     Passes,
     RecordPieces,
 )
-from dashpot.model.kernel_rig import kernel_rig
+from dashpot.model.dynamics import kernel_rig
 from dashpot.numerics.kernel import kernel, threads
 from dashpot.numerics.small_systems import independent
 

@@ -15,8 +15,8 @@ from dashpot.estimate.method import Method, Solution, Traits
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.estimate.result import Estimate
+from dashpot.model.matrix_elements import LETTERS, Letter
 from dashpot.model.network import Model
-from dashpot.model.unstructured import LETTERS, Letter
 from dashpot.numerics.levenberg_marquardt import OptimizeResult
 from dashpot.numerics.small_systems import solve_scaled
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real, hermitian
 from dashpot.estimate.preparation.state_reconstruction import States
-from dashpot.model.kernel_rig import kernel_rig
+from dashpot.model.dynamics import kernel_rig
 from dashpot.model.network import Model
 from dashpot.model.observation import small
 from dashpot.numerics.kernel import kernel, threads

@@ -19,8 +19,8 @@ from dashpot.errors import DashpotError, ModelError
 from dashpot.io.ledger import noted
 from dashpot.io.toml_document import Place, TomlDocument, Wanted, parse_toml, read_toml
 from dashpot.io.words import did_you_mean, listed, quoted, shown, written
-from dashpot.model.blocks import block_elements
 from dashpot.model.elements import Element
+from dashpot.model.matrix_elements import LETTERS, Letter, Pairs, block_elements, free_elements
 from dashpot.model.network import Input, Model
 from dashpot.model.network import problems as problems_of
 from dashpot.model.rigfile.channels import Measurables, read_channels, reserved
@@ -37,7 +37,6 @@ from dashpot.model.rigfile.schema import (
     InputEntry,
     RigReading,
 )
-from dashpot.model.unstructured import LETTERS, Letter, Pairs, free_elements
 from dashpot.quantities import Amount
 from dashpot.units import factor_between
 

@@ -12,11 +12,11 @@ from dashpot.errors import ModelError
 from dashpot.io.toml_document import toml_key
 from dashpot.io.words import quoted
 from dashpot.model.elements import Element, Kind
+from dashpot.model.matrix_elements import free_entries
 from dashpot.model.network import Input, Model
 from dashpot.model.rigfile.force_laws import law_fields
 from dashpot.model.rigfile.rig import Rig, is_electrical
 from dashpot.model.rigfile.schema import GROUND, VERDICT
-from dashpot.model.unstructured import free_entries
 
 LARGE = 1e7  # from which a number is written with a power of ten
 

@@ -15,8 +15,8 @@ from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Kind, between, mass
+from dashpot.model.matrix_elements import free_model
 from dashpot.model.network import Input, Model
-from dashpot.model.unstructured import free_model
 from tests.rigs import Rig, channels, covariance, noisy, perfect, states
 
 X = ("x1", "x2", "x3")

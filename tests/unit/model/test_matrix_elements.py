@@ -9,9 +9,9 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ModelError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.model.blocks import block_elements
 from dashpot.model.dynamics import FROM, matrices, response
 from dashpot.model.elements import Kind, mass
+from dashpot.model.matrix_elements import block_elements
 from dashpot.model.network import Input, Model
 
 POINTS = ("a", "b", "c", "d")

@@ -8,9 +8,9 @@ import pytest
 
 from dashpot.errors import ModelError
 from dashpot.model.dynamics import matrices
+from dashpot.model.matrix_elements import free_elements, free_entries, free_model
 from dashpot.model.network import Input
 from dashpot.model.rigfile import parse_rig, write_rig
-from dashpot.model.unstructured import free_elements, free_entries, free_model
 
 FILE = """\
 coordinates = ["x1", "x2", "x3"]
