@@ -62,7 +62,7 @@ def test_more_draws_on_request(dashpot: Command, study: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[0.01, 0.05, 0.1]", "-1", "dashpot: noise.toml:10: grid[0].noise: a noise of -1"),
+        ("[0.01, 0.05, 0.1]", "-1", "dashpot: noise.toml:10: grid[0].noise[0]: a noise of -1"),
         ("rig.toml", "none.toml", "dashpot: none.toml: there is no such file"),
         ("samples = 20", "samples = 2", "samples=2 covariance=given: 2 samples over 1 periods cannot tell"),
         ('"wls"', '"ls"', "ls reads dampers from velocity channels"),
