@@ -56,7 +56,6 @@ from dashpot.estimate.result import ModeValues as ModeValues
 from dashpot.estimate.result import Value as Value
 from dashpot.export.state_space import StateSpace as StateSpace
 from dashpot.export.transfer_functions import TransferFunctions as TransferFunctions
-from dashpot.model.blocks import block_elements as block_elements
 from dashpot.model.dynamics import Matrices as Matrices
 from dashpot.model.dynamics import matrices as matrices
 from dashpot.model.dynamics import response as response
@@ -65,6 +64,8 @@ from dashpot.model.elements import Element as Element
 from dashpot.model.elements import Kind as Kind
 from dashpot.model.elements import between as between
 from dashpot.model.elements import mass as mass
+from dashpot.model.matrix_elements import block_elements as block_elements
+from dashpot.model.matrix_elements import free_model as free_model
 from dashpot.model.modes import Modes as Modes
 from dashpot.model.modes import modes as modes
 from dashpot.model.network import Input as Input
@@ -75,7 +76,6 @@ from dashpot.model.rigfile import default_channels as default_channels
 from dashpot.model.rigfile import parse_rig as parse_rig
 from dashpot.model.rigfile import read_rig as read_rig
 from dashpot.model.rigfile import write_rig as write_rig
-from dashpot.model.unstructured import free_model as free_model
 from dashpot.notices import Notice as Notice
 from dashpot.study.simulate import Dwells as Dwells
 from dashpot.study.simulate import dwells as dwells
