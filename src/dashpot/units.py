@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -173,13 +174,7 @@ def scale(unit: str, quantity: str, angular: bool = False, uncalibrated: bool = 
     Raises UsageError where the text is not a unit, or a unit of something else; the cure lists what is accepted.
     """
     wanted = _quantity(quantity, angular)
-    try:
-        factor, dimension = _parse(unit, quantity)
-    except _UnreadableError as fault:
-        hint = "" if fault.suggestion is None else f'did you mean "{fault.suggestion}"? '
-        raise UsageError(
-            f"{_quoted(unit)} is not a unit: {fault.reason}", cure=f"{hint}use {wanted.accepted}"
-        ) from None
+    factor, dimension = _understood(unit, quantity, f"use {wanted.accepted}")
     if uncalibrated and dimension in (VOLTAGE, COUNT):
         return factor
     if _fits(dimension, wanted.dimension, quantity):
@@ -195,10 +190,7 @@ def scale(unit: str, quantity: str, angular: bool = False, uncalibrated: bool = 
 def factor_between(unit: str, wanted: str) -> float:
     """Factor from `unit` to `wanted`, two units of any one dimension: "N/mm^3" to "N/m³".  Raises UsageError."""
     cure = f"use {wanted}, or a unit of its dimension"
-    try:
-        factor, dimension = _parse(unit, "stiffness")
-    except _UnreadableError as fault:
-        raise UsageError(f"{_quoted(unit)} is not a unit: {fault.reason}", cure=cure) from None
+    factor, dimension = _understood(unit, "stiffness", cure)
     try:
         of_wanted, same = _parse(wanted, "stiffness")
     except _UnreadableError:
@@ -231,10 +223,7 @@ def sensitivity(text: str, unit: str, quantity: str, angular: bool = False) -> f
     match = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*", text, re.DOTALL)
     if match is None:
         raise UsageError(f"{_quoted(text)} is not a sensitivity", cure=cure)
-    try:
-        factor, dimension = _parse(match[2], quantity)
-    except _UnreadableError as fault:
-        raise UsageError(f"{_quoted(text)} is not a sensitivity: {fault.reason}", cure=cure) from None
+    factor, dimension = _understood(match[2], quantity, cure, f"{_quoted(text)} is not a sensitivity")
     if not _fits(_times(recorded, dimension, -1), wanted.dimension, quantity):
         what = f"{_quoted(text)} is not a sensitivity in {unit} to {_described(quantity, angular)}"
         raise UsageError(what, cure=cure)
@@ -244,6 +233,16 @@ def sensitivity(text: str, unit: str, quantity: str, angular: bool = False) -> f
             f"{_quoted(text)} is a sensitivity of {value:g}", cure="give a finite one other than 0"
         )
     return value
+
+
+def _understood(unit: str, quantity: str, cure: str, what: str | None = None) -> tuple[float, Dimension]:
+    """Factor and dimension of a unit.  Raises UsageError that says `what` is wrong, and why."""
+    try:
+        return _parse(unit, quantity)
+    except _UnreadableError as fault:
+        hint = "" if fault.suggestion is None else f'did you mean "{fault.suggestion}"? '
+        fault_of = f"{_quoted(unit)} is not a unit" if what is None else what
+        raise UsageError(f"{fault_of}: {fault.reason}", cure=hint + cure) from None
 
 
 def _quantity(quantity: str, angular: bool) -> _Quantity:
@@ -328,39 +327,44 @@ def _tokens(text: str) -> Iterator[tuple[str, str]]:
 @lru_cache(maxsize=4096)
 def _parse(text: str, quantity: str) -> tuple[float, Dimension]:
     """Factor and dimension of a unit text.  Products and quotients are taken from left to right."""
-    tokens = [*_tokens(text)]
+    tokens = deque(_tokens(text))
     if not tokens:
         raise _UnreadableError("it is empty")
-    (factor, dimension), rest = _product(tokens, 0, quantity, depth=0)
-    if rest != len(tokens):
+    factor, dimension = _product(tokens, quantity, depth=0)
+    if tokens:
         raise _UnreadableError("a bracket is closed that was not opened")
     if not (0 < factor < math.inf):
         raise _UnreadableError("its powers are out of range")
     return factor, dimension
 
 
-def _product(
-    tokens: list[tuple[str, str]], at: int, quantity: str, depth: int
-) -> tuple[tuple[float, Dimension], int]:
+def _product(tokens: deque[tuple[str, str]], quantity: str, depth: int) -> tuple[float, Dimension]:
+    """Take a product off the tokens, up to the bracket that closes it or to the end."""
     factor, dimension = 1.0, NONE
     sign, operand_due = 1, True
-    while at < len(tokens):
-        kind, text = tokens[at]
-        if kind == "close":
-            break
+    while tokens and tokens[0][0] != "close":
+        kind, text = tokens.popleft()
         if kind in ("times", "over"):
             if operand_due:
                 raise _UnreadableError(f"a unit is missing before {text}")
             sign, operand_due = (1 if kind == "times" else -1), True
-            at += 1
             continue
         if kind == "power":
             raise _UnreadableError("a power stands without a unit")
-        part, at = _operand(tokens, at, quantity, depth)
-        power = sign
-        if at < len(tokens) and tokens[at][0] == "power":
-            power *= int(tokens[at][1])
-            at += 1
+        part: tuple[float, Dimension] | None = (1.0, NONE)
+        if kind == "open":
+            if depth > 8:
+                raise _UnreadableError("it has too many brackets")
+            part = _product(tokens, quantity, depth + 1)
+            if not tokens:
+                raise _UnreadableError("a bracket is not closed")
+            tokens.popleft()
+        elif kind == "symbol":
+            text = text.replace("μ", "µ")
+            part = _meaning_of(text, quantity)
+        if part is None:
+            raise _UnreadableError(f"{_quoted(text)} is not known", _suggestion(text, quantity))
+        power = sign * (int(tokens.popleft()[1]) if tokens and tokens[0][0] == "power" else 1)
         try:
             factor *= part[0] ** power
         except OverflowError:
@@ -369,23 +373,7 @@ def _product(
         sign, operand_due = 1, False
     if operand_due:
         raise _UnreadableError("a unit is missing at its end")
-    return (factor, dimension), at
-
-
-def _operand(
-    tokens: list[tuple[str, str]], at: int, quantity: str, depth: int
-) -> tuple[tuple[float, Dimension], int]:
-    kind, text = tokens[at]
-    if kind == "one":
-        return (1.0, NONE), at + 1
-    if kind == "symbol":
-        return _symbol(text, quantity), at + 1
-    if depth > 8:
-        raise _UnreadableError("it has too many brackets")
-    inner, at = _product(tokens, at + 1, quantity, depth + 1)
-    if at == len(tokens):
-        raise _UnreadableError("a bracket is not closed")
-    return inner, at + 1
+    return factor, dimension
 
 
 def _times(dimension: Dimension, other: Dimension, power: int) -> Dimension:
@@ -393,15 +381,8 @@ def _times(dimension: Dimension, other: Dimension, power: int) -> Dimension:
     return a, b, c, d, e, f
 
 
-def _symbol(text: str, quantity: str) -> tuple[float, Dimension]:
-    text = text.replace("μ", "µ")
-    meaning = _meaning_of(text, quantity)
-    if meaning is not None:
-        return meaning
-    raise _UnreadableError(f"{_quoted(text)} is not known", _suggestion(text, quantity))
-
-
 def _meaning_of(text: str, quantity: str) -> tuple[float, Dimension] | None:
+    """Factor and dimension of a symbol with its prefix, or of a word for one; None where it is neither."""
     for symbol in SYMBOLS.get(text, ()):
         if symbol.only is None or quantity in symbol.only:
             return symbol.factor, symbol.dimension
@@ -410,17 +391,12 @@ def _meaning_of(text: str, quantity: str) -> tuple[float, Dimension] | None:
         for symbol in SYMBOLS.get(text[length:], ()):
             if prefix in symbol.prefixes and prefix and (symbol.only is None or quantity in symbol.only):
                 return PREFIXES[prefix] * symbol.factor, symbol.dimension
-    return _word(text, quantity)
-
-
-def _word(text: str, quantity: str) -> tuple[float, Dimension] | None:
-    word = text.lower()
-    for prefix_word, prefix in (("", ""), *PREFIX_WORDS.items()):
-        if word.startswith(prefix_word):
-            stem = word.removeprefix(prefix_word)
-            symbol = WORDS.get(stem) or WORDS.get(stem.removesuffix("s"))
-            if symbol is not None:
-                return _meaning_of(prefix + symbol, quantity)
+    for word, short in (("", ""), *PREFIX_WORDS.items()):
+        if text.lower().startswith(word):
+            stem = text.lower().removeprefix(word)
+            meant = WORDS.get(stem) or WORDS.get(stem.removesuffix("s"))
+            if meant is not None:
+                return _meaning_of(short + meant, quantity)
     return None
 
 
@@ -434,8 +410,5 @@ def _suggestion(text: str, quantity: str) -> str | None:
         for prefix in ("", *symbol.prefixes)
     ]
     same = [name for name in known if name.lower() == text.lower()]
-    if same:
-        return same[0]
-    names = [name for name in known if len(name) > 2]
-    close: list[str] = difflib.get_close_matches(text, names, n=1, cutoff=0.8)
-    return close[0] if close else None
+    long = [name for name in known if len(name) > 2]
+    return next(iter(same or difflib.get_close_matches(text, long, n=1, cutoff=0.8)), None)
