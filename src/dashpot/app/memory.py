@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import mmap
 import os
@@ -11,14 +12,11 @@ from contextlib import suppress
 from dashpot.errors import DashpotError
 from dashpot.numerics.blas_threads import THREADS
 
-ROOM = (
-    512 << 20
-)  # bytes of address space for the libraries of one command on Linux x86-64: measured, 415 MB once they are imported
-# with one thread; identify unguarded failed under a limit of 500 MB and worked under 520 MB
+# Bytes of address space for the libraries of one command on Linux x86-64: measured, 415 MB once they are imported with
+# one thread; identify unguarded failed under a limit of 500 MB and worked under 520 MB
+ROOM = 512 << 20
 EXIT_CODE = 5
 CURE = "raise the limit (ulimit -v), or give fewer frequencies, draws or samples at a time"
-_BLAS_ORDER = 128  # rows of a product that BLAS computes in its buffer; products of 64 rows do without
-_ARENA_MAX = -8  # M_ARENA_MAX of glibc's malloc.h
 _LACK = re.compile(
     r"cannot allocate|unable to allocate|failed to map|bad_alloc|out of memory"
     r"|resource temporarily unavailable|can't start new thread",
@@ -72,21 +70,15 @@ def secure_room() -> None:
     except OSError:
         what = f"not enough memory: the libraries need {ROOM >> 20} MB of address space, and the limit leaves less"
         raise NotEnoughMemoryError(what, cure="raise the limit (ulimit -v)") from None
-    _one_arena()
+    # Threads share the memory of the C library (glibc): each would reserve 64 to 128 MB of address space.
+    with suppress(OSError, TypeError, AttributeError):  # another C library
+        ctypes.CDLL(None).mallopt(-8, 1)  # M_ARENA_MAX of its malloc.h
     import numpy as np
     from scipy.linalg import blas  # SciPy brings a BLAS of its own
 
-    ones = np.ones((_BLAS_ORDER, _BLAS_ORDER))
+    ones = np.ones((128, 128))  # which BLAS multiplies in its buffer; matrices of 64 rows do without
     ones @ ones
     blas.dgemm(1.0, ones, ones)
-
-
-def _one_arena() -> None:
-    """Threads share the memory of the C library (glibc): each would reserve 64 to 128 MB of address space."""
-    import ctypes
-
-    with suppress(OSError, TypeError, AttributeError):  # another C library
-        ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
 
 
 def lacked(error: BaseException) -> bool:

@@ -111,12 +111,11 @@ def input_amplitudes(model: Model, settings: Sequence[Amount | Mapping[str, Amou
                 cure=f"its inputs are {', '.join(inputs)}",
             )
     amplitudes = {}
-    for name in inputs:
-        given = named.get(name, common[0] if common else None)
+    for source in model.inputs:
+        given = named.get(source.name, common[0] if common else None)
         if given is not None:
-            moved = name in model.displacement_inputs
-            points = (
-                {name} if moved else {p for source in model.inputs if source.name == name for p in source.at}
-            )
-            amplitudes[name] = given.si("displacement" if moved else "force", points <= set(model.angles))
+            moved = source.kind == "displacement"
+            turned = {source.name} if moved else set(source.at)
+            kind = "displacement" if moved else "force"
+            amplitudes[source.name] = given.si(kind, turned <= set(model.angles))
     return amplitudes

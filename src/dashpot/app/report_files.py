@@ -23,7 +23,6 @@ QUIET = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-pdf-header-footer",
 )  # fmt: skip
-PRINTING_S = 120.0  # seconds after which a browser has hung: a page takes it two
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,8 @@ def _printed(html: str) -> bytes:
             page.as_uri(),
         ]
         try:
-            subprocess.run(command, capture_output=True, timeout=PRINTING_S, check=True)
+            # After two minutes a browser has hung: a page takes it two seconds.
+            subprocess.run(command, capture_output=True, timeout=120, check=True)
             return files.read("report.pdf")
         except (OSError, subprocess.SubprocessError) as error:
             raise DataError(

@@ -95,11 +95,17 @@ def command(
     from dashpot.model.rigfile import read_rig
 
     whole = {"--hold-out": hold_out is not None, "--figure": figure is not None}
-    _require_in_parts(in_parts, {"--workers": workers is not None, "--dask": dask is not None}, whole)
+    if in_parts:
+        what = "{} needs all data at once, and --in-parts never has them"
+        _refuse(whole, what, "identify one file, without it")
+    else:
+        sharing = {"--workers": workers is not None, "--dask": dask is not None}
+        _refuse(sharing, "{} shares out the parts of --in-parts", "give that too, or leave it out")
     of_modes = len(data) == 1 and holds_modes(data[0])
     if of_modes:
         options = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices, **whole}
-        _require_amplitudes(data[0], options | {"--in-parts": in_parts, "--within": within is not None})
+        options |= {"--in-parts": in_parts, "--within": within is not None}
+        _refuse(options, "{path} holds modes, to which {} does not apply", "leave {} out", path=data[0])
     read = read_rig(rig)
     read = read if within is None else replace(read, within=within)
     with report.of_failure(read), _remedy_written(read, apply):
@@ -242,24 +248,11 @@ def _in_parts(
     return replace(estimate, rig=rig.path)
 
 
-def _require_in_parts(in_parts: bool, sharing: Mapping[str, bool], whole: Mapping[str, bool]) -> None:
-    """Raises UsageError for options given that need --in-parts (`sharing`), or that it cannot serve (`whole`)."""
-    wrong = next((name for name, given in (whole if in_parts else sharing).items() if given), None)
-    if wrong is None:
-        return
-    if in_parts:
-        raise UsageError(
-            f"{wrong} needs all data at once, and --in-parts never has them",
-            cure="identify one file, without it",
-        )
-    raise UsageError(f"{wrong} shares out the parts of --in-parts", cure="give that too, or leave it out")
-
-
-def _require_amplitudes(path: str, options: Mapping[str, bool]) -> None:
-    """Raises UsageError for options given that modes have no use for."""
+def _refuse(options: Mapping[str, bool], what: str, cure: str, **words: str) -> None:
+    """Raises UsageError that says `what` is wrong with the first option that is given, which stands for {}."""
     for name, given in options.items():
         if given:
-            raise UsageError(f"{path} holds modes, to which {name} does not apply", cure=f"leave {name} out")
+            raise UsageError(what.format(name, **words), cure=cure.format(name))
 
 
 def _require_answer(rig: Rig, chosen: str, positive: bool, matrices: bool) -> None:
