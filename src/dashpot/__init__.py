@@ -13,10 +13,9 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
-from pkgutil import get_data
 from types import FunctionType
 
-_LISTED = (get_data(__name__, "__init__.pyi") or b"").decode()
+_LISTED = __spec__.loader.get_data(f"{__file__}i").decode()
 _HOME = {name: home for home, name in re.findall(r"^from (\S+) import \w+ as (\w+)$", _LISTED, re.MULTILINE)}
 
 __all__ = ["__version__", *_HOME]  # noqa: PLE0604, names as text
