@@ -172,7 +172,7 @@ def _unit_of(piece: str) -> str | None:
 
 def within_range(value: float, text: str) -> float:
     """The value; raises UsageError where squares and products of it would leave floating point."""
-    if not (value == 0 or SMALLEST < abs(value) < LARGEST):
+    if not (value == 0 or SMALLEST <= abs(value) <= LARGEST):
         raise UsageError(
             f"{text.strip()!r} is out of range", cure=f"give a magnitude from {SMALLEST:g} to {LARGEST:g}"
         )
