@@ -1,15 +1,20 @@
-"""The best test within a budget: samples spent, time kept, known information counted."""
+"""The best and the shortest test within a budget: samples spent, time kept, dwells rounded, what is known counted."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dashpot.design.allocation import Criterion, expected_precision
-from dashpot.design.plan import Budget, plan
+from dashpot.data.conditioning.lines import spectrum
+from dashpot.design.allocation import Allocation, Criterion, expected_precision
+from dashpot.design.plan import Budget, DesignProblem, DwellShares, plan, shortest
 from dashpot.design.stopping import after, values_after
-from dashpot.design.test_setup import band_grid, nominal_setup
+from dashpot.design.test_setup import Schedule, band_grid, nominal_setup
+from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
+from tests import rigs
 from tests.designs import BAND, measured, paper_setup
 from tests.rigs import paper_rig
 
@@ -102,3 +107,94 @@ def test_known_with_an_sd_is_known() -> None:
         band_grid(own, *BAND),
     )
     assert found.predicted.figure < free.predicted.figure
+
+
+def test_too_small_a_budget() -> None:
+    own = paper_setup()
+    grid = band_grid(own, *BAND)
+    with pytest.raises(UsageError, match="settling alone"):
+        plan(own, Criterion("A"), Budget(time=1, rate=100, settle=2), grid)
+    with pytest.raises(UsageError, match="holds no test"):
+        plan(own, Criterion("A"), Budget(samples=3), grid)
+    with pytest.raises(UsageError, match="sampling rate"):
+        plan(own, Criterion("A"), Budget(samples=300, rate=30), grid)
+    with pytest.raises(UsageError, match="needs the sampling rate"):
+        Budget(time=10)
+    with pytest.raises(UsageError, match="a number of samples or a time"):
+        Budget()
+
+
+def test_dwells_that_crowd_are_one() -> None:
+    """The optimum is flat: neighbours are joined where that costs less than 1e-4 of the variance, and only there."""
+    own, budget = paper_setup(), Budget(samples=1400)
+    grid = band_grid(own, *BAND)
+    f = np.array([3.79, 3.795, 3.8, 3.81, 9.4, 9.6, 25.0])
+    share = np.array([0.05, 0.05, 0.05, 0.03, 0.2, 0.22, 0.4])
+    crowd = Allocation(f, np.zeros(7, dtype=int), share, 0.0, 0.0, (f, np.zeros(7, dtype=int), f))
+    terms = Criterion("A").terms(own)
+    shares = DwellShares(DesignProblem(own, terms, budget, grid), crowd)
+    shares.join()
+    assert shares.count == 3
+    assert np.sum(shares.w) == pytest.approx(1.0)
+    before = expected_precision(
+        own, Criterion("A"), Schedule(f, np.zeros(7, dtype=int), 1400 * share).information(own)
+    ).figure
+    after = expected_precision(
+        own, Criterion("A"), Schedule(shares.f, shares.k, 1400 * shares.w).information(own)
+    ).figure
+    assert after <= before * (1 + 5e-5)
+    # Two frequencies apart that are both needed stay two, also on a grid of fixed frequencies.
+    fixed = band_grid(own, *BAND, 0.25)
+    apart = Allocation(
+        np.array([3.75, 9.5, 25.0]), np.zeros(3, dtype=int), np.array([0.2, 0.4, 0.4]), 0.0, 0.0,
+        (f, np.zeros(7, dtype=int), f),
+    )  # fmt: skip
+    shares = DwellShares(DesignProblem(own, terms, budget, fixed), apart)
+    shares.join()
+    assert shares.f.tolist() == [3.75, 9.5, 25.0]
+
+
+def test_identify_can_use_every_dwell_of_a_small_plan() -> None:
+    """As few samples as dwells may have, each over one period."""
+    own = paper_setup()
+    schedule = plan(own, Criterion("A"), Budget(samples=32), band_grid(own, *BAND)).schedule
+    assert np.min(schedule.samples) == 8
+    rig = rigs.paper_rig()
+    test = replace(
+        rig, frequency_hz=schedule.frequency_hz, U=np.ones((len(schedule.samples), 1), dtype=complex),
+        f=np.zeros((len(schedule.samples), 0), dtype=complex),
+    )  # fmt: skip
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        records = [
+            rigs.records(test, own.channels, rng, samples=int(samples), relative=0.02)[line]
+            for line, samples in enumerate(schedule.samples)
+        ]
+        estimate = identify(rig.model, spectrum(records))
+        assert bool(estimate.converged)
+        assert np.all(estimate.sd < 0.5 * rig.theta)
+        assert np.all(np.abs(estimate.values - rig.theta) < 6 * estimate.sd)
+
+
+@pytest.mark.parametrize("target", [0.02, 0.005])
+def test_the_shortest_test_just_reaches_its_target(target: float) -> None:
+    own = paper_setup()
+    grid = band_grid(own, *BAND)
+    found = shortest(own, Criterion("minimax"), target, Budget(samples=100), grid)
+    assert 0.99 * target < np.max(found.predicted.relative) <= target
+    fewer = plan(own, Criterion("minimax"), Budget(samples=round(0.98 * found.samples)), grid)
+    assert np.max(fewer.predicted.relative) > target
+
+
+def test_targets_by_name() -> None:
+    own = paper_setup()
+    found = shortest(
+        own,
+        Criterion("minimax", targets={"c2": 0.02, "m1": 0.005}),
+        1.0,
+        Budget(samples=100),
+        band_grid(own, *BAND),
+    )
+    by_name = dict(zip(found.predicted.names, found.predicted.relative, strict=True))
+    assert by_name["c2"] <= 0.02
+    assert by_name["m1"] <= 0.005
