@@ -11,6 +11,7 @@ from scipy.special import chdtrc
 from dashpot.arrays import Real
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.estimate.inference.diagnostics import held as of_bounds
 from dashpot.estimate.inference.diagnostics import require_determined, require_traces, unseen_laws
 from dashpot.estimate.likelihood.input_noise import counted_as_exact
 from dashpot.estimate.method import HeldBounds
@@ -27,6 +28,7 @@ from dashpot.estimate.nonlinear.records import RecordData, arranged, total_sampl
 from dashpot.estimate.result import RESIDUALS, Estimate, Fit, estimate_of
 from dashpot.model.network import Model
 from dashpot.notices import Notice
+from dashpot.numerics.levenberg_marquardt import without_bounds
 from dashpot.numerics.small_systems import scaled_inverse
 
 # The motion that an estimate gives a record.
@@ -177,7 +179,10 @@ class FittedRecords:
             traces=lambda: require_traces(model, names, problem.quadratic(psi[None]).symmetric[0]),
         )
         lower, upper = self.limits[0][:inner], self.limits[1][:inner]
-        at_bound = (values <= lower) | (values >= upper)
+        free = psi[None]
+        if np.any((values <= lower) | (values >= upper)):
+            free = without_bounds(free, problem.quadratic(free), *self.limits)
+        bounds = HeldBounds(lower, upper, free[:, :inner])
         rms = ", ".join(f"{n} {s:.3g}" for n, s in zip(problem.records[0].names, problem.sd, strict=True))
         about = [] if self.held else counted_as_exact([source.name for source in model.inputs])
         return estimate_of(
@@ -195,16 +200,12 @@ class FittedRecords:
             converged=np.array([self.converged]),
             iterations=np.array([self.iterations], dtype=np.int64),
             history=self.history,
-            bounds=HeldBounds(lower, upper, values[None]),
+            bounds=bounds,
             warnings=[
                 *_coloured_notice(np.sqrt(np.diagonal(covariance) / np.diagonal(bound))),
                 *unseen_laws(model, values, covariance),
                 *(_held_inputs(model) if self.held else []),
-                *(
-                    Notice("at_bound", f"{name} is at its bound", (name,))
-                    for name, at in zip(names, at_bound, strict=True)
-                    if at
-                ),
+                *of_bounds(names, values, bounds),
                 *_cut_notices(problem),
             ],
             notes=[
