@@ -266,10 +266,8 @@ def _limit_problems(name: str, numbers: Mapping[str, float]) -> Iterator[Problem
 
 def _numbers(element: Element) -> dict[str, float]:
     """The numbers that an element states, under the names that a rig file gives them."""
-    numbers = {
-        "value": element.value, "sd": element.sd, "guess": element.guess, "min": element.lower, "max": element.upper,
-        "times": element.times,
-    }  # fmt: skip
+    named = {"value": "value", "sd": "sd", "guess": "guess", "min": "lower", "max": "upper", "times": "times"}
+    numbers = {key: getattr(element, field) for key, field in named.items()}
     return {key: number for key, number in numbers.items() if number is not None}
 
 

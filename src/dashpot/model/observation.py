@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from scipy import sparse
@@ -24,6 +24,9 @@ from dashpot.model.dynamics import solve_stiffness, stiffness
 from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_small
 from dashpot.units import si_unit
+
+if TYPE_CHECKING:
+    from dashpot.model.reduced import ReducedRig, ReducedTransfer
 
 # How channels hang on coordinates, inputs and elements, and which of their calibrations are unknown.
 
@@ -82,38 +85,6 @@ def unknown_calibrations(channels: Sequence[Channel]) -> tuple[Ints, Ints]:
                 )
             gain[c] = gain[owner]
     return frozen(gain, np.int64), frozen(delay, np.int64)
-
-
-# What the likelihood asks of a rig: its channels as functions of the inputs, of the whole rig or a reduced
-# one.
-
-
-class ChannelTransfer(Protocol):
-    """The channels as functions of the inputs, whoever computed them."""
-
-    @property
-    def G(self) -> Complex:
-        """y = G q, (..., lines, channels, r + s)."""
-
-    def amplitudes(self, q: Complex) -> Complex:
-        """y under inputs q (..., lines, r + s); (..., lines, channels)."""
-
-    def slopes(self, q: Complex) -> Complex:
-        """∂y/∂ψ at fixed inputs; (..., lines, channels, M)."""
-
-    def calibrated(self, kappa: Complex, psi: Real) -> ChannelTransfer:
-        """The same with calibrations κ (..., lines, channels, 1) at ψ."""
-
-
-class Reduced(Protocol):
-    """A rig on the span of few motions."""
-
-    @property
-    def size(self) -> int:
-        """How many."""
-
-    def transfer(self, view: ObservationModel, theta: Real) -> ChannelTransfer:
-        """The channels at θ (..., unknowns)."""
 
 
 SPARSE_FROM = 48  # coordinates: above it a factorisation of the sparse pattern beats dense stacks
@@ -179,7 +150,7 @@ class ObservationModel:
     gain: Ints
     delay: Ints
     flips: Bools
-    reduced: Reduced | None = None
+    reduced: ReducedRig | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -322,10 +293,9 @@ def _observation_model(model: Model, channels: tuple[Channel, ...], omega: Real)
     derivative = [0 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in channels]
     gain, delay = unknown_calibrations(channels)
     flips = [channel.sign is None and channel.gain is not None for channel in channels]
-    return ObservationModel(
-        model, channels, frozen(omega, np.float64), on_x, on_q, frozen(derivative, np.int64), force, gain,
-        delay, frozen(flips, np.bool_),
-    )  # fmt: skip
+    orders, signs = frozen(derivative, np.int64), frozen(flips, np.bool_)
+    at = frozen(omega, np.float64)
+    return ObservationModel(model, channels, at, on_x, on_q, orders, force, gain, delay, signs)
 
 
 # Calibrations
@@ -419,10 +389,10 @@ def transfer(view: ObservationModel, p: Real) -> Transfer:
     return _transfer_dense(view, p) if small(view.model) else _transfer_sparse(view, p)
 
 
-def calibrated_transfer(view: ObservationModel, psi: Real, sign: Real) -> ChannelTransfer:
+def calibrated_transfer(view: ObservationModel, psi: Real, sign: Real) -> Transfer | ReducedTransfer:
     """The same with calibrations, at ψ (..., M) and signs (..., channels); of the reduced rig where there is one."""
     theta, rig = psi[..., : view.m], view.reduced
-    known: ChannelTransfer = (
+    known: Transfer | ReducedTransfer = (
         transfer(view, view.model.parameters(theta)) if rig is None else rig.transfer(view, theta)
     )
     if not (view.gains or view.delays) and np.all(sign == 1):

@@ -11,7 +11,8 @@ from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.compiled import compiled_cost, compiled_descent, compiled_output
 from dashpot.estimate.likelihood.objective import bounds, local, logarithmic, measured
 from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.model.observation import ObservationModel, Reduced, observation_model
+from dashpot.model.observation import ObservationModel, observation_model
+from dashpot.model.reduced import ReducedRig
 from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult, QuadraticModel, minimise
 
 # Fewer lines for a search from many starts: the loudest of each part of the band.
@@ -98,7 +99,7 @@ class Likelihood:
         """What the channels show."""
         return self.data.view
 
-    def on_basis(self, rig: Reduced) -> Likelihood:
+    def on_basis(self, rig: ReducedRig) -> Likelihood:
         """That of a large rig on the span of few motions."""
         return replace(self, data=replace(self.data, view=replace(self.view, reduced=rig)))
 

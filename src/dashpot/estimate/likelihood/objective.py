@@ -29,11 +29,12 @@ from dashpot.estimate.nonlinear.objective import nonlinear_part, predict_harmoni
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.matrix_elements import free_names
 from dashpot.model.observation import (
-    ChannelTransfer,
     ObservationModel,
+    Transfer,
     calibrated_transfer,
     small,
 )
+from dashpot.model.reduced import ReducedTransfer
 from dashpot.numerics.kernel import threads
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 from dashpot.numerics.small_systems import solve_small
@@ -216,7 +217,7 @@ class RecordFit:
     loads    (K, lines, 2 n + polynomials) coefficients of the columns
     """
 
-    rig: ChannelTransfer
+    rig: Transfer | ReducedTransfer
     motion: Complex
     r: Complex
     root: Complex

@@ -424,10 +424,10 @@ def _search_near(model: Model, data: ModalData, view: MeasuredModes) -> Search:
     largest = FAR * np.maximum(np.abs(like_parts(model, data)), np.abs(usual_parts(model, data)))
 
     def search(start: Real, rows: Ints, limit: int) -> OptimizeResult:
-        ends = minimise(
-            lambda theta, some: modal_misfit(model, data, view, theta, rows[some]),
-            start, limit=limit, tolerance=1e-6, lower=lower, upper=upper,
-        )  # fmt: skip
+        def misfit(theta: Real, some: Ints) -> QuadraticModel:
+            return modal_misfit(model, data, view, theta, rows[some])
+
+        ends = minimise(misfit, start, limit=limit, tolerance=1e-6, lower=lower, upper=upper)
         lost = np.any(np.abs(ends.x) > largest, axis=-1)
         return replace(ends, cost=np.where(lost, np.inf, ends.cost), converged=ends.converged & ~lost)
 

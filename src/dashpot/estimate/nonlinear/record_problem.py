@@ -634,10 +634,10 @@ def begun_problem(
         free = record_constants(moving, records[0])
     begun = [start_of(rig, data, at) for data, at in pairs]
     gains = max((g for data in records for g in data.gain), default=-1) + 1
-    states = tuple(start.state for start in begun)
+    states = tuple(state for state, _ in begun)
     held = np.max([largest_states(rig, theta, data, at) for data, at in pairs], axis=0)
     problem = RecordProblem(rig, moving, records, free, states, held, gains, sd, substeps)
-    own = [part for start in begun for part in (start.state[free.starts], start.forces[free.biases])]
+    own = [part for state, forces in begun for part in (state[free.starts], forces[free.biases])]
     return problem, np.concatenate(own)
 
 

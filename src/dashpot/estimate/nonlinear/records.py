@@ -286,14 +286,6 @@ class RecordedMotion:
     bases: BaseTravel
 
 
-@dataclass(frozen=True)
-class Start:
-    """Of a record: the state (states,) of the rig as it moves, and constants that force inputs lack (forces,)."""
-
-    state: Real
-    forces: Real
-
-
 def recorded_motion(model: Model, data: RecordData) -> RecordedMotion | None:
     """The motion of a rig; None where channels of displacement with known gains do not show all its coordinates."""
     C = data.on_x[displacement_channels(data)][:, : model.n]
@@ -311,8 +303,11 @@ def recorded_motion(model: Model, data: RecordData) -> RecordedMotion | None:
     return RecordedMotion(x, u, beside, course)
 
 
-def start_of(model: Model, data: RecordData, at: RecordedMotion | None) -> Start:
-    """Where a record of a rig starts, at rest where no motion is measured."""
+def start_of(model: Model, data: RecordData, at: RecordedMotion | None) -> tuple[Real, Real]:
+    """Where a record of a rig starts, at rest where no motion is measured.
+
+    The state (states,) of the rig as it moves, and constants that force inputs lack (forces,).
+    """
     bases = len(data.bases.names)
     n, total = model.n, model.n + bases
     laws = laws_with_state(model)
@@ -327,7 +322,7 @@ def start_of(model: Model, data: RecordData, at: RecordedMotion | None) -> Start
     if bases:
         base = (base_travel(model, data) if at is None else at.bases).start
         state[n:total], state[total + n : 2 * total], forces[-bases:] = base.T
-    return Start(state, forces)
+    return state, forces
 
 
 def laws_with_state(model: Model) -> list[tuple[int, ForceLaw]]:

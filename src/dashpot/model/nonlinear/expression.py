@@ -21,9 +21,10 @@ import numpy as np
 from dashpot.arrays import Bools, Real
 from dashpot.errors import ModelError
 
+_OF_ONE = ("abs", "sign", "tanh", "exp", "log", "sqrt", "sin", "cos")
 FUNCTIONS: Mapping[str, int] = MappingProxyType(
-    {"abs": 1, "sign": 1, "tanh": 1, "exp": 1, "log": 1, "sqrt": 1, "sin": 1, "cos": 1, "min": 2, "max": 2, "where": 3}
-)  # fmt: skip
+    {**dict.fromkeys(_OF_ONE, 1), "min": 2, "max": 2, "where": 3}
+)  # and how many arguments they take
 LONGEST = 500  # characters of an expression
 DEEPEST = 50  # brackets within brackets
 LARGEST = 1e100  # number
@@ -246,16 +247,8 @@ def _chosen(first: Bools, a: Dual, b: Dual) -> Dual:
     return Dual(np.where(first, a.value, b.value), slopes)
 
 
-def _where(test: Dual, a: Dual, b: Dual) -> Dual:
-    return _chosen(test.value > 0, a, b)
-
-
 def _unary(function: Callable[[Real], Real], slope: Callable[[Real, Real], Real]) -> Callable[[Dual], Dual]:
-    def applied(a: Dual) -> Dual:
-        value = function(a.value)
-        return _chain(value, (a, slope(a.value, value)))
-
-    return applied
+    return lambda a: _chain(value := function(a.value), (a, slope(a.value, value)))
 
 
 _RULES: Mapping[str, Callable[..., Dual]] = {
@@ -275,11 +268,13 @@ _RULES: Mapping[str, Callable[..., Dual]] = {
     "cos": _unary(np.cos, lambda x, _: -np.sin(x)),
     "min": lambda a, b: _chosen(a.value < b.value, a, b),
     "max": lambda a, b: _chosen(a.value > b.value, a, b),
-    "where": _where,
+    "where": lambda test, a, b: _chosen(test.value > 0, a, b),
 }
 
 
 Exponents = tuple[float, float]  # of metre and second
+Powers = tuple[dict[int, float], Exponents]  # shares of unknown exponents, and what is known of the power
+PURE: Powers = ({}, (0.0, 0.0))
 
 
 def dimensions(
@@ -303,26 +298,23 @@ class _Dimensions:
         self.known = known
         self.names: dict[str, int] = {}
         self.count = 0
-        self.rows: list[tuple[dict[int, float], Exponents]] = []
+        self.rows: list[Powers] = []
 
-    def free(self) -> tuple[dict[int, float], Exponents]:
+    def free(self) -> Powers:
         self.count += 1
         return {self.count - 1: 1.0}, (0.0, 0.0)
 
     @staticmethod
-    def plus(
-        a: tuple[dict[int, float], Exponents], b: tuple[dict[int, float], Exponents], factor: float
-    ) -> tuple[dict[int, float], Exponents]:
+    def plus(a: Powers, b: Powers, factor: float) -> Powers:
         parts = dict(a[0])
         for column, share in b[0].items():
             parts[column] = parts.get(column, 0.0) + factor * share
         return parts, (a[1][0] + factor * b[1][0], a[1][1] + factor * b[1][1])
 
-    def alike(self, a: tuple[dict[int, float], Exponents], b: tuple[dict[int, float], Exponents]) -> None:
+    def alike(self, a: Powers, b: Powers) -> None:
         self.rows.append(self.plus(a, b, -1.0))
 
-    def visit(self, node: Node) -> tuple[dict[int, float], Exponents]:
-        nothing: tuple[dict[int, float], Exponents] = ({}, (0.0, 0.0))
+    def visit(self, node: Node) -> Powers:
         if node.symbol == "number":
             return self.free()
         if node.symbol == "name":
@@ -340,13 +332,13 @@ class _Dimensions:
             self.alike(parts[1], parts[2])
             return parts[1]
         if node.symbol in ("tanh", "exp", "log", "sin", "cos"):
-            self.alike(parts[0], nothing)
-            return nothing
+            self.alike(parts[0], PURE)
+            return PURE
         if node.symbol == "sign":
-            return nothing
-        return self.plus(nothing, parts[0], 0.5) if node.symbol == "sqrt" else parts[0]
+            return PURE
+        return self.plus(PURE, parts[0], 0.5) if node.symbol == "sqrt" else parts[0]
 
-    def visit_name(self, name: str) -> tuple[dict[int, float], Exponents]:
+    def visit_name(self, name: str) -> Powers:
         if name in self.known:
             return {}, self.known[name]
         if name not in self.names:
@@ -354,18 +346,15 @@ class _Dimensions:
             self.count += 1
         return {self.names[name]: 1.0}, (0.0, 0.0)
 
-    def visit_power(self, base: Node, exponent: Node) -> tuple[dict[int, float], Exponents]:
-        nothing: tuple[dict[int, float], Exponents] = ({}, (0.0, 0.0))
+    def visit_power(self, base: Node, exponent: Node) -> Powers:
         unit = self.visit(base)
         if exponent.symbol == "number":
-            return self.plus(nothing, unit, exponent.number)
-        self.alike(self.visit(exponent), nothing)
+            return self.plus(PURE, unit, exponent.number)
+        self.alike(self.visit(exponent), PURE)
         # Whether an exponent is a named constant, so that its base keeps the unit it has at an exponent of 1
-        return unit if exponent.symbol == "name" else nothing
+        return unit if exponent.symbol == "name" else PURE
 
-    def solved(
-        self, expression: Expression, result: tuple[dict[int, float], Exponents]
-    ) -> tuple[Exponents, Mapping[str, Exponents]]:
+    def solved(self, expression: Expression, result: Powers) -> tuple[Exponents, Mapping[str, Exponents]]:
         A = np.zeros((len(self.rows), self.count))
         b = np.zeros((len(self.rows), 2))
         for row, (parts, constant) in enumerate(self.rows):
