@@ -7,8 +7,8 @@ command, no more.  Look at its totals, not at its cases.
 One test: a rig is drawn (`draw_rig`), what is sampled of it (`draw_test`), a fault (`FAULTS`), its data are computed
 without noise (`measure`), and the fault is kept if these data show it in principle: the distance `d` of the data from
 the rig of the file, in standard deviations of the noise and with all unknowns free, is at least SHOWN (`free_fit`).
-Then noise is added and both files are written (`write`).  Data without a fault must fit (`--self-check`).  Causes that fit the same data exactly (the gain of a force
-and the only known mass) are found by the same fit and all count as right.
+Then noise is added and both files are written (`write`).  Causes that fit the same data exactly (the gain of a force
+and the only known mass) are found by the same fit and all count as right.  `--self-check` takes the faults out again.
 """
 
 from __future__ import annotations
@@ -92,11 +92,11 @@ def any_channel(rng: Rng, case: Case) -> int:
 
 def edited(case: Case, channel: int, edit: tuple[Any, ...] | None, *kinds: str, late: Any = None) -> Case:
     """With a channel's fault; of two channels only their ratio is measured, so that the other one counts, too."""
-    names = {case.stated.sensors[channel].name}
+    names = [sensor.name for sensor in case.stated.sensors]
     if case.kind == "modes":
-        names = {case.stated.sensors[channel].reads[0][0]}
-    elif len(case.stated.sensors) == 2 and edit is not None:
-        names = {sensor.name for sensor in case.stated.sensors}
+        names = [sensor.reads[0][0] for sensor in case.stated.sensors[:-1]]
+    if len(names) > 2 or edit is None:
+        names = [names[channel]]
     accepted = tuple((kind, frozenset({name})) for kind in kinds for name in names)
     edits = case.edits + ([edit] if edit else [])
     return replace(case, edits=edits, late=case.late + ([late] if late else []), truth=Truth(accepted))
