@@ -26,11 +26,13 @@ class Entry(BaseModel):
 
     also_called  what people write for a key: the keys that may be meant
     examples     how a key is written that must not be missing
+    wanted       what a key takes, where its validators do not say what is wrong
     """
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
     also_called: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     examples: ClassVar[Mapping[str, str]] = {}
+    wanted: ClassVar[Mapping[str, str]] = {}
 
 
 AnyEntry = TypeVar("AnyEntry", bound=Entry)
@@ -42,7 +44,8 @@ def validated(entry: type[AnyEntry], raw: dict[str, Any], place: Place, report: 
         return entry.model_validate(raw)
     except ValidationError as error:
         for detail in error.errors(include_url=False):
-            key, what, cure = str(detail["loc"][-1]), shown(str(detail["msg"]), 200), None
+            where = detail["loc"]
+            key, what, cure = str(where[-1]) if where else "", shown(str(detail["msg"]), 200), None
             if detail["type"] == "dashpot":
                 what, cure = detail["ctx"]["what"], detail["ctx"]["cure"]
             elif detail["type"] == "extra_forbidden":
@@ -52,8 +55,19 @@ def validated(entry: type[AnyEntry], raw: dict[str, Any], place: Place, report: 
                 what, cure = "unknown key", f"{guess}there are {listed(known)}"
             elif detail["type"] == "missing":
                 what, cure = "missing", f"add {entry.examples.get(key, key)}"
-            report.add((*place, *detail["loc"]), what, cure)
+            elif where[0] in entry.wanted:
+                where = where[:1]
+                what, cure = (
+                    f"{_shown(raw[str(where[0])])} cannot be used",
+                    f"write {entry.wanted[str(where[0])]}",
+                )
+            report.add((*place, *where), what, cure)
         return None
+
+
+def _shown(value: object) -> str:
+    """A value as the file wrote it; a list with what is in it."""
+    return shown(f"[{', '.join(map(written, value))}]") if isinstance(value, list) else written(value)
 
 
 def wrong(what: str, cure: str | None = None) -> PydanticCustomError:

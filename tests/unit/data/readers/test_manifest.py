@@ -216,7 +216,7 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path, text, what):
     write_dwells(tmp_path, recording(64))
     with pytest.raises(DataError, match=what) as error:
         read(manifest(tmp_path, text), CHANNELS)
-    assert "\n" not in str(error.value)
+    assert all("\n" not in str(problem) for problem in error.value.problems)
 
 
 def test_an_experiment_in_a_name_is_of_a_size_that_can_be_held(tmp_path):
