@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from threading import Timer, current_thread, main_thread
 from types import FrameType
 
-from dashpot.io.atomic import clear_away, clear_locks, clear_scratch, postponed
+from dashpot.io.atomic import clear_away, postponed
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 ANSWERED = (*ENDING, signal.SIGINT)
@@ -65,7 +65,7 @@ def leave_signals() -> None:
 
     A second Ctrl-C may have come before the first had cleared all away.
     """
-    clear_locks()
+    clear_away()
     _asked.clear()
     for number in ANSWERED:
         if signal.getsignal(number) in (_end, end_at_once):
@@ -133,8 +133,6 @@ def end_at_once(number: int, _: FrameType | None) -> None:
     if postponed(number):
         return
     clear_away()
-    clear_scratch()
-    clear_locks()
     os._exit(128 + number)
 
 

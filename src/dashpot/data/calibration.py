@@ -24,6 +24,14 @@ def calibration(channels: Sequence[Channel], frequency_hz: Real) -> Complex:
     return h
 
 
+def calibrated(
+    channels: Sequence[Channel], frequency_hz: Real, X: Complex, V: Complex
+) -> tuple[Complex, Complex]:
+    """Amplitudes (lines, channels) and their covariance (lines, channels, channels) with what is known taken out."""
+    h = calibration(channels, frequency_hz)
+    return X * h, V * h[:, :, None] * np.conj(h)[:, None, :]
+
+
 def real_factor(channel: Channel) -> float:
     """Known sign · gain.  Raises DataError where it is 0 or not finite."""
     factor = channel.factor

@@ -10,7 +10,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Real
 from dashpot.channel import Channel
-from dashpot.data.calibration import calibration
+from dashpot.data.calibration import calibrated
 from dashpot.data.conditioning.drive_frequency import OWN, refine_frequency
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.settings import Conditioning
@@ -429,10 +429,10 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
     first, dof = 0, np.full(lines, np.inf)
     for part, fit, clock in zip(parts, fits, joint.clocks, strict=True):
         wanted = [fit.orders.index(order) for order in settings.wanted]
-        h = calibration(part.channels, frequency)
         own = slice(first, first + len(part.channels))
-        X[:, own] = fit.amplitudes[wanted] * h
-        V[:, own, own] = fit.covariance[wanted] * h[:, :, None] * np.conj(h)[:, None, :]
+        X[:, own], V[:, own, own] = calibrated(
+            part.channels, frequency, fit.amplitudes[wanted], fit.covariance[wanted]
+        )
         # Twice, for half of a complex variance is along X.
         phase = 2 * (2 * np.pi * frequency * clock.sd_over(part.time)) ** 2
         V[:, own, own] += phase[:, None, None] * X[:, own, None] * np.conj(X[:, None, own])

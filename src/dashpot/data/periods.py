@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dashpot.arrays import Complex
-from dashpot.data.calibration import calibration
+from dashpot.arrays import Complex, Ints
+from dashpot.data.calibration import calibrated
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -70,19 +70,7 @@ def one_period(record: Record, period_s: float, orders: Sequence[int]) -> Spectr
     start = np.clip(np.searchsorted(silent, wanted) - NEIGHBOURS // 2, 0, len(silent) - NEIGHBOURS)
     J = F[silent[start[:, None] + np.arange(NEIGHBOURS)]]
     V = np.einsum("lnc,lnd->lcd", J, np.conj(J)) / NEIGHBOURS
-    frequencies = wanted / period_s
-    h = calibration(record.channels, frequencies)
-    lines = len(wanted)
-    return Spectrum(
-        record.channels,
-        frequencies,
-        F[wanted] * h,
-        V * h[:, :, None] * np.conj(h)[:, None, :],
-        np.full(lines, each),
-        np.full(lines, 2.0 * NEIGHBOURS),
-        ("periods",) * lines,
-        np.full(lines, record.experiment),
-    )
+    return _lines(record, period_s, wanted, F[wanted], V, each, 2.0 * NEIGHBOURS)
 
 
 def average_periods(
@@ -114,18 +102,31 @@ def average_periods(
     X = np.mean(fit.amplitudes, axis=0)
     away = fit.amplitudes - X
     V = np.einsum("plc,pld->lcd", away, np.conj(away)) / (count * (count - 1))
-    frequencies = np.array(wanted) / period_s
-    h = calibration(record.channels, frequencies)
+    notes = _notes(record.source, period_s, skip, X, away)
+    return _lines(record, period_s, np.array(wanted), X, V, count * each, 2.0 * (count - 1), notes)
+
+
+def _lines(
+    record: Record,
+    period_s: float,
+    orders: Ints,
+    X: Complex,
+    V: Complex,
+    samples: int,
+    dof: float,
+    notes: tuple[Notice, ...] = (),
+) -> Spectrum:
+    """A line for each multiple of 1/period_s, calibrations taken out."""
+    frequency_hz, lines = orders / period_s, len(orders)
     return Spectrum(
         record.channels,
-        frequencies,
-        X * h,
-        V * h[:, :, None] * np.conj(h)[:, None, :],
-        np.full(len(wanted), count * each),
-        np.full(len(wanted), 2.0 * (count - 1)),
-        ("periods",) * len(wanted),
-        np.full(len(wanted), record.experiment),
-        notes=_notes(record.source, period_s, skip, X, away),
+        frequency_hz,
+        *calibrated(record.channels, frequency_hz, X, V),
+        np.full(lines, samples),
+        np.full(lines, dof),
+        ("periods",) * lines,
+        np.full(lines, record.experiment),
+        notes=notes,
     )
 
 

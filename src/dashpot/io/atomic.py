@@ -57,10 +57,29 @@ def postponed(number: int) -> bool:
     return True
 
 
+_temporary: dict[
+    str, int
+] = {}  # files and folders that are there for a while, and the process that made each
+
+
+def clear_away() -> None:
+    """Delete what this process has made for a while: for a signal handler that ends it at once."""
+    for path in tuple(_temporary):
+        _let_go(path)
+
+
+def _let_go(path: str) -> None:
+    """Delete a temporary file or folder; in processes that were forked from the one that made it, forget it."""
+    if _temporary.get(path) == os.getpid():
+        if os.path.isdir(path):
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                os.unlink(path)
+    _temporary.pop(path, None)
+
+
 # Files that other programs need for a moment: in a folder of their own, gone when the work is done.
-
-
-_lasting: dict[str, int] = {}  # folders that are there until they are let go, and the process that made each
 
 
 @dataclass(frozen=True)
@@ -96,7 +115,7 @@ def scratch() -> Iterator[Scratch]:
     try:
         yield lasting
     finally:
-        _remove(str(lasting.folder))
+        _let_go(str(lasting.folder))
 
 
 def lasting_scratch() -> Scratch:
@@ -104,20 +123,9 @@ def lasting_scratch() -> Scratch:
     with uncut():
         folder = tempfile.mkdtemp(prefix="dashpot-")
         lasting = Scratch(Path(folder))
-        _lasting[folder] = os.getpid()
-        weakref.finalize(lasting, _remove, folder)
+        _temporary[folder] = os.getpid()
+        weakref.finalize(lasting, _let_go, folder)
     return lasting
-
-
-def clear_scratch() -> None:
-    """Remove the folders that last: for a signal handler that ends the process at once."""
-    for folder in tuple(_lasting):
-        _remove(folder)
-
-
-def _remove(folder: str) -> None:
-    if _lasting.pop(folder, None) == os.getpid():  # not in processes that were forked from it
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 # A folder held by one process at a time. The system frees the lock when its holder dies, however that
@@ -125,7 +133,6 @@ def _remove(folder: str) -> None:
 
 
 LOCK = ".lock"  # the file that is locked; it names the process that holds it
-_held_here: set[str] = set()  # locks of this process, for a handler that ends it at once
 
 
 @contextmanager
@@ -139,7 +146,7 @@ def locked(folder: AnyPath) -> Iterator[None]:
         with uncut():
             descriptor = _held(path)
             if descriptor is not None:
-                _held_here.add(path)
+                _temporary[path] = os.getpid()
     except OSError as error:
         raise UsageError(
             f"the folder cannot be used ({error.strerror or error})", os.fspath(folder), "name another one"
@@ -156,17 +163,8 @@ def locked(folder: AnyPath) -> Iterator[None]:
         yield
     finally:
         with uncut():
-            with suppress(OSError):
-                os.unlink(path)
-            _held_here.discard(path)
+            _let_go(path)
             os.close(descriptor)
-
-
-def clear_locks() -> None:
-    """Delete the lock files of this process: for a signal handler that ends it at once."""
-    for path in tuple(_held_here):
-        with suppress(OSError):
-            os.unlink(path)
 
 
 def _held(path: str) -> int | None:
@@ -222,7 +220,6 @@ _BINARY = getattr(os, "O_BINARY", 0)
 _NO_TERMINAL = getattr(os, "O_NOCTTY", 0)
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 _MOST_LINKS = 40
-_open_parts: set[str] = set()  # temporary files of this process, for a handler that ends it at once
 
 
 def write_text(path: ledger.AnyPath, text: str) -> None:
@@ -254,13 +251,6 @@ def write_bytes(path: ledger.AnyPath, content: bytes | Iterable[bytes | memoryvi
     except (OSError, ValueError) as error:  # a ValueError is a path with a null character
         reason = getattr(error, "strerror", None) or str(error)
         raise DataError(f"cannot be written ({reason})", name, "check the path and the space left") from None
-
-
-def clear_away() -> None:
-    """Delete the temporary files that this process is writing: for a signal handler that ends it at once."""
-    for path in tuple(_open_parts):
-        with suppress(OSError):
-            os.unlink(path)
 
 
 def remove_parts(folder: ledger.AnyPath) -> None:
@@ -305,7 +295,7 @@ def _replace(target: str, parts: Iterable[bytes | memoryview]) -> None:
     """Write a temporary file beside the target, and let it take the target's place."""
     before = os.stat(target) if os.path.exists(target) else None
     temporary = os.path.join(os.path.dirname(target), secrets.token_hex(8).join(PART))
-    _open_parts.add(temporary)
+    _temporary[temporary] = os.getpid()
     try:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY | _NO_LINK
         size = _fill(os.open(temporary, flags, 0o666), parts, sync=True)  # the system takes its umask off
@@ -317,12 +307,8 @@ def _replace(target: str, parts: Iterable[bytes | memoryview]) -> None:
                     os.chown(temporary, before.st_uid, before.st_gid)
             os.chmod(temporary, stat.S_IMODE(before.st_mode))
         os.replace(temporary, target)
-    except BaseException:
-        with suppress(OSError):
-            os.unlink(temporary)
-        raise
     finally:
-        _open_parts.discard(temporary)
+        _let_go(temporary)
 
 
 def _fill(descriptor: int, parts: Iterable[bytes | memoryview], sync: bool = False) -> int:

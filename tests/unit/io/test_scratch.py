@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dashpot.errors import DataError
-from dashpot.io.atomic import Scratch, clear_scratch, lasting_scratch
+from dashpot.io.atomic import Scratch, clear_away, lasting_scratch
 
 
 def test_it_lasts_as_long_as_it_is_held() -> None:
@@ -24,11 +24,11 @@ def test_a_process_that_is_forked_leaves_it_alone() -> None:
     lasting = lasting_scratch()
     child = os.fork()
     if child == 0:
-        clear_scratch()
+        clear_away()
         os._exit(0)
     assert os.waitpid(child, 0)[1] == 0
     assert lasting.folder.exists()
-    clear_scratch()
+    clear_away()
     assert not lasting.folder.exists()
 
 

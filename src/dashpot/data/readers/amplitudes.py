@@ -19,7 +19,7 @@ import numpy as np
 from dashpot import units
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.channel import Channel
-from dashpot.data.calibration import calibration
+from dashpot.data.calibration import calibrated, calibration
 from dashpot.data.readers.columns import LARGEST, Columns, bare
 from dashpot.data.readers.records import EXPERIMENT, check_frequency, whole_numbers
 from dashpot.data.readers.text import write_rows
@@ -183,7 +183,7 @@ def read_frf(
     check_frequency(columns, frequency_at, frequency)
     for i in sd_at.values():
         columns.refuse(i, values[i] < 0, "a standard deviation of {:g}", "0 is exact", values[i])
-    scale = np.array([channel.scale for channel in channels]) * calibration(channels, frequency)
+    scale = np.array([channel.scale for channel in channels])
     spectra, lines = [], len(frequency)
     for number, into in enumerate(dict.fromkeys(into for _, into in pairs)):
         X = np.zeros((lines, len(channels)), dtype=np.complex128)
@@ -200,8 +200,7 @@ def read_frf(
             Spectrum(
                 tuple(channels),
                 frequency,
-                X * scale,
-                V * scale[:, :, None] * np.conj(scale)[:, None, :],
+                *calibrated(channels, frequency, X * scale, V * np.outer(scale, scale)),
                 np.ones(lines, dtype=np.int64),
                 np.full(lines, np.inf),
                 ("given" if sd_at else "unknown",) * lines,
@@ -311,14 +310,11 @@ def read_amplitudes(
         i, c = (int(k) for k in np.argwhere(large)[0])
         what = f"{np.abs(X[i, c]):g} (SI) is too large"
         raise columns.error(i, layout.amplitudes[c].first, what, "check the unit and the number")
-    h = calibration(channels, frequency)
-    V = V * h[:, :, None] * np.conj(h)[:, None, :]
     stretch, stretches = _stretches(columns, layout.more, values, lines)
     spectrum = Spectrum(
         tuple(channels),
         frequency,
-        X * h,
-        V,
+        *calibrated(channels, frequency, X, V),
         samples,
         dof,
         noise,

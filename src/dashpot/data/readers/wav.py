@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
-from contextlib import suppress
 from functools import partial
 from typing import Any, Literal
 
@@ -15,10 +13,11 @@ from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.guarded import damaged
 from dashpot.data.readers.time_columns import TIME
 from dashpot.errors import DataError
-from dashpot.io.ledger import noted
 from dashpot.units import SHARE
 
 UNKNOWN = 2**32 - 1  # a size that stands elsewhere
+WHOLE, FLOATING, EXTENSIBLE = 1, 3, 0xFFFE  # formats of samples; the last one is told further on
+BYTES = {WHOLE: (1, 2, 3, 4, 8), FLOATING: (4, 8)}  # of a sample
 
 
 def is_wav(file: DataFile) -> bool:
@@ -31,58 +30,59 @@ def read_wav(file: DataFile) -> Iterator[ArrayColumns]:
 
     Raises DataError where the file ends before its last sample.
     """
-    from scipy.io.wavfile import WavFileWarning
-
-    with damaged(file.name, "WAV"), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", category=WavFileWarning)  # of chunks that it does not know
-        warnings.filterwarnings("error", message=".*(EOF|end of file|incomplete).*")
-        rate, samples = _read(file)
+    with damaged(file.name, "WAV"):
+        rate, samples = _samples(file)
     if rate <= 0:
         raise DataError(f"the sampling rate is {rate} Hz", file.name, "the file is damaged")
-    values = samples[:, None] if samples.ndim == 1 else samples
+    rows, channels = samples.shape[:2]
     columns: dict[str, Any] = {
-        f"channel_{i + 1}": Streamed(len(values), partial(_pieces, values, i)) for i in range(values.shape[1])
+        f"channel_{i + 1}": Streamed(rows, partial(_pieces, samples, i)) for i in range(channels)
     }
-    units = {} if values.dtype.kind == "f" else dict.fromkeys(columns, SHARE)
-    return iter([array_columns(file.name, {TIME: steps(0.0, 1 / rate, len(values)), **columns}, units)])
+    units = {} if samples.dtype.kind == "f" else dict.fromkeys(columns, SHARE)
+    yield array_columns(file.name, {TIME: steps(0.0, 1 / rate, rows), **columns}, units)
 
 
-def _read(file: DataFile) -> tuple[int, Any]:
-    """Rate and samples; those of a large file are mapped."""
-    from scipy.io import wavfile
+def _samples(file: DataFile) -> tuple[int, Any]:
+    """Rate in Hz and samples, (samples, channels), those of 24 bits as their bytes, (samples, channels, 3).
 
-    if not isinstance(file.contents, bytes):
-        with suppress(ValueError):  # of whole numbers of 24 bits
-            return wavfile.read(noted(file.path), mmap=True)
-        return _of_24_bits(file)
-    with file.reading() as stream:
-        return wavfile.read(stream)
-
-
-def _of_24_bits(file: DataFile) -> tuple[int, Any]:
-    """Rate and samples of 24 bits, (samples, channels, 3 bytes), mapped.  Raises ValueError where there are none."""
-    order: Literal["little", "big"] = "big" if file.head[:4] == b"RIFX" else "little"
+    Raises ValueError where there are none, or the file ends before the last.
+    """
+    data = file.contents
+    order: Literal["little", "big"] = "big" if data[:4] == b"RIFX" else "little"
 
     def number(at: int, size: int) -> int:
-        return int.from_bytes(file.contents[at : at + size], order)
+        return int.from_bytes(data[at : at + size], order)
 
-    at, rate, channels, long_size, end = 12, 0, 0, 0, len(file.contents)
-    while at + 8 <= end:
-        name, size, at = file.contents[at : at + 4], number(at + 4, 4), at + 8
+    at, kind, channels, rate, width, long_size = 12, 0, 0, 0, 0, 0
+    for _ in range(10_000):  # chunks that are looked through
+        if at + 8 > len(data):
+            break
+        name, size, at = data[at : at + 4], number(at + 4, 4), at + 8
         if name == b"ds64":  # where 32 bits do not hold the size
             long_size = number(at + 8, 8)
         elif name == b"fmt ":
-            channels, rate = number(at + 2, 2), number(at + 4, 4)
-            if number(at + 12, 2) != 3 * channels or number(at + 14, 2) != 24:
+            kind, channels, rate, block = (
+                number(at, 2),
+                number(at + 2, 2),
+                number(at + 4, 4),
+                number(at + 12, 2),
+            )
+            kind = number(at + 24, 2) if kind == EXTENSIBLE else kind
+            width = block // max(channels, 1)
+            if width not in BYTES.get(kind, ()) or block != channels * width:
                 raise ValueError("its samples are of no known kind")
         elif name == b"data" and channels:
             size = long_size if size == UNKNOWN else size
-            if at + size > end:
+            if at + size > len(data):
                 raise ValueError("it ends before its last sample")
-            rows = size // (3 * channels)
-            shape = (rows, channels, 3)
-            samples: Any = np.memmap(noted(file.path), np.uint8, "r", offset=at, shape=shape)
-            return rate, samples if order == "little" else samples[..., ::-1]
+            rows, mark = size // (width * channels), "<" if order == "little" else ">"
+            if width == 3:
+                raw = np.frombuffer(data, np.uint8, 3 * rows * channels, at).reshape(rows, channels, 3)
+                return rate, raw if order == "little" else raw[..., ::-1]
+            letter = "f" if kind == FLOATING else "u" if width == 1 else "i"
+            return rate, np.frombuffer(data, f"{mark}{letter}{width}", rows * channels, at).reshape(
+                rows, channels
+            )
         at += size + size % 2
     raise ValueError("it has no samples")
 
