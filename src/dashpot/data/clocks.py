@@ -31,15 +31,10 @@ from dashpot.notices import Notice
 
 
 PIECES = 8  # of the recording, each with a lag of its own
-ROUNDS = 4
-ALIKE = 0.95  # height of a second peak of the correlation at which the lag is ambiguous
 TOGETHER = (
     "shake all sensors together on one body first, and name that part with align_s, or synchronise them"
 )
 BANDS = 8  # of frequency, in which the sensors' lags are compared
-CHANCE = 0.01  # of a band that is held for shared though nothing in it is
-HIGHEST = 0.2  # of the sampling rate: above, interpolation changes the phase
-_WINDOW = 0.35875, -0.48829, 0.14128, -0.01168  # of Blackman and Harris: strong lines stay within their band
 
 
 @dataclass(frozen=True)
@@ -85,14 +80,14 @@ def estimated_clock(reference: Sensor, sensor: Sensor, source: str) -> Clock:
     """
     step = min(float(np.median(np.diff(s.time))) for s in (reference, sensor))
     coarse, margin = _coarse_lag(reference, sensor, step)
-    if margin > ALIKE:
+    if margin > 0.95:  # a second peak nearly as high: the lag is ambiguous
         raise DataError(
             f"the clock of {sensor.name} cannot be aligned: the motion repeats itself too regularly",
             source,
             TOGETHER,
         )
     clock = Clock(offset=coarse, middle=float(np.mean(sensor.time)))
-    for _ in range(ROUNDS):  # the lag is a first-order term: exact once it is small
+    for _ in range(4):  # the lag is a first-order term: exact once it is small
         lags, variances, centres = _lags_of_pieces(reference, sensor, clock, step)
         if len(lags) < 3:
             raise DataError(
@@ -134,7 +129,9 @@ def _lags_of_bands(reference: Sensor, sensor: Sensor, clock: Clock, step: float)
     if size < 4 * BANDS:
         return []
     turn = 2 * np.pi * np.arange(size) / size
-    window = sum(a * np.cos(k * turn) for k, a in enumerate(_WINDOW))
+    # Blackman and Harris: strong lines stay within their band.
+    weights = (0.35875, -0.48829, 0.14128, -0.01168)
+    window = sum(a * np.cos(k * turn) for k, a in enumerate(weights))
     starts = range(0, len(time) - size + 1, size // 2)
     spectra = [
         np.stack([np.fft.rfft(window * (y[k : k + size] - np.mean(y[k : k + size]))) for k in starts])
@@ -146,7 +143,8 @@ def _lags_of_bands(reference: Sensor, sensor: Sensor, clock: Clock, step: float)
     f = np.arange(size // 2 + 1) / (size * step)
     cross = np.sum(spectra[0] * np.conj(spectra[1]), axis=0)
     powers = [np.sum(np.abs(each) ** 2, axis=0) for each in spectra]
-    edges = np.geomspace(4 / (size * step), HIGHEST / step, BANDS + 1)
+    # Up to a fifth of the sampling rate: above, interpolation changes the phase.
+    edges = np.geomspace(4 / (size * step), 0.2 / step, BANDS + 1)
     found = []
     for low, high in itertools.pairwise(edges.tolist()):
         inside = (f >= low) & (f < high)
@@ -155,7 +153,7 @@ def _lags_of_bands(reference: Sensor, sensor: Sensor, clock: Clock, step: float)
             continue
         total = np.sum(cross[inside])
         coherence = float(abs(total) ** 2 / (np.sum(powers[0][inside]) * np.sum(powers[1][inside])))
-        if not coherence > 1 - CHANCE ** (1 / (looks - 1)):
+        if not coherence > 1 - 0.01 ** (1 / (looks - 1)):  # what chance alone gives in 1 % of bands
             continue
         omega = 2 * np.pi * float(np.average(f[inside], weights=np.abs(cross[inside])))
         variance = max(1 - coherence, 1e-12) / (2 * coherence * looks)
@@ -264,10 +262,7 @@ def _fine_lag(
     return float(lag), max(variance, 1e-24)
 
 
-TOLERANCE = 1e-3  # of a sampling step, within which two samples were taken at once
-MOST_DEGREES = 10.0  # of the drive's phase that a clock may leave open
 FEWEST_TO_ALIGN = 256  # samples of the reference in the part where sensors move alike
-FEWEST = 0.5  # share of the shortest recording that sensors on one clock have in common
 
 
 @dataclass(frozen=True)
@@ -311,12 +306,12 @@ def joined_sensors(
     for sensor in sensors:
         after = np.clip(np.searchsorted(sensor.time, reference), 1, len(sensor.time) - 1)
         at = np.where(reference - sensor.time[after - 1] < sensor.time[after] - reference, after - 1, after)
-        shared &= np.abs(sensor.time[at] - reference) < TOLERANCE * step
+        shared &= np.abs(sensor.time[at] - reference) < 1e-3 * step  # taken at once
         nearest.append(at)
     shortest = min(len(sensor.time) for sensor in sensors)
     common = int(np.sum(shared))
     channels = tuple(channel for sensor in sensors for channel in sensor.channels)
-    if common < max(2, FEWEST * shortest):
+    if common < max(2, shortest / 2):
         parts = [_between(sensor, start, end, start, frequency_hz, experiment, source) for sensor in sensors]
         text = f"{source}: the sensors sampled at different moments; each channel keeps its own"
         return ClockedRecords(tuple(parts), (Clock(),) * len(parts)), [Notice("own_times", text, (source,))]
@@ -363,7 +358,7 @@ def aligned_sensors(
         used = _outside(sensors[0], whole.on_reference(sensor.time), align_s)
         clock = replace(whole, offset_sd=whole.sd_over(sensor.time[used]))
         phase = 0.0 if frequency_hz is None else 360 * frequency_hz * clock.offset_sd
-        if phase > MOST_DEGREES:
+        if phase > 10:  # degrees of the drive that a clock may leave open
             raise DataError(
                 f"the clock of {sensor.name} is known to ± {1e3 * clock.offset_sd:.2g} ms, {phase:.2g}° of the drive: "
                 f"it and {sensors[0].name} do not move alike, and their phases are the rig's as well",

@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 
-from dashpot import units
 from dashpot.arrays import Real, freeze
 from dashpot.channel import Quantity
-from dashpot.data.readers.columns import Columns, bare
+from dashpot.data.readers.columns import Columns, bare, factors
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.registry import reader_of
 from dashpot.data.readers.time_columns import frequency_column, read_time, time_column
@@ -24,9 +24,8 @@ from dashpot.io.toml_document import toml_key
 from dashpot.io.words import quoted
 from dashpot.notices import Notice
 
+Loaded = TypeVar("Loaded")
 MOST_SAMPLES = 1 << 22  # of a column of which the resolution is sought
-BANDS = 60  # of the frequency content
-GAP = 1.5  # steps
 FEWEST_FOR_CONTENT, LONGEST_FOR_CONTENT = 16, 1 << 16  # samples of a stretch whose frequency content is shown
 WORDS = {
     Quantity.FORCE: ("force", "load", "kraft", "hammer", "torque"),
@@ -110,19 +109,6 @@ class Inspection:
     parts: tuple[InspectedPart, ...]
     more: int
 
-    def channels_table(self) -> str:
-        """A [channels] table to start from: one entry for each column, in TOML."""
-        lines, seen = ["[channels]"], set()
-        for part in self.parts:
-            for column in part.columns:
-                if column.name in seen:
-                    continue
-                seen.add(column.name)
-                quantity = f', quantity = "{column.quantity}"' if column.quantity else ""
-                unit = f", unit = {quoted(column.unit)}" if column.unit else ""
-                lines.append(f'{toml_key(column.name)} = {{ of = "?"{quantity}{unit} }}')
-        return "\n".join(lines) + "\n"
-
 
 def inspect_file(path: str | os.PathLike[str]) -> Inspection:
     """What is in a file.  Raises DataError where it cannot be read at all."""
@@ -144,15 +130,15 @@ def inspect_file(path: str | os.PathLike[str]) -> Inspection:
 
 
 def _part(columns: Columns) -> InspectedPart:
-    time_at = _or_none(lambda: time_column(columns, (), may_lack=True))
-    f_at = _or_none(lambda: frequency_column(columns, ()))
-    time: Real = np.zeros(0)
     damaged: list[DashpotError] = []
-    if time_at is not None:
-        time = _values(partial(_time, columns, time_at), damaged)
+    time_at = _tried(lambda: time_column(columns, (), may_lack=True), None, [])
+    f_at = _tried(lambda: frequency_column(columns, ()), None, [])
+    time: Real = np.zeros(0)
     driven: Real = np.zeros(0)
+    if time_at is not None:
+        time = _tried(lambda: read_time(columns, time_at, [], None)[0], time, damaged)
     if f_at is not None:
-        driven = _values(partial(_numbers, columns, f_at), damaged)
+        driven = _tried(partial(_numbers, columns, f_at), driven, damaged)
     # Where the drive changes its frequency or the clock starts again another stretch begins
     new = np.diff(time) <= 0
     if len(driven) == len(time):
@@ -169,9 +155,9 @@ def _part(columns: Columns) -> InspectedPart:
             continue
         values: Real = np.zeros(0)
         if len(inspected) < 64:
-            values = _values(
-                partial(_numbers, columns, i), damaged if _begins_with_number(columns, i) else []
-            )
+            begins_with_number = re.match(r"[-+]?\d", columns.first(i)) is not None
+            noted = damaged if begins_with_number else []
+            values = _tried(partial(_numbers, columns, i), values, noted)
         if not np.any(np.isfinite(values)):
             if name:
                 others.append(name)
@@ -186,7 +172,7 @@ def _part(columns: Columns) -> InspectedPart:
         len(stretches),
         max((stretch.uneven for stretch in stretches), default=0.0),
         sum(stretch.gaps for stretch in stretches),
-        _longest([stretch.longest_gap for stretch in stretches if stretch.longest_gap is not None]),
+        max(filter(None, (each.longest_gap for each in stretches)), key=lambda g: g[1] - g[0], default=None),
         sum(stretch.duration_s for stretch in stretches),
         known,
         tuple(inspected),
@@ -196,33 +182,17 @@ def _part(columns: Columns) -> InspectedPart:
     )
 
 
-def _time(columns: Columns, time_at: int) -> Real:
-    return read_time(columns, time_at, [], None)[0]
-
-
 def _numbers(columns: Columns, column: int) -> Real:
     return columns.numbers([column], [column])[column]
 
 
-def _or_none(find: Callable[[], int | None]) -> int | None:
-    """A position, None where it cannot be told."""
-    try:
-        return find()
-    except DataError:
-        return None
-
-
-def _values(load: Callable[[], Real], damaged: list[DashpotError]) -> Real:
-    """Numbers, none where the column holds something else, which is noted."""
+def _tried(load: Callable[[], Loaded], otherwise: Loaded, damaged: list[DashpotError]) -> Loaded:
+    """What is loaded; where that is damaged, which is noted, something else."""
     try:
         return load()
     except DashpotError as error:
         damaged.append(error)
-        return np.zeros(0)
-
-
-def _begins_with_number(columns: Columns, column: int) -> bool:
-    return re.match(r"[-+]?\d", columns.first(column)) is not None
+        return otherwise
 
 
 @dataclass(frozen=True)
@@ -240,16 +210,12 @@ class _Stretch:
 
 def _stretch(time: Real, begin: int, end: int) -> _Stretch:
     steps = np.diff(time[begin:end])
-    regular = steps[steps <= GAP * float(np.median(steps))]
+    regular = steps[steps <= 1.5 * float(np.median(steps))]  # others are gaps
     mean, gaps = float(np.mean(regular)), len(steps) - len(regular)
     at = begin + int(np.argmax(steps))
     longest = (float(time[at]), float(time[at + 1])) if gaps else None
     uneven = float(np.max(np.abs(regular - mean))) / mean
     return _Stretch(begin, end, 1 / mean, uneven, gaps, longest, float(time[end - 1] - time[begin]))
-
-
-def _longest(gaps: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
-    return max(gaps, key=lambda gap: gap[1] - gap[0], default=None)
 
 
 def _column(name: str, unit: str | None, values: Real, stretches: Sequence[_Stretch]) -> InspectedColumn:
@@ -279,7 +245,7 @@ def _content(values: Real, stretches: Sequence[_Stretch]) -> tuple[Real, Real]:
     if not shown or len(values) < shown[-1].end:
         return np.zeros(0), np.zeros(0)
     highest = max(stretch.rate_hz for stretch in shown) / 2
-    count = min(BANDS, max(stretch.end - stretch.begin for stretch in shown) // 2 + 1)
+    count = min(60, max(stretch.end - stretch.begin for stretch in shown) // 2 + 1)
     sums = np.zeros(count)
     for stretch in shown:
         x = values[stretch.begin : min(stretch.end, stretch.begin + LONGEST_FOR_CONTENT)]
@@ -296,14 +262,9 @@ def _content(values: Real, stretches: Sequence[_Stretch]) -> tuple[Real, Real]:
 
 def guessed_quantity(name: str, unit: str | None) -> str | None:
     """What a column may measure: by its unit, else by its name; None where neither says it."""
-    if unit:
-        for quantity in Quantity:
-            for angular in (False, True):
-                try:
-                    units.scale(unit, quantity.value, angular)
-                except DashpotError:
-                    continue
-                return quantity.value
+    for quantity in Quantity:
+        if unit and factors(unit, quantity.value):
+            return quantity.value
     lower = name.lower()
     for quantity, words in WORDS.items():
         if any(lower.startswith(word) for word in words):
@@ -312,9 +273,10 @@ def guessed_quantity(name: str, unit: str | None) -> str | None:
 
 
 def suggested_channels(inspections: Sequence[Inspection]) -> str:
-    """One [channels] table of all files."""
+    """A [channels] table to start from, in TOML: one entry for each column of any of the files."""
     lines: dict[str, str] = {}
-    for inspection in inspections:
-        for line in inspection.channels_table().splitlines()[1:]:
-            lines.setdefault(line.partition(" = ")[0], line)
+    for column in (each for inspection in inspections for part in inspection.parts for each in part.columns):
+        quantity = f', quantity = "{column.quantity}"' if column.quantity else ""
+        unit = f", unit = {quoted(column.unit)}" if column.unit else ""
+        lines.setdefault(column.name, f'{toml_key(column.name)} = {{ of = "?"{quantity}{unit} }}')
     return "\n".join(["[channels]", *lines.values()]) + "\n"

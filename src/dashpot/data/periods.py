@@ -21,7 +21,6 @@ from dashpot.errors import DataError
 from dashpot.notices import Notice
 
 UNEVEN = 1e-3  # of a sampling step
-ALIKE = 4.0  # times its variance that the mean of periods has to be large: chance alone makes it 1
 UNAVERAGED = "leave out lines and frequency_hz, and it is used whole"
 NEIGHBOURS = 10  # lines beside an excited one that show the noise there
 
@@ -138,7 +137,7 @@ def _notes(source: str, period_s: float, skip: int, mean: Complex, away: Complex
         notes.append(Notice("periods_skipped", f"{source}: the first {left_out} left out", (source,)))
     count = len(away)
     variance = np.sum(np.abs(away) ** 2, axis=0) / (count * (count - 1))
-    if np.median(np.abs(mean) ** 2 / np.maximum(variance, 1e-300)) < ALIKE:
+    if np.median(np.abs(mean) ** 2 / np.maximum(variance, 1e-300)) < 4:  # chance alone makes it 1
         text = f"{source}: its periods of {period_s:g} s hardly agree with one another: is it periodic?"
         notes.append(Notice("periods_differ", text, (source,)))
     return tuple(notes)

@@ -219,7 +219,6 @@ PART = ".dashpot-", ".part"  # what the names of temporary files begin and end w
 _BINARY = getattr(os, "O_BINARY", 0)
 _NO_TERMINAL = getattr(os, "O_NOCTTY", 0)
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
-_MOST_LINKS = 40
 
 
 def write_text(path: ledger.AnyPath, text: str) -> None:
@@ -265,7 +264,7 @@ def remove_parts(folder: ledger.AnyPath) -> None:
 def _destination(name: str) -> str | int:
     """Where a path leads through all links: a path, or a descriptor of this process (/dev/stdout, /dev/fd/3)."""
     path = os.path.abspath(name)
-    for _ in range(_MOST_LINKS):
+    for _ in range(40):  # links, as Linux follows
         folder, last = os.path.realpath(os.path.dirname(path)), os.path.basename(path)
         if re.fullmatch(rf"/proc/(?:self|{os.getpid()})/fd", folder) and last.isdigit():
             return int(last)

@@ -29,9 +29,7 @@ if sys.platform == "linux":
 else:
     GUARDED = False
 
-SECONDS = 30.0  # for one answer, and one more for each
-SLOWEST = 1 << 20  # bytes of the file
-LEAVING = 1.0  # s in which a process that is let go of puts away what it has opened
+SECONDS = 30.0  # for one answer, and one more for each MiB of the file
 
 
 class Answers(Protocol):
@@ -51,7 +49,7 @@ class Child:
     """
 
     def __init__(self, answer: Answers, source: str, memory: int, size: int) -> None:
-        self.source, self.seconds = source, SECONDS + size / SLOWEST
+        self.source, self.seconds = source, SECONDS + size / 2**20
         self.pipe, theirs = Pipe()
         try:
             with warnings.catch_warnings():
@@ -108,7 +106,7 @@ def _end(process: int, pipe: Connection, owner: int) -> int | None:
         return None
     pipe.close()
     with suppress(ProcessLookupError, ChildProcessError):
-        late = time.monotonic() + LEAVING
+        late = time.monotonic() + 1.0  # in which it puts away what it has opened
         while time.monotonic() < late:
             ended, status = os.waitpid(process, os.WNOHANG)
             if ended:

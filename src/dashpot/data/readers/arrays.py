@@ -210,19 +210,9 @@ def array_columns(
 # ….
 
 
-RATES = {
-    "fs",
-    "rate_hz",
-    "rate",
-    "fsamp",
-    "sample_rate",
-    "samplerate",
-    "sampling_rate",
-    "sampling_frequency",
-    "samplefrequency",
-}
+_RATES = "fs rate_hz rate fsamp sample_rate samplerate sampling_rate sampling_frequency samplefrequency"
+RATES = set(_RATES.split())
 STEPS = {"dt", "ts", "step", "delta_t", "sampling_time", "sample_time", "tsample"}
-WIDEST = 512  # matrices with more columns than this are no channels
 OF_ALL = (FREQUENCY, "experiment")
 
 
@@ -287,7 +277,7 @@ def _by_length(
     for name, array in arrays.items():
         if array.ndim == 1:
             groups.setdefault(len(array), {})[name] = array
-        elif array.ndim == 2 and min(array.shape) <= WIDEST:
+        elif array.ndim == 2 and min(array.shape) <= 512:  # wider ones are no channels
             tall = array if array.shape[0] >= array.shape[1] else array.T
             for k in range(tall.shape[1]):
                 groups.setdefault(len(tall), {})[f"{name}_{k + 1}"] = tall[:, k]

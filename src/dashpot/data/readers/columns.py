@@ -51,7 +51,7 @@ def _with_stem(column: str, written: str, new: str) -> str:
 
 def is_unit(text: str) -> bool:
     """Whether a text is a unit of anything that is measured."""
-    if any(_factors(text, quantity) for quantity in units.QUANTITIES):
+    if any(factors(text, quantity) for quantity in units.QUANTITIES):
         return True
     with suppress(DashpotError):
         units.scale(text, "force", uncalibrated=True)  # volts and counts
@@ -188,18 +188,18 @@ class Columns(ABC):
             return channel.scale
         if _uncalibrated(unit, channel.quantity.value) is not None:
             return self._scale_of_raw(unit, channel)
-        factors = _factors(unit, channel.quantity.value)
-        if any(np.isclose(factor, channel.scale, rtol=1e-9, atol=0) for factor in factors):
+        possible = factors(unit, channel.quantity.value)
+        if any(np.isclose(factor, channel.scale, rtol=1e-9, atol=0) for factor in possible):
             return channel.scale
-        if len(factors) == 1 and not channel.unit and channel.scale == 1.0:
-            return factors[0]
-        if factors:
+        if len(possible) == 1 and not channel.unit and channel.scale == 1.0:
+            return possible[0]
+        if possible:
             raise DataError(
                 f"column {shown(channel.name)}: in {shown(unit)}, the rig file says {channel.unit or 'SI units'}",
                 self.heading,
                 f'set unit = "{shown(unit)}" for this channel in the rig file',
             )
-        if any(_factors(unit, quantity.value) for quantity in Quantity):
+        if any(factors(unit, quantity.value) for quantity in Quantity):
             raise DataError(
                 f"column {shown(channel.name)}: {shown(unit)} is not a unit of {channel.quantity.value}",
                 self.heading,
@@ -236,7 +236,7 @@ class Columns(ABC):
 
 def _uncalibrated(unit: str, quantity: str) -> float | None:
     """Volts or counts per unit, None for what is a unit of the quantity, or no unit."""
-    if _factors(unit, quantity):
+    if factors(unit, quantity):
         return None
     with suppress(DashpotError):
         return units.scale(unit, quantity, uncalibrated=True)
@@ -252,13 +252,13 @@ def _same_raw(unit: str, stated: str) -> bool:
     return False
 
 
-def _factors(unit: str, quantity: str) -> list[float]:
+def factors(unit: str, quantity: str) -> list[float]:
     """What the unit may mean in SI for the quantity, straight or angular; nothing where it is no such unit."""
-    factors = []
+    possible = []
     for angular in (False, True):
         with suppress(DashpotError):
-            factors.append(units.scale(unit, quantity, angular))
-    return factors
+            possible.append(units.scale(unit, quantity, angular))
+    return possible
 
 
 def columns_of_block(columns: Sequence[int], together: Sequence[int], rows: int) -> dict[int, Real]:

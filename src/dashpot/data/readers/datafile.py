@@ -26,7 +26,6 @@ PIECE = 1 << 24
 SUBSTITUTED = 1 << 20  # bytes in which patterns are replaced at a time, which takes some ten times as many
 LARGE = 1 << 26  # bytes from which a file is not held in memory
 UNPACKED = "DASHPOT_UNPACKED_GIB"  # environment variable: how much larger than a file its contents may be
-USUAL_UNPACKED = 1.0  # GiB
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class DataFile:
 
 def most_unpacked(packed: int) -> int:
     """Bytes to which a file of so many may unpack.  Raises UsageError where the environment says no number of GiB."""
-    text = os.environ.get(UNPACKED, "") or str(USUAL_UNPACKED)
+    text = os.environ.get(UNPACKED, "") or "1"
     try:
         return packed + int(float(text) * 2**30)
     except (ValueError, OverflowError):

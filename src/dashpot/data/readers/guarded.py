@@ -24,7 +24,6 @@ from dashpot.io.words import shown
 
 Part = TypeVar("Part")
 SMALL = 1 << 16  # numbers of a part up to which its columns come with it
-SHARE = 4  # times what the file may unpack to: arrays, and the copies and texts made of them
 
 
 def library(module: str, extra: str, source: str, what: str) -> Any:
@@ -71,7 +70,8 @@ def guarded(file: DataFile, what: str, parts: Callable[[], Iterator[Part]]) -> I
     can need.
     """
     answers = _Parts(parts(), file.name, what)
-    child = Child(answers, file.name, SHARE * most_unpacked(file.size), file.size) if GUARDED else None
+    most = 4 * most_unpacked(file.size)  # arrays, and the copies and texts made of them
+    child = Child(answers, file.name, most, file.size) if GUARDED else None
     ask = answers if child is None else child.ask
     streams = count()
 

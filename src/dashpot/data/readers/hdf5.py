@@ -19,12 +19,9 @@ from dashpot.io.words import shown
 UNITS = ("unit", "units", "Unit", "Units", "unit_string")
 MOST_GROUPS = 10_000
 MOST_OBJECTS = 100_000  # links followed in one file: 3 s of work
-MOST_SOFT_LINKS = 16  # from one to the next, as libhdf5 allows
 DEEPEST = 1000  # groups inside groups
 
 HEAP = b"GCOL\x01\0\0\0"  # begins a heap of texts: signature, version, three zeros; then its size
-SMALLEST_HEAP = 4096  # bytes
-VLEN = 9  # libhdf5's class of sequences of any length, as which it takes some damaged texts and dies of them
 
 
 def is_hdf5(file: DataFile) -> bool:
@@ -118,7 +115,7 @@ class _Walk:
                 at = self.h5py.h5o.open(at, key)
                 continue
             soft += 1
-            if kind != self.h5py.h5l.TYPE_SOFT or soft > MOST_SOFT_LINKS:
+            if kind != self.h5py.h5l.TYPE_SOFT or soft > 16:  # one to the next, as libhdf5 allows
                 return None
             path = at.links.get_val(key)
             links += path.split(b"/")[::-1]
@@ -151,7 +148,7 @@ def _refuse_endless_heaps(content: bytes | mmap.mmap) -> None:
     while start >= 0:
         size = int.from_bytes(content[start + 8 : start + 16], "little")
         end, at = start + size, start + 16
-        while size >= SMALLEST_HEAP and end <= len(content) and at + 16 <= end:
+        while size >= 4096 and end <= len(content) and at + 16 <= end:
             index = int.from_bytes(content[at : at + 2], "little")
             length = int.from_bytes(content[at + 8 : at + 16], "little")
             step = 16 + -(-length // 8) * 8 if index else length
@@ -200,8 +197,8 @@ def _scalars(item: Any) -> dict[str, Any]:
 
 
 def _is_sequence(item: Any, name: str) -> bool:
-    """Whether an attribute is a sequence of any length: neither a number nor a text."""
-    return bool(item.attrs.get_id(name).get_type().get_class() == VLEN)
+    """Whether an attribute is a sequence of any length, as which libhdf5 takes some damaged texts, and dies of them."""
+    return bool(item.attrs.get_id(name).get_type().get_class() == 9)  # H5T_VLEN
 
 
 def _unit(item: Any) -> str | None:

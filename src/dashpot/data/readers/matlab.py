@@ -17,8 +17,6 @@ from dashpot.data.readers.datafile import DataFile
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
 
-DEEPEST = 8  # structures inside structures
-
 
 def read_matlab(file: DataFile, scipy_io: Any) -> Iterator[ArrayColumns]:
     """The variables; fields of structures are STRUCT.FIELD, or FIELD where one structure is all there is.
@@ -60,7 +58,6 @@ def read_matlab(file: DataFile, scipy_io: Any) -> Iterator[ArrayColumns]:
 MATRIX, COMPRESSED = 14, 15  # kinds of data elements
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 NUMERIC = range(6, 16)  # classes of arrays, from double to uint64
-COMPLEX = 0x0800
 HEAD = 1 << 16  # bytes of an element that are looked at
 
 
@@ -105,7 +102,8 @@ def _header(head: bytes, order: str) -> tuple[str, int, np.dtype[Any] | None, in
     flags = struct.unpack_from(f"{order}I", head, flags_at)[0]
     shape = struct.unpack_from(f"{order}{size // 4}i", head, dimensions_at)
     rows = prod(shape)
-    if flags & 0xFF not in NUMERIC or flags & COMPLEX or rows < LONG or rows != max(shape):
+    # Flags hold the class of an array, and whether it is complex.
+    if flags & 0xFF not in NUMERIC or flags & 0x0800 or rows < LONG or rows != max(shape):
         return name, rows, None, 0
     numbers_at, size, kind, _ = _element(head, following, order)
     dtype = np.dtype(order + TYPES[kind])
@@ -164,7 +162,7 @@ def _flatten(
     if array.dtype.kind in "fiubc":
         variables[name] = array
         return
-    if array.dtype.kind != "O" or depth > DEEPEST:
+    if array.dtype.kind != "O" or depth > 8:  # structures inside structures
         return
     structures = [item for item in array.ravel().tolist() if hasattr(item, "_fieldnames")]
     if len(structures) == 1 and array.size == 1:

@@ -410,7 +410,6 @@ def _looks_cut(last: str, before: list[str]) -> bool:
 # Where the columns of a text file begin: delimiter, header row, row of units.
 
 
-MOST_LEADING = 400  # rows in front of the data that are looked through
 _DELIMITERS = (",", ";", "\t", "|")
 _BLANKS = " "  # as a delimiter: any number of blanks and tabs
 
@@ -554,7 +553,7 @@ def _in_front_of_numbers(data: Text, candidate: _Row, delimiter: str | None) -> 
     there; where there is none, the first candidate.
     """
     rows = [candidate]
-    while len(rows) < MOST_LEADING:
+    while len(rows) < 400:  # that are looked through
         following = _next_row(data, rows[-1].end, rows[-1].number)
         if following is None:
             break

@@ -15,25 +15,11 @@ from dashpot.errors import DashpotError, DataError
 from dashpot.io.words import shown
 
 FREQUENCY, TIME = "frequency_hz", "time_s"
-TIME_NAMES = {
-    "time_s",
-    "time",
-    "t",
-    "zeit",
-    "temps",
-    "tiempo",
-    "timestamp",
-    "datetime",
-    "date_time",
-    "x_value",
-    "seconds",
-}
+_TIMES = "time_s time t zeit temps tiempo timestamp datetime date_time x_value seconds"
+TIME_NAMES = set(_TIMES.split())
 _NAMED_UNIT = re.compile(r"(?P<name>.+)_(?P<unit>s|ms|us|µs|min|h)")  # time_ms
 _FREQUENCIES = {"frequency", "freq", "f", "frequenz"}
 LONGEST = 1e12  # s
-SHORTEST = (
-    1e-30  # s between samples: far below the rounding of any time, and its reciprocal can still be squared
-)
 
 
 def time_column(columns: Columns, channels: Sequence[Channel], may_lack: bool = False) -> int | None:
@@ -110,7 +96,7 @@ def _check_steps(columns: Columns, time: Real) -> None:
     at_once = 1 << 18
     for at in range(0, len(time) - 1, at_once):
         steps = np.diff(time[at : at + at_once + 1])
-        short = (steps > 0) & (steps < SHORTEST)
+        short = (steps > 0) & (steps < 1e-30)  # whose reciprocal can hardly be squared
         if np.any(short):
             row = at + int(np.argmax(short)) + 1
             what = f"a sampling step of {steps[row - at - 1]:g} s"
@@ -179,27 +165,9 @@ _DATE = (
 _MOMENT = re.compile(rf"\s*(?:(?:{_DATE})[T\s]\s*)?{_CLOCK}{_ZONE}\s*")
 _DAY = re.compile(rf"\s*(?:{_DATE})\s*")
 _MINUTES = re.compile(r"\s*(?P<min>\d{1,4}):(?P<s>\d{2})[.,](?P<f>\d{1,9})\s*")  # and seconds
-_MONTHS = {
-    name: number
-    for number, names in enumerate(
-        (
-            "jan",
-            "feb",
-            "mar mär mae mrz",
-            "apr",
-            "may mai",
-            "jun",
-            "jul",
-            "aug",
-            "sep",
-            "oct okt",
-            "nov",
-            "dec dez",
-        ),
-        1,
-    )
-    for name in names.split()
-}  # of English and German, by their first letters
+# Of English and German, by their first letters.
+_MONTH_NAMES = "jan feb mar,mär,mae,mrz apr may,mai jun jul aug sep oct,okt nov dec,dez"
+_MONTHS = {name: i for i, names in enumerate(_MONTH_NAMES.split(), 1) for name in names.split(",")}
 
 
 def is_timestamp(text: str) -> bool:

@@ -15,7 +15,6 @@ from dashpot.data.readers.time_columns import TIME
 from dashpot.errors import DataError
 from dashpot.units import SHARE
 
-UNKNOWN = 2**32 - 1  # a size that stands elsewhere
 WHOLE, FLOATING, EXTENSIBLE = 1, 3, 0xFFFE  # formats of samples; the last one is told further on
 BYTES = {WHOLE: (1, 2, 3, 4, 8), FLOATING: (4, 8)}  # of a sample
 
@@ -72,7 +71,7 @@ def _samples(file: DataFile) -> tuple[int, Any]:
             if width not in BYTES.get(kind, ()) or block != channels * width:
                 raise ValueError("its samples are of no known kind")
         elif name == b"data" and channels:
-            size = long_size if size == UNKNOWN else size
+            size = long_size if size == 2**32 - 1 else size
             if at + size > len(data):
                 raise ValueError("it ends before its last sample")
             rows, mark = size // (width * channels), "<" if order == "little" else ">"

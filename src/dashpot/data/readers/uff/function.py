@@ -153,7 +153,6 @@ DIRECTIONS |= {-k: name.replace("+", "-") for k, name in DIRECTIONS.items() if k
 LINES = 11  # of text in front of the numbers
 OF_TIME, OF_FREQUENCY = 17, 18  # specific data types
 EXACT = "ABSCISSA"  # word of ID line 5 in front of start and step with all their digits
-MOST_VALUES = 1 << 40
 Block = tuple[Real | None, Real]  # abscissas, None where they are even; numbers, (values, 1 or 2)
 
 
@@ -250,7 +249,7 @@ def read_function(stream: UffStream, start: DatasetStart) -> NodalFunction:
         z_value = float(lines[6][56:69] or b"0")
     except (ValueError, IndexError):
         raise stream.wrong("the header of a function is damaged") from None
-    if not 0 <= shape.count <= MOST_VALUES:
+    if not 0 <= shape.count <= 1 << 40:
         raise stream.wrong(f"{shape.count} values cannot be")
     long: LongSamples | None = None
     abscissa: Real = np.zeros(0)

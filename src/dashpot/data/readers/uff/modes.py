@@ -135,7 +135,6 @@ USUAL_SD = (
     0.2,
     0.05,
 )  # relative: of frequencies, of damping ratios, of shapes against their largest entry
-STILL = 1e-9  # of the largest entry: below it a direction of a node was not measured
 _NAMED = re.compile(r"(\d+) = ([^,]+)")
 
 Place = tuple[int, int]  # node, direction from 1 (+X) on
@@ -199,7 +198,7 @@ def _places(found: Sequence[NodalMode]) -> list[Place]:
     places: set[Place] = set()
     for mode in found:
         size = np.abs(mode.shapes)
-        moving = size > STILL * np.max(size, initial=0.0)
+        moving = size > 1e-9 * np.max(size, initial=0.0)  # else the direction was not measured
         places.update((mode.nodes[row], column + 1) for row, column in np.argwhere(moving).tolist())
     return sorted(places)
 

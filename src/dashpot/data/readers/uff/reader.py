@@ -27,7 +27,6 @@ from dashpot.data.readers.uff.function import (
 )
 from dashpot.errors import DataError
 
-MODES = 55  # number of the dataset
 KINDS = (TIME_RESPONSE, FRF, TRANSMISSIBILITY, SPECTRUM)
 
 
@@ -63,7 +62,7 @@ def read_universal(file: DataFile) -> Iterator[ArrayColumns]:
     elif not count:
         cure = "export samples over time, spectra or frequency responses (dataset 58)"
         what = "the file holds no samples, spectra or frequency responses"
-        if MODES in others:
+        if 55 in others:
             what, cure = (
                 f"{what}, but modes (dataset 55)",
                 "identify a rig that has their coordinates by it",
