@@ -70,7 +70,7 @@ def identify_automatically(
         estimate = identify(model, spectrum, first, progress=progress)
     except (IdentifiabilityError, ConvergenceError) as error:
         return _in_place_of(model, spectrum, first, plain, error)
-    if not doubtful(model, spectrum, estimate) or model.n > LARGEST:
+    if not may_be_another_minimum(model, spectrum, estimate) or model.n > LARGEST:
         return estimate
     second = _searched(model, spectrum, plain)
     return estimate if second is None else _likelier(model, estimate, second)
@@ -121,7 +121,7 @@ def identify_each(
             alone = ~batch.converged | ~np.all(np.isfinite(batch.sd), axis=-1)
             first = method_class(batch.method).traits
             if method is None and not first.by_output and model.n <= LARGEST:
-                alone |= doubtful(model, known, batch)
+                alone |= may_be_another_minimum(model, known, batch)
             yield np.flatnonzero(~alone), batch
     for k, repeat in enumerate(in_chunks(flattened(spectrum), 1)):
         if not alone[k]:
@@ -136,7 +136,7 @@ def identify_each(
             yield np.array([k]), error
 
 
-def doubtful(model: Model, spectrum: Spectrum, estimate: Estimate) -> Bools:
+def may_be_another_minimum(model: Model, spectrum: Spectrum, estimate: Estimate) -> Bools:
     """Which estimates (...,) may be another minimum: not plausible, or with a part that noise leaves uncertain."""
     uncertain = np.any(_below(model, estimate, LOOSE), axis=-1)
     return ~plausible(model, estimate) | (uncertain & noisy(model, spectrum))

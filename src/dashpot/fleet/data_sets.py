@@ -267,7 +267,7 @@ def of_tables(paths: Sequence[str], column: str) -> Source:
     Raises DataError where a table has no such column or is damaged, and where rows of one rig are not together.
     """
     seen: dict[str, tuple[str, int]] = {}
-    tables: list[Table] = []
+    tables: list[RigTable] = []
     for path in paths:
         with readable(path):
             table = _opened(path, column)
@@ -322,7 +322,7 @@ def readable(path: str) -> Iterator[None]:
 
 
 @dataclass(frozen=True)
-class Table:
+class RigTable:
     """A table: its rigs in order, and the row at which each begins, with the number of rows at the end.
 
     layout  how the rows of a CSV table are to be read, None for a Parquet table
@@ -356,7 +356,7 @@ class Table:
             yield held_rows(names, self.path, ends, held, self.column)
 
 
-def _opened(path: str, column: str) -> Table:
+def _opened(path: str, column: str) -> RigTable:
     """The table with its names read.  Raises DataError where it has no such column, or a row without a name."""
     with open(noted(path), "rb") as file:
         start = file.read(4)
@@ -364,13 +364,13 @@ def _opened(path: str, column: str) -> Table:
         content = _row_groups(path, stamp_of(path)).file
         require_columns(path, column, tuple(content.schema_arrow.names))
         coming = batches(content, columns=[column])
-        return Table(path, column, *_named_rows(path, column, coming), None)
+        return RigTable(path, column, *_named_rows(path, column, coming), None)
     if not start:
         raise DataError("the file is empty", path, "give a table, CSV or Parquet")
     layout = csv_layout(path, column)
     while True:
         try:
-            return Table(path, column, *_named_rows(path, column, layout.batches()), layout)
+            return RigTable(path, column, *_named_rows(path, column, layout.batches()), layout)
         except NotNumbersError as text:
             layout = replace(layout, texts=layout.texts | {str(text)})
 

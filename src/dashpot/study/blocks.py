@@ -47,7 +47,7 @@ class Key:
 
 
 @dataclass(frozen=True)
-class Block(Generic[Task]):
+class FinishedTask(Generic[Task]):
     """A finished task with its columns, and whether they were kept from an earlier run."""
 
     task: Task
@@ -74,12 +74,12 @@ class BlockStore:
         *,
         key: Callable[[Task], Key],
         mapper: Map = map,
-    ) -> Iterator[Block[Task]]:
+    ) -> Iterator[FinishedTask[Task]]:
         """What `f` makes of each task, as it is finished: taken from the store, or computed by any `mapper` and kept.
 
         `f` is a function of a module, which any process can be sent.  Raises DataError where a block cannot be written.
         """
-        kept: deque[Block[Task]] = deque()
+        kept: deque[FinishedTask[Task]] = deque()
         missing: dict[str, tuple[Key, Task]] = {}
 
         def work() -> Iterator[tuple[str, Task]]:
@@ -88,7 +88,7 @@ class BlockStore:
                 columns, state = self._find(own)
                 self.states[state] += 1
                 if columns is not None:
-                    kept.append(Block(task, columns, True))
+                    kept.append(FinishedTask(task, columns, True))
                     continue
                 missing[own.name] = own, task
                 yield own.name, task
@@ -98,7 +98,7 @@ class BlockStore:
                 yield kept.popleft()
             own, task = missing.pop(name)
             self._keep(own, columns)
-            yield Block(task, columns, False)
+            yield FinishedTask(task, columns, False)
         yield from kept
 
     def read(self, key: Key) -> Columns:

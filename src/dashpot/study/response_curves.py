@@ -55,9 +55,15 @@ def drive_of(model: Model, amplitudes: Mapping[str, float], frequency_hz: float,
 
 
 def frequency_curve(
-    model: Model, theta: Real, channels: Sequence[Channel], amplitudes: Mapping[str, float],
-    band_hz: tuple[float, float], *, label: str = "", orders: int | None = None,
-) -> MotionCurve:  # fmt: skip
+    model: Model,
+    theta: Real,
+    channels: Sequence[Channel],
+    amplitudes: Mapping[str, float],
+    band_hz: tuple[float, float],
+    *,
+    label: str = "",
+    orders: int | None = None,
+) -> MotionCurve:
     """The motion at one size of the drive from the first frequency to the last, through folds.
 
     Raises ConvergenceError where the curve cannot be followed, UsageError where the rig is linear.
@@ -70,9 +76,16 @@ def frequency_curve(
 
 
 def amplitude_curve(
-    model: Model, theta: Real, channels: Sequence[Channel], amplitudes: Mapping[str, float], frequency_hz: float,
-    shares: tuple[float, float] = (0.01, 1.0), *, label: str = "", orders: int | None = None,
-) -> MotionCurve:  # fmt: skip
+    model: Model,
+    theta: Real,
+    channels: Sequence[Channel],
+    amplitudes: Mapping[str, float],
+    frequency_hz: float,
+    shares: tuple[float, float] = (0.01, 1.0),
+    *,
+    label: str = "",
+    orders: int | None = None,
+) -> MotionCurve:
     """The motion at one frequency while the drive grows from the first share of its amplitudes to the last.
 
     theta (unknowns,), amplitudes in m or N.  Raises as `frequency_curve`.
@@ -92,11 +105,9 @@ def backbone_curve(
     """The free undamped motions that start from a mode (0 the lowest); see `backbone`."""
     path = backbone(model, theta, mode, largest)
     harmonics = channel_harmonics(path.rig, path.rig.p0, channels, path.drive, path.motion)
-    count = len(path.drive.omega)
-    return MotionCurve(
-        label, tuple(c.name for c in channels), path.drive.omega / (2 * np.pi), np.zeros(count), swing(harmonics),
-        harmonics[:, 1], None, frozen([], np.int64),
-    )  # fmt: skip
+    names, frequency_hz = tuple(c.name for c in channels), path.drive.omega / (2 * np.pi)
+    at = (frequency_hz, np.zeros(len(frequency_hz)), swing(harmonics), harmonics[:, 1])
+    return MotionCurve(label, names, *at, stable=None, folds=frozen([], np.int64))
 
 
 def enough_orders(
@@ -127,10 +138,8 @@ def enough_orders(
 def require_nonlinear(model: Model) -> None:
     """Raises UsageError where the rig has no nonlinear element."""
     if not len(model.nonlinear):
-        raise UsageError(
-            "the rig has no nonlinear element: its curves do not depend on the amplitude",
-            cure="simulate its amplitudes at the frequencies instead",
-        )
+        what = "the rig has no nonlinear element: its curves do not depend on the amplitude"
+        raise UsageError(what, cure="simulate its amplitudes at the frequencies instead")
 
 
 def _curve(
@@ -141,18 +150,22 @@ def _curve(
     label: str,
     share: Real | None = None,
 ) -> MotionCurve:
-    harmonics = channel_harmonics(model, model.parameters(theta), channels, branch.drive, branch.motion)
-    p, constants = (
-        np.tile(part, (len(branch.along), 1))
-        for part in (model.parameters(theta), model.inner_constants(theta))
-    )
-    missing = truncation(model, p, constants, branch.drive, branch.motion)
+    drive, count = branch.drive, len(branch.along)
+    harmonics = channel_harmonics(model, model.parameters(theta), channels, drive, branch.motion)
+    p, constants = (np.tile(of(theta), (count, 1)) for of in (model.parameters, model.inner_constants))
     return MotionCurve(
-        label, tuple(c.name for c in channels), branch.drive.omega / (2 * np.pi),
-        np.ones(len(branch.along)) if share is None else share, swing(harmonics), harmonics[:, 1], branch.stable,
-        branch.folds, float(np.max(np.abs(complex_of(branch.motion.delta)[..., 1]))), branch.drive.orders,
-        float(np.max(missing)),
-    )  # fmt: skip
+        label,
+        tuple(c.name for c in channels),
+        frequency_hz=drive.omega / (2 * np.pi),
+        share=np.ones(count) if share is None else share,
+        swing=swing(harmonics),
+        fundamental=harmonics[:, 1],
+        stable=branch.stable,
+        folds=branch.folds,
+        stretch=float(np.max(np.abs(complex_of(branch.motion.delta)[..., 1]))),
+        orders=drive.orders,
+        missing=float(np.max(truncation(model, p, constants, drive, branch.motion))),
+    )
 
 
 def largest_stretch(curves: Sequence[MotionCurve]) -> float:
