@@ -326,6 +326,7 @@ class RigTable:
     """A table: its rigs in order, and the row at which each begins, with the number of rows at the end.
 
     layout  how the rows of a CSV table are to be read, None for a Parquet table
+    stamp   of the file when the names were read
     """
 
     path: str
@@ -333,13 +334,16 @@ class RigTable:
     names: tuple[str, ...]
     starts: tuple[int, ...]
     layout: CsvLayout | None
+    stamp: tuple[int, int]
 
     def parts(self, cuts: Iterable[tuple[int, int]]) -> Iterator[BlockPart]:
         """The rigs from one number to another, cut after cut; of a Parquet table where they stand, of CSV their rows.
 
-        Raises DataError where a CSV table is not what it was.
+        Raises DataError where the table is not what it was.
         """
         stamp = stamp_of(self.path)
+        if stamp != self.stamp:
+            raise DataError(CHANGED, self.path, "run again")
         rows = None if self.layout is None else _Rows(self.path, self.layout.batches(), 0)
         begins = _row_groups(self.path, stamp).begins if rows is None else ()
         for first, end in cuts:
@@ -358,19 +362,20 @@ class RigTable:
 
 def _opened(path: str, column: str) -> RigTable:
     """The table with its names read.  Raises DataError where it has no such column, or a row without a name."""
+    stamp = stamp_of(path)
     with open(noted(path), "rb") as file:
         start = file.read(4)
     if start == b"PAR1":
-        content = _row_groups(path, stamp_of(path)).file
+        content = _row_groups(path, stamp).file
         require_columns(path, column, tuple(content.schema_arrow.names))
         coming = batches(content, columns=[column])
-        return RigTable(path, column, *_named_rows(path, column, coming), None)
+        return RigTable(path, column, *_named_rows(path, column, coming), None, stamp)
     if not start:
         raise DataError("the file is empty", path, "give a table, CSV or Parquet")
     layout = csv_layout(path, column)
     while True:
         try:
-            return RigTable(path, column, *_named_rows(path, column, layout.batches()), layout)
+            return RigTable(path, column, *_named_rows(path, column, layout.batches()), layout, stamp)
         except NotNumbersError as text:
             layout = replace(layout, texts=layout.texts | {str(text)})
 

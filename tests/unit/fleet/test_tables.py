@@ -125,15 +125,13 @@ def test_a_table_that_changes_while_the_fleet_runs_ends_it(tmp_path: Path, endin
     path = tmp_path / f"all{ending}"
     write_table(path, ["a", "b", "c"])
     source = of_tables([str(path)], "rig")
-    if ending == ".csv":
-        write_table(path, ["a", "c", "b"])
-        with pytest.raises(DataError, match="the table has changed while it was read"):
-            list(source.blocks(3))
-        return
     part = next(source.blocks(3))[0]
-    write_table(path, ["a", "b", "c"], first=1.0)
+    write_table(path, ["a", "c", "b"], first=1.0)
     with pytest.raises(DataError, match="the table has changed while it was read; run again"):
-        part.loaded()
+        list(source.blocks(3))
+    if isinstance(part, ParquetRows):
+        with pytest.raises(DataError, match="the table has changed while it was read; run again"):
+            part.loaded()
 
 
 def test_what_is_wrong_with_a_table_is_said(tmp_path: Path) -> None:
