@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from dashpot.arrays import Real
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.present.figures.style import BAD, COLOURS, HALF_PAGE, INK, MODEL, ShownFigure, limit_axis, style
+from dashpot.present.figures.style import (
+    BAD,
+    COLOURS,
+    HALF_PAGE,
+    INK,
+    MODEL,
+    ShownFigure,
+    limit_axis,
+    panels,
+    row_names,
+    style,
+)
 
 ROW, PANEL = 0.24, 2.45  # inches a method, and a panel
 WIDE = 6.0  # times the narrowest interval: wider ones run out of the picture, for the others would be dots
@@ -91,23 +105,17 @@ def interval_plot(
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
     reach, wider = _reach(level), False
+    size = (0.6 + panel * columns, rows * (0.75 + ROW * len(methods)) + 0.35)
     with style():
-        figure = ShownFigure(figsize=(0.6 + panel * columns, rows * (0.75 + ROW * len(methods)) + 0.35))
-        grid = np.atleast_2d(figure.subplots(rows, columns, sharey=True, squeeze=False))
-        for k, axes in enumerate(grid.flat):
-            if k >= len(names):
-                axes.set_visible(False)
-                continue
-            name = names[k]
-            band = None
+        figure, grid = panels(len(names), columns, size, ShownFigure, sharey=True)
+        for k, (name, axes) in enumerate(zip(names, grid, strict=True)):
             if name in bands:
                 centre, half = bands[name][0], reach * bands[name][1]
-                band = (centre - half, centre + half)
-            wider |= _panel(axes, methods, values[:, k], low[:, k], high[:, k], truth.get(name), band)
+                axes.axvspan(centre - half, centre + half, color=MODEL, alpha=0.12, lw=0)
+            wider |= _panel(axes, methods, values[:, k], low[:, k], high[:, k], truth.get(name))
             axes.xaxis.set_major_locator(MaxNLocator(4 if panel >= PANEL else 3, min_n_ticks=2))
             axes.set_title(name)
-            unit = "" if units[k] == "1" else units[k]
-            axes.set_xlabel(unit, labelpad=1)
+            axes.set_xlabel("" if units[k] == "1" else units[k], labelpad=1)
         _legend(figure, bool(truth), bool(bands), wider, level, 5 if columns == 3 else columns)
     return figure
 
@@ -120,20 +128,12 @@ def _reach(level: float) -> float:
 
 
 def _panel(
-    axes: Axes,
-    methods: Sequence[str],
-    value: Real,
-    low: Real,
-    high: Real,
-    truth: float | None,
-    band: tuple[float, float] | None,
+    axes: Axes, methods: Sequence[str], value: Real, low: Real, high: Real, truth: float | None
 ) -> bool:
     """Draws one unknown; whether some interval runs out of the picture."""
     place = np.arange(len(methods))
     left, right = _view(value, low, high, truth)
     wider = False
-    if band is not None:
-        axes.axvspan(*band, color=MODEL, alpha=0.12, lw=0)
     if truth is not None:
         axes.axvline(truth, color=INK, lw=0.9)
     for i in place:
@@ -149,8 +149,7 @@ def _panel(
                 axes.plot(end, i, arrow, color=colour, ms=4.5, mew=0, clip_on=False)
     limit_axis(axes.set_xlim, left, right)
     axes.set_ylim(len(methods) - 0.4, -0.6)
-    axes.set_yticks(place, methods)
-    axes.tick_params(axis="y", length=0)
+    row_names(axes, place.tolist(), methods)
     axes.grid(visible=False, axis="y")
     axes.spines["left"].set_visible(False)
     axes.ticklabel_format(axis="x", useOffset=False, scilimits=(-4, 6))
@@ -173,35 +172,18 @@ def _view(value: Real, low: Real, high: Real, truth: float | None) -> tuple[floa
 
 
 def _legend(figure: Figure, truth: bool, bound: bool, wider: bool, level: float, columns: int) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
+    dot: dict[str, Any] = {"marker": "o", "ms": 4, "lw": 1.6}
+    filled: dict[str, Any] = {"color": COLOURS[0], "mec": "white", "mew": 0.6}
     handles: list[Line2D | Patch] = [
-        Line2D(
-            [],
-            [],
-            color=COLOURS[0],
-            marker="o",
-            ms=4,
-            mec="white",
-            mew=0.6,
-            lw=1.6,
-            label=f"value and {100 * level:g} % interval",
-        )
+        Line2D([], [], label=f"value and {100 * level:g} % interval", **dot, **filled)
     ]
     if truth:
-        handles.append(
-            Line2D(
-                [], [], color=BAD, marker="o", ms=4, mfc="white", mew=1.0, lw=1.6, label="misses the truth"
-            )
-        )
+        handles.append(Line2D([], [], color=BAD, mfc="white", mew=1.0, label="misses the truth", **dot))
         handles.append(Line2D([], [], color=INK, lw=0.9, label="truth"))
     if bound:
         handles.append(Patch(color=MODEL, alpha=0.12, lw=0, label="interval at the Cramér-Rao bound"))
     if wider:
-        handles.append(
-            Line2D([], [], color=COLOURS[0], marker=">", ms=4.5, mew=0, lw=1.6, label="beyond the axis")
-        )
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=columns, handlelength=1.8, columnspacing=1.6
-    )
+        arrow: dict[str, Any] = {"marker": ">", "ms": 4.5, "mew": 0, "lw": 1.6}
+        handles.append(Line2D([], [], color=COLOURS[0], label="beyond the axis", **arrow))
+    layout: dict[str, Any] = {"ncols": columns, "handlelength": 1.8, "columnspacing": 1.6}
+    figure.legend(handles=handles, loc="outside lower center", **layout)
