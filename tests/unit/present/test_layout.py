@@ -1,8 +1,9 @@
 """Drawings as geometry: nothing crosses a symbol, no text lies over another, over a line or beyond the edge."""
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,7 @@ import pytest
 from dashpot import Element, Estimate, Input, Kind, Model, between, mass, parse_rig, read_rig
 from dashpot.channel import Channel, Quantity
 from dashpot.present.schematic.drawing import Drawing, folded, schematic
-from dashpot.present.schematic.geometry import Box, text_width
-from dashpot.present.schematic.scene import Part, Shape, visible
+from dashpot.present.schematic.shapes import Box, Part, Text, stroke, text_width
 from tests import rigs
 from tests.unit.present.conftest import RIG
 
@@ -25,35 +25,49 @@ EXAMPLES = [
 TOUCH = 0.6  # px by which boxes shrink before they are compared: lines end on their edges
 
 
+def overlap(a: Box, b: Box) -> bool:
+    """Whether the two share an area."""
+    return a.left < b.right and b.left < a.right and a.top < b.bottom and b.top < a.bottom
+
+
+def within(a: Box, b: Box) -> bool:
+    """Whether a lies inside b."""
+    return b.left <= a.left and b.top <= a.top and a.right <= b.right and a.bottom <= b.bottom
+
+
+def texts_of(parts: Iterable[Part]) -> list[Text]:
+    return [text for part in parts for text in part.texts]
+
+
 def faults(drawing: Drawing) -> list[str]:
     """What crosses, overlaps or is cut off."""
-    layout, found = drawing.layout, []
-    symbols = [(str(link.link), link.box.grown(-TOUCH)) for link in layout.links]
-    bodies = [(f"body {body.index}", body.box.grown(-TOUCH)) for body in layout.bodies]
-    texts = [(repr(text.line.text), text.box.grown(-TOUCH)) for text in layout.texts() if text.line.text]
-    solid = symbols + bodies + [("force", arrow.box.grown(-TOUCH)) for arrow in layout.arrows]
-    found += [f"{a[0]} over {b[0]}" for a, b in combinations(solid, 2) if a[1].overlaps(b[1])]
-    found += [f"{a[0]} over {b[0]}" for a, b in combinations(texts, 2) if a[1].overlaps(b[1])]
+    placed, found = drawing.placed, []
+    solid = [(part.title, part.box.grown(-TOUCH)) for part in placed.parts if part.box is not None]
+    texts = [(repr(text.line.text), text.box.grown(-TOUCH)) for text in texts_of(placed.parts)]
+    found += [f"{a[0]} over {b[0]}" for a, b in combinations(solid, 2) if overlap(a[1], b[1])]
+    found += [f"{a[0]} over {b[0]}" for a, b in combinations(texts, 2) if overlap(a[1], b[1])]
+    bodies = {part.title for part in (*placed.walls, *placed.bodies)}
     for name, box in texts:
         for what, other in solid:
-            if box.overlaps(other) and not (what.startswith("body") and other.contains(box)):
+            if overlap(box, other) and not (what in bodies and within(box, other)):
                 found.append(f"{name} over {what}")
-    for wire in layout.wires:
-        for a, b in wire.segments():
+    for wire in placed.wires:
+        for a, b in pairwise(wire.points):
             assert a.x == b.x or a.y == b.y
-            for what, box in [*solid, *texts]:
-                if box.meets((a.x, a.y), (b.x, b.y)):
-                    found.append(f"line {a}-{b} through {what}")
+            line = Box(min(a.x, b.x), min(a.y, b.y), max(a.x, b.x), max(a.y, b.y)).grown(1e-9)
+            found += [f"line {a}-{b} through {what}" for what, box in [*solid, *texts] if overlap(line, box)]
     frame = Box(0, 0, drawing.width, drawing.height)
     for part in drawing.parts:
-        inside = [text.box for text in part.texts] + ([visible(part.shapes)] if part.shapes else [])
-        found += [f"{part.title} is cut off" for box in inside if not frame.contains(box)]
-    everything = [text.box.grown(-TOUCH) for part in drawing.parts for text in part.texts]
-    found += ["texts overlap in the frame" for a, b in combinations(everything, 2) if a.overlaps(b)]
-    drawn = sorted(link.link.item for link in layout.links if link.link.kind == "element")
-    there = [i for i, e in enumerate(drawing.model.elements) if not e.free and e.kind is not Kind.MASS]
-    if drawn != there:
-        found.append(f"elements {drawn} of {there}")
+        points = [point for shape in part.shapes for point in shape.points]
+        ends = [Box(point.x, point.y, point.x, point.y) for point in points]
+        inside = [text.box for text in part.texts] + ends
+        found += [f"{part.title} is cut off" for box in inside if not within(box, frame)]
+    everything = [text.box.grown(-TOUCH) for text in texts_of(drawing.parts)]
+    found += ["texts overlap in the frame" for a, b in combinations(everything, 2) if overlap(a, b)]
+    drawn = sorted(part.title for part in placed.links if ": " in part.title)
+    elements = [e for e in drawing.model.elements if not e.free and e.kind is not Kind.MASS]
+    if drawn != sorted(f"{e.name}: {e.kind}" for e in elements):
+        found.append(f"elements {drawn} of {len(elements)}")
     return found
 
 
@@ -155,17 +169,16 @@ def test_a_rigid_body_is_one_body() -> None:
 def test_the_geometry_check_sees_faults() -> None:
     drawing = schematic(chain_with(()))
     moved = tuple(
-        replace(link, box=replace(link.box, left=link.box.left - 60), texts=link.texts)
-        for link in drawing.layout.links
+        replace(link, box=replace(link.box, left=link.box.left - 60)) for link in drawing.placed.links
     )
-    assert faults(replace(drawing, layout=replace(drawing.layout, links=moved)))
+    assert faults(replace(drawing, placed=replace(drawing.placed, links=moved)))
 
 
 def test_many_elements_are_drawn_with_names_only_and_too_many_bodies_are_refused() -> None:
     more = tuple(between(f"d{i}", Kind.DAMPER, f"x{i % 5 + 1}", "ground", value=3.25) for i in range(60))
     drawing = schematic(chain_with(more))
     assert faults(drawing) == []
-    assert "3.25" not in "".join(text.line.text for text in drawing.layout.texts())
+    assert "3.25" not in "".join(text.line.text for text in texts_of(drawing.placed.parts))
     with pytest.raises(Exception, match="too many for a drawing"):
         schematic(chain_with((), 60))
 
@@ -194,9 +207,9 @@ def storeys(count: int, bays: int) -> Model:
 def test_wide_drawings_are_cut_into_rows_that_can_be_read(model: Model) -> None:
     drawing = schematic(model)
     assert faults(drawing) == []
-    assert drawing.layout.width > 1440
+    assert drawing.placed.width > 1440
     assert drawing.width <= 1100  # px, that a page shows
-    planned = Counter(text.line.text for text in drawing.layout.texts() if text.line.text)
+    planned = Counter(text.line.text for text in texts_of(drawing.placed.parts))
     written = Counter(text.line.text for part in drawing.parts for text in part.texts)
     assert planned <= written
     symbols = [part.title for part in drawing.parts if part.title.endswith(": spring")]
@@ -204,9 +217,9 @@ def test_wide_drawings_are_cut_into_rows_that_can_be_read(model: Model) -> None:
 
 
 def test_cut_lines_go_on_at_the_same_height() -> None:
-    line = Part("", (Shape(((0.0, 50.0), (2000.0, 50.0), (2000.0, 90.0)), "ink"),))
+    line = Part("", (stroke(((0.0, 50.0), (2000.0, 50.0), (2000.0, 90.0)), "ink"),))
     boxes = [
-        Part(f"box {k}", (Shape(((x, 0.0), (x + 80, 0.0), (x + 80, 40.0), (x, 40.0)), "ink", closed=True),))
+        Part(f"box {k}", (stroke(Box(x, 0.0, x + 80, 40.0).corners, "ink", closed=True),))
         for k, x in enumerate(range(10, 2000, 200))
     ]
     parts, width, _ = folded([line, *boxes], 2010.0, 100.0)

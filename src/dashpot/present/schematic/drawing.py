@@ -2,311 +2,39 @@
 
 from __future__ import annotations
 
-import io
 import math
 import os
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal
-
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon
 
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel
 from dashpot.check.data_findings import doubtful as doubtful_of
 from dashpot.errors import UsageError
 from dashpot.estimate.result import Estimate
-from dashpot.io.atomic import write_bytes
-from dashpot.io.words import PICTURES, chosen_format
 from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.present.document import Picture
 from dashpot.present.estimate import aperiodic_in_words
-from dashpot.present.figures.style import style
-from dashpot.present.schematic.connections import Connections, connections
-from dashpot.present.schematic.geometry import (
+from dashpot.present.schematic.bodies import Connections, connections, forest
+from dashpot.present.schematic.files import svg_document, write_drawing
+from dashpot.present.schematic.labels import BADGES, Knowledge, Labels, labels
+from dashpot.present.schematic.placing import Placed, Placer
+from dashpot.present.schematic.shapes import (
     MARGIN,
     SMALL,
     TITLE,
-    Anchor,
-    Layout,
     Line,
+    Part,
+    Point,
+    Shape,
     Text,
     Tone,
     block_width,
+    stroke,
 )
-from dashpot.present.schematic.layout import BADGES, Knowledge, Labels, Placer, forest, labels
-from dashpot.present.schematic.scene import Part, Shape, corners, scene_parts
-from dashpot.present.schematic.svg import COLOURS, FILLS, moving_document, svg_document
-from dashpot.present.schematic.symbols import XY
 from dashpot.present.words import sentence, short
-
-# A wide drawing cut into rows below each other, so that its texts can be read on a page.
-
-
-WIDEST = 960.0  # px of a row: on a page of A4 its texts have six points
-BETWEEN = 26.0  # px from one row to the next
-CLEAR = 3.0  # px around whatever is not cut
-MARK = 5.0  # half the height of the stroke that marks a cut line
-
-
-@dataclass(frozen=True)
-class _Window:
-    """What of the drawing a row shows, px from its left."""
-
-    left: float
-    right: float
-
-
-def folded(drawn: Sequence[Part], width: float, height: float) -> tuple[list[Part], float, float]:
-    """The parts in rows of at most about WIDEST, and the width and height of them all.
-
-    Cut are level lines between symbols alone, and each cut is marked at both ends.  What is narrow enough stays as it
-    is.
-    """
-    cuts = _cuts(_uncut(drawn), width)
-    if not cuts:
-        return list(drawn), width, height
-    ends = [0.0, *cuts, width]
-    parts: list[Part] = []
-    below = 0.0
-    for row, (left, right) in enumerate(pairwise(ends)):
-        content = [_within(part, _Window(left, right)) for part in drawn]
-        heights = [y for part in content for y in _heights(part)]
-        top, bottom = min(heights, default=0.0) if row else 0.0, max(heights, default=0.0)
-        dx = MARGIN - left if row else 0.0
-        parts += [part.shifted(dx, below - top) for part in content if part.shapes or part.texts]
-        below += bottom - top + BETWEEN
-    wide = max(right - left for left, right in pairwise(ends))
-    return parts, wide + 2 * MARGIN, below - BETWEEN + MARGIN
-
-
-def _cuts(uncut: Sequence[tuple[float, float]], width: float) -> list[float]:
-    """Where to cut, px from the left: rows of about the same width."""
-    if width <= WIDEST:
-        return []
-    spans = sorted(uncut)
-    free, reach = [], 0.0
-    for left, right in spans:
-        if left > reach:
-            free.append((reach + left) / 2)
-        reach = max(reach, right)
-    rows = int(-(-width // WIDEST))
-    cuts: list[float] = []
-    for row in range(1, rows):
-        after = cuts[-1] if cuts else 0.0
-        wanted = after + (width - after) / (rows - row + 1)
-        possible = [x for x in free if x > after + WIDEST / 4]
-        if possible:
-            cuts.append(min(possible, key=lambda x: abs(x - wanted)))
-    return cuts
-
-
-def _uncut(drawn: Sequence[Part]) -> list[tuple[float, float]]:
-    """Spans, px from the left, in which nothing is cut: symbols, bodies, texts and upright lines."""
-    spans = []
-    for part in drawn:
-        spans += [(text.box.left, text.box.right) for text in part.texts]
-        upright = [
-            x
-            for shape in part.shapes
-            for a, b in pairwise(shape.points)
-            if shape.closed or a[1] != b[1]
-            for x in (a[0], b[0])
-        ]
-        if part.title and upright:
-            spans.append((min(upright), max(upright)))
-        spans += [(x, x) for x in upright]
-    return [(left - CLEAR, right + CLEAR) for left, right in spans]
-
-
-def _within(part: Part, window: _Window) -> Part:
-    """What of a part lies in a window, with marks where lines are cut."""
-    shapes = [piece for shape in part.shapes for piece in _pieces(shape, window)]
-    texts = [text for text in part.texts if window.left <= text.box.centre[0] < window.right]
-    return Part(part.title, tuple(shapes), tuple(texts))
-
-
-def _pieces(shape: Shape, window: _Window) -> Iterator[Shape]:
-    left, right = min(x for x, _ in shape.points), max(x for x, _ in shape.points)
-    if window.left <= left and right <= window.right:
-        yield shape
-        return
-    run: list[XY] = []
-    for (x0, y0), (x1, y1) in pairwise(shape.points):
-        if max(x0, x1) <= window.left or min(x0, x1) >= window.right:
-            continue
-        start, end = (min(max(x, window.left), window.right) for x in (x0, x1))
-        if run[-1:] != [(start, y0)]:
-            if run:
-                yield replace(shape, points=tuple(run))
-            run = [(start, y0)]
-        run.append((end, y1))
-        for x, clipped in ((x0, start), (x1, end)):
-            if x != clipped:
-                mark = ((clipped - 2, y0 + MARK), (clipped + 2, y0 - MARK))
-                yield replace(shape, points=mark, weight=1.0, dashed=False)
-    if run:
-        yield replace(shape, points=tuple(run))
-
-
-def _heights(part: Part) -> Iterator[float]:
-    for shape in part.shapes:
-        yield from (y for _, y in shape.points)
-    for text in part.texts:
-        yield from (text.box.top, text.box.bottom)
-
-
-# Title and legend around a drawing.
-
-
-SAMPLE = 26.0  # length of a sample of a line in the legend
-LEAST_WIDTH = 320.0
-HEAD = 30.0
-WORDS = {
-    "unknown": "to be found",
-    "estimated": "found, with {level:g} % interval",
-    "known": "known",
-    "doubtful": "(?) doubtful",
-}
-
-
-def framed(
-    drawn: Sequence[Part],
-    size: tuple[float, float],
-    model: Model,
-    labels: Labels,
-    estimated: bool,
-    level: float,
-    note: str = "",
-) -> tuple[list[Part], float, float]:
-    """The parts of a drawing of that width and height with a title above and a legend below; width and height of it."""
-    heading, width, head = titled(drawn, model.name, size[0])
-    legend, height = _legend(labels, estimated, level, note, width, head + size[1])
-    return [*heading, legend], width, height
-
-
-def titled(drawn: Sequence[Part], title: str, width: float) -> tuple[list[Part], float, float]:
-    """The parts of a drawing of that width below a title; width of it all, and how far they are moved down."""
-    line = Line(title, "ink", TITLE, True)
-    lines = _wrapped(line, max(width, LEAST_WIDTH) - 2 * MARGIN) if title else []
-    head = HEAD + (len(lines) - 1) * 1.3 * TITLE if lines else 0.0
-    wide = max([width, LEAST_WIDTH, *(line.width + 2 * MARGIN for line in lines)])
-    texts = [Text(line, Anchor(MARGIN, MARGIN + TITLE * (0.9 + 1.3 * k))) for k, line in enumerate(lines)]
-    parts = [Part("", (), tuple(texts))] if texts else []
-    return [*parts, *(part.shifted((wide - width) / 2, head) for part in drawn)], wide, head
-
-
-def _wrapped(line: Line, width: float) -> list[Line]:
-    words, lines = line.text.split(), [""]
-    for word in words:
-        longer = f"{lines[-1]} {word}".strip()
-        if replace(line, text=longer).width > width and lines[-1]:
-            lines.append(word)
-        else:
-            lines[-1] = longer
-    return [replace(line, text=text) for text in lines]
-
-
-def _legend(
-    labels: Labels, estimated: bool, level: float, note: str, width: float, top: float
-) -> tuple[Part, float]:
-    """What lines and letters mean, as far as they occur, in as many rows as the width needs."""
-    shapes: list[Shape] = []
-    texts: list[Text] = []
-    x, y = MARGIN, top + 12.0
-    for sample, line in _entries(labels, estimated, level, note):
-        need = (SAMPLE + 6 if sample else 0.0) + block_width([line])
-        if x > MARGIN and x + need > width - MARGIN:
-            x, y = MARGIN, y + 17.0
-        if sample is not None:
-            weight = 1.2 if sample == "known" else 2.0
-            shapes.append(
-                Shape(((x, y - 3.5), (x + SAMPLE, y - 3.5)), sample, weight, dashed=sample == "doubtful")
-            )
-            texts.append(Text(line, Anchor(x + SAMPLE + 6, y)))
-        else:
-            texts.append(Text(line, Anchor(x, y)))
-        x += need + 18.0
-    return Part("legend", tuple(shapes), tuple(texts)), y + MARGIN
-
-
-def _entries(labels: Labels, estimated: bool, level: float, note: str) -> list[tuple[Tone | None, Line]]:
-    present = {known for known, _, _ in labels.values.values()}
-    entries: list[tuple[Tone | None, Line]] = []
-    knowledge: Knowledge
-    for knowledge in ("unknown", "known", "doubtful"):
-        if knowledge in present:
-            words = WORDS["estimated" if estimated and knowledge == "unknown" else knowledge]
-            entries.append((knowledge, Line(words.format(level=100 * level), "muted", SMALL)))
-    for quantity, badge in BADGES.items():
-        if any(channel.quantity is quantity for channel in labels.channels):
-            entries.append((None, Line(f"{quantity} sensor", "muted", SMALL, badge=badge)))
-    if note:
-        entries.append((None, Line(note, "muted", SMALL)))
-    return entries
-
-
-# Drawings as PNG and PDF, from the same strokes and texts.
-
-
-PX = 72.0  # px of the drawing in an inch: a px is a point
-DPI = 180
-
-
-def raster(
-    parts: Sequence[Part], width: float, height: float, title: str, kind: Literal["png", "pdf"]
-) -> bytes:
-    """The parts as a PNG or PDF file, the same bytes for the same drawing."""
-    with style():
-        figure = Figure(figsize=(width / PX, height / PX))
-        figure.set_layout_engine("none")
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        axes.set_xlim(0, width)
-        axes.set_ylim(height, 0)
-        axes.axis("off")
-        for part in parts:
-            for shape in part.shapes:
-                axes.add_patch(_shape(shape))
-            for text in part.texts:
-                _text(figure, text, width, height)
-                if text.line.badge:
-                    centre = (text.box.left + 6, text.at.y - 3.4)
-                    axes.add_patch(
-                        Circle(centre, 5.6, fill=False, edgecolor=COLOURS[text.line.tone], linewidth=1)
-                    )
-        out = io.BytesIO()
-        about = {"Title": title, "CreationDate": None} if kind == "pdf" else {"Software": None}
-        figure.savefig(out, format=kind, dpi=DPI, metadata=about, facecolor="white")
-    return out.getvalue()
-
-
-def _shape(shape: Shape) -> Polygon:
-    colour = COLOURS[shape.tone]
-    fill = colour if shape.fill == "ink" else FILLS.get(shape.fill, "none")
-    return Polygon(
-        shape.points, closed=shape.closed, facecolor=fill, edgecolor=colour, linewidth=shape.weight,
-        linestyle=(0, (5 / shape.weight, 3 / shape.weight)) if shape.dashed else "-", joinstyle="round",
-        capstyle="round", fill=fill != "none",
-    )  # fmt: skip
-
-
-def _text(figure: Figure, text: Text, width: float, height: float) -> None:
-    line, x, y = text.line, text.at.x, text.at.y
-    aligned = {"start": "left", "middle": "center", "end": "right"}[text.anchor]
-    look: dict[str, Any] = {"color": COLOURS[line.tone], "va": "baseline", "parse_math": False}
-    if line.badge:
-        figure.text(
-            (text.box.left + 6) / width, 1 - (y - 0.6) / height, line.badge, ha="center", fontsize=8, **look
-        )
-        x, aligned = text.box.left + 16, "left"
-    figure.text(
-        x / width, 1 - y / height, line.text, ha=aligned, fontsize=line.size,
-        fontweight="bold" if line.bold else "normal", **look,
-    )  # fmt: skip
-
 
 MOST_ELEMENTS, MOST_BODIES = 60, 40
 BESIDE = 640.0  # px of a drawing that still has room beside the parameters
@@ -320,28 +48,22 @@ class Drawing:
     model: Model
     labels: Labels
     connections: Connections
-    layout: Layout
+    placed: Placed
     parts: tuple[Part, ...]
     width: float
     height: float
 
     def svg(self) -> str:
         """As SVG, whose texts can be searched."""
-        return svg_document(self.parts, self.width, self.height, self.title, drawing_description(self))
+        return svg_document([self.parts], self.width, self.height, self.title, drawing_description(self))
 
     def _repr_svg_(self) -> str:
         """The same, for a notebook."""
         return self.svg()
 
-    def raster(self, kind: Literal["png", "pdf"]) -> bytes:
-        """As PNG or PDF."""
-        return raster(self.parts, self.width, self.height, self.title, kind)
-
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it; the end of the name says how: .svg, .png or .pdf.  Raises UsageError, DataError."""
-        kind = chosen_format(path, PICTURES)
-        content = self.svg().encode() if kind == "svg" else self.raster("png" if kind == "png" else "pdf")
-        write_bytes(path, content)
+        write_drawing(path, self.svg(), self.parts, self.width, self.height, self.title)
 
 
 def schematic(
@@ -356,22 +78,28 @@ def schematic(
     `doubtful` names parameters that are marked as such.  Of more than MOST_ELEMENTS elements only the kinds and names
     are drawn.  Raises UsageError where there are too many bodies for a drawing.
     """
-    parts = connections(model, channels)
-    if len(parts.bodies) > MOST_BODIES:
-        raise UsageError(
-            f"{len(parts.bodies)} bodies are too many for a drawing (at most {MOST_BODIES})",
-            cure="draw a part of the rig",
-        )
+    parts = _few_bodies(model, channels)
     small = len(model.elements) <= MOST_ELEMENTS
     between = [link.item for link in parts.links if link.kind == "sensor"]
     said = labels(model, channels if small else (), estimate, doubtful, between, level, numbers=small)
-    layout = Placer(model, channels, forest(model, parts), parts.pushes, said).layout()
+    placed = Placer(model, forest(model, parts), parts.pushes, said).placed()
     note = "" if small else f"{len(model.elements)} elements: values are left out."
     if parts.free:
         note = sentence("Entries of matrices are not elements and are not drawn")
-    rows, *size = folded(scene_parts(layout, model, said), layout.width, layout.height)
+    rows, *size = folded(placed.parts, placed.width, placed.height)
     drawn, width, height = framed(rows, (size[0], size[1]), model, said, estimate is not None, level, note)
-    return Drawing(model.name or "Rig", model, said, parts, layout, tuple(drawn), width, height)
+    return Drawing(model.name or "Rig", model, said, parts, placed, tuple(drawn), width, height)
+
+
+def _few_bodies(model: Model, channels: Sequence[Channel] = ()) -> Connections:
+    """What a rig consists of.  Raises UsageError where there are too many bodies for a drawing."""
+    found = connections(model, channels)
+    if len(found.bodies) > MOST_BODIES:
+        raise UsageError(
+            f"{len(found.bodies)} bodies are too many for a drawing (at most {MOST_BODIES})",
+            cure="draw a part of the rig",
+        )
+    return found
 
 
 def rig_picture(
@@ -420,7 +148,6 @@ def drawing_description(drawing: Drawing) -> str:
 
 REACH = 18.0  # px that the furthest body moves
 FRAMES = 16
-SECONDS = 2.0
 
 
 @dataclass(frozen=True)
@@ -434,7 +161,7 @@ class ModeDrawing:
 
     def svg(self) -> str:
         """As SVG that moves by itself."""
-        return moving_document(self.frames, self.width, self.height, self.title, SECONDS)
+        return svg_document(self.frames, self.width, self.height, self.title)
 
     def _repr_svg_(self) -> str:
         """The same, for a notebook."""
@@ -442,14 +169,7 @@ class ModeDrawing:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it as .svg, which moves, or as .png or .pdf of its largest.  Raises UsageError, DataError."""
-        kind = chosen_format(path, PICTURES)
-        if kind == "svg":
-            write_bytes(path, self.svg().encode())
-        else:
-            still = raster(
-                self.frames[0], self.width, self.height, self.title, "png" if kind == "png" else "pdf"
-            )
-            write_bytes(path, still)
+        write_drawing(path, self.svg(), self.frames[0], self.width, self.height, self.title)
 
 
 def numbered_mode(model: Model, estimate: Estimate | None, number: int) -> tuple[str, Complex]:
@@ -485,11 +205,9 @@ def mode_drawing(model: Model, shape: Complex, title: str) -> ModeDrawing:
 
     Raises UsageError where there are too many bodies for a drawing.
     """
-    connected = connections(model)
-    if len(connected.bodies) > MOST_BODIES:
-        raise UsageError(f"{len(connected.bodies)} bodies are too many for a drawing (at most {MOST_BODIES})")
+    connected = _few_bodies(model)
     said = labels(model, (), None, (), numbers=False)
-    layout = Placer(model, (), forest(model, connected), (), said).layout()
+    placed = Placer(model, forest(model, connected), (), said).placed()
     at = dict(zip(model.coordinates, (complex(z) for z in shape.tolist()), strict=True))
     largest = {
         angular: max((abs(z) for name, z in at.items() if (name in model.angles) is angular), default=0.0)
@@ -505,30 +223,22 @@ def mode_drawing(model: Model, shape: Complex, title: str) -> ModeDrawing:
     for index, body in enumerate(connected.bodies):
         if body.along:
             motion[index] = sum((factor * motion.get(other, 0j) for other, factor in body.along), 0j)
+    # Outlines of the bodies where they rest, and all parts without the marks of what is known: a mode is of values.
+    outlines = [
+        stroke(part.box.corners, "muted", 0.8, closed=True, dashed=True) for part in placed.bodies if part.box
+    ]
+    drawn = [_plain(part) for part in placed.parts]
     frames = []
     for k in range(FRAMES):
         turn = complex(math.cos(2 * math.pi * k / FRAMES), math.sin(2 * math.pi * k / FRAMES))
         shifts = {body: (z * turn).real for body, z in motion.items()}
-        drawn = [_at_rest(layout), *(_plain(part) for part in scene_parts(layout, model, said, shifts))]
-        frames.append(tuple(titled(drawn, title, layout.width)[0]))
-    _, width, head = titled([], title, layout.width)
-    return ModeDrawing(title, tuple(frames), width, head + layout.height)
-
-
-def _at_rest(layout: Layout) -> Part:
-    """Outlines of the bodies where they rest."""
-    return Part(
-        "at rest",
-        tuple(
-            Shape(corners(body.box), "muted", 0.8, True, dashed=True)
-            for body in layout.bodies
-            if not body.wall
-        ),
-    )
+        moved = [Part("at rest", tuple(outlines)), *(part.moved(shifts) for part in drawn)]
+        parts, width, head = titled(moved, title, placed.width)
+        frames.append(tuple(parts))
+    return ModeDrawing(title, tuple(frames), width, head + placed.height)
 
 
 def _plain(part: Part) -> Part:
-    """Without the marks of what is known: a mode is of values alone."""
     shapes = tuple(
         replace(shape, tone="ink", weight=min(shape.weight, 1.6))
         if shape.tone in ("unknown", "known")
@@ -536,3 +246,198 @@ def _plain(part: Part) -> Part:
         for shape in part.shapes
     )
     return replace(part, shapes=shapes)
+
+
+# A wide drawing cut into rows below each other, so that its texts can be read on a page.
+
+
+WIDEST = 960.0  # px of a row: on a page of A4 its texts have six points
+BETWEEN = 26.0  # px from one row to the next
+CLEAR = 3.0  # px around whatever is not cut
+MARK = 5.0  # half the height of the stroke that marks a cut line
+
+
+def folded(drawn: Sequence[Part], width: float, height: float) -> tuple[list[Part], float, float]:
+    """The parts in rows of at most about WIDEST, and the width and height of them all.
+
+    Cut are level lines between symbols alone, and each cut is marked at both ends.  What is narrow enough stays as it
+    is.
+    """
+    cuts = _cuts(_uncut(drawn), width)
+    if not cuts:
+        return list(drawn), width, height
+    ends = [0.0, *cuts, width]
+    parts: list[Part] = []
+    below = 0.0
+    for row, (left, right) in enumerate(pairwise(ends)):
+        content = [_within(part, left, right) for part in drawn]
+        heights = [y for part in content for y in _heights(part)]
+        top, bottom = min(heights, default=0.0) if row else 0.0, max(heights, default=0.0)
+        dx = MARGIN - left if row else 0.0
+        parts += [part.shifted(dx, below - top) for part in content if part.shapes or part.texts]
+        below += bottom - top + BETWEEN
+    wide = max(right - left for left, right in pairwise(ends))
+    return parts, wide + 2 * MARGIN, below - BETWEEN + MARGIN
+
+
+def _cuts(uncut: Sequence[tuple[float, float]], width: float) -> list[float]:
+    """Where to cut, px from the left: rows of about the same width."""
+    if width <= WIDEST:
+        return []
+    spans = sorted(uncut)
+    free, reach = [], 0.0
+    for left, right in spans:
+        if left > reach:
+            free.append((reach + left) / 2)
+        reach = max(reach, right)
+    rows = int(-(-width // WIDEST))
+    cuts: list[float] = []
+    for row in range(1, rows):
+        after = cuts[-1] if cuts else 0.0
+        wanted = after + (width - after) / (rows - row + 1)
+        possible = [x for x in free if x > after + WIDEST / 4]
+        if possible:
+            cuts.append(min(possible, key=lambda x: abs(x - wanted)))
+    return cuts
+
+
+def _uncut(drawn: Sequence[Part]) -> list[tuple[float, float]]:
+    """Spans, px from the left, in which nothing is cut: symbols, bodies, texts and upright lines."""
+    spans = []
+    for part in drawn:
+        spans += [(text.box.left, text.box.right) for text in part.texts]
+        upright = [
+            x
+            for shape in part.shapes
+            for a, b in pairwise(shape.points)
+            if shape.closed or a.y != b.y
+            for x in (a.x, b.x)
+        ]
+        if part.title and upright:
+            spans.append((min(upright), max(upright)))
+        spans += [(x, x) for x in upright]
+    return [(left - CLEAR, right + CLEAR) for left, right in spans]
+
+
+def _within(part: Part, left: float, right: float) -> Part:
+    """What of a part lies between two places, px from the left, with marks where lines are cut."""
+    shapes = [piece for shape in part.shapes for piece in _pieces(shape, left, right)]
+    texts = [text for text in part.texts if left <= text.box.centre < right]
+    return Part(part.title, tuple(shapes), tuple(texts))
+
+
+def _pieces(shape: Shape, left: float, right: float) -> Iterator[Shape]:
+    places = [point.x for point in shape.points]
+    if left <= min(places) and max(places) <= right:
+        yield shape
+        return
+    run: list[Point] = []
+    for a, b in pairwise(shape.points):
+        if max(a.x, b.x) <= left or min(a.x, b.x) >= right:
+            continue
+        start, end = (Point(min(max(point.x, left), right), point.y) for point in (a, b))
+        if run[-1:] != [start]:
+            if run:
+                yield replace(shape, points=tuple(run))
+            run = [start]
+        run.append(end)
+        for whole, cut in ((a, start), (b, end)):
+            if whole.x != cut.x:
+                mark = (cut.shifted(-2, MARK), cut.shifted(2, -MARK))
+                yield replace(shape, points=mark, weight=1.0, dashed=False)
+    if run:
+        yield replace(shape, points=tuple(run))
+
+
+def _heights(part: Part) -> list[float]:
+    ends = [y for text in part.texts for y in (text.box.top, text.box.bottom)]
+    return [*ends, *(point.y for shape in part.shapes for point in shape.points)]
+
+
+# Title and legend around a drawing.
+
+
+SAMPLE = 26.0  # length of a sample of a line in the legend
+LEAST_WIDTH = 320.0
+HEAD = 30.0
+WORDS = {
+    "unknown": "to be found",
+    "estimated": "found, with {level:g} % interval",
+    "known": "known",
+    "doubtful": "(?) doubtful",
+}
+
+
+def framed(
+    drawn: Sequence[Part],
+    size: tuple[float, float],
+    model: Model,
+    labels: Labels,
+    estimated: bool,
+    level: float,
+    note: str = "",
+) -> tuple[list[Part], float, float]:
+    """The parts of a drawing of that width and height with a title above and a legend below; width and height of it."""
+    heading, width, head = titled(drawn, model.name, size[0])
+    legend, height = _legend(labels, estimated, level, note, width, head + size[1])
+    return [*heading, legend], width, height
+
+
+def titled(drawn: Sequence[Part], title: str, width: float) -> tuple[list[Part], float, float]:
+    """The parts of a drawing of that width below a title; width of it all, and how far they are moved down."""
+    line = Line(title, "ink", TITLE, True)
+    lines = _wrapped(line, max(width, LEAST_WIDTH) - 2 * MARGIN) if title else []
+    head = HEAD + (len(lines) - 1) * 1.3 * TITLE if lines else 0.0
+    wide = max([width, LEAST_WIDTH, *(line.width + 2 * MARGIN for line in lines)])
+    texts = [Text(line, Point(MARGIN, MARGIN + TITLE * (0.9 + 1.3 * k))) for k, line in enumerate(lines)]
+    parts = [Part("", (), tuple(texts))] if texts else []
+    return [*parts, *(part.shifted((wide - width) / 2, head) for part in drawn)], wide, head
+
+
+def _wrapped(line: Line, width: float) -> list[Line]:
+    words, lines = line.text.split(), [""]
+    for word in words:
+        longer = f"{lines[-1]} {word}".strip()
+        if replace(line, text=longer).width > width and lines[-1]:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return [replace(line, text=text) for text in lines]
+
+
+def _legend(
+    labels: Labels, estimated: bool, level: float, note: str, width: float, top: float
+) -> tuple[Part, float]:
+    """What lines and letters mean, as far as they occur, in as many rows as the width needs."""
+    shapes: list[Shape] = []
+    texts: list[Text] = []
+    x, y = MARGIN, top + 12.0
+    for sample, line in _entries(labels, estimated, level, note):
+        need = (SAMPLE + 6 if sample else 0.0) + block_width([line])
+        if x > MARGIN and x + need > width - MARGIN:
+            x, y = MARGIN, y + 17.0
+        if sample is not None:
+            weight = 1.2 if sample == "known" else 2.0
+            ends = (x, y - 3.5), (x + SAMPLE, y - 3.5)
+            shapes.append(stroke(ends, sample, weight, dashed=sample == "doubtful"))
+            texts.append(Text(line, Point(x + SAMPLE + 6, y)))
+        else:
+            texts.append(Text(line, Point(x, y)))
+        x += need + 18.0
+    return Part("legend", tuple(shapes), tuple(texts)), y + MARGIN
+
+
+def _entries(labels: Labels, estimated: bool, level: float, note: str) -> list[tuple[Tone | None, Line]]:
+    present = {known for known, _, _ in labels.values.values()}
+    entries: list[tuple[Tone | None, Line]] = []
+    knowledge: Knowledge
+    for knowledge in ("unknown", "known", "doubtful"):
+        if knowledge in present:
+            words = WORDS["estimated" if estimated and knowledge == "unknown" else knowledge]
+            entries.append((knowledge, Line(words.format(level=100 * level), "muted", SMALL)))
+    for quantity, badge in BADGES.items():
+        if any(channel.quantity is quantity for channel in labels.channels):
+            entries.append((None, Line(f"{quantity} sensor", "muted", SMALL, badge=badge)))
+    if note:
+        entries.append((None, Line(note, "muted", SMALL)))
+    return entries

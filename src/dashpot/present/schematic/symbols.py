@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from dashpot.model.elements import Element, Kind
+from dashpot.present.schematic.shapes import XY, Point, Shape, Tone
 
-XY = tuple[float, float]
 H = 8.0  # half height of most symbols
 
 
@@ -23,6 +23,19 @@ class Stroke:
 
 
 Symbol = Sequence[Stroke]
+
+
+def along(one: Stroke, start: Point, end: Point, tone: Tone, weight: float) -> Shape:
+    """A stroke along the line from start to end, whose points go with both when they move."""
+    length = max(math.dist(start[:2], end[:2]), 1e-9)
+    c, s = (end.x - start.x) / length, (end.y - start.y) / length
+    points = (
+        Point(start.x + c * x - s * y, start.y + s * x + c * y, start.body, end.body, x / length)
+        for x, y in one.points
+    )
+    dashed = tone in ("doubtful", "sensor") and not one.filled
+    thin = 0.55 * weight if one.light else weight
+    return Shape(tuple(points), tone, thin, one.closed, "ink" if one.filled else "", dashed)
 
 
 def _line(*points: XY, light: bool = False) -> Stroke:
