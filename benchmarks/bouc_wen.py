@@ -14,8 +14,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from dashpot.data.record import Record
-from dashpot.estimate.nonlinear.record_inference import predict_record
-from dashpot.estimate.nonlinear.whole_record import identify_records
+from dashpot.estimate.nonlinear.record_inference import followed_record
+from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.model.rigfile import parse_rig
 
 RATE, NOISE, FINE = 750.0, 8e-6, 20  # samples a second; m; steps of the simulation between samples
@@ -58,7 +58,9 @@ def main() -> None:
     away, seconds = [], []
     for draw in range(given.draws):
         begun = time.process_time()
-        estimate = identify_records(rig.model, [record(rig, multisine(given.samples, draw), NOISE, draw)])
+        estimate = fit_records(
+            rig.model, [record(rig, multisine(given.samples, draw), NOISE, draw)]
+        ).estimate()
         seconds.append(time.process_time() - begun)
         truth = np.array([TRUTH.get(name, 0.0) for name in estimate.names])
         away.append((estimate.values - truth) / estimate.sd)
@@ -77,7 +79,7 @@ def main() -> None:
     )
     if given.predict:
         for name, force in (("multisine", multisine(8192, 1000)), ("sweep 20-50 Hz, 40 N", sweep(60.0))):
-            error = predict_record(rig.model, estimate, record(rig, force, 0.0, 0)).rms[0]
+            error = followed_record(rig.model, estimate, record(rig, force, 0.0, 0)).compared().rms[0]
             print(f"{name}: {error:.3g} m rms ({20 * np.log10(error):.1f} dB)", flush=True)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dashpot.data.record import Record
-from dashpot.estimate.nonlinear.record_inference import predict_record
-from dashpot.estimate.nonlinear.whole_record import identify_records
+from dashpot.estimate.nonlinear.record_inference import followed_record
+from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.model.rigfile import read_rig
 from tests.real.recordings import EXAMPLES, RAW, needs_recordings
 
@@ -29,7 +29,7 @@ def part(rig, samples, first, last):
 
 def test_five_parameters_predict_what_was_not_used(samples):
     rig = read_rig(EXAMPLES / "12_duffing" / "rig.toml")
-    estimate = identify_records(rig.model, [part(rig, samples, 45_000, 50_000)])
+    estimate = fit_records(rig.model, [part(rig, samples, 45_000, 50_000)]).estimate()
     assert bool(estimate.converged)
     for name, low, high in (
         ("m", 5.36e-6, 5.39e-6),
@@ -39,7 +39,7 @@ def test_five_parameters_predict_what_was_not_used(samples):
     ):
         assert low < estimate[name].value < high
     assert -0.0056 < estimate["u.offset"].value < -0.0053
-    arrow = predict_record(rig.model, estimate, part(rig, samples, 20_000, 40_500))
+    arrow = followed_record(rig.model, estimate, part(rig, samples, 20_000, 40_500)).compared()
     assert arrow.rms[0] < 0.5e-3
-    rest = predict_record(rig.model, estimate, part(rig, samples, 90_000, 110_000))
+    rest = followed_record(rig.model, estimate, part(rig, samples, 90_000, 110_000)).compared()
     assert rest.rms[0] < 0.33e-3

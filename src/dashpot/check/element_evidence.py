@@ -144,7 +144,7 @@ def compare_in_records(
     """From whole records, by integration: candidates are scored at the fit of the rig as it is, the best fitted.
 
     Inputs count as exact: were their true values unknown, errors of theirs could explain what an element would.
-    Raises what `identify_records` raises, and DataError where channels contradict each other.
+    Raises what `fit_records` raises, and DataError where channels contradict each other.
     """
     require_sound_channels(model, records)
     base = model if len(model.nonlinear) else with_nothing(model)

@@ -135,11 +135,6 @@ def dynamic_stiffness(model: Model, p: Real, omega: Real) -> Complex:
     return stiffness(model, p, omega)[..., : model.n]
 
 
-def input_stiffness(model: Model, p: Real, omega: Real) -> Complex:
-    """R = −Bᵀ diag(p φ) D, the force on the coordinates per unit of input displacement; (..., lines, n, r), N/m."""
-    return -stiffness(model, p, omega)[..., model.n :]
-
-
 def no_steady_response() -> ModelError:
     """The error of a rig that hits an undamped resonance, or has a coordinate that nothing holds."""
     return ModelError(

@@ -8,7 +8,7 @@ import pytest
 
 from dashpot.check.element_evidence import _Scored, compare_in_records
 from dashpot.data.record import Record
-from dashpot.estimate.nonlinear.whole_record import identify_records
+from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.force_law import force_law
@@ -48,7 +48,7 @@ def test_the_law_that_made_the_record_has_the_most_evidence_and_one_that_is_ther
     assert found.ranked[0].evidence > found.ranked[1].evidence
     content = json.loads(found.to_json())
     assert content["called_for"]["elements"][0]["section"] == "springs"
-    assert identify_records(whole, [data]).converged
+    assert fit_records(whole, [data]).estimate().converged
     again = compare_in_records(whole, [data])
     assert again.chosen is None or again.chosen.evidence < 0.02 * found.chosen.evidence
 

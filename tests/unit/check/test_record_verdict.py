@@ -9,7 +9,7 @@ from dashpot.check.verdict import assess_records
 from dashpot.data.conditioning.still import noise_at_rest
 from dashpot.data.record import Record
 from dashpot.estimate.assessment import Assessment
-from dashpot.estimate.nonlinear.whole_record import fit_records, identify_records
+from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.notices import Notice
@@ -21,7 +21,7 @@ from tests.unit.estimate.nonlinear.test_whole_record import record
 @pytest.fixture(scope="module")
 def fitted() -> tuple[Model, Record, Estimate]:
     model, _, data = record("cubic", motions("x1", "x2", "u"), noise=0.02)
-    return model, data, identify_records(model, [data])
+    return model, data, fit_records(model, [data]).estimate()
 
 
 def test_residuals_are_told_in_parts_of_the_motion(fitted: tuple[Model, Record, Estimate]) -> None:

@@ -12,7 +12,7 @@ from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.nonlinear.whole_record import identify_records
+from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.model.motion import integrator
 from dashpot.study.simulate import driven_record, response_band
 from tests.nonlinear_rigs import motions, two_masses
@@ -79,7 +79,7 @@ def test_a_simulated_record_gives_the_parameters_back():
         np.cos(2 * np.pi * rng.uniform(1, 15, 20) * time[:, None] + rng.uniform(0, 6, 20)), axis=1
     )
     shown = driven_record(model, theta, ALL, Record((ALL[2],), time, u[:, None]), rng)
-    assert np.max(np.abs(identify_records(model, [shown]).values / theta - 1)) < 1e-4
+    assert np.max(np.abs(fit_records(model, [shown]).estimate().values / theta - 1)) < 1e-4
 
 
 def test_forces_in_elements_and_missing_inputs_are_refused():

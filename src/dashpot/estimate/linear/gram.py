@@ -17,7 +17,7 @@ from dashpot.model.network import Model
 from dashpot.model.observation import small
 from dashpot.numerics.kernel import kernel, threads
 from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult, QuadraticModel
-from dashpot.numerics.small_systems import solve_scaled, solve_small
+from dashpot.numerics.small_systems import solve_small
 
 # The equation of motion in the compiled kernel: twins of `starts`, `equation_by_line`, `_sums` and
 # `search`.
@@ -104,12 +104,6 @@ def gram_force(model: Model, w: Complex, f: Complex, weight: Real) -> Real:
         return np.zeros((*w.shape[:-2], w.shape[-1]))
     force = f @ (model.B @ model.S).T
     return np.sum(weight[:, None] * (np.conj(w) * force).real, axis=-2)
-
-
-def solve_gram(model: Model, N: Real, r: Real) -> Real:
-    """θ̂ = (Tᵀ N T)⁻¹ Tᵀ (r − N p⁰), shape (..., unknowns).  THEORY (G)."""
-    T = model.T
-    return solve_scaled(T.T @ N @ T, (r - N @ model.p0) @ T)
 
 
 def regressors(model: Model, a: Complex) -> Complex:

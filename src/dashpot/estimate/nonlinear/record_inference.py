@@ -135,14 +135,6 @@ def followed_records(problem: RecordProblem, psi: Real) -> list[FollowedRecord]:
     return motions
 
 
-def predict_record(model: Model, estimate: Estimate, record: Record) -> PredictedMotion:
-    """What an estimate predicts of a record; only the state at its start is taken from it.
-
-    Raises DataError where the record does not suit the rig, or the motion cannot be followed.
-    """
-    return followed_record(model, estimate, record).compared()
-
-
 # The Estimate of a fit.
 
 CUT_RECORD = "cut_record"  # code of a notice

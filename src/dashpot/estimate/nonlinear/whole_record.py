@@ -37,7 +37,6 @@ from dashpot.estimate.nonlinear.records import (
     noise_of_channels,
     total_samples,
 )
-from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
@@ -54,24 +53,6 @@ MOST_STEPS = 10**6  # of all records, which halving must not exceed
 Progress = Callable[[int, int], None]
 
 
-def identify_records(
-    model: Model,
-    records: Sequence[Record],
-    method: str | None = None,
-    *,
-    still: Still | None = None,
-    progress: Progress | None = None,
-) -> Estimate:
-    """Estimate the unknowns of a nonlinear rig from whole records of any excitation, by maximum likelihood.
-
-    still: the noise that a record at rest shows; without it the residuals tell how large it is.
-
-    Raises UsageError where another `method` is named, DataError where an input or all motion is not measured, or an
-    unknown needs a guess: where not all coordinates are measured as displacements, every unknown does.
-    """
-    return fit_records(model, records, method, still=still, progress=progress).estimate()
-
-
 def fit_records(
     model: Model,
     records: Sequence[Record],
@@ -81,9 +62,13 @@ def fit_records(
     exact_inputs: bool = False,
     progress: Progress | None = None,
 ) -> FittedRecords:
-    """The most likely ψ; still: the noise that a record at rest shows.
+    """The most likely unknowns of a nonlinear rig from whole records of any excitation; `estimate()` of it tells them.
 
-    exact_inputs: with the measured inputs for the true ones, whatever their noise.  Raises as `identify_records`.
+    still: the noise that a record at rest shows; without it the residuals tell how large it is.  exact_inputs: with the
+    measured inputs for the true ones, whatever their noise.
+
+    Raises UsageError where another `method` is named, DataError where an input or all motion is not measured, or an
+    unknown needs a guess: where not all coordinates are measured as displacements, every unknown does.
     """
     if method not in (None, "ml"):
         raise UsageError(

@@ -17,7 +17,7 @@ from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.still import noise_at_rest
 from dashpot.data.record import Record
 from dashpot.estimate.assessment import Finding, applied
-from dashpot.estimate.nonlinear.whole_record import identify_records
+from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
@@ -113,7 +113,7 @@ def test_the_remedy_makes_the_record_fit() -> None:
     best = nonlinear(fitted(record))[0]
     assert best.number == pytest.approx(2e6, rel=0.3)
     mended, _ = applied(shaken(), CHANNELS, best)
-    estimate = identify_records(mended, [record])
+    estimate = fit_records(mended, [record]).estimate()
     k3 = estimate.names.index("k3")
     assert abs(estimate.values[k3] - 2e6) < 4 * estimate.sd[k3]
 

@@ -12,7 +12,7 @@ from dashpot.data.spectrum import Spectrum, WholeRecord, concatenate
 from dashpot.estimate.likelihood.boundary_loads import record_ends
 from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.preparation.prepared import Prepared, prepare
-from dashpot.model.dynamics import dynamic_stiffness, input_stiffness
+from dashpot.model.dynamics import dynamic_stiffness, stiffness
 from dashpot.model.observation import observation_model
 from tests.whole_rigs import WholeTest, chain, record_of
 
@@ -51,7 +51,7 @@ def by_one_least_squares(test: WholeTest, spectrum: Spectrum, theta: Real) -> fl
     p = model.parameters(theta)
     view = observation_model(model, spectrum.channels, spectrum.omega)
     D = dynamic_stiffness(model, p, spectrum.omega)
-    R = input_stiffness(model, p, spectrum.omega)
+    R = -stiffness(model, p, spectrum.omega)[..., model.n :]
     total, n = 0.0, model.n
     for number in spectrum.records:
         shared = spectrum.stretches[number]

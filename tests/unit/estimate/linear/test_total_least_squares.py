@@ -20,7 +20,7 @@ from dashpot.estimate.linear.least_squares import (
 )
 from dashpot.estimate.linear.total_least_squares import CompensatedLeastSquares, TotalLeastSquares
 from dashpot.estimate.registry import method
-from dashpot.model.dynamics import dynamic_stiffness, input_stiffness
+from dashpot.model import dynamics
 from dashpot.model.network import Model
 from tests.networks import network
 from tests.rigs import Rig, channels, complex_noise, covariance, noisy, paper_rig, perfect, random_rig, states
@@ -30,10 +30,8 @@ DRAWS = 2000
 
 def stiffness(model: Model, p: np.ndarray, omega: float) -> np.ndarray:
     """H with e = H z, z = (X, U, f), at one frequency."""
-    w = np.array([omega])
-    return np.concatenate(
-        [dynamic_stiffness(model, p, w)[0], -input_stiffness(model, p, w)[0], -model.S], axis=1
-    )
+    both = dynamics.stiffness(model, p, np.array([omega]))[0]
+    return np.concatenate([both, -model.S], axis=1)
 
 
 def slow_sums(

@@ -10,11 +10,11 @@ from scipy.interpolate import CubicSpline
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
 from dashpot.errors import ConvergenceError, DataError
-from dashpot.estimate.nonlinear.record_inference import predict_record
+from dashpot.estimate.nonlinear.record_inference import followed_record
 from dashpot.estimate.nonlinear.record_problem import enough_substeps
 from dashpot.estimate.nonlinear.record_regression import first_record_values
 from dashpot.estimate.nonlinear.records import arranged
-from dashpot.estimate.nonlinear.whole_record import fit_records, identify_records
+from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.model.elements import Element, Kind, between
 from dashpot.model.nonlinear.force_law import force_law
 from dashpot.model.nonlinear.integration import Integrator, forcing
@@ -48,7 +48,7 @@ ALL = motions("x1", "x2", "u")
 @pytest.mark.parametrize("law", ["cubic", "v*abs(v)"])
 def test_exact_records_give_all_parameters_back_without_guesses(law):
     model, theta, data = record(law, ALL, start=np.array([1e-3, 0.0, 0.0, 0.02]))
-    estimate = identify_records(model, [data])
+    estimate = fit_records(model, [data]).estimate()
     assert bool(estimate.converged)
     assert np.max(np.abs(estimate.values / theta - 1)) < (1e-6 if law == "cubic" else 1e-5)
 
@@ -65,10 +65,10 @@ def test_constants_inside_laws_are_near_the_truth_before_the_search(law, seed):
 
 def test_intervals_hold_and_unused_records_are_predicted_to_the_noise():
     model, theta, data = record("cubic", ALL, noise=0.02)
-    estimate = identify_records(model, [data])
+    estimate = fit_records(model, [data]).estimate()
     assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
     _, _, fresh = record("cubic", ALL, noise=0.02, seed=5)
-    prediction = predict_record(model, estimate, fresh)
+    prediction = followed_record(model, estimate, fresh).compared()
     assert prediction.names == ("x1", "x2")
     assert np.all(prediction.relative < 0.03)
 
@@ -101,7 +101,7 @@ def chaotic(samples):
 @pytest.mark.parametrize("samples", [250, pytest.param(1000, marks=pytest.mark.long)])
 def test_motions_that_no_free_motion_follows_from_afar_are_held_near_the_measured_one(samples):
     model, theta, data = chaotic(samples)
-    estimate = identify_records(model, [data])
+    estimate = fit_records(model, [data]).estimate()
     assert bool(estimate.converged)
     for value, sd, true in zip(estimate.values, estimate.sd, theta, strict=False):
         assert abs(value - true) < 4 * sd
@@ -128,7 +128,7 @@ def test_a_gap_is_given_back_from_an_independent_integrator():
     x = solve_ivp(rates, (0, time[-1]), [0, 0], "DOP853", time, rtol=1e-11, atol=1e-15, max_step=time[1]).y[0]
     assert np.max(np.abs(x)) > 1.5 * gap
     channels = (Channel("f", {"f": 1.0}, Quantity.FORCE), *motions("x"))
-    estimate = identify_records(model, [Record(channels, time, np.column_stack([force(time), x]))])
+    estimate = fit_records(model, [Record(channels, time, np.column_stack([force(time), x]))]).estimate()
     truth = {"m": m, "k": k, "c": c, "q": q, "q.gap": gap}
     assert max(abs(estimate[name].value / value - 1) for name, value in truth.items()) < 1e-5
 
@@ -171,7 +171,7 @@ def test_exact_records_of_one_to_five_masses_give_every_law_back_without_guesses
     A play that the base carries along before the first sample leaves no trace of where it was: 1e-3 was left.
     """
     model, theta, data = exact_record(law, count)
-    estimate = identify_records(model, [data])
+    estimate = fit_records(model, [data]).estimate()
     assert bool(estimate.converged)
     assert np.max(np.abs(estimate.values / theta - 1)) < KINKS.get(law, 1e-6)
 
@@ -180,7 +180,7 @@ def test_exact_records_of_one_to_five_masses_give_every_law_back_without_guesses
 @pytest.mark.parametrize("count", range(1, 6))
 def test_exact_records_give_hysteresis_back_from_guesses(count):
     model, theta, data = exact_record("bouc-wen", count)
-    estimate = identify_records(guessed(model, theta, 1.03), [data])
+    estimate = fit_records(guessed(model, theta, 1.03), [data]).estimate()
     assert bool(estimate.converged)
     assert np.max(np.abs(estimate.values / theta - 1)) < 1e-3
 
@@ -213,8 +213,8 @@ def test_acceleration_of_one_point_is_enough_with_guesses():
     channels = (Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION), Channel("u", {"u": 1.0}))
     model, theta, data = record("cubic", channels, noise=0.01)
     with pytest.raises(DataError, match="guess"):
-        identify_records(model, [data])
-    estimate = identify_records(guessed(model, theta, 1.05), [data])
+        fit_records(model, [data]).estimate()
+    estimate = fit_records(guessed(model, theta, 1.05), [data]).estimate()
     assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
 
 
@@ -222,7 +222,7 @@ def test_an_input_that_is_not_measured_is_named():
     model, _, data = record("cubic", ALL)
     blind = Record(data.channels[:2], data.time, data.values[:, :2])
     with pytest.raises(DataError, match="input"):
-        identify_records(model, [blind])
+        fit_records(model, [blind]).estimate()
 
 
 def test_a_sensor_that_stands_still_is_named():
@@ -230,7 +230,7 @@ def test_a_sensor_that_stands_still_is_named():
     model, theta, data = record("cubic", ALL, samples=60)
     dead = Record(data.channels, data.time, data.values * np.array([0.0, 1.0, 1.0]))
     with pytest.raises(DataError, match="x1 shows no motion"):
-        identify_records(guessed(model, theta), [dead])
+        fit_records(guessed(model, theta), [dead]).estimate()
 
 
 def test_values_too_stiff_for_the_samples_are_refused():
@@ -238,4 +238,4 @@ def test_values_too_stiff_for_the_samples_are_refused():
     model, theta, data = record("cubic", ALL, samples=50)
     stiff = [replace(e, guess=1e30) if e.name == "k1" else e for e in guessed(model, theta, 1.0).elements]
     with pytest.raises(ConvergenceError, match="too fast for 200 samples"):
-        identify_records(replace(model, elements=tuple(stiff)), [data])
+        fit_records(replace(model, elements=tuple(stiff)), [data]).estimate()
