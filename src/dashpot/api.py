@@ -33,6 +33,7 @@ from dashpot.data.conditioning.still import Still
 from dashpot.data.modal_data import ModalData
 from dashpot.data.readers import Reading
 from dashpot.data.readers.in_memory import records_of
+from dashpot.data.readers.modes import holds_modes, read_modes
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError, UsageError
@@ -110,7 +111,8 @@ def identify(
 
     rig     a Rig, or a Model, whose channels are then its coordinates and inputs in SI units
     data    a Spectrum (with batch axes: repeats of one test), files by name, Records, what `read` returned, columns
-            by name with `time_s`: a data frame, a mapping of names to arrays, an xarray Dataset; or measured modes
+            by name with `time_s`: a data frame, a mapping of names to arrays, an xarray Dataset; or measured modes, as
+            ModalData or in a file
     method  a method or its name, such as "ml"; without one the most precise that suits the data is chosen
     frequency_hz, conditioning  of time records: their drive frequency, and how they become amplitudes
     judge   judge the fit and, where it fails, look for causes; `print` tells.  Without being asked, with a Rig, but not
@@ -126,6 +128,8 @@ def identify(
     judge = diagnose if judge is None else judge
     judged = isinstance(rig, Rig) if judge is None else judge
     model, within = _model(rig), rig.within if within is None and isinstance(rig, Rig) else within
+    if isinstance(data, str | os.PathLike) and holds_modes(data):
+        data = read_modes(data, model.coordinates, _channels(rig))
     if isinstance(data, ModalData):
         from dashpot.check.modal_verdict import examined_modes
         from dashpot.estimate.modal.identify_modal import identify_modal  # loads scipy.optimize
@@ -254,7 +258,7 @@ def simulate(
     """
     rig, theta = _with_stated(rig, values)
     model = rig.model
-    if _drives(frequencies):
+    if isinstance(frequencies, Record | Reading) or _has_columns(frequencies):  # what inputs do
         rng = random_generator(seed)
         drives = _inputs(rig, frequencies)
         return tuple(driven_record(model, theta, rig.channels, drive, rng) for drive in drives)
@@ -560,11 +564,6 @@ def _with_stated(rig: Rig, values: Mapping[str, float | Value]) -> tuple[Rig, Re
     return rig, rig.model.theta(
         {name: value for name, value in numbers.items() if name in unknown or name not in elsewhere}
     )
-
-
-def _drives(given: object) -> bool:
-    """Whether it says what inputs do, rather than frequencies."""
-    return isinstance(given, Record | Reading) or _has_columns(given)
 
 
 def _inputs(rig: Rig, data: Any) -> tuple[Record, ...]:
