@@ -168,8 +168,9 @@ def noisy(model: Model, spectrum: Spectrum) -> Bools:
     if not np.any(np.isfinite(noise)):
         return np.ones(spectrum.batch, dtype=bool)
     with np.errstate(all="ignore"):
-        share = np.nanmedian(noise / np.abs(spectrum.amplitudes[..., measured]), axis=-2)
-    return ~np.all(share <= NOISY, axis=-1)
+        share = noise / np.abs(spectrum.amplitudes[..., measured])
+    unknown = np.all(np.isnan(share), axis=-2, keepdims=True)
+    return ~np.all(np.nanmedian(np.where(unknown, np.inf, share), axis=-2) <= NOISY, axis=-1)
 
 
 def _below(model: Model, estimate: Estimate, deviations: float) -> Bools:
