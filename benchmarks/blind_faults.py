@@ -456,6 +456,8 @@ def law_missing(law: str) -> Fault:
         if part.law != law:
             return None
         stated = replace(case.stated, parts=tuple(p for p in case.stated.parts if p.name != "kn"))
+        if not any(p.free for p in stated.parts):
+            return None
         return replace(case, stated=stated, truth=Truth((("nonlinear", part.points),), part.points))
 
     return draw
@@ -758,7 +760,9 @@ def print_table(outcomes: list[Outcome], columns: dict[str, Callable[[Outcome], 
     """A row for each kind of data, for each fault or noise, and for all."""
     print(f"\n{'':34s} {'cases':>5s}  " + "  ".join(f"{title:12s}" for title in columns) + "  in 95 %")
     rows = [(kind, [o for o in outcomes if o.kind == kind]) for kind in KINDS]
-    rows += [(name, [o for o in outcomes if o.name == name]) for name in sorted({o.name for o in outcomes})]
+    rows += [
+        (name, [o for o in outcomes if o.name == name]) for name in sorted({o.name for o in outcomes} - {""})
+    ]
     for title, chosen in (*rows, ("all", outcomes)):
         counts = "  ".join(percent(sum(map(column, chosen)), len(chosen)) for column in columns.values())
         held = [h for o in chosen for h in o.held]
