@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 
 from dashpot.channel import RESERVED_NAMES, Channel, Quantity
 from dashpot.errors import UsageError
 from dashpot.io.words import did_you_mean, listed, written
-from dashpot.model.elements import Element
-from dashpot.model.network import Input
 from dashpot.model.rigfile.rig import all_angles, is_electrical, scale_of_points
 from dashpot.model.rigfile.schema import (
     GROUND,
@@ -96,62 +93,13 @@ def _codes(entry: ChannelEntry, unit: str) -> float:
     return 2.0 ** (int(bits) - 1)
 
 
-@dataclass(frozen=True)
-class Measurables:
-    """What channels can measure, and whether it makes sense to."""
-
-    points: Collection[str]
-    inputs: Mapping[str, Input]
-    elements: Mapping[str, Element]
-    angles: frozenset[str]
-    faulty: frozenset[str]
-
-    @cached_property
-    def names(self) -> dict[str, None]:
-        """Points, force inputs and elements, faulty ones too."""
-        return dict.fromkeys((*self.points, *self.inputs, *self.elements, *sorted(self.faulty)))
-
-    def usual_quantity(self, of: Mapping[str, float]) -> Quantity:
-        """Force for force inputs and elements, which do nothing else; displacement for points."""
-        moving = any(point in self.points for point in of)
-        return Quantity.DISPLACEMENT if moving else Quantity.FORCE
-
-    def fault(self, of: Mapping[str, float], quantity: Quantity) -> tuple[str, str] | None:
-        """What is wrong with measuring `quantity` of `of`, and the cure."""
-        if quantity is not Quantity.FORCE:
-            motionless = next((name for name in of if name not in self.points), None)
-            if motionless is None:
-                return None
-            kind = "an element" if motionless in self.elements else "a force"
-            cure = 'say quantity = "force", or name points'
-            return f"{motionless} is {kind}: it has no {quantity}", cure
-        if all(name in self.elements for name in of):
-            return None
-        if len(of) > 1:
-            return "a force of several things", "name one input, or elements only"
-        (name,) = of
-        if name in self.points and name not in self.inputs:
-            cure = f"name an input or elements: {listed((*self.inputs, *self.elements))}"
-            return f"{name} is a coordinate: no force is measured there", cure
-        return None
-
-    def arms(self, of: Mapping[str, float], quantity: Quantity) -> Mapping[str, float]:
-        """Points and factors that decide between m and rad, N and N·m.  Raises UsageError where forces differ in it."""
-        first = next(iter(of))
-        if quantity is not Quantity.FORCE or first in self.points:
-            return of
-        if first in self.elements:
-            if len({all_angles(self.elements[name].along, self.angles) for name in of}) > 1:
-                raise UsageError("forces and torques cannot be added", cure="name elements of one kind")
-            return self.elements[first].along
-        return self.inputs[first].at
-
-
-def read_channels(reading: RigReading, measurables: Measurables) -> list[Channel] | None:
+def read_channels(reading: RigReading) -> list[Channel] | None:
     """The channels; None where the file has no such section."""
     if "channels" not in reading.table:
         return None
-    channels = []
+    # Points, force inputs and elements, faulty ones too
+    names = (*reading.points, *reading.inputs, *reading.elements, *sorted(reading.faulty))
+    measurable, channels = dict.fromkeys(names), []
     for name, raw in reading.entries("channels"):
         place, before = ("channels", name), reading.problems
         if not name.isprintable() or name != name.strip() or not name:
@@ -162,7 +110,7 @@ def read_channels(reading: RigReading, measurables: Measurables) -> list[Channel
             reading.report.add(place, *reserved(name))
             continue
         entry = reading.entry(ChannelEntry, "channels", name, raw)
-        channel = None if entry is None else _channel(reading, name, entry, measurables)
+        channel = None if entry is None else _channel(reading, name, entry, measurable)
         if channel is not None and reading.problems == before:
             channels.append(channel)
     _check_shared_gains(reading, channels)
@@ -198,25 +146,63 @@ def _check_shared_gains(reading: RigReading, channels: Sequence[Channel]) -> Non
             reading.report.add(place, f"{owner} has its gain from another channel", cure)
 
 
-def _channel(reading: RigReading, name: str, entry: ChannelEntry, measurables: Measurables) -> Channel | None:
+def _channel(
+    reading: RigReading, name: str, entry: ChannelEntry, measurable: Collection[str]
+) -> Channel | None:
     """A channel; None where it cannot be said, which is told unless it follows from another problem."""
     place, before = ("channels", name), reading.problems
     given = {point: factor for point, factor in entry.of.items() if point != GROUND}
-    of = reading.factors((*place, "of"), given, measurables.angles)
+    of = reading.factors((*place, "of"), given)
     for key, what, cure in _wrong_numbers(entry):
         reading.report.add((*place, key), what, cure)
     if not of:
         reading.report.add((*place, "of"), "the ground does not move", "name what the channel measures")
     called = "point, input or element"
-    reading.require_points((*place, "of"), of, measurables.names, called, ("coordinates", *TABLES))
+    reading.require_points((*place, "of"), of, measurable, called, ("coordinates", *TABLES))
     if reading.problems > before or reading.faulty & of.keys():
         return None
-    quantity = Quantity(entry.quantity) if entry.quantity is not None else measurables.usual_quantity(of)
-    fault = measurables.fault(of, quantity)
+    if entry.quantity is not None:
+        quantity = Quantity(entry.quantity)
+    else:  # force inputs and elements do nothing else
+        quantity = Quantity.DISPLACEMENT if any(point in reading.points for point in of) else Quantity.FORCE
+    fault = _not_measurable(reading, of, quantity)
     if fault is not None:
         reading.report.add((*place, "of"), *fault)
         return None
-    return _calibrated(reading, name, entry, of, quantity, measurables)
+    return _calibrated(reading, name, entry, of, quantity)
+
+
+def _not_measurable(
+    reading: RigReading, of: Mapping[str, float], quantity: Quantity
+) -> tuple[str, str] | None:
+    """What is wrong with measuring `quantity` of `of`, and the cure."""
+    if quantity is not Quantity.FORCE:
+        motionless = next((name for name in of if name not in reading.points), None)
+        if motionless is None:
+            return None
+        kind = "an element" if motionless in reading.elements else "a force"
+        return f"{motionless} is {kind}: it has no {quantity}", 'say quantity = "force", or name points'
+    if all(name in reading.elements for name in of):
+        return None
+    if len(of) > 1:
+        return "a force of several things", "name one input, or elements only"
+    (name,) = of
+    if name in reading.points and name not in reading.inputs:
+        cure = f"name an input or elements: {listed((*reading.inputs, *reading.elements))}"
+        return f"{name} is a coordinate: no force is measured there", cure
+    return None
+
+
+def _arms(reading: RigReading, of: Mapping[str, float], quantity: Quantity) -> Mapping[str, float]:
+    """Points and factors that decide between m and rad, N and N·m.  Raises UsageError where forces differ in it."""
+    first = next(iter(of))
+    if quantity is not Quantity.FORCE or first in reading.points:
+        return of
+    if first not in reading.elements:
+        return reading.inputs[first].at
+    if len({all_angles(reading.elements[name].along, reading.angles) for name in of}) > 1:
+        raise UsageError("forces and torques cannot be added", cure="name elements of one kind")
+    return reading.elements[first].along
 
 
 def _wrong_numbers(entry: ChannelEntry) -> Iterator[tuple[str, str, str]]:
@@ -248,12 +234,11 @@ def _calibrated(
     entry: ChannelEntry,
     of: Mapping[str, float],
     quantity: Quantity,
-    measurables: Measurables,
 ) -> Channel | None:
     """A channel with its unit, calibration, noise and rate; None, and told, where a unit is not one of the quantity."""
     place, key = ("channels", name), "unit"
     try:
-        arms, angles = measurables.arms(of, quantity), measurables.angles
+        arms, angles = _arms(reading, of, quantity), reading.angles
         unit = raw_unit(entry) or si_unit(quantity.value, all_angles(arms, angles))
         # A voltage with a stated gain is in V per SI unit; with the default gain of 1 nobody has calibrated it.
         gain = None if entry.same_gain_as is not None else entry.gain

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -23,7 +23,7 @@ from dashpot.model.elements import Element
 from dashpot.model.matrix_elements import LETTERS, Letter, Pairs, block_elements, free_elements
 from dashpot.model.network import Input, Model
 from dashpot.model.network import problems as problems_of
-from dashpot.model.rigfile.channels import Measurables, read_channels, reserved
+from dashpot.model.rigfile.channels import read_channels, reserved
 from dashpot.model.rigfile.force_laws import read_law, split_constants
 from dashpot.model.rigfile.rig import Rig, default_channels, scale_of_points
 from dashpot.model.rigfile.schema import (
@@ -33,7 +33,6 @@ from dashpot.model.rigfile.schema import (
     SECTIONS,
     BlockEntry,
     ElementEntry,
-    Head,
     InputEntry,
     RigReading,
 )
@@ -61,56 +60,46 @@ def parse_rig(text: str, path: str = "rig.toml") -> Rig:
 
 def _rig(document: TomlDocument) -> Rig:
     reading = RigReading(document)
-    head = reading.head()
-    inputs = _inputs(reading, head)
-    # All points there are, those of faulty inputs too: they exist, whatever is wrong with them
-    moved = [entry.name for entry in inputs if entry.kind == "displacement"]
-    table = reading.table.get("inputs")
-    broken = [name for name in table if name in reading.faulty] if isinstance(table, dict) else []
-    points = Points(
-        tuple(dict.fromkeys((*head.coordinates, *moved, *broken))),
-        frozenset(entry.name for entry in inputs if entry.kind == "force"),
-        frozenset(head.angles),
-    )
-    parts = read_elements(reading, points)
-    elements = [*read_free(reading, head), *parts, *read_blocks(reading, head.coordinates, points)]
+    head = reading.head
+    read_inputs(reading)
+    elements = read_elements(reading)
+    elements = [*read_free(reading), *elements, *read_blocks(reading)]
+    reading.elements = {element.name: element for element in elements if element.block is None}
+    inputs = tuple(reading.inputs.values())
     whole = [element for element in elements if element.name not in reading.faulty]
     complete = not reading.faulty
     for problem in problems_of(head.coordinates, inputs, whole, head.angles, complete=complete):
         reading.report.add(_place_of(reading, problem.where), problem.what, problem.cure)
-    measurables = Measurables(
-        points.points,
-        {entry.name: entry for entry in inputs},
-        {element.name: element for element in elements if element.block is None},
-        points.angles,
-        frozenset(reading.faulty),
-    )
-    channels = read_channels(reading, measurables)
+    channels = read_channels(reading)
     if channels is None:  # every coordinate and input is a channel, of its own name
         places: dict[str, Place] = dict.fromkeys(head.coordinates, ("coordinates",))
-        for name, place in (places | {entry.name: ("inputs", entry.name) for entry in inputs}).items():
+        for name, place in (places | {name: ("inputs", name) for name in reading.inputs}).items():
             if name in RESERVED_NAMES:
                 reading.report.add(place, *reserved(name))
     within = reading.within()
     reading.report.raise_any()
-    model = Model(tuple(head.coordinates), tuple(inputs), tuple(elements), head.name, points.angles)
+    model = Model(tuple(head.coordinates), inputs, tuple(elements), head.name, reading.angles)
     used = default_channels(model) if channels is None else tuple(channels)
     return Rig(model, used, document.path, within)
 
 
-def _inputs(reading: RigReading, head: Head) -> list[Input]:
-    inputs = []
+def read_inputs(reading: RigReading) -> None:
+    """Read the inputs, and with them all points."""
     for name, raw in reading.entries("inputs"):
         place, before = ("inputs", name, "at"), reading.problems
         entry = reading.entry(InputEntry, "inputs", name, raw)
-        at = {} if entry is None else reading.factors(place, entry.at or {}, head.angles)
+        at = {} if entry is None else reading.factors(place, entry.at or {})
         if entry is not None and entry.kind == "force":
-            reading.require_points(place, at, head.coordinates, "coordinate")
+            reading.require_points(place, at, reading.head.coordinates, "coordinate")
         if entry is None or reading.problems > before:
             reading.faulty.add(name)
+            reading.points[name] = None
         else:
-            inputs.append(Input(name, entry.kind, at))
-    return inputs
+            reading.inputs[name] = Input(name, entry.kind, at)
+    moved = [name for name, entry in reading.inputs.items() if entry.kind == "displacement"]
+    broken = [name for name in reading.points if name in reading.faulty]
+    reading.points = dict.fromkeys((*reading.head.coordinates, *moved, *broken))
+    reading.attachable = {**reading.points, GROUND: None}
 
 
 def _place_of(reading: RigReading, name: str | None) -> Place:
@@ -131,16 +120,7 @@ def _place_of(reading: RigReading, name: str | None) -> Place:
 # The sections of a rig file that hold elements.
 
 
-@dataclass(frozen=True)
-class Points:
-    """What elements can be attached to, what they cannot although it is named, and which of the points are angles."""
-
-    points: tuple[str, ...]
-    forces: frozenset[str]
-    angles: frozenset[str]
-
-
-def read_elements(reading: RigReading, points: Points) -> list[Element]:
+def read_elements(reading: RigReading) -> list[Element]:
     """The elements of all sections, in the order of the file."""
     elements = []
     for section in (key for key in reading.table if key in SECTIONS):
@@ -148,7 +128,7 @@ def read_elements(reading: RigReading, points: Points) -> list[Element]:
             before = reading.problems
             keys, constants = split_constants(raw)
             entry = reading.entry(ElementEntry, section, name, keys)
-            element = None if entry is None else _element(reading, (section, name), entry, points, constants)
+            element = None if entry is None else _element(reading, (section, name), entry, constants)
             if element is None or reading.problems > before:
                 reading.faulty.add(name)
             else:
@@ -166,32 +146,28 @@ def read_elements(reading: RigReading, points: Points) -> list[Element]:
 
 
 def _element(
-    reading: RigReading,
-    place: tuple[str, str],
-    entry: ElementEntry,
-    points: Points,
-    constants: Mapping[str, Any],
+    reading: RigReading, place: tuple[str, str], entry: ElementEntry, constants: Mapping[str, Any]
 ) -> Element | None:
     """An element with its numbers in SI units; None, and told, where it is not said what it is or is attached to."""
     before = reading.problems
     law = read_law(reading, place, entry, constants)
-    along = _attachment(reading, place, entry, points)
+    along = _attachment(reading, place, entry)
     if reading.problems > before:
         return None
     section, name = place
     element = Element(name, SECTIONS[section], along, same_as=entry.same_as, times=entry.times, force_law=law)
     scale_of = partial(
-        scale_of_points, quantity=element.law.quantity, along=element.along, angles=points.angles
+        scale_of_points, quantity=element.law.quantity, along=element.along, angles=reading.angles
     )
     if law is not None:
-        scale_of = partial(factor_between, wanted=element.unit(points.angles))
+        scale_of = partial(factor_between, wanted=element.unit(reading.angles))
     plain = 1.0
     if entry.unit is not None:
         plain = reading.in_si((*place, "unit"), Amount(1.0, entry.unit), 1.0, scale_of)
     return replace(element, **reading.numbers(place, entry, plain, scale_of))
 
 
-def _attachment(reading: RigReading, place: Place, entry: ElementEntry, points: Points) -> dict[str, float]:
+def _attachment(reading: RigReading, place: Place, entry: ElementEntry) -> dict[str, float]:
     """Points and factors of the elongation; told where they are not said."""
     given = [key for key in ("at", "between", "along") if getattr(entry, key) is not None]
     if len(given) != 1:
@@ -210,15 +186,15 @@ def _attachment(reading: RigReading, place: Place, entry: ElementEntry, points: 
             reading.report.add(at, f"both ends are at {first}", "name two different points")
         along = {first: 1.0, second: -1.0}
     else:
-        along = reading.factors(at, entry.at or entry.along or {}, points.angles)
+        along = reading.factors(at, entry.at or entry.along or {})
     if reading.problems > before:
         return along
     for point in along:
-        if point in points.forces:
+        if point in reading.inputs and reading.inputs[point].kind == "force":
             cure = f"attach it to the coordinate that {point} acts at"
             reading.report.add(at, f"{point} is a force, not a point", cure)
             return along
-    reading.require_points(at, along, (*points.points, GROUND))
+    reading.require_points(at, along, reading.attachable)
     attached = {point: factor for point, factor in along.items() if point != GROUND}
     if not attached:
         what = "it is attached to nothing but the ground"
@@ -229,7 +205,7 @@ def _attachment(reading: RigReading, place: Place, entry: ElementEntry, points: 
 # The section [blocks] of a rig file: matrices in files of their own, each with a factor.
 
 
-def read_blocks(reading: RigReading, coordinates: Sequence[str], points: Points) -> list[Element]:
+def read_blocks(reading: RigReading) -> list[Element]:
     """Elements of all blocks; files are found from the folder of the rig file."""
     elements: list[Element] = []
     for name, raw in reading.entries("blocks"):
@@ -241,14 +217,14 @@ def read_blocks(reading: RigReading, coordinates: Sequence[str], points: Points)
                 cure = "name each row of the matrix once"
                 reading.report.add(place, "a coordinate appears twice", cure)
             else:
-                reading.require_points(place, dict.fromkeys(rows, 1.0), (*points.points, GROUND))
+                reading.require_points(place, dict.fromkeys(rows, 1.0), reading.attachable)
         if entry is not None and reading.problems == before:
             numbers = {field: getattr(entry, key) for key, field in NUMBERS.items()}
             path = Path(reading.document.path).parent / entry.file
             try:
                 matrix = _matrix(path, entry.array)
                 elements += block_elements(
-                    name, entry.matrix, matrix, entry.coordinates or coordinates, **numbers
+                    name, entry.matrix, matrix, entry.coordinates or reading.head.coordinates, **numbers
                 )
             except DashpotError as error:
                 reading.include(("blocks", name, "file"), error)
@@ -291,11 +267,11 @@ def _of_numpy(path: Path, array: str | None) -> Any:
 # Free matrices in a rig file: free = "MCK", or a table that says which entries may differ from 0.
 
 
-def read_free(reading: RigReading, head: Head) -> tuple[Element, ...]:
+def read_free(reading: RigReading) -> tuple[Element, ...]:
     """Elements of the free matrices, none where there are none."""
     if "free" not in reading.table:
         return ()
-    before, raw = reading.problems, reading.table["free"]
+    before, raw, head = reading.problems, reading.table["free"], reading.head
     if isinstance(raw, str) and raw and all(raw.count(c) == 1 and c in LETTERS for c in raw):
         raw = dict.fromkeys(raw, "full")
     pairs: dict[Letter, Pairs] = {}

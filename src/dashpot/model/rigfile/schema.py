@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import partial
 from typing import Annotated, Any, ClassVar, Literal, TypeGuard
 
 from pydantic import BeforeValidator, Field
@@ -30,7 +31,8 @@ from dashpot.io.toml_tables import (
     wrong,
 )
 from dashpot.io.words import did_you_mean, listed, quoted, written
-from dashpot.model.elements import Kind
+from dashpot.model.elements import Element, Kind
+from dashpot.model.network import Input
 from dashpot.quantities import Amount
 from dashpot.units import scale
 
@@ -222,7 +224,11 @@ class ChannelEntry(RigEntry):
 
 
 class RigReading:
-    """A document, the report of its problems, and the names of what could not be read whole.
+    """A document, the report of its problems, the names of what could not be read whole, and what has been read.
+
+    points       coordinates and moved points, faulty ones too: they exist, whatever is wrong with them
+    attachable   these and the ground
+    inputs, elements   by name
 
     What is wrong is reported, and reading goes on with a stand-in, so that all problems are told at once: an entry is
     sound where there are no more `problems` than before it.
@@ -234,6 +240,12 @@ class RigReading:
         self.report = Report(document, ModelError)
         self.faulty: set[str] = set()
         self._untold = 0
+        self.head = self._head()
+        self.angles = frozenset(self.head.angles)
+        self.points: dict[str, None] = dict.fromkeys(self.head.coordinates)
+        self.attachable: dict[str, None] = {}
+        self.inputs: dict[str, Input] = {}
+        self.elements: dict[str, Element] = {}
 
     @property
     def problems(self) -> int:
@@ -245,7 +257,7 @@ class RigReading:
         for problem in error.problems:
             self.report.add(place, problem.what, problem.cure)
 
-    def head(self) -> Head:
+    def _head(self) -> Head:
         """Name, coordinates and angles; what is usable of the coordinates where they are faulty."""
         known = (*HEAD_KEYS, *TABLES, VERDICT)
         for key in self.table:
@@ -340,13 +352,11 @@ class RigReading:
             self.include(place, error)
             return given.number
 
-    def factors(
-        self, place: Place, given: Mapping[str, float | Amount], angles: Collection[str]
-    ) -> dict[str, float]:
+    def factors(self, place: Place, given: Mapping[str, float | Amount]) -> dict[str, float]:
         """Factors of points: numbers, shares in per cent, and lengths for the arms of angles."""
         found = {}
         for point, factor in given.items():
-            scale_of = _scale_of_arms if point in angles else _scale_of_shares(point)
+            scale_of = partial(_scale_of_factor, point=point, turns=point in self.angles)
             found[point] = self.in_si((*place, point), factor, 1.0, scale_of)
         return found
 
@@ -393,20 +403,14 @@ def _example(section: str, raw: object) -> str:
     return example
 
 
-def _scale_of_arms(unit: str) -> float:
-    return 0.01 if unit == "%" else scale(unit, "displacement")
-
-
-def _scale_of_shares(point: str) -> Callable[[str], float]:
-    def scale_of(unit: str) -> float:
-        if unit == "%":
-            return 0.01
-        raise UsageError(
-            f"{point} is not an angle, so its factor has no unit",
-            cure="write a number or a share, such as 60 %",
-        )
-
-    return scale_of
+def _scale_of_factor(unit: str, point: str, turns: bool) -> float:
+    if unit == "%":
+        return 0.01
+    if turns:
+        return scale(unit, "displacement")
+    raise UsageError(
+        f"{point} is not an angle, so its factor has no unit", cure="write a number or a share, such as 60 %"
+    )
 
 
 def number_of(given: float | Amount) -> float:
