@@ -17,7 +17,7 @@ import numpy as np
 from dashpot.channel import Quantity
 from dashpot.design.allocation import Criterion
 from dashpot.design.plan import Budget, plan
-from dashpot.design.robust import UniformBox, robust, worst_scenario
+from dashpot.design.robust import UniformBox, best_test, worst_scenario
 from dashpot.design.test_setup import (
     FrequencyGrid,
     ShakerLimits,
@@ -56,7 +56,7 @@ def ratio(own: TestSetup) -> float:
         return band_grid(wide, low, high)
 
     nominal = plan(own, Criterion("A"), Budget(samples=1e4), grid_of(own))
-    safe = robust(own, Criterion("A"), Budget(samples=1e4), DOUBT, grid_of)
+    safe = best_test(own, Criterion("A"), Budget(samples=1e4), DOUBT, grid_of)
     before, after = (
         worst_scenario(safe.setup, Criterion("A"), lines, DOUBT, count=1000, seed=99)[0]
         for lines in (nominal.schedule, safe.plan.schedule)

@@ -1,5 +1,7 @@
 """The paper's rig as a test setup, its CASE 3, and data of it: what the tests of design share."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from dashpot.channel import Channel, Quantity
@@ -47,7 +49,7 @@ def setup_in_scenarios(scenarios: int) -> TestSetup:
     """The paper's setup with values that grow from scenario to scenario."""
     setup = paper_setup()
     growth = np.linspace(1, 1.3, scenarios)[:, None]
-    return setup.with_scenarios(np.tile(setup.theta, (scenarios, 1)) * growth)
+    return replace(setup, theta=np.tile(setup.theta, (scenarios, 1)) * growth)
 
 
 def light_setup(floor: float, relative: float, zeta: float = 0.01) -> TestSetup:

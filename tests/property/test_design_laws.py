@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from dashpot.channel import Quantity
 from dashpot.design.allocation import Criterion, optimise
 from dashpot.design.plan import Budget, plan
-from dashpot.design.robust import UniformBox, robust, worst_scenario
+from dashpot.design.robust import UniformBox, best_test, worst_scenario
 from dashpot.design.test_setup import (
     FrequencyGrid,
     ShakerLimits,
@@ -171,7 +171,7 @@ def test_robust_beats_nominal_robust() -> None:
             return band_grid(wide, low, high)
 
         nominal = plan(own, Criterion("A"), Budget(samples=1e4), grid_of(own))
-        safe = robust(own, Criterion("A"), Budget(samples=1e4), UniformBox(0.3), grid_of)
+        safe = best_test(own, Criterion("A"), Budget(samples=1e4), UniformBox(0.3), grid_of)
         before, after = (
             worst_scenario(safe.setup, Criterion("A"), lines, UniformBox(0.3), count=600, seed=99)[0]
             for lines in (nominal.schedule, safe.plan.schedule)

@@ -16,10 +16,8 @@ from dashpot.design.allocation import Criterion, ExpectedPrecision, expected_pre
 from dashpot.design.plan import NYQUIST, Budget, Plan
 from dashpot.design.robust import (
     Map,
-    Robust,
     Uncertainty,
-    best_or_shortest,
-    robust,
+    best_test,
     slowest_settling,
     uniform_box_of,
 )
@@ -213,7 +211,7 @@ def choose(
     def figure(chosen: Sensors, grid: FrequencyGrid) -> float:
         kept = [c for c in setup.channels if c.name not in pool or c.name in chosen]
         try:
-            mounted = setup.with_channels(kept)
+            mounted = replace(setup, channels=tuple(kept))
             return criterion.figure(optimise(mounted, criterion.terms(mounted), samples, grid).F)
         except (IdentifiabilityError, UsageError):
             return np.inf
@@ -307,8 +305,8 @@ class Question:
 class Answer:
     """What is advised; `plan` is None where the target is reached already.
 
-    The setup holds the scenarios and what was known before the test; `unsettled` is what the same test tells from all
-    samples, None where that cannot be said.
+    The setup holds the scenarios and what was known before the test.  `worst` is the figure in the worst of uncertain
+    scenarios; `unsettled` is what the same test tells from all samples, None where that cannot be said.
     """
 
     setup: TestSetup
@@ -317,7 +315,7 @@ class Answer:
     plan: Plan | None
     comparison: Alternative | None
     choice: Choice | None
-    robust: Robust | None
+    worst: float | None
     estimate: Estimate | None
     so_far: SequentialEstimates | None
     verdict: Verdict | None
@@ -347,7 +345,7 @@ def answer(question: Question, *, mapper: Map = map) -> Answer:
         grid = band_grid(setup, low, high, question.step)
         choice = choose(setup, criterion, samples, grid, count, among)
         dropped = set(among or output_names(setup)) - set(choice.best)
-        setup = setup.with_channels([c for c in setup.channels if c.name not in dropped])
+        setup = replace(setup, channels=tuple(c for c in setup.channels if c.name not in dropped))
     uncertainty = _uncertainty(question, setup, estimate)
     budget = _budget(question, setup, rate, uncertainty)
     if rate is not None and question.band is None:
@@ -357,13 +355,9 @@ def answer(question: Question, *, mapper: Map = map) -> Answer:
         return band_grid(setup, low, high, question.step)
 
     target = question.target if question.samples is None and question.time is None else None
-    found = None
-    if uncertainty is None:
-        advised = best_or_shortest(setup, criterion, budget, grid_of(setup), target)
-    else:
-        setup = replace(setup, over=question.robustness)
-        found = robust(setup, criterion, budget, uncertainty, grid_of, target=target, mapper=mapper)
-        advised, setup = found.plan, found.setup
+    setup = replace(setup, over=question.robustness)
+    best = best_test(setup, criterion, budget, uncertainty, grid_of, target=target, mapper=mapper)
+    advised, setup = best.plan, best.setup
     comparison = unsettled = None
     if advised is not None and question.against is not None:
         try:
@@ -384,7 +378,7 @@ def answer(question: Question, *, mapper: Map = map) -> Answer:
         advised,
         comparison,
         choice,
-        found,
+        best.worst,
         estimate,
         so_far,
         verdict,

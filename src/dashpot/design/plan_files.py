@@ -70,8 +70,8 @@ def answer_to_json(answer: Answer) -> str:
             "complete": answer.choice.complete,
             "ranking": [{"sensors": list(names), "figure": figure} for names, figure in ranking],
         }
-    if answer.robust is not None:
-        content["worst_case"] = answer.robust.worst
+    if answer.worst is not None:
+        content["worst_case"] = answer.worst
     if answer.so_far is not None:
         s = answer.so_far
         content["so_far"] = {

@@ -1,4 +1,4 @@
-"""Tests that are good although the parameters are uncertain: on average, or in the worst case.
+"""The best test, also where the parameters are uncertain: on average, or in the worst case.
 
 A box θ (1 ± relative), or the normal distribution of an Estimate.  The average is over drawn scenarios.  The worst
 case over a box is found by exchange: the best test for a few scenarios, then the scenario that is worst for that
@@ -92,45 +92,50 @@ def slowest_settling(setup: TestSetup, uncertainty: Uncertainty, seed: int = 0) 
 def _drawn(setup: TestSetup, uncertainty: Uncertainty, count: int, seed: int) -> TestSetup:
     nominal = setup.theta[0]
     drawn = uncertainty.draw(nominal, count, random_generator(seed))
-    return setup.with_scenarios(np.concatenate([nominal[None], drawn]))
+    return replace(setup, theta=np.concatenate([nominal[None], drawn]))
 
 
 @dataclass(frozen=True)
-class Robust:
+class BestTest:
     """A plan (None where what is known suffices already) with the setup of its scenarios.
 
-    `worst` is the criterion's figure in the worst scenario that was found.
+    `worst` is the criterion's figure in the worst scenario that was found; None where the values are certain.
     """
 
     plan: Plan | None
     setup: TestSetup
-    worst: float
+    worst: float | None
 
 
-def robust(
+def best_test(
     setup: TestSetup,
     criterion: Criterion,
     budget: Budget,
-    uncertainty: Uncertainty,
+    uncertainty: Uncertainty | None,
     grid_of: Callable[[TestSetup], FrequencyGrid],
     *,
     target: float | None = None,
     seed: int = 0,
     mapper: Map = map,
-) -> Robust:
-    """The test that is best for uncertain values, over the average or the worst of the scenarios as the setup says.
+) -> BestTest:
+    """The best test within a budget or, with a target, the shortest that reaches it; of uncertain values a safe one.
 
-    With a target, the shortest test that reaches it; `budget` then says what is short (samples or time) and is a first
-    guess.  The average is over 33 scenarios; the worst case is that of a search.  Raises UsageError as `plan` and
-    `shortest` and where the search for scenarios does not end.
+    With a target, `budget` says what is short (samples or time) and is a first guess.  Of uncertain values the average
+    over 33 scenarios counts, or the worst that a search finds, as the setup says.  Raises UsageError as `plan` and
+    `shortest`, and where the search for scenarios does not end.
     """
-    if setup.over == "average":
-        wide = _drawn(setup, uncertainty, 32, seed)
-        advised = best_or_shortest(wide, criterion, budget, grid_of(wide), target)
+    if uncertainty is None or setup.over == "average":
+        wide = setup if uncertainty is None else _drawn(setup, uncertainty, 32, seed)
+        if target is None:
+            advised: Plan | None = plan(wide, criterion, budget, grid_of(wide))
+        else:
+            advised = shortest(wide, criterion, target, budget, grid_of(wide))
+        if uncertainty is None:
+            return BestTest(advised, wide, None)
         lines = NO_TEST if advised is None else advised.schedule
         terms = criterion.terms(replace(wide, over="worst"))
-        return Robust(advised, wide, criterion.figure(terms.at(wide.prior + lines.information(wide)).F))
-    wide, aim, worst = setup.with_scenarios(setup.theta[:1]), target, 0.0
+        return BestTest(advised, wide, criterion.figure(terms.at(wide.prior + lines.information(wide)).F))
+    wide, aim, worst = replace(setup, theta=setup.theta[:1]), target, 0.0
     for turn in range(ROUNDS):
         if aim is None:
             # Which scenarios matter is found on a grid of fixed frequencies: no need to place them finely yet.
@@ -146,14 +151,14 @@ def robust(
             if worst**2 <= reached**2 * (1 + CLOSE):
                 break
         elif worst <= target:
-            return Robust(advised, wide, worst)
+            return BestTest(advised, wide, worst)
         elif advised is not None:
             amount = advised.samples if budget.samples is not None else advised.time_s or 0.0
             budget = budget.of(amount * (worst / target) ** 2)
             if worst <= target * (1 + CLOSE):
                 aim *= 0.999 * target / worst  # a scenario hardly worse than those that count already
                 continue
-        wide = wide.with_scenarios(np.concatenate([wide.theta, at[None]]))
+        wide = replace(wide, theta=np.concatenate([wide.theta, at[None]]))
     if target is not None:
         raise UsageError(
             "no test was found whose worst case reaches the target",
@@ -161,16 +166,7 @@ def robust(
         )
     final = plan(wide, criterion, budget, grid_of(wide))  # the last scenario may be new: it counts too
     worst, _ = worst_scenario(wide, criterion, final.schedule, uncertainty, seed=seed + ROUNDS, mapper=mapper)
-    return Robust(final, wide, worst)
-
-
-def best_or_shortest(
-    setup: TestSetup, criterion: Criterion, budget: Budget, grid: FrequencyGrid, target: float | None
-) -> Plan | None:
-    """The best test of a budget or, with a target, the shortest that reaches it."""
-    if target is None:
-        return plan(setup, criterion, budget, grid)
-    return shortest(setup, criterion, target, budget, grid)
+    return BestTest(final, wide, worst)
 
 
 def worst_scenario(
@@ -231,10 +227,10 @@ class _Test:
 def _judge(task: tuple[_Test, int, Real]) -> tuple[int, list[float]]:
     """The place of the first scenario of a task, and F in each."""
     test, first, theta = task
-    every = test.setup.with_scenarios(theta)
+    every = replace(test.setup, theta=theta)
     M = every.prior
     if test.drive is not None:
         each = every.per_sample(test.schedule.frequency_hz, test.drive)
         M = M + np.einsum("i,siab->sab", test.schedule.samples, each)
-    terms = test.criterion.terms(every.with_scenarios(theta[:1]))
+    terms = test.criterion.terms(replace(every, theta=theta[:1]))
     return first, [terms.at(M[s : s + 1]).F for s in range(len(theta))]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, Literal
 
@@ -332,14 +332,6 @@ class TestSetup:
         extra = np.zeros(len(self.names) - len(self.model.unknowns))
         precision = np.concatenate([self.model.prior_precision, extra])
         return (precision * self.sizes**2)[..., None] * np.eye(len(precision))
-
-    def with_channels(self, channels: Sequence[Channel]) -> TestSetup:
-        """The same setup with other sensors."""
-        return replace(self, channels=tuple(channels))
-
-    def with_scenarios(self, theta: Real) -> TestSetup:
-        """The same setup with other values of the unknowns, theta (scenarios, unknowns), SI units."""
-        return replace(self, theta=theta)
 
     def drive(self, frequency_hz: Real, pattern: Ints) -> Complex:
         """Amplitudes (U, f) of each line, (lines, r + s), SI units: at the first limit met in any scenario.

@@ -61,7 +61,7 @@ def unsettled_test(
     frequency = np.array([dwell.frequency_hz for dwell in plan.dwells])
     drive = setup.drive(frequency, plan.schedule.pattern)
     joined = not any(channel.relative_noise > 0 for channel in setup.channels)
-    nominal = setup.with_scenarios(setup.theta[:1])
+    nominal = replace(setup, theta=setup.theta[:1])
     try:
         records = unsettled_dwells(
             setup.model, setup.p[0], setup.channels, frequency, drive, counts, [1 / rate] * len(counts)

@@ -103,7 +103,7 @@ def plan_in_words(answer: Answer, plan: Plan) -> list[str]:
     if len(names) == 1:
         name = "relative standard deviation"  # a mean of one
     over = ""
-    if answer.robust is not None:
+    if answer.worst is not None:
         over = f", {_SCENARIOS[answer.setup.over]} {len(answer.setup.theta)} scenarios"
     figure = figure_in_words(plan.criterion, plan.predicted.figure)
     lines = [f"{name[0].upper()}{name[1:]}{of}{over}: {figure}.", _optimality(plan)]
@@ -114,9 +114,9 @@ def plan_in_words(answer: Answer, plan: Plan) -> list[str]:
         lines.append(
             f"Rms of the relative standard deviations of all {len(predicted.names)} parameters{including}: {rms} %."
         )
-    if answer.robust is not None:
+    if answer.worst is not None:
         where = "found by search" if answer.setup.over == "worst" else "of these scenarios"
-        lines.append(f"Worst case ({where}): {figure_in_words(plan.criterion, answer.robust.worst)}.")
+        lines.append(f"Worst case ({where}): {figure_in_words(plan.criterion, answer.worst)}.")
     if answer.comparison is not None:
         other = answer.comparison
         line = (

@@ -15,7 +15,7 @@ from dashpot.design.plan import Budget, plan, shortest
 from dashpot.design.robust import (
     GaussianPrior,
     UniformBox,
-    robust,
+    best_test,
     slowest_settling,
     uniform_box_of,
     worst_scenario,
@@ -61,12 +61,12 @@ def test_robust_tests() -> None:
     box = UniformBox(0.3)
     before, at = worst_scenario(own, Criterion("A"), nominal.schedule, box)
     assert np.all(np.abs(at / own.theta[0] - 1) <= 0.3 + 1e-12)
-    safe = robust(own, Criterion("A"), Budget(samples=1400), box, grid_of)
+    safe = best_test(own, Criterion("A"), Budget(samples=1400), box, grid_of)
     assert safe.worst < before
     assert safe.plan.gap < 1e-6
     after, _ = worst_scenario(own, Criterion("A"), safe.plan.schedule, box, count=2000, seed=9)
     assert after <= safe.worst * 1.005
-    calm = robust(
+    calm = best_test(
         replace(own, over="average"),
         Criterion("A"),
         Budget(samples=1400),
@@ -75,7 +75,7 @@ def test_robust_tests() -> None:
     )
     assert calm.plan.gap < 1e-6
     with pytest.raises(UsageError, match="between 0 and 100"):
-        robust(own, Criterion("A"), Budget(samples=1400), UniformBox(1.5), grid_of)
+        best_test(own, Criterion("A"), Budget(samples=1400), UniformBox(1.5), grid_of)
 
 
 def test_the_shortest_robust_test() -> None:
@@ -87,15 +87,15 @@ def test_the_shortest_robust_test() -> None:
 
     box, budget = UniformBox(0.2), Budget(samples=1000)
     nominal = shortest(own, Criterion("A"), 0.02, budget, grid_of(own))
-    safe = robust(own, Criterion("A"), budget, box, grid_of, target=0.02)
-    calm = robust(replace(own, over="average"), Criterion("A"), budget, box, grid_of, target=0.02)
+    safe = best_test(own, Criterion("A"), budget, box, grid_of, target=0.02)
+    calm = best_test(replace(own, over="average"), Criterion("A"), budget, box, grid_of, target=0.02)
     assert nominal.samples < calm.plan.samples < safe.plan.samples
     assert safe.worst <= 0.02
     after, _ = worst_scenario(own, Criterion("A"), safe.plan.schedule, box, count=1000, seed=9)
     assert 0.0195 < after < 0.02 * 1.003
     assert worst_scenario(own, Criterion("A"), nominal.schedule, box)[0] > 0.021
     known = replace(own, earlier=np.diag((1e-3 * own.theta[0]) ** -2.0))
-    assert robust(known, Criterion("A"), budget, box, grid_of, target=0.02).plan is None
+    assert best_test(known, Criterion("A"), budget, box, grid_of, target=0.02).plan is None
 
 
 def test_doubts_of_the_rig_file_and_of_an_estimate() -> None:
