@@ -16,7 +16,7 @@ from dashpot.errors import DataError
 from dashpot.estimate.inference.diagnostics import require_traces
 from dashpot.estimate.nonlinear.records import RecordData, recorded_motion
 from dashpot.estimate.nonlinear.regression import require_finite_laws
-from dashpot.estimate.nonlinear.search import constants_to_try, refined_constants
+from dashpot.estimate.nonlinear.search import constants_to_try, refined_constants, theta_of
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import operated_states
 from dashpot.numerics.small_systems import solve_scaled
@@ -188,7 +188,7 @@ def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
         raise DataError(
             "the motion does not determine the unknowns", records[0].source, "give guesses in the rig file"
         )
-    return _within_bounds(equations, constants, p)
+    return theta_of(model, constants, p)
 
 
 def mostly_linear_values(model: Model, records: tuple[RecordData, ...]) -> Real | None:
@@ -203,7 +203,7 @@ def mostly_linear_values(model: Model, records: tuple[RecordData, ...]) -> Real 
     constants, _ = _best_constants(equations)
     p, left = equations.without_laws(constants)
     explained = equations.fitted(constants)[1] < 0.9 * left  # laws that show explain a tenth at least
-    return None if explained or not np.all(np.isfinite(p)) else _within_bounds(equations, constants, p)
+    return None if explained or not np.all(np.isfinite(p)) else theta_of(model, constants, p)
 
 
 def _equations(model: Model, record: RecordData, open_names: Sequence[str]) -> WeakEquations:
@@ -221,16 +221,6 @@ def _equations(model: Model, record: RecordData, open_names: Sequence[str]) -> W
         )
     f = record.inputs[:, r : r + len(model.force_inputs)]
     return weak_equations(weak_form(model, record.step_s, at.x, at.u, f))
-
-
-def _within_bounds(equations: WeakEquations, constants: Real, p: Real) -> Real:
-    """θ (unknowns,) of inner constants (G,) and unknown parameters; what is stated stands."""
-    model = equations.form.model
-    slope, known = model.constants_map
-    theta = (constants - known) @ slope
-    theta[equations.free] = p
-    low, high = model.bounds
-    return np.clip(np.where(model.prior_precision > 0, model.prior_mean, theta), low, high)
 
 
 def _best_constants(equations: WeakEquations) -> tuple[Real, Real]:

@@ -34,7 +34,6 @@ from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate
-from dashpot.model.nonlinear.force_law import Constant
 from dashpot.model.nonlinear.harmonic_balance import Periodic, periodic_response, samples_of, truncation
 from dashpot.model.nonlinear.harmonics import Drive, complex_of, mirrored
 from dashpot.model.observation import ObservationModel, observation_model
@@ -50,16 +49,9 @@ if TYPE_CHECKING:
 # Where the search for the parameters of a nonlinear rig begins.
 
 
-SHARES = (
-    0.01,
-    0.03,
-    0.1,
-    0.2,
-    0.35,
-    0.6,
-    0.85,
-)  # of the largest elongation or speed, for constants of that unit
-PURE = (0.3, 0.8, 1.3, 2.5)  # for constants that are pure numbers
+# Constants to try: shares of the largest elongation or speed, or pure numbers
+SHARES = (0.01, 0.03, 0.1, 0.2, 0.35, 0.6, 0.85)
+PURE = (0.3, 0.8, 1.3, 2.5)
 KEPT = 4  # starts that are followed
 NEXT = 1.05  # the smallest factor by which inner constants are moved from the best of a grid
 
@@ -91,7 +83,6 @@ def _by_regression(data: Prepared) -> Real:
     model = data.model
     motion = measured_motion(data)
     weight = scale_of_lines(motion)
-    strengths = np.any(model.T, axis=0)
 
     def residual(constants: Real) -> float:
         return float(_residuals(motion, [constants], weight)[0])
@@ -101,20 +92,25 @@ def _by_regression(data: Prepared) -> Real:
         trials = [trials[k] for k in np.argsort(_residuals(motion, trials, weight), kind="stable")]
     if sum(constant.unknown for _, constant in model.constants) >= 2:  # too many for a fine grid
         refined = sorted((refined_constants(model, trial, residual) for trial in trials[:9]), key=residual)
-        trials = distinct_constants(refined)
-    thetas = []
-    for constants, p in zip(trials, regression(motion, np.array(trials[:KEPT]), weight)[0], strict=False):
-        theta = np.zeros(len(model.unknowns))
-        theta[strengths] = p
-        theta = np.where(model.prior_precision > 0, model.prior_mean, theta)
-        slope, known = model.constants_map
-        theta[~strengths] = (constants - known) @ slope[:, ~strengths]
-        if np.all(np.isfinite(theta)):
-            thetas.append(theta)
+        trials = []
+        for constants in refined:
+            if not any(np.allclose(constants, other, rtol=NEXT - 1, atol=0.0) for other in trials):
+                trials.append(constants)
+    found = regression(motion, np.array(trials[:KEPT]), weight)[0]
+    thetas = [theta_of(model, constants, p) for constants, p in zip(trials, found, strict=False)]
+    thetas = [theta for theta in thetas if np.all(np.isfinite(theta))]
     if not thetas:
         _refuse(motion, trials[0], weight)
+    return np.array(thetas)
+
+
+def theta_of(model: Model, constants: Real, p: Real) -> Real:
+    """θ (unknowns,) of inner constants (G,) and unknown parameters, within bounds; what is stated stands."""
+    slope, known = model.constants_map
+    theta = (constants - known) @ slope
+    theta[np.any(model.T, axis=0)] = p
     low, high = model.bounds
-    return np.clip(np.array(thetas), low, high)
+    return np.clip(np.where(model.prior_precision > 0, model.prior_mean, theta), low, high)
 
 
 def _refuse(motion: MeasuredMotion, constants: Real, weight: Real) -> NoReturn:
@@ -159,49 +155,34 @@ def refined_constants(model: Model, start: Real, residual: Callable[[Real], floa
     return best
 
 
-def distinct_constants(found: Sequence[Real]) -> list[Real]:
-    """Those of the constants (G,) that are not nearly the ones of another before them."""
-    kept = list[Real]()
-    for constants in found:
-        if not any(np.allclose(constants, other, rtol=NEXT - 1, atol=0.0) for other in kept):
-            kept.append(constants)
-    return kept
-
-
 def constant_trials(motion: MeasuredMotion) -> list[Real]:
     """Values of all inner constants to try, (G,) each: guesses as given, else shares of the measured motion."""
-    largest = np.sqrt(np.mean(np.sum(motion.elongations**2, axis=-1), axis=0))
-    speed = np.sqrt(
-        np.mean(np.sum(motion.elongations**2, axis=-1) * motion.dwells.omega[:, None] ** 2, axis=0)
-    )
+    power, omega = np.sum(motion.elongations**2, axis=-1), motion.dwells.omega[:, None]
+    largest, speed = (np.sqrt(np.mean(each, axis=0)) for each in (power, power * omega**2))
     return constants_to_try(motion.model, np.max(largest, axis=0), np.max(speed, axis=0))
 
 
 def constants_to_try(model: Model, elongation: Real, speed: Real) -> list[Real]:
-    """As `constant_trials`, for elements whose largest elongation and speed are given, (e,) each."""
+    """As `constant_trials`, for elements whose largest elongation and speed are given, (e,) each.
+
+    Shares are in the constant's unit and within its bounds, and fewer where there are more than two to be found.
+    """
     choices: list[tuple[float, ...]] = []
-    rows = [row for row, inner in enumerate(model.constant_slices) for _ in range(inner.stop - inner.start)]
-    many = sum(constant.unknown and constant.guess is None for _, constant in model.constants) > 2
-    for row, (element, constant) in zip(rows, model.constants, strict=True):
-        stated = constant.value if constant.value is not None else constant.guess
-        if stated is not None:
-            choices.append((stated,))
-            continue
-        choices.append(_trials(element, constant, float(elongation[row]), float(speed[row]), many))
+    unknown = sum(constant.unknown and constant.guess is None for _, constant in model.constants)
+    for law, largest, fastest in zip(model.laws, elongation.tolist(), speed.tolist(), strict=True):
+        for constant in law.constants:
+            stated = constant.guess if constant.value is None else constant.value
+            if stated is not None:
+                choices.append((stated,))
+                continue
+            metre, second = law.exponents[1].get(constant.name, (0.0, 0.0))
+            pure = not metre and not second
+            scale = 1.0 if pure else largest ** (metre + second) * fastest**-second
+            shares = np.array(PURE if pure else SHARES)[:: 3 if unknown > 2 else 1]
+            low = -np.inf if constant.lower is None else constant.lower
+            high = np.inf if constant.upper is None else constant.upper
+            choices.append(tuple(np.clip(scale * shares, low, high).tolist()))
     return [np.array(values) for values in product(*choices)]
-
-
-def _trials(
-    element: Element, constant: Constant, elongation: float, speed: float, few: bool
-) -> tuple[float, ...]:
-    """Shares of the motion, in the constant's unit and within its bounds."""
-    assert element.force_law is not None
-    metre, second = element.force_law.exponents[1].get(constant.name, (0.0, 0.0))
-    scale = elongation ** (metre + second) * speed**-second if metre or second else 1.0
-    shares = PURE if not metre and not second else SHARES
-    low = -np.inf if constant.lower is None else constant.lower
-    high = np.inf if constant.upper is None else constant.upper
-    return tuple(float(np.clip(scale * share, low, high)) for share in (shares[::3] if few else shares))
 
 
 def _by_linear_rig(data: Prepared, calibrations: Real) -> tuple[Real, Real]:
@@ -325,16 +306,19 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
     Raises ConvergenceError where no start leads to a response at all.
     """
     data, view, exact = likelihood.data, likelihood.view, likelihood.exact
-    near = _nearly(data)
+    near = ROUGHLY if data.noise_known else None  # unknown standard deviations are no measure
     one = data.only(0)
     first = exact.pick(np.array([0]))
     signs = np.ones((1, len(view.channels)))
-    ends = _ends(likelihood, one, first)
+    ends = _ends(likelihood, one, first, near)
     best, warm = min(ends, key=lambda end: float(end[0].cost[0]))
     warnings = _rivals(view, first, best, [end for end, _ in ends], data.noise_known)
     sign = np.repeat(signs, len(exact.y), axis=0)
     exact = _fresh(exact)
-    _remember(exact, warm)
+    part = measured_part(exact)
+    for repeat in range(len(exact.y) if part.start is None else 1):  # whose motion is not measured
+        part.warm.delta[repeat] = warm.delta[0]
+        part.warm.inputs[repeat] = warm.inputs[0] if repeat == 0 else part.q[repeat]
     minimum = best
     if len(exact.y) > 1 or not best.converged[0]:
         minimum = likelihood.descend_in(
@@ -356,20 +340,9 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
         minimum = likelihood.descend_in(exact, minimum.x, sign, near=near)
 
 
-def _nearly(data: Prepared) -> float | None:
-    """Standard deviations within which descents end that others follow; unknown ones are no measure."""
-    return ROUGHLY if data.noise_known else None
-
-
-def _remember(exact: Measured, warm: WarmStart) -> None:
-    """Start all repeats whose motion is not measured at the responses of the first one, `warm`."""
-    part = measured_part(exact)
-    for repeat in range(len(exact.y) if part.start is None else 1):
-        part.warm.delta[repeat] = warm.delta[0]
-        part.warm.inputs[repeat] = warm.inputs[0] if repeat == 0 else part.q[repeat]
-
-
-def _ends(likelihood: Likelihood, one: Prepared, first: Measured) -> list[tuple[OptimizeResult, WarmStart]]:
+def _ends(
+    likelihood: Likelihood, one: Prepared, first: Measured, near: float | None
+) -> list[tuple[OptimizeResult, WarmStart]]:
     """Where descents from the starting points end, and the responses there.
 
     They go on to the first that fits, or through all starts where laws have many constants.  Raises
@@ -386,7 +359,7 @@ def _ends(likelihood: Likelihood, one: Prepared, first: Measured) -> list[tuple[
         if fits and afar:
             break
         data = _fresh(first)
-        end = likelihood.descend_in(data, psi[None], signs, FIRST, near=_nearly(one))
+        end = likelihood.descend_in(data, psi[None], signs, FIRST, near=near)
         if np.isfinite(end.cost[0]):
             ends.append((end, measured_part(data).warm))
         fits |= bool(end.cost[0] <= acceptable and (end.converged[0] or several))
@@ -462,8 +435,8 @@ def _ranked(likelihood: Likelihood, one: Prepared, stages: Sequence[Measured]) -
     if one.states is not None and (image is None or not odd):
         points = starting_points(one)
         yield from ((psi, False) for psi in _best_first(view, _coarse(stages[-1]), points))
-        laws = [element.force_law for element, constant in one.model.constants if constant.unknown]
-        if not laws or any(law is not None and law.has_state for law in laws):
+        laws = [law for law in one.model.laws if any(constant.unknown for constant in law.constants)]
+        if not laws or any(law.has_state for law in laws):
             return
     points = starting_points(one, afar=True)
     for stage, kept in zip(stages[:-1], (KEPT, KEPT // 2), strict=True):
@@ -473,7 +446,7 @@ def _ranked(likelihood: Likelihood, one: Prepared, stages: Sequence[Measured]) -
 
 
 def _valleys(likelihood: Likelihood, stage: Measured, points: Real) -> Real:
-    """Where rough descents from points (count, M) end in softened data, until two end alike."""
+    """Where rough descents from points (count, M) end in softened data, until two end alike; the likeliest first."""
     signs = np.ones((1, stage.y.shape[-1]))
     ends = list[OptimizeResult]()
     for psi in points:
@@ -482,21 +455,16 @@ def _valleys(likelihood: Likelihood, stage: Measured, points: Real) -> Real:
         ends.append(end)
         if again:
             break
-    return _distinct(ends)
-
-
-def _best_first(view: ObservationModel, data: Measured, points: Real) -> Real:
-    """Points (count, M) of one repeat, the likeliest first."""
-    return points if len(points) == 1 else points[np.argsort(_costs(view, data, points))]
-
-
-def _distinct(ends: Sequence[OptimizeResult]) -> Real:
-    """Where descents ended, (count, M), the likeliest first, and one of those that are alike."""
     kept = list[OptimizeResult]()
     for end in sorted(ends, key=lambda end: float(end.cost[0])):
         if not any(_alike(end, other) for other in kept):
             kept.append(end)
     return np.concatenate([end.x for end in kept])
+
+
+def _best_first(view: ObservationModel, data: Measured, points: Real) -> Real:
+    """Points (count, M) of one repeat, the likeliest first."""
+    return points if len(points) == 1 else points[np.argsort(_costs(view, data, points))]
 
 
 def _alike(end: OptimizeResult, other: OptimizeResult) -> bool:
