@@ -64,6 +64,23 @@ class ModalData:
         return 2 * np.pi * self.frequency_hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
 
 
+def independent_modes(
+    points: tuple[str, ...],
+    frequency: tuple[Real, Real],
+    damping: tuple[Real, Real],
+    shapes: tuple[Complex, Real],
+) -> ModalData:
+    """Modal data whose errors are independent: numbers and their standard deviations, NaN for 0.
+
+    That of a shape, (modes, points), is of the real and of the imaginary part, each.
+    """
+    covariance = np.zeros((len(frequency[0]), 2, 2))
+    for i, (_, sd) in enumerate((frequency, damping)):
+        covariance[:, i, i] = np.nan_to_num(sd) ** 2
+    V = 2 * np.nan_to_num(shapes[1])[:, :, None] ** 2 * np.eye(len(points))
+    return ModalData(points, frequency[0], damping[0], covariance, shapes[0], V.astype(complex))
+
+
 def of_eigenvalues(
     points: tuple[str, ...],
     eigenvalues: Complex,

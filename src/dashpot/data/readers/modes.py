@@ -20,7 +20,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel
-from dashpot.data.modal_data import ModalData
+from dashpot.data.modal_data import ModalData, independent_modes
 from dashpot.data.readers.arrays import ArrayColumns
 from dashpot.data.readers.columns import LARGEST, Columns, bare
 from dashpot.data.readers.datafile import DataFile, open_file
@@ -137,12 +137,8 @@ def _modes_of(table: Columns, coordinates: Sequence[str]) -> ModalData:
     shapes, sd = _shapes(table, layout, values)
     _check_modes(table, layout, values, zeta, zeta_sd)
     _check_shapes(table, layout, sd)
-    covariance = np.zeros((len(shapes), 2, 2))
-    covariance[:, 0, 0] = values[layout.frequency_sd] ** 2
-    covariance[:, 1, 1] = np.nan_to_num(zeta_sd) ** 2
-    V = 2 * np.nan_to_num(sd)[:, :, None] ** 2 * np.eye(len(layout.points))
-    points, frequency = tuple(layout.points), values[layout.frequency]
-    return ModalData(points, frequency, zeta, covariance, shapes, V.astype(complex))
+    frequency = values[layout.frequency], values[layout.frequency_sd]
+    return independent_modes(tuple(layout.points), frequency, (zeta, zeta_sd), (shapes, sd))
 
 
 def _layout(table: Columns, coordinates: Sequence[str]) -> _Layout:

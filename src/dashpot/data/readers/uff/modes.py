@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dashpot.arrays import Complex, Real, freeze
 from dashpot.channel import Channel, Quantity
-from dashpot.data.modal_data import ModalData
+from dashpot.data.modal_data import ModalData, independent_modes
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.uff.function import (
     DIRECTIONS,
@@ -130,13 +130,7 @@ def _numbers(stream: UffStream, line: bytes) -> list[float]:
 # Modes of universal files (dataset 55) as modal data of a rig's coordinates.
 
 
-USUAL_SD = (
-    0.01,
-    0.2,
-    0.05,
-)  # relative: of frequencies, of damping ratios, of shapes against their largest entry
-_NAMED = re.compile(r"(\d+) = ([^,]+)")
-
+USUAL_SD = 0.01, 0.2, 0.05  # relative: of frequencies, damping ratios, shapes against their largest entry
 Place = tuple[int, int]  # node, direction from 1 (+X) on
 
 
@@ -155,42 +149,37 @@ def read_uff_modes(
     measured = [mode for mode in modes_of(file) if mode.eigenvalue.imag > 0]
     if not measured:
         raise DataError("the file has no oscillating mode", file.name, "export datasets 55 of modes")
+    shares = "{:g} % of frequencies, {:g} % of damping ratios, {:g} % of a shape's largest entry"
+    text = (
+        f"the file has no standard deviations: assumed are {shares.format(*(100 * x for x in relative_sd))}"
+    )
+    notes = [Notice("modes_without_sd", text, ())]
     places = _places(measured)
-    matched, in_order = _matched(measured, places, coordinates, channels, file.name)
-    points = [name for name in coordinates if name in matched]
-    shapes = np.array([[_entry(mode, *matched[name]) for name in points] for mode in measured], dtype=complex)
-    shapes = shapes.reshape(len(measured), len(points))
-    notes = [_assumed(relative_sd)]
-    if in_order:
-        pairs = ", ".join(f"{_label(place)} = {shown(name)}" for name, (place, _) in matched.items())
-        notes.append(
-            Notice(
-                "modes_in_order", f"nodes are taken for coordinates in their order: {pairs}", tuple(points)
+    matched = _matched(measured, places, coordinates, channels)
+    if not matched:
+        if len(places) != len(coordinates):
+            raise DataError(
+                f"no node is a coordinate of the rig: there are {listed(map(_label, places))}",
+                file.name,
+                'list channels of these names in the rig file, such as "3+Z" = { of = "x1" }',
             )
-        )
-    return _modal_data(points, measured, shapes, relative_sd), notes
-
-
-def _assumed(relative_sd: tuple[float, float, float]) -> Notice:
-    frequency, damping, shape = (f"{100 * share:g} %" for share in relative_sd)
-    text = f"the file has no standard deviations: assumed are {frequency} of frequencies, {damping} of damping ratios, "
-    return Notice("modes_without_sd", f"{text}{shape} of a shape's largest entry", ())
-
-
-def _modal_data(
-    points: Sequence[str],
-    found: Sequence[NodalMode],
-    shapes: Complex,
-    relative_sd: tuple[float, float, float],
-) -> ModalData:
-    frequency = np.array([mode.frequency_hz for mode in found])
-    damping = np.array([mode.damping_ratio if mode.damping_ratio else np.nan for mode in found])
-    covariance = np.zeros((len(found), 2, 2))
-    covariance[:, 0, 0] = (relative_sd[0] * frequency) ** 2
-    covariance[:, 1, 1] = (relative_sd[1] * np.nan_to_num(damping)) ** 2
+        matched = {name: (place, 1.0) for name, place in zip(coordinates, places, strict=True)}
+        pairs = ", ".join(f"{_label(place)} = {shown(name)}" for name, (place, _) in matched.items())
+        text = f"nodes are taken for coordinates in their order: {pairs}"
+        notes.append(Notice("modes_in_order", text, tuple(coordinates)))
+    points = tuple(name for name in coordinates if name in matched)
+    shapes: Complex = np.full((len(measured), len(points)), np.nan + 0j)
+    for k, mode in enumerate(measured):
+        for c, name in enumerate(points):
+            (node, direction), factor = matched[name]
+            if node in mode.nodes and direction <= mode.shapes.shape[1]:
+                shapes[k, c] = mode.shapes[mode.nodes.index(node), direction - 1] / factor
+    frequency = np.array([mode.frequency_hz for mode in measured])
+    damping = np.array([mode.damping_ratio or np.nan for mode in measured])
     largest = np.max(np.abs(np.nan_to_num(shapes)), axis=1, initial=0.0)
-    spread = 2 * (relative_sd[2] * largest[:, None, None]) ** 2 * np.eye(len(points))
-    return ModalData(tuple(points), frequency, damping, covariance, shapes, spread.astype(complex))
+    spread = relative_sd[2] * np.broadcast_to(largest[:, None], shapes.shape)
+    of_frequency, of_damping = (frequency, relative_sd[0] * frequency), (damping, relative_sd[1] * damping)
+    return independent_modes(points, of_frequency, of_damping, (shapes, spread)), notes
 
 
 def _places(found: Sequence[NodalMode]) -> list[Place]:
@@ -203,41 +192,8 @@ def _places(found: Sequence[NodalMode]) -> list[Place]:
     return sorted(places)
 
 
-def _entry(mode: NodalMode, place: Place, factor: float) -> complex:
-    """The coordinate's entry in a shape; NaN where the mode has no such node."""
-    node, direction = place
-    if node not in mode.nodes or direction > mode.shapes.shape[1]:
-        return complex(np.nan, np.nan)
-    return complex(mode.shapes[mode.nodes.index(node), direction - 1]) / factor
-
-
 def _label(place: Place) -> str:
     return f"{place[0]}{DIRECTIONS.get(place[1], '')}"
-
-
-def _names_of_coordinates(
-    coordinates: Sequence[str], channels: Iterable[Channel]
-) -> dict[str, tuple[str, float]]:
-    """Coordinate and factor by each name that it goes by: its own, and those of channels that show it alone."""
-    names = {name: (name, 1.0) for name in coordinates}
-    for channel in channels:
-        if channel.quantity is not Quantity.FORCE and len(channel.of) == 1:
-            ((point, factor),) = channel.of.items()
-            if point in coordinates:
-                names.setdefault(channel.name, (point, factor))
-    return names
-
-
-def _names_of_places(modes: Sequence[NodalMode], places: Sequence[Place]) -> dict[Place, list[str]]:
-    """Node and direction; for nodes that move in one direction the node alone, and the name that the file lists."""
-    listed_names = dict(pair for mode in modes for text in mode.ids[2:] for pair in _NAMED.findall(text))
-    nodes = [node for node, _ in places]
-    names = {}
-    for place in places:
-        node = str(place[0])
-        alone = nodes.count(place[0]) == 1
-        names[place] = [_label(place), *([node, listed_names.get(node, "").strip()] if alone else [])]
-    return names
 
 
 def _matched(
@@ -245,22 +201,28 @@ def _matched(
     places: Sequence[Place],
     coordinates: Sequence[str],
     channels: Iterable[Channel],
-    source: str,
-) -> tuple[Mapping[str, tuple[Place, float]], bool]:
-    """Place and factor of each coordinate, and whether they were taken in order.  Raises DataError."""
-    names = _names_of_coordinates(coordinates, channels)
+) -> dict[str, tuple[Place, float]]:
+    """Place and factor of each coordinate that has one by its names.
+
+    A coordinate goes by its own name and by those of channels that show it alone; a place by node and direction and,
+    where the node moves in one direction, by the node alone and the name that the file lists for it.
+    """
+    names = {name: (name, 1.0) for name in coordinates}
+    for channel in channels:
+        if channel.quantity is not Quantity.FORCE and len(channel.of) == 1:
+            ((point, factor),) = channel.of.items()
+            if point in coordinates:
+                names.setdefault(channel.name, (point, factor))
+    pairs = (re.findall(r"(\d+) = ([^,]+)", text) for mode in modes for text in mode.ids[2:])
+    listed_names = dict(pair for each in pairs for pair in each)
+    nodes = [node for node, _ in places]
     matched: dict[str, tuple[Place, float]] = {}
-    for place, texts in _names_of_places(modes, places).items():
+    for place in places:
+        node, texts = str(place[0]), [_label(place)]
+        if nodes.count(place[0]) == 1:
+            texts += [node, listed_names.get(node, "").strip()]
         for text in texts:
             if text in names:
                 point, factor = names[text]
                 matched.setdefault(point, (place, factor))
-    if matched:
-        return matched, False
-    if len(places) == len(coordinates):
-        return {name: (place, 1.0) for name, place in zip(coordinates, places, strict=True)}, True
-    raise DataError(
-        f"no node is a coordinate of the rig: there are {listed([_label(place) for place in places])}",
-        source,
-        'list channels of these names in the rig file, such as "3+Z" = { of = "x1" }',
-    )
+    return matched
