@@ -181,7 +181,7 @@ def _read(arguments: Sequence[str]) -> int:
     try:
         READERS[arguments[0]](*arguments[1:])
     except DashpotError as error:
-        for problem in error.problems[: cli.MOST_PROBLEMS]:
+        for problem in error.problems[:20]:
             print(f"dashpot: {problem}", file=sys.stderr)
         return 2
     return 0
