@@ -322,7 +322,8 @@ def read_amplitudes(
         stretch=stretch,
         stretches=stretches,
     )
-    return spectrum, _notes(columns, layout)
+    unread = columns.not_read({*layout.numeric, *layout.more.values()})
+    return spectrum, [*columns.notes, *unread]
 
 
 def _layout(columns: Columns, found: Mapping[str, AmplitudeColumns], channels: Sequence[Channel]) -> _Layout:
@@ -409,17 +410,6 @@ def _covariance(
         _check_definite(columns, V, min(pair.first for pair in layout.pairs.values()))
     V[unknown] = np.nan
     return V
-
-
-def _notes(columns: Columns, layout: _Layout) -> list[Notice]:
-    """The notes of the file, and what is not read of it."""
-    read = {*layout.numeric, *layout.more.values()}
-    extra = [bare(name)[0] for i, name in enumerate(columns.header) if name and i not in read]
-    notes = list(columns.notes)
-    if extra:
-        text = f"{columns.source}: not read, because the rig file does not list them: {listed(extra)}"
-        notes.append(Notice("columns_not_read", text, tuple(extra)))
-    return notes
 
 
 def _stretches(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -153,6 +153,12 @@ class Columns(ABC):
         """The DataError at a row and a column."""
         name = shown(bare(self.header[column])[0])
         return DataError(f"column {name}: {cause}", self.place(index), cure)
+
+    def not_read(self, read: Collection[int | None]) -> list[Notice]:
+        """What is said of the other columns that have a name."""
+        extra = [bare(name)[0] for i, name in enumerate(self.header) if name and i not in read]
+        text = f"{self.source}: not read, because the rig file does not list them: {listed(extra)}"
+        return [Notice("columns_not_read", text, tuple(extra))] if extra else []
 
     def refuse(self, column: int, wrong: Bools, cause: str, cure: str, values: Real | None = None) -> None:
         """Raises DataError at the first row that is wrong; `cause` may show the value there, as "{:g} Hz"."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.channel import Channel
-from dashpot.data.readers.columns import LARGEST, Columns, bare, whole_block
+from dashpot.data.readers.columns import LARGEST, Columns, whole_block
 from dashpot.data.readers.text import write_rows
 from dashpot.data.readers.time_columns import (
     FREQUENCY,
@@ -29,7 +29,7 @@ from dashpot.data.readers.time_columns import (
 )
 from dashpot.data.record import Record, samples_at_limit
 from dashpot.errors import DataError
-from dashpot.io.words import listed, shown
+from dashpot.io.words import shown
 from dashpot.notices import Notice
 
 EXPERIMENT = "experiment"
@@ -58,12 +58,7 @@ def read_records(
     at = [columns.need(channel.name, " (the rig file lists it as a channel)") for channel in channels]
     scales = [columns.scale(column, channel) for column, channel in zip(at, channels, strict=True)]
     wanted = list(dict.fromkeys(i for i in (f_at, experiment_at, *at) if i is not None))
-    extra = [
-        bare(name)[0] for i, name in enumerate(columns.header) if name and i not in wanted and i != time_at
-    ]
-    if extra:
-        text = f"{columns.source}: not read, because the rig file does not list them: {listed(extra)}"
-        notes.append(Notice("columns_not_read", text, tuple(extra)))
+    notes += columns.not_read((*wanted, time_at))
     apart = set(at).isdisjoint({time_at, f_at, experiment_at})
     time, numbers = read_time(columns, time_at, wanted, circumstances.rate_hz, at if apart else ())
     frequency, frequency_hz, said = _drive(columns, f_at, numbers, circumstances)
