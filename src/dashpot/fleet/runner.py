@@ -361,9 +361,9 @@ def run_fleet(
         parts = enumerate(source.blocks(block_size(source.count)))
         work = (FleetTask(number, rig, how, each) for number, each in parts)
         for block in store.map(identify_block, work, key=key, mapper=mapper):
-            blocks[block.task.number] = block.columns
-            done += len(block.columns["name"])
-            kept += len(block.columns["name"]) if block.kept else 0
+            blocks[block.task.number] = columns = block.columns()
+            done += len(columns["name"])
+            kept += len(columns["name"]) if block.kept else 0
             if progress is not None:
                 progress(done, source.count)
     return outcome_of(rig, [blocks[number] for number in sorted(blocks)], pool, kept)

@@ -48,11 +48,11 @@ class Key:
 
 @dataclass(frozen=True)
 class FinishedTask(Generic[Task]):
-    """A finished task with its columns, and whether they were kept from an earlier run."""
+    """A finished task, whether it was kept from an earlier run, and what reads its columns."""
 
     task: Task
-    columns: Columns
     kept: bool
+    columns: Callable[[], Columns]
 
 
 class BlockStore:
@@ -80,33 +80,33 @@ class BlockStore:
         `f` is a function of a module, which any process can be sent.  Raises DataError where a block cannot be written.
         """
         kept: deque[FinishedTask[Task]] = deque()
-        missing: dict[str, tuple[Key, Task]] = {}
+        missing: dict[int, tuple[Key, Task]] = {}
 
-        def work() -> Iterator[tuple[str, Task]]:
-            for task in tasks:
+        def work() -> Iterator[tuple[int, Task]]:
+            for number, task in enumerate(tasks):
                 own = key(task)
                 columns, state = self._find(own)
                 self.states[state] += 1
-                if columns is not None:
-                    kept.append(FinishedTask(task, columns, True))
-                    continue
-                missing[own.name] = own, task
-                yield own.name, task
+                if columns is None:
+                    missing[number] = own, task
+                    yield number, task
+                else:  # very many may wait here, of which none is held
+                    kept.append(FinishedTask(task, True, partial(self.read, own)))
 
-        for name, columns in mapper(partial(_named, f), work()):
+        for number, columns in mapper(partial(_numbered, f), work()):
             while kept:
                 yield kept.popleft()
-            own, task = missing.pop(name)
+            own, task = missing.pop(number)
             self._keep(own, columns)
-            yield FinishedTask(task, columns, False)
+            yield FinishedTask(task, False, partial(dict, columns))
         yield from kept
 
     def read(self, key: Key) -> Columns:
         """A block that is there.  Raises DataError where it is not whole, or is of something else."""
         columns, state = self._find(key)
         if columns is None:
-            what = f"this block of a study is {state}"
-            raise DataError(what, str(self._path(key)), "run the study again, which computes it again")
+            what = f"this block is {state}, though it was whole a moment ago"
+            raise DataError(what, str(self._path(key)), "run again, which computes it again")
         return columns
 
     def _path(self, key: Key) -> Path:
@@ -140,10 +140,10 @@ class BlockStore:
         write_table(path, columns, json.dumps(meta).encode())
 
 
-def _named(f: Callable[[Task], Columns], named: tuple[str, Task]) -> tuple[str, Columns]:
-    """What a worker does with a task: its result bears the name of its block."""
-    name, task = named
-    return name, f(task)
+def _numbered(f: Callable[[Task], Columns], numbered: tuple[int, Task]) -> tuple[int, Columns]:
+    """What a worker does with a task, whose number comes back with its result."""
+    number, task = numbered
+    return number, f(task)
 
 
 @contextmanager

@@ -137,6 +137,11 @@ def test_failures_are_told_and_stop_nothing(rig: Rig, files: list[str], tmp_path
     assert outcome.summary()["failed"] == 3
 
 
+def test_a_data_set_that_is_given_twice_has_two_rows(rig: Rig, files: list[str]) -> None:
+    outcome = run_fleet(rig, of_files([files[0], files[1], files[0]]), mapper=backwards)
+    assert outcome.columns["m1:value"][0] == outcome.columns["m1:value"][2]
+
+
 def test_blocks_depend_on_the_number_of_data_sets_alone() -> None:
     assert [block_size(count) for count in (1, 20, 21, 501, 10**6)] == [1, 1, 10, 100, 1000]
 

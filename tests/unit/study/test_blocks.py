@@ -53,7 +53,7 @@ def found(folder: Path, key: Key = KEY) -> tuple[Columns | None, list[str]]:
     before = (folder / f"{KEY.name}.parquet").read_bytes()
     (block,) = store.map(computed, [1], key=lambda _: key)
     (folder / f"{KEY.name}.parquet").write_bytes(before)
-    return block.columns if block.kept else None, list(store.states)
+    return block.columns() if block.kept else None, list(store.states)
 
 
 def same(one: Columns, other: Columns) -> bool:
@@ -77,8 +77,8 @@ def test_a_block_comes_back_as_it_went_whoever_computes_it(tmp_path: Path, folde
     again = list(store.map(computed, [0, 3, 1], key=key))
     assert sorted((block.task, block.kept) for block in again) == [(0, True), (1, True), (3, False)]
     for block in again:
-        assert same(block.columns, computed(block.task))
-        assert same(store.read(key(block.task)), block.columns)
+        assert same(block.columns(), computed(block.task))
+        assert same(store.read(key(block.task)), block.columns())
 
 
 @pytest.mark.parametrize(
