@@ -428,25 +428,16 @@ def with_exact_values(estimate: Estimate, changes: Mapping[str, float]) -> Estim
             f"{name} is no parameter of the estimate that can be changed",
             cure=f"its parameters are {', '.join([*estimate.names, *known])}",
         )
-    at = [j for j, name in enumerate(estimate.names) if name in given]
-
-    def exactly(values: Real) -> Real:
-        changed = np.array(values)
-        changed[at] = [given[estimate.names[j]] for j in at]
-        return changed
-
-    def certain(spread: Real) -> Real:
-        changed = np.array(spread)
-        changed[at], changed[..., at] = 0.0, 0.0
-        return changed
-
+    exact = np.array([name in given for name in estimate.names])
+    stated = np.array([given.get(name, 0.0) for name in estimate.names])
+    beside = exact | exact[:, None]
     changed = replace(
         estimate,
-        values=exactly(estimate.values),
-        free_values=exactly(estimate.free_values),
-        bound_sd=certain(estimate.bound_sd),
-        covariance=certain(estimate.covariance),
-        noise_covariance=certain(estimate.noise_covariance),
+        values=np.where(exact, stated, estimate.values),
+        free_values=np.where(exact, stated, estimate.free_values),
+        bound_sd=np.where(exact, 0.0, estimate.bound_sd),
+        covariance=np.where(beside, 0.0, estimate.covariance),
+        noise_covariance=np.where(beside, 0.0, estimate.noise_covariance),
         known=tuple((name, given.get(name, value), unit) for name, (value, unit) in known.items()),
         profiles={name: curve for name, curve in estimate.profiles.items() if name not in given},
         modes=None,
