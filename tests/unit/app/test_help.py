@@ -33,23 +33,6 @@ def test_options_of_examples_exist(name: str) -> None:
         assert {word for word in example.split() if word.startswith("-")} <= options
 
 
-@pytest.mark.parametrize(
-    "args",
-    [
-        ("identify",),
-        ("identify", "rig.toml", "data.csv", "--no-such"),
-        ("identify", "rig.toml", "data.csv", "--method", "magic"),
-        ("identify", "rig.toml", "data.csv", "--level", "0"),
-        ("identify", "rig.toml", "data.csv", "--level"),
-    ],
-)
-def test_usage_errors_name_the_help_of_the_command(dashpot: Command, args: tuple[str, ...]) -> None:
-    done = dashpot(*args)
-    assert done.code == 2
-    assert len(done.err) == 1
-    assert "see dashpot identify --help" in done.err[0]
-
-
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_prints_a_script(dashpot: Command, shell: str) -> None:
     done = dashpot("completion", shell)

@@ -179,6 +179,13 @@ def test_what_is_no_data_file(dashpot: Command, data: Path, content: bytes, part
     refused(identify(dashpot, "data.csv"), part)
 
 
+@pytest.mark.parametrize("again", ["./data.csv", "link.csv"])
+def test_a_file_named_twice_is_one_test(dashpot: Command, data: Path, again: str) -> None:
+    """Its noise would count as that of two tests, and the intervals be too narrow by the root of two."""
+    os.symlink("data.csv", "link.csv")
+    refused(identify(dashpot, "data.csv", again), "2 times")
+
+
 def test_unit_of_the_header_against_the_rig(dashpot: Command, data: Path) -> None:
     text = data.read_text(encoding="utf-8").replace("x1", "x1 [m/s]", 1)
     data.write_text(text, encoding="utf-8")
@@ -213,7 +220,8 @@ BAD_USAGE = {
     "no data": (["identify", "rig.toml"], "DATA"),
     "no such option": (["identify", "rig.toml", "data.csv", "--jsn", "o"], "--json"),
     "no such method": (["identify", "rig.toml", "data.csv", "--method", "magic"], "magic"),
-    "level": (["identify", "rig.toml", "data.csv", "--level", "0"], "level"),
+    "level": (["identify", "rig.toml", "data.csv", "--level", "0"], "see dashpot identify --help"),
+    "no level": (["identify", "rig.toml", "data.csv", "--level"], "see dashpot identify --help"),
     "orders": (["identify", "rig.toml", "data.csv", "--orders", "1,x"], "1,x"),
     "frequencies": (["simulate", "rig.toml", "--out", "o.csv", "--frequencies", "5:1:3"], "5:1:3"),
     "setting": (["simulate", "rig.toml", "--out", "o.csv", "--frequencies", "1", "--set", "m1"], "m1"),
