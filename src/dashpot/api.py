@@ -212,9 +212,15 @@ def compare(
         methods = {name: named_method(name, seed=seed) for name in methods}
     spectrum = None if data is None else _spectrum(rig, data, frequency_hz, conditioning, methods.values())
     return comparisons.compare(
-        model, spectrum, methods if spectrum is not None else {}, modal=modal, refused=refused, truth=truth, seed=seed,
+        model,
+        spectrum,
+        {} if spectrum is None else methods,
+        modal=modal,
+        refused=refused,
+        truth=truth,
+        seed=seed,
         progress=progress,
-    )  # fmt: skip
+    )
 
 
 @one_blas_thread()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from types import MappingProxyType
 
@@ -67,13 +67,8 @@ class Channel:
         return (1.0 if self.gain is None else self.gain) * (1.0 if self.sign is None else self.sign)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return (
-            Channel,
-            (
-                self.name, dict(self.of), self.quantity, self.unit, self.scale, self.gain, self.delay, self.sign,
-                self.noise, self.relative_noise, self.rate, self.same_gain_as,
-            ),
-        )  # fmt: skip
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return Channel, tuple((values | {"of": dict(self.of)}).values())
 
     def __hash__(self) -> int:
         return hash((self.name, tuple(self.of.items()), self.quantity, self.unit))

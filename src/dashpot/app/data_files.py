@@ -122,18 +122,13 @@ class RecordOptions:
         from dashpot.data.conditioning.still import noise_at_rest
         from dashpot.data.readers import read
 
-        stated: dict[str, Any] = {} if reading is None else dict(reading.conditioning)
-        chosen = Conditioning(
-            orders=self.orders,
-            harmonics=self.harmonics,
-            drift=int(self.drift) if self.drift.isdecimal() else self.drift,
-            noise=self.noise,
-            refine=self.refine,
-            settle=self.settle,
-            transients=self.transients,
-            band_hz="auto" if self.record_band is None else self.record_band,
-        )
-        chosen = chosen.changed(**{name: value for name, value in stated.items() if not _was_given(name)})
+        alike = ("orders", "harmonics", "noise", "refine", "settle", "transients")
+        treatments: dict[str, Any] = {name: getattr(self, name) for name in alike}
+        treatments["drift"] = int(self.drift) if self.drift.isdecimal() else self.drift
+        treatments["band_hz"] = "auto" if self.record_band is None else self.record_band
+        stated = {} if reading is None else reading.conditioning
+        treatments |= {name: value for name, value in stated.items() if not _was_given(name)}
+        chosen = Conditioning(**treatments)
         if not self.noise_record:
             return chosen
         still = read(self.noise_record, rig.channels)

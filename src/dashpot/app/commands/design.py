@@ -300,13 +300,10 @@ def _criterion(wanted: str, target: float | Mapping[str, float] | None) -> tuple
                 cure="the targets already say what should be precise",
             )
         return Criterion("minimax", targets=target), 1.0
-    criteria: dict[str, Criterion] = {
-        "all": Criterion("A"),
-        "worst": Criterion("minimax"),
-        "volume": Criterion("D"),
-    }
-    if wanted in criteria:
-        return criteria[wanted], target
+    if wanted == "all":
+        return Criterion("A"), target
+    if wanted in ("worst", "volume"):
+        return Criterion("minimax" if wanted == "worst" else "D"), target
     unknowns = opt.names(wanted)
     if not unknowns:
         raise UsageError("--for names nothing", cure="write all, worst, volume, or names such as c2,m1")
