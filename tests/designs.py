@@ -63,8 +63,14 @@ def advised(own: TestSetup, settle: float, time: float = 40.0) -> Answer:
     """The planner's answer for its dwells within `time` s, each after `settle` s."""
     return answer(
         Question(
-            model=own.model, channels=own.channels, criterion=Criterion("A"), band=(3.0, 20.0), rate=RATE, time=time,
-            values=dict(zip(own.model.unknown_names, own.theta[0].tolist(), strict=True)), settle=settle,
+            model=own.model,
+            channels=own.channels,
+            criterion=Criterion("A"),
+            band=(3.0, 20.0),
+            rate=RATE,
+            time=time,
+            values=dict(zip(own.model.unknown_names, own.theta[0].tolist(), strict=True)),
+            settle=settle,
             amplitude=AMPLITUDE,
         )
-    )  # fmt: skip
+    )

@@ -99,9 +99,16 @@ DRAWN = given(
 @settings(max_examples=3)
 @DRAWN
 @example(  # the best test lies between the points of the grid
-    seed=974, stroke=1e-4, velocity=1.0, acceleration=0.1015625, force=1.0, time=60.0, settle=0.0, min_dwell=0.0,
+    seed=974,
+    stroke=1e-4,
+    velocity=1.0,
+    acceleration=0.1015625,
+    force=1.0,
+    time=60.0,
+    settle=0.0,
+    min_dwell=0.0,
     most=None,
-)  # fmt: skip
+)
 def test_limits_and_budgets_are_never_broken(**drawn: Any) -> None:
     _require_within_limits(**drawn)
 
@@ -114,9 +121,16 @@ def test_limits_and_budgets_are_never_broken_in_many_draws(**drawn: Any) -> None
 
 
 def _require_within_limits(
-    seed: int, stroke: float, velocity: float, acceleration: float, force: float, time: float, settle: float,
-    min_dwell: float, most: int | None,
-) -> None:  # fmt: skip
+    seed: int,
+    stroke: float,
+    velocity: float,
+    acceleration: float,
+    force: float,
+    time: float,
+    settle: float,
+    min_dwell: float,
+    most: int | None,
+) -> None:
     limits = ShakerLimits(stroke, velocity, acceleration, force)
     own = random_bench(seed, 2, limits)
     low, high = natural_band(own, 200.0)

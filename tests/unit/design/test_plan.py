@@ -146,9 +146,13 @@ def test_dwells_that_crowd_are_one() -> None:
     # Two frequencies apart that are both needed stay two, also on a grid of fixed frequencies.
     fixed = band_grid(own, *BAND, 0.25)
     apart = Allocation(
-        np.array([3.75, 9.5, 25.0]), np.zeros(3, dtype=int), np.array([0.2, 0.4, 0.4]), 0.0, 0.0,
+        np.array([3.75, 9.5, 25.0]),
+        np.zeros(3, dtype=int),
+        np.array([0.2, 0.4, 0.4]),
+        0.0,
+        0.0,
         (f, np.zeros(7, dtype=int), f),
-    )  # fmt: skip
+    )
     shares = DwellShares(DesignProblem(own, terms, budget, fixed), apart)
     shares.join()
     assert shares.f.tolist() == [3.75, 9.5, 25.0]
@@ -161,9 +165,11 @@ def test_identify_can_use_every_dwell_of_a_small_plan() -> None:
     assert np.min(schedule.samples) == 8
     rig = rigs.paper_rig()
     test = replace(
-        rig, frequency_hz=schedule.frequency_hz, U=np.ones((len(schedule.samples), 1), dtype=complex),
+        rig,
+        frequency_hz=schedule.frequency_hz,
+        U=np.ones((len(schedule.samples), 1), dtype=complex),
         f=np.zeros((len(schedule.samples), 0), dtype=complex),
-    )  # fmt: skip
+    )
     for seed in range(5):
         rng = np.random.default_rng(seed)
         records = [

@@ -172,9 +172,15 @@ def test_few_sensors_as_maximum_likelihood_counts_them() -> None:
     V = (0.01 * np.abs(Y) ** 2)[..., None] * np.eye(4) / 50
     lines = len(Y)
     spectrum = Spectrum(
-        chosen, rig.frequency_hz, Y, V, np.ones(lines, dtype=int), np.full(lines, np.inf), ("given",) * lines,
+        chosen,
+        rig.frequency_hz,
+        Y,
+        V,
+        np.ones(lines, dtype=int),
+        np.full(lines, np.inf),
+        ("given",) * lines,
         np.zeros(lines, dtype=int),
-    )  # fmt: skip
+    )
     estimate = identify(rig.model, spectrum, MaximumLikelihood())
     total = np.sum(information_of(rig, spectrum), axis=0)
     bound = np.sqrt(np.diagonal(np.linalg.inv(total)))

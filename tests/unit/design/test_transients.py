@@ -64,7 +64,12 @@ def test_waiting_is_called_a_waste_where_it_is() -> None:
 def test_nothing_is_said_of_rigs_without_a_motion_in_time() -> None:
     own = light_setup(2e-3, 0.0)
     question = Question(
-        model=own.model, channels=own.channels, criterion=Criterion("A"), band=(3.0, 20.0), samples=2000,
-        values=dict(zip(own.model.unknown_names, own.theta[0].tolist(), strict=True)), amplitude=AMPLITUDE,
-    )  # fmt: skip
+        model=own.model,
+        channels=own.channels,
+        criterion=Criterion("A"),
+        band=(3.0, 20.0),
+        samples=2000,
+        values=dict(zip(own.model.unknown_names, own.theta[0].tolist(), strict=True)),
+        amplitude=AMPLITUDE,
+    )
     assert answer(question).unsettled is None  # no sampling rate

@@ -111,8 +111,13 @@ def test_tables_of_nonlinear_rigs_hold_their_constants(tmp_path):
 
 def test_names_of_matlab():
     assert matlab_names(["m1", "2k", "end", "c.v0", "c v0", "x" * 80]) == [
-        "m1", "p_2k", "p_end", "c_v0", "c_v0_2", "x" * 60,
-    ]  # fmt: skip
+        "m1",
+        "p_2k",
+        "p_end",
+        "c_v0",
+        "c_v0_2",
+        "x" * 60,
+    ]
 
 
 def mujoco_matrices(text):

@@ -162,8 +162,11 @@ def test_without_a_compiler_it_holds_its_source(tmp_path, monkeypatch):
         names = unit.namelist()
         description = ElementTree.fromstring(unit.read("modelDescription.xml"))
     assert sorted(names) == [
-        "modelDescription.xml", "sources/buildDescription.xml", "sources/dashpot_fmu.c", "sources/rig.h",
-    ]  # fmt: skip
+        "modelDescription.xml",
+        "sources/buildDescription.xml",
+        "sources/dashpot_fmu.c",
+        "sources/rig.h",
+    ]
     assert description.get("modelName") == "Lever & <tip>"
     assert len({v.get("name") for v in description.find("ModelVariables")}) == 22
 
