@@ -146,9 +146,8 @@ def compare_tests(setup: TestSetup, criterion: Criterion, plan: Plan, other: Sch
     """
     M = other.information(setup)
     predicted = expected_precision(setup, criterion, M)
-    terms = criterion.terms(setup)
-    aim = terms.at(setup.prior + plan.schedule.information(setup)).F
-    times = least_factor(lambda factor: aim >= terms.at(setup.prior + factor * M).F)
+    aim = criterion.at(setup, plan.schedule.information(setup)).F
+    times = least_factor(lambda factor: aim >= criterion.at(setup, factor * M).F)
     ratio = float(np.sum(other.samples)) / max(float(np.sum(plan.schedule.samples)), 1.0)
     iv, factor_iv = spread_of_iv(setup, other), None
     if iv is not None and setup.earlier is None:

@@ -79,6 +79,10 @@ class Criterion:
         each = np.einsum("kq,ts->tksq", rows, np.eye(count)).reshape(-1, count, rows.shape[1])
         return Terms(each, block)
 
+    def at(self, setup: TestSetup, information: Real | float = 0.0) -> CriterionValue:
+        """Its value with a test's information (scenarios, q, q), in parts of the sizes, beside what is known before."""
+        return self.terms(setup).at(setup.prior + information)
+
     def targets_for(self, model: Model, figure: float) -> dict[str, float]:
         """Relative standard deviations by name that the figure asks of the unknowns."""
         names = [model.unknowns[int(j)].name for j in self._chosen(model)]
@@ -548,7 +552,7 @@ def expected_precision(
 
     Raises IdentifiabilityError where it leaves some parameter open.
     """
-    at = criterion.terms(setup).at(setup.prior + information)
+    at = criterion.at(setup, information)
     if not np.isfinite(at.F):
         raise IdentifiabilityError(
             "this test does not determine the unknowns", cure="give it more frequencies, or another sensor"
@@ -569,7 +573,7 @@ def information_gain(
 
     (C M(f) C)_jj / C_jj at the nominal values, times the test's samples: 1 is what its average sample adds.
     """
-    C = criterion.terms(setup).at(setup.prior + schedule.information(setup)).C[0]
+    C = criterion.at(setup, schedule.information(setup)).C[0]
     each = setup.information(frequency_hz, pattern)[0]
     gain = np.einsum("ja,iab,bj->ij", C, each, C)
     return float(np.sum(schedule.samples)) * gain / np.diagonal(C)

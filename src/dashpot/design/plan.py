@@ -180,7 +180,7 @@ def shortest(
         raise UsageError(
             f"a target of {figure:g}", cure="state a positive fraction of the value, such as 1 %"
         )
-    already = criterion.figure(criterion.terms(setup).at(setup.prior).F)
+    already = criterion.figure(criterion.at(setup).F)
     if already <= figure:
         return None
     known = already**-2 if np.isfinite(already) else 0.0

@@ -133,8 +133,8 @@ def best_test(
         if uncertainty is None:
             return BestTest(advised, wide, None)
         lines = NO_TEST if advised is None else advised.schedule
-        terms = criterion.terms(replace(wide, over="worst"))
-        return BestTest(advised, wide, criterion.figure(terms.at(wide.prior + lines.information(wide)).F))
+        value = criterion.at(replace(wide, over="worst"), lines.information(wide))
+        return BestTest(advised, wide, criterion.figure(value.F))
     wide, aim, worst = replace(setup, theta=setup.theta[:1]), target, 0.0
     for turn in range(ROUNDS):
         if aim is None:

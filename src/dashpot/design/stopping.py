@@ -161,12 +161,7 @@ class SequentialEstimates:
 
 
 def sequential_estimates(
-    model: Model,
-    spectrum: Spectrum,
-    method: Method | None = None,
-    *,
-    whole: Estimate | None = None,
-    steps: int = 12,
+    model: Model, spectrum: Spectrum, *, whole: Estimate | None = None, steps: int = 12
 ) -> SequentialEstimates:
     """Identify from the first lines, more lines, … all lines, in the order of the spectrum (no batch axes).
 
@@ -176,13 +171,14 @@ def sequential_estimates(
     """
     if spectrum.batch:
         raise UsageError("progress is of one test, not of a batch", cure="give one repeat")
+    method: Method | None = None
     counts = np.unique(np.linspace(1, spectrum.lines, min(steps, spectrum.lines)).round().astype(int))
     if whole is not None:
         unknowns = {unknown.name for unknown in model.unknowns if unknown.prior is None}
         guesses = {n: float(v) for n, v in zip(whole.names, whole.values, strict=True) if n in unknowns}
         elements = tuple(replace(e, guess=guesses.get(e.name, e.guess)) for e in model.elements)
         model = replace(model, elements=elements)
-        if method is None and isinstance(automatic(model, spectrum), MaximumLikelihood):
+        if isinstance(automatic(model, spectrum), MaximumLikelihood):
             method = MaximumLikelihood(starts=4, candidates=4, rounds=1)
     values, sd = (np.full((len(counts), len(model.unknowns)), np.nan) for _ in range(2))
     for k, count in enumerate(counts):
