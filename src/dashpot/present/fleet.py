@@ -82,7 +82,10 @@ def fleet_remarks(outcome: FleetOutcome) -> list[str]:
     order = sorted(
         outcome.outliers, key=lambda k: -max(float(np.nan_to_num(abs(u.z[k]))) for u in outcome.usual)
     )
-    unlike = [f"{shown(str(columns['name'][k]))} ({_why(outcome.usual, k)})" for k in order]
+    unlike = []
+    for k in order:
+        why = ", ".join(f"{shown(row.name)} {row.z[k]:+.1f} sd" for row in outcome.usual if row.outlier[k])
+        unlike.append(f"{shown(str(columns['name'][k]))} ({why})")
     if unlike:
         lines.append(f"Unlike the others: {_first(unlike, ', ')}.")
     drifting = [
@@ -103,10 +106,6 @@ def fleet_remarks(outcome: FleetOutcome) -> list[str]:
     if stalled:
         lines.append(f"Not converged: {_first(stalled, ', ')}.")
     return lines
-
-
-def _why(usual: Sequence[Usual], k: int) -> str:
-    return ", ".join(f"{shown(row.name)} {row.z[k]:+.1f} sd" for row in usual if row.outlier[k])
 
 
 def _first(texts: Sequence[str], between: str) -> str:

@@ -7,7 +7,7 @@ import hashlib
 import os
 import platform
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from importlib.metadata import version
 from itertools import groupby
@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from dashpot.errors import printable
 from dashpot.io.ledger import current, noted
 from dashpot.io.words import counted, joined
-from dashpot.present.document import Block, Document, Picture, Provenance, SourceFile, TableColumn
+from dashpot.present.document import Document, Picture, Provenance, SourceFile, TableColumn
 from dashpot.present.figures.interactive import interactive_svg
 from dashpot.present.figures.style import DPI
 
@@ -109,7 +109,8 @@ def page_html(page: Document) -> str:
         page=page,
         explanations=[(term, EXPLANATIONS[term]) for term in page.terms],
         sources="" if page.provenance is None else _sources(page.provenance.files),
-        grouped=_grouped,
+        # neighbouring blocks of one kind: pictures stand beside each other
+        grouped=lambda blocks: groupby(blocks, key=lambda block: type(block).__name__),
         inline=inline,
         rows=_rows,
         with_code=with_code,
@@ -140,11 +141,6 @@ def _sources(files: Sequence[SourceFile]) -> str:
     names = [Path(file.name).name for file in files]
     rest = len(names) - MOST_SOURCES
     return joined(names if rest <= 0 else [*names[:MOST_SOURCES], counted(rest, "other file")])
-
-
-def _grouped(blocks: Iterable[Block]) -> list[tuple[str, list[Block]]]:
-    """Neighbouring blocks of one kind, with the name of that kind: pictures stand beside each other."""
-    return [(kind, list(alike)) for kind, alike in groupby(blocks, key=lambda block: type(block).__name__)]
 
 
 def _rows(columns: Sequence[TableColumn]) -> list[list[tuple[str, str]]]:

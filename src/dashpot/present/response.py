@@ -61,26 +61,26 @@ class DrawnCurve:
     thin: bool = False
 
 
+@style()
 def response_curves(
     names: Sequence[str], units: Sequence[str], curves: Sequence[DrawnCurve], x_label: str
 ) -> Figure:
     """A panel for each channel: stable motions drawn through, unstable ones dashed, folds as rings."""
-    with style():
-        figure = Figure(figsize=(7.6, 2.6 * len(names) + 0.5))
-        rows = figure.subplots(len(names), 1, squeeze=False, sharex=True)[:, 0]
-        for channel, (axes, name, unit) in enumerate(zip(rows, names, units, strict=True)):
-            for k, curve in enumerate(curves):
-                _draw(axes, curve, channel, COLOURS[k % len(COLOURS)])
-            axes.set_title(name)
-            axes.set_ylabel(f"half peak-to-peak, {unit}")
-            axes.set_ylim(bottom=0)
-            limit_axis(axes.set_xlim, *_range([curve.x for curve in curves if not curve.thin]))
-        rows[-1].set_xlabel(x_label)
-        if any(curve.stable is not None and not np.all(curve.stable) for curve in curves):
-            rows[0].plot([], [], color=MUTED, lw=1.2, ls=(0, (3, 2)), label="unstable")
-        if any(len(curve.folds) for curve in curves):
-            rows[0].plot([], [], "o", color=BAD, mfc="white", ms=4, label="fold")
-        rows[0].legend(loc="best")
+    figure = Figure(figsize=(7.6, 2.6 * len(names) + 0.5))
+    rows = figure.subplots(len(names), 1, squeeze=False, sharex=True)[:, 0]
+    for channel, (axes, name, unit) in enumerate(zip(rows, names, units, strict=True)):
+        for k, curve in enumerate(curves):
+            _draw(axes, curve, channel, COLOURS[k % len(COLOURS)])
+        axes.set_title(name)
+        axes.set_ylabel(f"half peak-to-peak, {unit}")
+        axes.set_ylim(bottom=0)
+        limit_axis(axes.set_xlim, *_range([curve.x for curve in curves if not curve.thin]))
+    rows[-1].set_xlabel(x_label)
+    if any(curve.stable is not None and not np.all(curve.stable) for curve in curves):
+        rows[0].plot([], [], color=MUTED, lw=1.2, ls=(0, (3, 2)), label="unstable")
+    if any(len(curve.folds) for curve in curves):
+        rows[0].plot([], [], "o", color=BAD, mfc="white", ms=4, label="fold")
+    rows[0].legend(loc="best")
     return figure
 
 

@@ -28,7 +28,8 @@ def alike(values: Sequence[float], sd: float) -> list[str]:
     finite = [abs(v) for v in values if math.isfinite(v)]
     rounding = ROUNDING * max(finite, default=0.0)
     if not (math.isfinite(sd) and sd > rounding):
-        return [_six(0.0 if abs(value) < rounding else value) for value in values]
+        settled = [0.0 if abs(value) < rounding else value for value in values]
+        return [plain(value) if math.isfinite(value) else "–" for value in settled]
     last = math.floor(math.log10(sd)) - DIGITS + 1
     if round(sd / 10.0**last) >= 10**DIGITS:  # 0.0996 → 0.10
         last += 1
@@ -46,10 +47,6 @@ def _fixed(value: float, decimals: int) -> str:
     text = f"{value:.{max(decimals, 0)}f}"
     bare = text.lstrip("-")
     return bare if not bare.strip("0.") else text
-
-
-def _six(value: float) -> str:
-    return plain(value) if math.isfinite(value) else "–"
 
 
 def plain(value: float) -> str:

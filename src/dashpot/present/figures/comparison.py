@@ -83,6 +83,7 @@ def estimate_figure(estimate: Estimate, level: float = 0.95, model: Model | None
     )
 
 
+@style()
 def interval_plot(
     names: Sequence[str],
     units: Sequence[str],
@@ -106,17 +107,16 @@ def interval_plot(
     rows = -(-len(names) // columns)
     reach, wider = _reach(level), False
     size = (0.6 + panel * columns, rows * (0.75 + ROW * len(methods)) + 0.35)
-    with style():
-        figure, grid = panels(len(names), columns, size, ShownFigure, sharey=True)
-        for k, (name, axes) in enumerate(zip(names, grid, strict=True)):
-            if name in bands:
-                centre, half = bands[name][0], reach * bands[name][1]
-                axes.axvspan(centre - half, centre + half, color=MODEL, alpha=0.12, lw=0)
-            wider |= _panel(axes, methods, values[:, k], low[:, k], high[:, k], truth.get(name))
-            axes.xaxis.set_major_locator(MaxNLocator(4 if panel >= PANEL else 3, min_n_ticks=2))
-            axes.set_title(name)
-            axes.set_xlabel("" if units[k] == "1" else units[k], labelpad=1)
-        _legend(figure, bool(truth), bool(bands), wider, level, 5 if columns == 3 else columns)
+    figure, grid = panels(len(names), columns, size, ShownFigure, sharey=True)
+    for k, (name, axes) in enumerate(zip(names, grid, strict=True)):
+        if name in bands:
+            centre, half = bands[name][0], reach * bands[name][1]
+            axes.axvspan(centre - half, centre + half, color=MODEL, alpha=0.12, lw=0)
+        wider |= _panel(axes, methods, values[:, k], low[:, k], high[:, k], truth.get(name))
+        axes.xaxis.set_major_locator(MaxNLocator(4 if panel >= PANEL else 3, min_n_ticks=2))
+        axes.set_title(name)
+        axes.set_xlabel("" if units[k] == "1" else units[k], labelpad=1)
+    _legend(figure, bool(truth), bool(bands), wider, level, 5 if columns == 3 else columns)
     return figure
 
 

@@ -103,6 +103,7 @@ class Bars:
     percent: Real
 
 
+@style()
 def plan_figure(
     title: str,
     frequency_hz: Real,
@@ -120,18 +121,17 @@ def plan_figure(
     frequency_hz (f,); curves: directional derivatives over it, one for each pattern of the drive, (f,); dwells_hz,
     dwells (d,); shares (f, parameters): 1 is what the average sample of the test adds.
     """
-    with style():
-        rows = max(1.3, 0.24 * len(names) + 0.5)
-        deep = max(1.4, (0.12 + 0.11 * len(tests)) * len(bars) + 0.6)
-        figure = Figure(figsize=(7.4, 2.6 + rows + deep))
-        top, middle, bottom = figure.subplots(3, 1, gridspec_kw={"height_ratios": [2.3, rows, deep]})
-        over = _dwells(top, frequency_hz, curves, dwells_hz, dwells, dwell_unit)
-        top.set_title(title)
-        _heat(middle, frequency_hz, names, shares, dwells_hz)
-        _intervals(bottom, bars, tests)
-        if len(dwells_hz) <= NAMED:
-            figure.draw_without_rendering()  # the layout, by which places are known
-            _name_dwells(over, dwells_hz, dwells)
+    rows = max(1.3, 0.24 * len(names) + 0.5)
+    deep = max(1.4, (0.12 + 0.11 * len(tests)) * len(bars) + 0.6)
+    figure = Figure(figsize=(7.4, 2.6 + rows + deep))
+    top, middle, bottom = figure.subplots(3, 1, gridspec_kw={"height_ratios": [2.3, rows, deep]})
+    over = _dwells(top, frequency_hz, curves, dwells_hz, dwells, dwell_unit)
+    top.set_title(title)
+    _heat(middle, frequency_hz, names, shares, dwells_hz)
+    _intervals(bottom, bars, tests)
+    if len(dwells_hz) <= NAMED:
+        figure.draw_without_rendering()  # the layout, by which places are known
+        _name_dwells(over, dwells_hz, dwells)
     return figure
 
 
@@ -238,6 +238,7 @@ def _intervals(axes: Axes, names: Sequence[str], tests: Sequence[Bars]) -> None:
         axes.legend(loc="best", **FRAME)
 
 
+@style()
 def sequential_figure(answer: Answer, targets: Mapping[str, float]) -> Figure | None:
     """Relative standard deviations in per cent against samples as data came, and (dashed) as they would go on.
 
@@ -250,25 +251,22 @@ def sequential_figure(answer: Answer, targets: Mapping[str, float]) -> Figure | 
     if verdict is not None and np.isfinite(verdict.more):
         times = max(1.3 * verdict.more / float(so_far.samples[-1]) + 1.3, 1.5)
     ahead, relative = so_far.extrapolated(times)
-    with style():
-        figure = Figure(figsize=(7.4, 3.6))
-        axes = figure.subplots()
-        for j, name in enumerate(so_far.names):
-            colour = COLOURS[j % len(COLOURS)]
-            axes.plot(
-                so_far.samples, 100 * so_far.relative[:, j], "o-", color=colour, ms=3.5, lw=1.4, label=name
-            )
-            axes.plot(ahead, 100 * relative[:, j], color=colour, lw=1.0, ls=(0, (3, 2)))
-        place: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
-        for target in sorted({100 * targets[name] for name in so_far.names if name in targets}):
-            axes.axhline(target, color=INK, lw=0.9)
-            axes.annotate(f"target: {target:.3g} %", (1, target), (-2, 3), ha="right", fontsize=8, **place)
-        axes.set_yscale("log")
-        axes.set_xscale("log")
-        for axis in (axes.xaxis, axes.yaxis):
-            plain_log(axis)
-        axes.set_xlabel("samples")
-        axes.set_ylabel("standard deviation, per cent")
-        axes.set_title("Intervals as data come in, and with more of the same (dashed)")
-        axes.legend(ncols=2 if len(so_far.names) > 5 else 1, loc="upper right")
+    figure = Figure(figsize=(7.4, 3.6))
+    axes = figure.subplots()
+    for j, name in enumerate(so_far.names):
+        colour = COLOURS[j % len(COLOURS)]
+        axes.plot(so_far.samples, 100 * so_far.relative[:, j], "o-", color=colour, ms=3.5, lw=1.4, label=name)
+        axes.plot(ahead, 100 * relative[:, j], color=colour, lw=1.0, ls=(0, (3, 2)))
+    place: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
+    for target in sorted({100 * targets[name] for name in so_far.names if name in targets}):
+        axes.axhline(target, color=INK, lw=0.9)
+        axes.annotate(f"target: {target:.3g} %", (1, target), (-2, 3), ha="right", fontsize=8, **place)
+    axes.set_yscale("log")
+    axes.set_xscale("log")
+    for axis in (axes.xaxis, axes.yaxis):
+        plain_log(axis)
+    axes.set_xlabel("samples")
+    axes.set_ylabel("standard deviation, per cent")
+    axes.set_title("Intervals as data come in, and with more of the same (dashed)")
+    axes.legend(ncols=2 if len(so_far.names) > 5 else 1, loc="upper right")
     return figure

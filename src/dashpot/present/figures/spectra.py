@@ -61,33 +61,34 @@ def frequency_axis(axes: Axes, f: Real) -> None:
 # Amplitude and phase over frequency.
 
 
+@style()
 def response_figure(responses: Sequence[FrequencyResponse]) -> Figure:
     """A row for each response, amplitude left and phase right: dots with ±2 sd, the model with its 95 % band."""
-    with style():
-        figure, pairs = _amplitudes_and_phases(
-            [f"{shown.channel} over {shown.reference}" for shown in responses],
-            [shown.unit for shown in responses],
-            responses[0].lines_hz,
-        )
-        for (left, right), shown in zip(pairs, responses, strict=True):
-            size, f = np.abs(shown.response), shown.frequency_hz
-            _draw_measured(left, right, shown.lines_hz, np.abs(shown.measured), shown.sd, shown.phase_deg)
-            if np.any(np.isfinite(shown.log_sd)):
-                width = np.exp(np.minimum(REACH * np.nan_to_num(shown.log_sd), 20.0))
-                _band(left, f, size / width, size * width)
-            if np.any(np.isfinite(shown.phase_sd_deg)):
-                width = np.minimum(REACH * np.nan_to_num(shown.phase_sd_deg), 180.0)
-                _band(right, f, shown.curve_deg - width, shown.curve_deg + width)
-            left.plot(f, size, color=MODEL, lw=1.2, label="model", zorder=4)
-            right.plot(f, shown.curve_deg, color=MODEL, lw=1.2, label="model", zorder=4)
-            _amplitude_axis(left, np.append(np.abs(shown.measured), size))
-            low, high = float(np.min(shown.curve_deg)), float(np.max(shown.curve_deg))
-            limit_axis(right.set_ylim, np.floor((low - 30) / 90) * 90, np.ceil((high + 30) / 90) * 90)
-            right.yaxis.set_major_locator(MultipleLocator(90 if high - low < 400 else 180))
-        _legend_above(figure, pairs[0][0], 3)
+    figure, pairs = _amplitudes_and_phases(
+        [f"{shown.channel} over {shown.reference}" for shown in responses],
+        [shown.unit for shown in responses],
+        responses[0].lines_hz,
+    )
+    for (left, right), shown in zip(pairs, responses, strict=True):
+        size, f = np.abs(shown.response), shown.frequency_hz
+        _draw_measured(left, right, shown.lines_hz, np.abs(shown.measured), shown.sd, shown.phase_deg)
+        if np.any(np.isfinite(shown.log_sd)):
+            width = np.exp(np.minimum(REACH * np.nan_to_num(shown.log_sd), 20.0))
+            _band(left, f, size / width, size * width)
+        if np.any(np.isfinite(shown.phase_sd_deg)):
+            width = np.minimum(REACH * np.nan_to_num(shown.phase_sd_deg), 180.0)
+            _band(right, f, shown.curve_deg - width, shown.curve_deg + width)
+        left.plot(f, size, color=MODEL, lw=1.2, label="model", zorder=4)
+        right.plot(f, shown.curve_deg, color=MODEL, lw=1.2, label="model", zorder=4)
+        _amplitude_axis(left, np.append(np.abs(shown.measured), size))
+        low, high = float(np.min(shown.curve_deg)), float(np.max(shown.curve_deg))
+        limit_axis(right.set_ylim, np.floor((low - 30) / 90) * 90, np.ceil((high + 30) / 90) * 90)
+        right.yaxis.set_major_locator(MultipleLocator(90 if high - low < 400 else 180))
+    _legend_above(figure, pairs[0][0], 3)
     return figure
 
 
+@style()
 def amplitude_and_phase(
     names: Sequence[str],
     units: Sequence[str],
@@ -103,19 +104,18 @@ def amplitude_and_phase(
     marks: dict[str, Any] = {"marker": "x", "ls": "", "color": MODEL, "ms": 6, "zorder": 2, "label": "model"}
     if len(lines_hz) > MANY:
         marks |= {"marker": ".", "ms": 2, "rasterized": True, "zorder": 4}
-    with style():
-        figure, pairs = _amplitudes_and_phases(names, units, lines_hz)
-        for (left, right), y, spread, model in zip(pairs, measured.T, sd.T, predicted.T, strict=True):
-            expected = np.degrees(np.angle(model))
-            # in the turn that is nearest to what is predicted
-            phase = expected + (np.degrees(np.angle(y)) - expected + 180) % 360 - 180
-            _draw_measured(left, right, lines_hz, np.abs(y), spread, phase)
-            left.plot(lines_hz, np.abs(model), **marks)
-            right.plot(lines_hz, expected, **marks)
-            _amplitude_axis(left, np.abs(y))
-            right.set_ylim(-200, 200)
-            right.set_yticks([-180, -90, 0, 90, 180])
-        pairs[0][0].legend(loc="best")
+    figure, pairs = _amplitudes_and_phases(names, units, lines_hz)
+    for (left, right), y, spread, model in zip(pairs, measured.T, sd.T, predicted.T, strict=True):
+        expected = np.degrees(np.angle(model))
+        # in the turn that is nearest to what is predicted
+        phase = expected + (np.degrees(np.angle(y)) - expected + 180) % 360 - 180
+        _draw_measured(left, right, lines_hz, np.abs(y), spread, phase)
+        left.plot(lines_hz, np.abs(model), **marks)
+        right.plot(lines_hz, expected, **marks)
+        _amplitude_axis(left, np.abs(y))
+        right.set_ylim(-200, 200)
+        right.set_yticks([-180, -90, 0, 90, 180])
+    pairs[0][0].legend(loc="best")
     return figure
 
 
@@ -183,35 +183,35 @@ def _legend_above(figure: Figure, axes: Axes, columns: int) -> None:
     figure.legend(handles, labels, loc="outside upper right", ncols=columns)
 
 
+@style()
 def nyquist_figure(responses: Sequence[FrequencyResponse]) -> Figure:
     """The first responses in the complex plane: each resonance is a circle; lines join measured and model."""
     shown = responses[:MOST_PLANES]
     columns = min(len(shown), 4)
-    with style():
-        width = 8.6 if columns > 2 else 0.4 + 2.6 * columns
-        size = (width, 0.3 + width / columns * -(-len(shown) // columns))
-        figure, grid = panels(len(shown), columns, size)
-        for axes, response in zip(grid, shown, strict=True):
-            H, curve, many = response.measured, response.response, len(response.measured) > MANY
-            dots: dict[str, Any] = {
-                "color": DATA,
-                "ms": 1.6 if many else 3.2,
-                "rasterized": many,
-                "label": "measured",
-            }
-            axes.axhline(0, color=MUTED, lw=0.5)
-            axes.axvline(0, color=MUTED, lw=0.5)
-            axes.plot(curve.real, curve.imag, color=MODEL, lw=1.2, zorder=3)
-            axes.plot(H.real, H.imag, "o", zorder=4, **dots)
-            lines = [f"{short(float(f), 4)} Hz" for f in response.lines_hz]
-            parts = AxisLabel("real part", response.unit), AxisLabel("imaginary part", response.unit)
-            hover(axes, *parts, lines)
-            axes.set_aspect("equal", adjustable="datalim")
-            axes.set_title(f"{response.channel} over {response.reference}")
-            axes.set_xlabel(f"real part{', ' + response.unit if response.unit else ''}")
-            axes.set_ylabel("imaginary part")
-            axes.xaxis.set_major_locator(MaxNLocator(4))
-            axes.yaxis.set_major_locator(MaxNLocator(4))
+    width = 8.6 if columns > 2 else 0.4 + 2.6 * columns
+    size = (width, 0.3 + width / columns * -(-len(shown) // columns))
+    figure, grid = panels(len(shown), columns, size)
+    for axes, response in zip(grid, shown, strict=True):
+        H, curve, many = response.measured, response.response, len(response.measured) > MANY
+        dots: dict[str, Any] = {
+            "color": DATA,
+            "ms": 1.6 if many else 3.2,
+            "rasterized": many,
+            "label": "measured",
+        }
+        axes.axhline(0, color=MUTED, lw=0.5)
+        axes.axvline(0, color=MUTED, lw=0.5)
+        axes.plot(curve.real, curve.imag, color=MODEL, lw=1.2, zorder=3)
+        axes.plot(H.real, H.imag, "o", zorder=4, **dots)
+        lines = [f"{short(float(f), 4)} Hz" for f in response.lines_hz]
+        parts = AxisLabel("real part", response.unit), AxisLabel("imaginary part", response.unit)
+        hover(axes, *parts, lines)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_title(f"{response.channel} over {response.reference}")
+        axes.set_xlabel(f"real part{', ' + response.unit if response.unit else ''}")
+        axes.set_ylabel("imaginary part")
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+        axes.yaxis.set_major_locator(MaxNLocator(4))
     return figure
 
 
@@ -223,6 +223,7 @@ def drawn_of(predictions: Sequence[RecordPrediction]) -> RecordPrediction:
     return next((part for part in predictions if part.samples), predictions[0])
 
 
+@style()
 def prediction_figure(part: RecordPrediction, rows: Sequence[int] | None = None) -> Figure:
     """A whole record in time (left) and by frequency, or settled lines; of all channels or of those in these places."""
     chosen = range(len(part.channels)) if rows is None else rows
@@ -232,25 +233,24 @@ def prediction_figure(part: RecordPrediction, rows: Sequence[int] | None = None)
         return amplitude_and_phase(names, units, f, shown, np.full(shown.shape, np.nan), expected)
     time, measured, predicted = part.histories()
     looks = (("measured", DATA, 0.8), ("predicted", MODEL, 0.7), ("difference", BAD, 0.6))
-    with style():
-        figure, flat = panels(2 * len(names), 2, (9, 2.1 * len(names) + 0.4))
-        rows_of = zip(chosen, names, units, flat[::2], flat[1::2], strict=True)
-        for row, (place, name, unit, left, right) in enumerate(rows_of):
-            histories = measured[:, place], predicted[:, place]
-            spectra = shown[:, row], expected[:, row]
-            for k, (label, colour, width) in enumerate(looks):
-                history = histories[k] if k < 2 else histories[0] - histories[1]
-                spectrum = spectra[k] if k < 2 else spectra[0] - spectra[1]
-                left.plot(time, history, color=colour, linewidth=width, label=label)
-                right.semilogy(f, np.abs(spectrum), color=colour, linewidth=width, label=label)
-            hover(left, AxisLabel("time", "s"), AxisLabel(name, unit))
-            hover(right, FREQUENCY, AxisLabel(name, unit))
-            left.set_ylabel(f"{name}, {unit}")
-            right.set_ylabel(unit)
-            right.set_title(name)
-        _legend_above(figure, flat[0], 3)
-        flat[-2].set_xlabel("time, s")
-        flat[-1].set_xlabel("frequency, Hz")
+    figure, flat = panels(2 * len(names), 2, (9, 2.1 * len(names) + 0.4))
+    rows_of = zip(chosen, names, units, flat[::2], flat[1::2], strict=True)
+    for row, (place, name, unit, left, right) in enumerate(rows_of):
+        histories = measured[:, place], predicted[:, place]
+        spectra = shown[:, row], expected[:, row]
+        for k, (label, colour, width) in enumerate(looks):
+            history = histories[k] if k < 2 else histories[0] - histories[1]
+            spectrum = spectra[k] if k < 2 else spectra[0] - spectra[1]
+            left.plot(time, history, color=colour, linewidth=width, label=label)
+            right.semilogy(f, np.abs(spectrum), color=colour, linewidth=width, label=label)
+        hover(left, AxisLabel("time", "s"), AxisLabel(name, unit))
+        hover(right, FREQUENCY, AxisLabel(name, unit))
+        left.set_ylabel(f"{name}, {unit}")
+        right.set_ylabel(unit)
+        right.set_title(name)
+    _legend_above(figure, flat[0], 3)
+    flat[-2].set_xlabel("time, s")
+    flat[-1].set_xlabel("frequency, Hz")
     return figure
 
 
@@ -260,43 +260,43 @@ POINTS = 400  # of a curve
 USED = "#d7e8f0"
 
 
+@style()
 def whole_dwells(dwells: Sequence[DwellHistory]) -> Figure:
     """A column for each dwell, a row for each channel: the reach of each period, the part used shaded."""
-    with style():
-        figure, grid = _dwell_panels(dwells)
-        for column, dwell in enumerate(dwells):
-            inside = (dwell.time >= dwell.begin) & (dwell.time <= dwell.end)
-            predicted = dwell.predicted(dwell.time[inside])
-            for row, axes in enumerate(grid[:, column]):
-                _used(axes, dwell.begin, dwell.end)
-                middle, low, high = _outline(dwell.time, dwell.measured[:, row], dwell.frequency_hz)
-                axes.fill_between(middle, low, high, color=MUTED, lw=0, zorder=2, label="measured")
-                middle, low, high = _outline(dwell.time[inside], predicted[:, row], dwell.frequency_hz)
-                axes.plot(middle, low, color=MODEL, lw=1.3, zorder=4, label="predicted")
-                axes.plot(middle, high, color=MODEL, lw=1.3, zorder=4)
-        _legend_above(figure, grid[0, 0], 2)
+    figure, grid = _dwell_panels(dwells)
+    for column, dwell in enumerate(dwells):
+        inside = (dwell.time >= dwell.begin) & (dwell.time <= dwell.end)
+        predicted = dwell.predicted(dwell.time[inside])
+        for row, axes in enumerate(grid[:, column]):
+            _used(axes, dwell.begin, dwell.end)
+            middle, low, high = _outline(dwell.time, dwell.measured[:, row], dwell.frequency_hz)
+            axes.fill_between(middle, low, high, color=MUTED, lw=0, zorder=2, label="measured")
+            middle, low, high = _outline(dwell.time[inside], predicted[:, row], dwell.frequency_hz)
+            axes.plot(middle, low, color=MODEL, lw=1.3, zorder=4, label="predicted")
+            axes.plot(middle, high, color=MODEL, lw=1.3, zorder=4)
+    _legend_above(figure, grid[0, 0], 2)
     return figure
 
 
+@style()
 def beginnings(dwells: Sequence[DwellHistory]) -> Figure:
     """The same channels around the beginning of the part used: samples as points, the prediction as a curve."""
-    with style():
-        figure, grid = _dwell_panels(dwells)
-        for column, dwell in enumerate(dwells):
-            period = 1 / dwell.frequency_hz
-            first = max(dwell.begin - period, 0.0)
-            last = min(dwell.begin + PERIODS * period, float(dwell.time[-1]))
-            kept = (dwell.time >= first) & (dwell.time <= last)
-            every = max(int(np.sum(kept)) // POINTS, 1)
-            samples, measured = dwell.time[kept][::every], dwell.measured[kept][::every]
-            time = np.linspace(first, last, POINTS)
-            curve = dwell.predicted(time)
-            for row, axes in enumerate(grid[:, column]):
-                _used(axes, dwell.begin, min(dwell.end, last))
-                axes.plot(samples, measured[:, row], "o", ms=2.0, color=MUTED, zorder=2, label="measured")
-                axes.plot(time, curve[:, row], color=MODEL, lw=1.0, zorder=4, label="predicted")
-                hover(axes, AxisLabel("time", "s"), AxisLabel(dwell.channels[row], dwell.units[row]))
-        _legend_above(figure, grid[0, 0], 2)
+    figure, grid = _dwell_panels(dwells)
+    for column, dwell in enumerate(dwells):
+        period = 1 / dwell.frequency_hz
+        first = max(dwell.begin - period, 0.0)
+        last = min(dwell.begin + PERIODS * period, float(dwell.time[-1]))
+        kept = (dwell.time >= first) & (dwell.time <= last)
+        every = max(int(np.sum(kept)) // POINTS, 1)
+        samples, measured = dwell.time[kept][::every], dwell.measured[kept][::every]
+        time = np.linspace(first, last, POINTS)
+        curve = dwell.predicted(time)
+        for row, axes in enumerate(grid[:, column]):
+            _used(axes, dwell.begin, min(dwell.end, last))
+            axes.plot(samples, measured[:, row], "o", ms=2.0, color=MUTED, zorder=2, label="measured")
+            axes.plot(time, curve[:, row], color=MODEL, lw=1.0, zorder=4, label="predicted")
+            hover(axes, AxisLabel("time", "s"), AxisLabel(dwell.channels[row], dwell.units[row]))
+    _legend_above(figure, grid[0, 0], 2)
     return figure
 
 
@@ -333,6 +333,7 @@ def _outline(time: Real, values: Real, frequency_hz: float) -> tuple[Real, Real,
 # What data tell: residuals, correlations, shares of the information by frequency, profiles of the likelihood.
 
 
+@style()
 def residual_plot(
     names: Sequence[str], lines_hz: Real, size: Real, worst: tuple[str, float, float] | None = None
 ) -> Figure:
@@ -341,47 +342,47 @@ def residual_plot(
     worst: (channel, Hz, size).  Where the model fits, 95 % lie in the band.
     """
     marks = "os^Dv<>P"
-    with style():
-        figure = Figure(figsize=(HALF_PAGE, 2.7))
-        axes = figure.subplots()
-        axes.axhspan(0, RAYLEIGH_95, color=MODEL, alpha=0.08, lw=0)
-        for k, name in enumerate(names):
-            there = np.isfinite(size[:, k])
-            if np.any(there):
-                many = int(np.sum(there)) > MANY
-                look: dict[str, Any] = {
-                    "color": COLOURS[k % len(COLOURS)],
-                    "ms": 2 if many else 4,
-                    "rasterized": many,
-                }
-                axes.plot(lines_hz[there], size[there, k], marks[k % len(marks)], label=name, **look)
-        largest = float(np.max(size[np.isfinite(size)], initial=RAYLEIGH_95))
-        if largest > 12:
-            axes.set_yscale("symlog", linthresh=2)
-        limit_axis(axes.set_ylim, 0, (1.25 if largest <= 12 else 2.0) * largest)
-        if worst is not None and np.isfinite(worst[2]):
-            name, f, value = worst
-            right = f > float(np.sqrt(np.max(lines_hz) * max(np.min(lines_hz), 1e-12)))
-            axes.annotate(
-                f"{name}, {f:.4g} Hz: {short(value, 2)}",
-                (f, value),
-                textcoords="offset points",
-                xytext=(-6 if right else 6, 4),
-                ha="right" if right else "left",
-                fontsize=8,
-                color=INK,
-            )
-        axes.set_ylabel("residual / sd")
-        hover(axes, FREQUENCY, AxisLabel("residual", "sd"))
-        axes.set_xlabel("frequency, Hz")
-        frequency_axis(axes, lines_hz)
-        handles, labels = axes.get_legend_handles_labels()
-        if handles and len(labels) <= 12:
-            layout = {"ncols": 6, "handletextpad": 0.1, "columnspacing": 1.2}
-            figure.legend(handles, labels, loc="outside upper left", **layout)
+    figure = Figure(figsize=(HALF_PAGE, 2.7))
+    axes = figure.subplots()
+    axes.axhspan(0, RAYLEIGH_95, color=MODEL, alpha=0.08, lw=0)
+    for k, name in enumerate(names):
+        there = np.isfinite(size[:, k])
+        if np.any(there):
+            many = int(np.sum(there)) > MANY
+            look: dict[str, Any] = {
+                "color": COLOURS[k % len(COLOURS)],
+                "ms": 2 if many else 4,
+                "rasterized": many,
+            }
+            axes.plot(lines_hz[there], size[there, k], marks[k % len(marks)], label=name, **look)
+    largest = float(np.max(size[np.isfinite(size)], initial=RAYLEIGH_95))
+    if largest > 12:
+        axes.set_yscale("symlog", linthresh=2)
+    limit_axis(axes.set_ylim, 0, (1.25 if largest <= 12 else 2.0) * largest)
+    if worst is not None and np.isfinite(worst[2]):
+        name, f, value = worst
+        right = f > float(np.sqrt(np.max(lines_hz) * max(np.min(lines_hz), 1e-12)))
+        axes.annotate(
+            f"{name}, {f:.4g} Hz: {short(value, 2)}",
+            (f, value),
+            textcoords="offset points",
+            xytext=(-6 if right else 6, 4),
+            ha="right" if right else "left",
+            fontsize=8,
+            color=INK,
+        )
+    axes.set_ylabel("residual / sd")
+    hover(axes, FREQUENCY, AxisLabel("residual", "sd"))
+    axes.set_xlabel("frequency, Hz")
+    frequency_axis(axes, lines_hz)
+    handles, labels = axes.get_legend_handles_labels()
+    if handles and len(labels) <= 12:
+        layout = {"ncols": 6, "handletextpad": 0.1, "columnspacing": 1.2}
+        figure.legend(handles, labels, loc="outside upper left", **layout)
     return figure
 
 
+@style()
 def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
     """Correlation matrix of the estimates, blue for + and red for −, with numbers where there is room.
 
@@ -389,27 +390,26 @@ def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
     """
     count = len(names)
     size = min(max(0.48 * count + 1.2, 2.4), 7.6)
-    with style():
-        figure = Figure(figsize=(size + 0.7, size))
-        axes = figure.subplots()
-        axes.grid(visible=False)
-        hover_cells(axes, names, names, matrix, AxisLabel("correlation"))
-        image = axes.imshow(matrix, cmap="RdBu", vmin=-1, vmax=1)
-        if count <= 12:
-            colours = image.to_rgba(np.nan_to_num(matrix))
-            for i, j in np.argwhere(np.isfinite(matrix)).tolist():
-                value = float(matrix[i, j])
-                text = f"{value:.2f}".replace("0.", ".").replace("-", "−") if i != j else "1"
-                text = "0" if abs(value) < 0.005 else text
-                ink = "white" if _luminance(colours[i, j]) < 0.18 else INK
-                axes.text(j, i, text, ha="center", va="center", color=ink, fontsize=7.5)
-        if count <= 40:
-            axes.set_xticks(range(count), names, rotation=45 if max(map(len, names)) > 3 else 0)
-            axes.set_yticks(range(count), names)
-        axes.tick_params(length=0)
-        for spine in axes.spines.values():
-            spine.set_visible(False)
-        figure.colorbar(image, ax=axes, shrink=0.8, ticks=[-1, 0, 1])
+    figure = Figure(figsize=(size + 0.7, size))
+    axes = figure.subplots()
+    axes.grid(visible=False)
+    hover_cells(axes, names, names, matrix, AxisLabel("correlation"))
+    image = axes.imshow(matrix, cmap="RdBu", vmin=-1, vmax=1)
+    if count <= 12:
+        colours = image.to_rgba(np.nan_to_num(matrix))
+        for i, j in np.argwhere(np.isfinite(matrix)).tolist():
+            value = float(matrix[i, j])
+            text = f"{value:.2f}".replace("0.", ".").replace("-", "−") if i != j else "1"
+            text = "0" if abs(value) < 0.005 else text
+            ink = "white" if _luminance(colours[i, j]) < 0.18 else INK
+            axes.text(j, i, text, ha="center", va="center", color=ink, fontsize=7.5)
+    if count <= 40:
+        axes.set_xticks(range(count), names, rotation=45 if max(map(len, names)) > 3 else 0)
+        axes.set_yticks(range(count), names)
+    axes.tick_params(length=0)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    figure.colorbar(image, ax=axes, shrink=0.8, ticks=[-1, 0, 1])
     return figure
 
 
@@ -419,57 +419,57 @@ def _luminance(colour: Real) -> float:
     return float(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
 
 
+@style()
 def shares_figure(names: Sequence[str], frequency_hz: Real, shares: Real) -> Figure:
     """What lines (or bands, by their middle) tell of each unknown, per cent; shares (lines, unknowns)."""
     lines = len(frequency_hz)
-    with style():
-        figure = Figure(figsize=(HALF_PAGE, max(1.6, 0.26 * len(names) + 1.0)))
-        axes = figure.subplots()
-        top = max(float(np.nanmax(shares, initial=0.0)), 1e-9)
-        edges = np.arange(lines + 1), np.arange(len(names) + 1)
-        look: dict[str, Any] = {
-            "cmap": HEAT,
-            "vmin": 0,
-            "vmax": 100 * top,
-            "rasterized": lines * len(names) > 2000,
-        }
-        mesh = axes.pcolormesh(*edges, 100 * shares.T, **look)
-        places = np.arange(0, lines, max(1, -(-lines // 10)))
-        axes.xaxis.set_major_locator(FixedLocator([float(k) + 0.5 for k in places]))
-        axes.set_xticklabels([short(float(frequency_hz[k]), 3) for k in places])
-        row_names(axes, [k + 0.5 for k in range(len(names))], names)
-        axes.set_ylim(len(names), 0)
-        columns = [f"{short(float(f), 4)} Hz" for f in frequency_hz]
-        hover_cells(axes, names, columns, 100 * shares.T, AxisLabel("share", "%"))
-        axes.tick_params(length=0)
-        axes.grid(visible=False)
-        axes.set_xlabel("frequency, Hz")
-        heat_bar(mesh, axes, "% of the information")
+    figure = Figure(figsize=(HALF_PAGE, max(1.6, 0.26 * len(names) + 1.0)))
+    axes = figure.subplots()
+    top = max(float(np.nanmax(shares, initial=0.0)), 1e-9)
+    edges = np.arange(lines + 1), np.arange(len(names) + 1)
+    look: dict[str, Any] = {
+        "cmap": HEAT,
+        "vmin": 0,
+        "vmax": 100 * top,
+        "rasterized": lines * len(names) > 2000,
+    }
+    mesh = axes.pcolormesh(*edges, 100 * shares.T, **look)
+    places = np.arange(0, lines, max(1, -(-lines // 10)))
+    axes.xaxis.set_major_locator(FixedLocator([float(k) + 0.5 for k in places]))
+    axes.set_xticklabels([short(float(frequency_hz[k]), 3) for k in places])
+    row_names(axes, [k + 0.5 for k in range(len(names))], names)
+    axes.set_ylim(len(names), 0)
+    columns = [f"{short(float(f), 4)} Hz" for f in frequency_hz]
+    hover_cells(axes, names, columns, 100 * shares.T, AxisLabel("share", "%"))
+    axes.tick_params(length=0)
+    axes.grid(visible=False)
+    axes.set_xlabel("frequency, Hz")
+    heat_bar(mesh, axes, "% of the information")
     return figure
 
 
+@style()
 def profile_figure(profiles: Sequence[Profile]) -> Figure:
     """Rise of χ² along each unknown, all others fitted again, beside the parabola of the normal interval."""
     columns = min(len(profiles), 2)
     size = (HALF_PAGE if columns == 2 else 3.2, 0.6 + 2.2 * -(-len(profiles) // columns))
-    with style():
-        figure, grid = panels(len(profiles), columns, size)
-        for axes, shown in zip(grid, profiles, strict=True):
-            axes.plot(shown.points, shown.rise, color=MODEL, lw=1.4, label="profile")
-            value, half = float(shown.value), (float(shown.normal_upper) - float(shown.normal_lower)) / 2
-            x = np.linspace(float(np.min(shown.points)), float(np.max(shown.points)), 100)
-            limit = float(shown.threshold)
-            parabola = limit * ((x - value) / half) ** 2
-            axes.plot(x, parabola, color=MUTED, lw=1.0, ls=(0, (3, 2)), label="normal")
-            axes.axhline(limit, color=INK, lw=0.7)
-            for end in (float(shown.lower), float(shown.upper)):
-                if np.isfinite(end):
-                    axes.axvline(end, color=BAD if bool(shown.misleads) else MODEL, lw=0.8)
-            limit_axis(axes.set_ylim, 0, 2.2 * limit)
-            unit = "" if shown.unit == "1" else shown.unit
-            hover(axes, AxisLabel(shown.name, unit), AxisLabel("rise of χ²"))
-            axes.set_title(shown.name)
-            axes.set_xlabel(unit)
-            axes.set_ylabel("rise of χ²")
-        grid[0].legend(loc="upper center")
+    figure, grid = panels(len(profiles), columns, size)
+    for axes, shown in zip(grid, profiles, strict=True):
+        axes.plot(shown.points, shown.rise, color=MODEL, lw=1.4, label="profile")
+        value, half = float(shown.value), (float(shown.normal_upper) - float(shown.normal_lower)) / 2
+        x = np.linspace(float(np.min(shown.points)), float(np.max(shown.points)), 100)
+        limit = float(shown.threshold)
+        parabola = limit * ((x - value) / half) ** 2
+        axes.plot(x, parabola, color=MUTED, lw=1.0, ls=(0, (3, 2)), label="normal")
+        axes.axhline(limit, color=INK, lw=0.7)
+        for end in (float(shown.lower), float(shown.upper)):
+            if np.isfinite(end):
+                axes.axvline(end, color=BAD if bool(shown.misleads) else MODEL, lw=0.8)
+        limit_axis(axes.set_ylim, 0, 2.2 * limit)
+        unit = "" if shown.unit == "1" else shown.unit
+        hover(axes, AxisLabel(shown.name, unit), AxisLabel("rise of χ²"))
+        axes.set_title(shown.name)
+        axes.set_xlabel(unit)
+        axes.set_ylabel("rise of χ²")
+    grid[0].legend(loc="upper center")
     return figure

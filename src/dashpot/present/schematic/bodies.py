@@ -230,8 +230,7 @@ class Forest:
 
 def forest(model: Model, found: Connections) -> Forest:
     """Trees of all parts of a rig that only the ground joins."""
-    plan = _Planner(model, found)
-    return Forest(tuple(plan.roots()), tuple(plan.bodies), tuple(plan.links))
+    return _Planner(model, found).forest()
 
 
 class _Planner:
@@ -241,55 +240,71 @@ class _Planner:
         self.model = model
         self.bodies = list(found.bodies)
         self.links = list(found.links)
-        self.neighbours: list[list[int]] = [[] for _ in found.bodies]
+        near: list[set[int]] = [set() for _ in found.bodies]
         for link in found.links:
             if link.second != GROUND:
-                self.neighbours[link.first].append(link.second)
-                self.neighbours[link.second].append(link.first)
-        for body, near in enumerate(self.neighbours):
-            self.neighbours[body] = sorted(set(near) - {body})
+                near[link.first].add(link.second)
+                near[link.second].add(link.first)
+        self.neighbours = [sorted(others - {body}) for body, others in enumerate(near)]
 
-    def roots(self) -> list[Branch]:
-        """The root of every part, in the order of their first bodies."""
+    def forest(self) -> Forest:
+        """A tree for every part, in the order of their first bodies."""
         roots, seen = [], set[int]()
         for body in range(len(self.bodies)):
-            if body not in seen:
-                part = self._part(body)
-                seen |= set(part)
-                roots.append(self._grow(part))
-        return roots
+            if body in seen:
+                continue
+            part, waiting = {body}, [body]
+            while waiting:
+                fresh = [near for near in self.neighbours[waiting.pop()] if near not in part]
+                part |= set(fresh)
+                waiting += fresh
+            seen |= part
+            roots.append(self._grown(sorted(part)))
+        return Forest(tuple(roots), tuple(self.bodies), tuple(self.links))
 
-    def _part(self, start: int) -> list[int]:
-        part, waiting = {start}, [start]
-        while waiting:
-            fresh = [near for near in self.neighbours[waiting.pop()] if near not in part]
-            part |= set(fresh)
-            waiting += fresh
-        return sorted(part)
-
-    def _grow(self, part: Sequence[int]) -> Branch:
-        bases = [body for body in part if self.bodies[body].role == "base"]
-        held = [body for body in part if self._held(body) and self.bodies[body].role == "body"]
-        if bases:
-            root = self._search(max(bases, key=lambda body: len(self.neighbours[body])))
-        elif held:
-            first = min(held, key=lambda body: len(self.neighbours[body]))
-            wall = self._wall(first)
-            root = self._search(wall)
+    def _grown(self, part: Sequence[int]) -> Branch:
+        """The tree of a part: from its base, else from a wall beside a body that is held, else from an end."""
+        of_role = {
+            role: [body for body in part if self.bodies[body].role == role] for role in ("base", "body")
+        }
+        held = [body for body in of_role["body"] if self._held(body)]
+        if of_role["base"]:
+            start = max(of_role["base"], key=lambda body: len(self.neighbours[body]))
         else:
-            bodies = [body for body in part if self.bodies[body].role == "body"] or part
-            root = self._search(min(bodies, key=lambda body: len(self.neighbours[body])))
-        return self._finished(root)
+            start = min(held or of_role["body"] or part, key=lambda body: len(self.neighbours[body]))
+            start = self._wall(start) if held else start
+        root = Branch(start, 0)
+        nodes = self._searched(root)
+        for node in list(nodes.values()):
+            # A chain that ends at the ground ends at a wall beside it.
+            if not node.children and node.depth > 0 and self._held(node.body):
+                wall = Branch(self._wall(node.body), node.depth + 1)
+                node.children.append(wall)
+                nodes[wall.body] = wall
+        parents = {child.body: node for node in nodes.values() for child in node.children}
+        skipping: list[tuple[Branch, Branch, int]] = []
+        for k, link in enumerate(self.links):
+            if link.first not in nodes:
+                continue
+            first = nodes[link.first]
+            if link.second == GROUND:
+                first.hanging.append(k)
+                continue
+            low, high = sorted((first, nodes[link.second]), key=lambda node: -node.depth)
+            if parents[low.body] is high:
+                low.bundle.append(k)
+            else:
+                skipping.append((high, low, k))
+        _assign_lanes(root, parents, skipping)
+        return root
 
     def _held(self, body: int) -> bool:
         """Whether a spring joins it to the ground."""
         return any(
             link.kind == "element" and self.model.elements[link.item].law.power == 0
-            for link in self._to_ground(body)
+            for link in self.links
+            if (link.first, link.second) == (body, GROUND)
         )
-
-    def _to_ground(self, body: int) -> list[Link]:
-        return [link for link in self.links if link.first == body and link.second == GROUND]
 
     def _wall(self, body: int) -> int:
         """A wall of the ground beside a body, to which its links to the ground now lead."""
@@ -298,15 +313,14 @@ class _Planner:
         self.neighbours.append([body])
         self.neighbours[body] = sorted({*self.neighbours[body], wall})
         for k, link in enumerate(self.links):
-            if link.first == body and link.second == GROUND:
+            if (link.first, link.second) == (body, GROUND):
                 self.links[k] = replace(link, second=wall)
         return wall
 
-    def _search(self, start: int) -> Branch:
-        """The tree grown depth-first; bodies are visited in their order."""
-        root = Branch(start, 0)
-        nodes = {start: root}
-        path = [(root, iter(list(self.neighbours[start])))]
+    def _searched(self, root: Branch) -> dict[int, Branch]:
+        """The nodes of the tree grown depth-first; bodies are visited in their order."""
+        nodes = {root.body: root}
+        path = [(root, iter(list(self.neighbours[root.body])))]
         while path:
             node, rest = path[-1]
             near = next((body for body in rest if body not in nodes), None)
@@ -317,62 +331,30 @@ class _Planner:
             nodes[near] = child
             node.children.append(child)
             path.append((child, iter(list(self.neighbours[near]))))
-        self._nodes = nodes
-        return root
-
-    def _finished(self, root: Branch) -> Branch:
-        for node in list(self._nodes.values()):
-            # A chain that ends at the ground ends at a wall beside it.
-            if not node.children and node.depth > 0 and self._held(node.body):
-                wall = Branch(self._wall(node.body), node.depth + 1)
-                node.children.append(wall)
-                self._nodes[wall.body] = wall
-        parents = {child.body: node for node in self._nodes.values() for child in node.children}
-        skipping: list[tuple[Branch, Branch, int]] = []
-        for k, link in enumerate(self.links):
-            if link.first not in self._nodes:
-                continue
-            first = self._nodes[link.first]
-            if link.second == GROUND:
-                first.hanging.append(k)
-                continue
-            low, high = sorted((first, self._nodes[link.second]), key=lambda node: -node.depth)
-            if parents[low.body] is high:
-                low.bundle.append(k)
-            else:
-                skipping.append((high, low, k))
-        _order(root, parents, skipping)
-        _assign_lanes(root, parents, skipping)
-        return root
-
-
-def _order(root: Branch, parents: dict[int, Branch], skipping: Sequence[tuple[Branch, Branch, int]]) -> None:
-    """Branches that skipping links lead into come first: nothing then stands between those and where they lead."""
-    into: dict[int, int] = {}
-    for high, low, _ in skipping:
-        node = low
-        while node is not high:
-            into[node.body] = into.get(node.body, 0) + 1
-            node = parents[node.body]
-    waiting = [root]
-    while waiting:
-        node = waiting.pop()
-        node.children.sort(key=lambda child: -into.get(child.body, 0))
-        waiting += node.children
+        return nodes
 
 
 def _assign_lanes(
-    root: Branch, parents: dict[int, Branch], skipping: Sequence[tuple[Branch, Branch, int]]
+    root: Branch, parents: Mapping[int, Branch], skipping: Sequence[tuple[Branch, Branch, int]]
 ) -> None:
-    waiting = [root]
-    while waiting:
-        node = waiting.pop()
-        node.lanes = [[] for _ in node.children]
-        waiting += node.children
-    for high, low, k in sorted(skipping, key=lambda item: (item[1].depth, item[2])):
+    """Rows for the links (high, low, link) that skip bodies, by the child of the high one that they pass.
+
+    Branches that such links lead into come first: nothing then stands between those and where they lead.
+    """
+    paths = {}
+    into: dict[int, int] = {}
+    for high, low, k in skipping:
         path = [low]
         while parents[path[-1].body] is not high:
             path.append(parents[path[-1].body])
+        paths[k] = path
+        for node in path:
+            into[node.body] = into.get(node.body, 0) + 1
+    for node in root.preorder():
+        node.children.sort(key=lambda child: -into.get(child.body, 0))
+        node.lanes = [[] for _ in node.children]
+    for high, low, k in sorted(skipping, key=lambda item: (item[1].depth, item[2])):
+        path = paths[k]
         above = all(parents[node.body].children[0] is node for node in path[:-1])
         high.lanes[high.children.index(path[-1])].append(Lane(low, k, above))
         if above:

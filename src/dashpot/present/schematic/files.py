@@ -133,36 +133,34 @@ def _text(frames: Sequence[Text]) -> str:
     )
 
 
+@style()
 def raster(
     parts: Sequence[Part], width: float, height: float, title: str, kind: Literal["png", "pdf"]
 ) -> bytes:
     """The parts as a PNG or PDF file, the same bytes for the same drawing."""
-    with style():
-        figure = Figure(figsize=(width / PX, height / PX))
-        figure.set_layout_engine("none")
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        axes.set_xlim(0, width)
-        axes.set_ylim(height, 0)
-        axes.axis("off")
-        for part in parts:
-            for shape in part.shapes:
-                axes.add_patch(_polygon(shape))
-            for text in part.texts:
-                line, x, y = text.line, text.at.x, text.at.y
-                side = {"start": "left", "middle": "center", "end": "right"}[text.anchor]
-                colour, left = COLOURS[line.tone], text.box.left
-                look: dict[str, Any] = {"color": colour, "va": "baseline", "parse_math": False}
-                if line.badge:
-                    axes.add_patch(
-                        Circle((left + 6, y - 3.4), 5.6, fill=False, edgecolor=colour, linewidth=1)
-                    )
-                    axes.text(left + 6, y - 0.6, line.badge, ha="center", fontsize=8, **look)
-                    x, side = left + 16, "left"
-                bold = "bold" if line.bold else "normal"
-                axes.text(x, y, line.text, ha=side, fontsize=line.size, fontweight=bold, **look)
-        out = io.BytesIO()
-        about = {"Title": title, "CreationDate": None} if kind == "pdf" else {"Software": None}
-        figure.savefig(out, format=kind, dpi=DPI, metadata=about, facecolor="white")
+    figure = Figure(figsize=(width / PX, height / PX))
+    figure.set_layout_engine("none")
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_xlim(0, width)
+    axes.set_ylim(height, 0)
+    axes.axis("off")
+    for part in parts:
+        for shape in part.shapes:
+            axes.add_patch(_polygon(shape))
+        for text in part.texts:
+            line, x, y = text.line, text.at.x, text.at.y
+            side = {"start": "left", "middle": "center", "end": "right"}[text.anchor]
+            colour, left = COLOURS[line.tone], text.box.left
+            look: dict[str, Any] = {"color": colour, "va": "baseline", "parse_math": False}
+            if line.badge:
+                axes.add_patch(Circle((left + 6, y - 3.4), 5.6, fill=False, edgecolor=colour, linewidth=1))
+                axes.text(left + 6, y - 0.6, line.badge, ha="center", fontsize=8, **look)
+                x, side = left + 16, "left"
+            bold = "bold" if line.bold else "normal"
+            axes.text(x, y, line.text, ha=side, fontsize=line.size, fontweight=bold, **look)
+    out = io.BytesIO()
+    about = {"Title": title, "CreationDate": None} if kind == "pdf" else {"Software": None}
+    figure.savefig(out, format=kind, dpi=DPI, metadata=about, facecolor="white")
     return out.getvalue()
 
 

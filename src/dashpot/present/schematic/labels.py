@@ -33,6 +33,7 @@ class Labels:
     channels: tuple[Channel, ...]
     values: Mapping[str, tuple[Knowledge, str, str]]
     calibrations: Mapping[str, str]
+    between: frozenset[int] = frozenset()  # channels that are drawn as links
     numbers: bool = True
 
     def knowledge(self, element: Element) -> Knowledge:
@@ -90,12 +91,9 @@ class Labels:
         """Channels whose first point is one of these."""
         return [
             self._sensor(channel, ends=len(channel.of) > 1)
-            for channel in self.channels
-            if next(iter(channel.of)) in points and not self._between(channel)
+            for i, channel in enumerate(self.channels)
+            if next(iter(channel.of)) in points and i not in self.between
         ]
-
-    def _between(self, channel: Channel) -> bool:
-        return channel.name in self.calibrations and self.calibrations[channel.name] == "between"
 
     def _sensor(self, channel: Channel, ends: bool) -> Line:
         text = shortened(channel.name)
@@ -123,13 +121,14 @@ def labels(
     `between` are indices of channels that are drawn as links; without `numbers` only names stand there.
     """
     values = _stated(model)
-    if estimate is not None:
-        values |= _estimated(estimate, level)
+    for row in () if estimate is None else parameter_rows(estimate, level):
+        interval = f"{row.low} … {row.high}" if row.low else row.tie
+        values[row.name] = ("known" if row.known else "unknown", _with_unit(row.value, row.unit), interval)
     for name in doubtful:
         if name in values:
             values[name] = ("doubtful", *values[name][1:])
-    calibrations = {channel.name: "between" for i, channel in enumerate(channels) if i in between}
-    return Labels(model, tuple(channels), values, calibrations | _calibrations(channels, estimate), numbers)
+    calibrations = _calibrations(channels, estimate)
+    return Labels(model, tuple(channels), values, calibrations, frozenset(between), numbers)
 
 
 def _stated(model: Model) -> dict[str, tuple[Knowledge, str, str]]:
@@ -148,14 +147,6 @@ def _stated(model: Model) -> dict[str, tuple[Knowledge, str, str]]:
     for owner, constant in model.constants:
         text = "?" if constant.value is None else plain(constant.value)
         values[f"{owner.name}.{constant.name}"] = ("unknown" if constant.unknown else "known", text, "")
-    return values
-
-
-def _estimated(estimate: Estimate, level: float) -> dict[str, tuple[Knowledge, str, str]]:
-    values: dict[str, tuple[Knowledge, str, str]] = {}
-    for row in parameter_rows(estimate, level):
-        interval = f"{row.low} … {row.high}" if row.low else row.tie
-        values[row.name] = ("known" if row.known else "unknown", _with_unit(row.value, row.unit), interval)
     return values
 
 
