@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich.cells import cell_len
-
 from dashpot.channel import Channel
 from dashpot.check.data_findings import doubtful
 from dashpot.check.element_evidence import ElementComparison, ElementEvidence
@@ -20,7 +18,7 @@ from dashpot.present.figures.comparison import comparison_figure
 from dashpot.present.page import figure_picture, page_html
 from dashpot.present.schematic.drawing import rig_picture
 from dashpot.present.verdict import fit_in_words
-from dashpot.present.words import aligned, percent, plain, rounded, sentence, short
+from dashpot.present.words import flush, percent, plain, rounded, sentence, short
 
 MISSES = "*"
 
@@ -105,10 +103,8 @@ def comparison_columns(comparison: Comparison, level: float = 0.95) -> list[Tabl
     heads = [*heads, *comparison.estimates]
     texts = [heads, *(_column(comparison, name, level) for name in comparison.names)]
     if comparison.truth:
-        errors = aligned([_worst(comparison, estimate) for estimate in comparison.estimates.values()])
-        widest = max(map(cell_len, errors))
-        cells = [error.rjust(widest) for error in errors]
-        texts.append(["worst", "error %", *[""] * (len(heads) - 2 - len(cells)), *cells])
+        errors = flush([_worst(comparison, estimate) for estimate in comparison.estimates.values()])
+        texts.append(["worst", "error %", *[""] * (len(heads) - 2 - len(errors)), *errors])
     return [TableColumn(cells[0], tuple(cells[1:])) for cells in texts]
 
 
@@ -124,15 +120,13 @@ def _column(comparison: Comparison, name: str, level: float) -> list[str]:
         v = estimate[name]
         value, sd = rounded(v.value, v.sd)
         pairs.append((value, sd + (MISSES if _missed(estimate, name, truth, level) else "")))
-    values = aligned(["" if truth is None else plain(truth), *(value for value, _ in pairs)])
-    widest = max(map(cell_len, values))
-    values = [value.rjust(widest) for value in values]
+    values = flush(["" if truth is None else plain(truth), *(value for value, _ in pairs)])
     unit = comparison.units[comparison.names.index(name)]
     cells = [name, "" if unit == "1" else unit]
     if comparison.truth:
         cells.append(values[0].rstrip())
     if _has_bound(comparison):
-        cells.append("" if bound is None else f"{' ' * widest} ± {short(bound, 2)}")
+        cells.append("" if bound is None else f"{' ' * len(values[0])} ± {short(bound, 2)}")
     return [*cells, *(f"{value} ± {sd}" for value, (_, sd) in zip(values[1:], pairs, strict=True))]
 
 

@@ -12,7 +12,16 @@ from dashpot.design.plan_files import phase_deg
 from dashpot.design.test_setup import drive_units
 from dashpot.design.transients import UnsettledTest
 from dashpot.io.words import counted, joined
-from dashpot.present.document import Document, Paragraph, Provenance, Section, Table, TableColumn, section
+from dashpot.present.document import (
+    Document,
+    Paragraph,
+    Provenance,
+    Section,
+    Table,
+    TableColumn,
+    columns_of,
+    section,
+)
 from dashpot.present.figures.design import planned_test_figure
 from dashpot.present.page import figure_picture, page_html
 from dashpot.present.schematic.drawing import rig_picture
@@ -206,28 +215,22 @@ def sensors_in_words(answer: Answer) -> list[str]:
 
 def dwell_columns(plan: Plan, units: Mapping[str, str]) -> list[TableColumn]:
     """A row for each dwell, and the sums below."""
-    dwells = plan.dwells
-    places = (*(str(k + 1) for k in range(len(dwells))), "total")
-    columns = [
-        TableColumn("dwell", places, "right"),
-        TableColumn("frequency, Hz", (*(f"{dwell.frequency_hz:.6g}" for dwell in dwells), ""), "right"),
+    dwells, drives = plan.dwells, list(plan.dwells[0].amplitudes)
+    heads = ["dwell>", "frequency, Hz>", *(f"drive {name}, {units[name]}>" for name in drives)]
+    rows = [
+        [str(k), f"{dwell.frequency_hz:.6g}", *(_amplitude(dwell.amplitudes[name]) for name in drives)]
+        for k, dwell in enumerate(dwells, start=1)
     ]
-    for name in dwells[0].amplitudes:
-        cells = (_amplitude(dwell.amplitudes[name]) for dwell in dwells)
-        columns.append(TableColumn(f"drive {name}, {units[name]}", (*cells, ""), "right"))
+    rows.append(["total", *[""] * (1 + len(drives))])
     if plan.time_s is not None:
         settling = sum(dwell.settle_s for dwell in dwells)
-        timed = {
-            "settle, s": (*(short(dwell.settle_s) for dwell in dwells), short(settling)),
-            "periods": (*(str(dwell.periods) for dwell in dwells), ""),
-            "measure, s": (
-                *(short(dwell.time_s or 0.0, 4) for dwell in dwells),
-                short(plan.time_s - settling, 4),
-            ),
-        }
-        columns += [TableColumn(title, cells, "right") for title, cells in timed.items()]
-    samples = (*(str(dwell.samples) for dwell in dwells), str(plan.samples))
-    return [*columns, TableColumn("samples", samples, "right")]
+        heads += ["settle, s>", "periods>", "measure, s>"]
+        for row, dwell in zip(rows, dwells, strict=False):
+            row += [short(dwell.settle_s), str(dwell.periods), short(dwell.time_s or 0.0, 4)]
+        rows[-1] += [short(settling), "", short(plan.time_s - settling, 4)]
+    for row, samples in zip(rows, (*(dwell.samples for dwell in dwells), plan.samples), strict=True):
+        row.append(str(samples))
+    return columns_of([*heads, "samples>"], rows)
 
 
 def _amplitude(z: complex) -> str:
@@ -240,42 +243,33 @@ def expected_columns(answer: Answer) -> list[TableColumn]:
     """Values, the expected ± with its interval, and what is known now and what another test would give."""
     assert answer.plan is not None
     expected = answer.plan.predicted
-    values, spreads, intervals = [], [], []
-    for value, sd in zip(expected.values.tolist(), expected.sd.tolist(), strict=True):
-        shown, spread = rounded(value, sd)
-        values.append(shown)
-        spreads.append(spread)
-        intervals.append(" … ".join(alike([value - NORMAL_95 * sd, value + NORMAL_95 * sd], sd)))
-    columns = [
-        TableColumn("parameter", tuple(expected.names)),
-        TableColumn("value", tuple(values), "right"),
-        TableColumn("expected ±", tuple(spreads), "right"),
-        TableColumn("unit", tuple("" if unit == "1" else unit for unit in expected.units)),
-        TableColumn("± %", _relative(expected, expected), "right"),
-        TableColumn("95 % interval", tuple(intervals), "right"),
-    ]
+    relative = _relative(expected)
+    rows = []
+    for name, value, sd, unit in zip(
+        expected.names, expected.values.tolist(), expected.sd.tolist(), expected.units, strict=True
+    ):
+        ends = alike([value - NORMAL_95 * sd, value + NORMAL_95 * sd], sd)
+        share = relative.get(name, NOTHING)
+        rows.append((name, *rounded(value, sd), "" if unit == "1" else unit, share, " … ".join(ends)))
+    columns = columns_of(["parameter", "value>", "expected ±>", "unit", "± %>", "95 % interval>"], rows)
+    others = {}
     if answer.estimate is not None:
         e = answer.estimate
-        now = {n: percent(float(sd), float(v)) for n, sd, v in zip(e.names, e.sd, e.values, strict=True)}
-        cells = tuple(now.get(name, NOTHING) for name in expected.names)
-        columns.append(TableColumn("now\n± %", cells, "right"))
+        pairs = zip(e.names, e.sd.tolist(), e.values.tolist(), strict=True)
+        others["now\n± %"] = {name: percent(sd, value) for name, sd, value in pairs}
     if answer.unsettled is not None:
-        columns.append(TableColumn("whole\n± %", _relative(answer.unsettled.predicted, expected), "right"))
+        others["whole\n± %"] = _relative(answer.unsettled.predicted)
     if answer.comparison is not None:
-        other = answer.comparison
-        columns.append(TableColumn("other\n± %", _relative(other.predicted, expected), "right"))
-        if other.iv is not None:
-            columns.append(TableColumn("other,\niv ± %", _relative(other.iv, expected), "right"))
-    return columns
+        others["other\n± %"] = _relative(answer.comparison.predicted)
+        if answer.comparison.iv is not None:
+            others["other,\niv ± %"] = _relative(answer.comparison.iv)
+    return columns + [
+        TableColumn(title, tuple(shares.get(name, NOTHING) for name in expected.names), "right")
+        for title, shares in others.items()
+    ]
 
 
-def _relative(precision: ExpectedPrecision, rows: ExpectedPrecision) -> tuple[str, ...]:
-    """Relative standard deviations in per cent, for the parameters of `rows`."""
-    relative = {
-        name: short(100 * share, 2)
-        for name, value, share in zip(
-            precision.names, precision.values.tolist(), precision.relative.tolist(), strict=True
-        )
-        if value != 0
-    }
-    return tuple(relative.get(name, NOTHING) for name in rows.names)
+def _relative(precision: ExpectedPrecision) -> dict[str, str]:
+    """Relative standard deviations in per cent, of the parameters that have one."""
+    numbers = zip(precision.names, precision.values.tolist(), precision.relative.tolist(), strict=True)
+    return {name: short(100 * share, 2) for name, value, share in numbers if value != 0}

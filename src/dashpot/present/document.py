@@ -49,7 +49,7 @@ def columns_of(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[Tabl
     cells = list(zip(*rows, strict=True)) or [()] * len(heads)
     sides: dict[str, JustifyMethod] = {">": "right", "^": "center"}
     return [
-        TableColumn(head.rstrip(">^"), texts, sides.get(head[-1:], "left"))
+        TableColumn(head[:-1], texts, sides[head[-1]]) if head[-1:] in sides else TableColumn(head, texts)
         for head, texts in zip(heads, cells, strict=True)
     ]
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from rich.cells import cell_len
 
 from dashpot.estimate.likelihood.input_noise import INPUT_NOISE
 from dashpot.estimate.linear.definite import FreeMatrices
@@ -27,7 +26,7 @@ from dashpot.present.document import (
 )
 from dashpot.present.notices import OPTIONS, with_remedy
 from dashpot.present.verdict import fit_paragraphs
-from dashpot.present.words import aligned, alike, capitalised, percent, plain, rounded, sentence, short
+from dashpot.present.words import aligned, alike, capitalised, flush, percent, plain, rounded, sentence, short
 
 UNITS = {False: {"M": "kg", "C": "N·s/m", "K": "N/m"}, True: {"M": "kg·m²", "C": "N·m·s/rad", "K": "N·m/rad"}}
 MOST_ROWS = 200  # of tied or of known parameters; of more the table shows the first few
@@ -256,11 +255,10 @@ def matrix_columns(matrices: FreeMatrices, letter: Letter, unit: str) -> list[Ta
     columns = [TableColumn(f"{letter}, {unit}", tuple(matrices.coordinates))]
     for j, name in enumerate(matrices.coordinates):
         pairs = [rounded(values[i, j], sd[i, j]) if (i, j) in free else ("0", "") for i in range(j + 1)]
-        left = aligned([value for value, _ in pairs])
-        widest = max(map(cell_len, left))
+        values_shown = flush([value for value, _ in pairs])
         texts = [
-            f"{value.rjust(widest)} ± {spread}" if spread else value.rjust(widest)
-            for value, (_, spread) in zip(left, pairs, strict=True)
+            f"{value} ± {spread}" if spread else value
+            for value, (_, spread) in zip(values_shown, pairs, strict=True)
         ]
         columns.append(TableColumn(name, (*texts, *[""] * (len(matrices.coordinates) - j - 1))))
     return columns

@@ -94,6 +94,12 @@ def aligned(texts: Sequence[str]) -> list[str]:
     return [text + " " * (longest - after(text)) for text in texts]
 
 
+def flush(texts: Sequence[str]) -> list[str]:
+    """Such texts padded on both sides, all as wide as the widest."""
+    padded = aligned(texts)
+    return [text.rjust(max(map(len, padded))) for text in padded]
+
+
 def sentence(text: str) -> str:
     """A text that ends with a full stop."""
     return text if text.endswith((".", "!", "?")) else f"{text}."
