@@ -21,8 +21,6 @@ from dashpot.model.network import Input, Model
 Letter = Literal["M", "C", "K"]
 LETTERS: tuple[Letter, ...] = ("M", "C", "K")
 Pairs = Iterable[tuple[str, str]]
-SYMMETRIC = 1e-9  # of the largest entry: what files round off
-ROUNDING = 1e-14  # of the entries of a row: what is left of a sum that is 0
 # Kinds of what acts at one point, and between two.
 KINDS: Mapping[str, tuple[Kind, Kind]] = {
     "M": (Kind.MASS, Kind.INERTER),
@@ -60,7 +58,8 @@ def block_elements(
         reach[i] += abs(entry)
         reach[j] += abs(entry)
         add(joint, {points[i]: 1.0, points[j]: -1.0}, -entry)
-    for i in np.flatnonzero(np.abs(rest) > ROUNDING * reach).tolist():
+    # What rounding leaves of a row whose sum is 0 is no element.
+    for i in np.flatnonzero(np.abs(rest) > 1e-14 * reach).tolist():
         add(alone, {points[i]: 1.0}, float(rest[i]))
     return tuple(parts)
 
@@ -79,7 +78,7 @@ def _upper_half(name: str, matrix: Any, size: int) -> Any:
     if largest == 0:
         raise ModelError(f"the matrix of {name} is 0", cure="leave the block out")
     away = float(np.max(np.abs((whole - whole.T).data), initial=0.0))
-    if away > SYMMETRIC * largest:
+    if away > 1e-9 * largest:  # what files round off
         raise ModelError(
             f"the matrix of {name} is not symmetric", cure="give all of it, or save it as a symmetric one"
         )

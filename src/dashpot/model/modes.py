@@ -14,8 +14,6 @@ from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_small
 
-REGULAR = 1e-3  # least eigenvalue of the inertia, its diagonal scaled to 1, up to which its inverse is as good as QZ
-
 
 @dataclass(frozen=True)
 class Modes:
@@ -102,7 +100,8 @@ def _pencil(A: Complex | Real, M: Real) -> tuple[Complex, Complex, Bools]:
     if size.all():
         scaled = M / (size[:, None] * size)
         # Masses that nothing couples leave ones on the diagonal.
-        if np.count_nonzero(M) == n or np.linalg.eigvalsh(scaled)[0] > REGULAR:
+        # With a least eigenvalue beyond this the inverse is as good as QZ.
+        if np.count_nonzero(M) == n or np.linalg.eigvalsh(scaled)[0] > 1e-3:
             A = A.copy()
             A[n:] = np.linalg.solve(scaled, A[n:] / size[:, None]) / size[:, None]
             poles, vectors = np.linalg.eig(A)

@@ -17,8 +17,6 @@ from dashpot.model.dynamics import matrices
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel
 
-DEFECTIVE = 1e8  # condition of the eigenvectors from which samples are carried one by one
-
 
 @dataclass(frozen=True)
 class LinearMotion:
@@ -113,7 +111,8 @@ def carried(phi: Real, driven: Real, start: Real) -> Real:
     from scipy.signal import lfilter
 
     values, vectors = np.linalg.eig(phi)
-    if np.linalg.cond(vectors) > DEFECTIVE:
+    # Eigenvectors so ill-conditioned are no basis: samples are carried one by one.
+    if np.linalg.cond(vectors) > 1e8:
         z = np.empty_like(driven)
         z[0] = start
         for k in range(len(driven) - 1):

@@ -11,7 +11,6 @@ from dashpot.arrays import Complex, Real
 from dashpot.numerics.kernel import kernel, threads
 
 CHUNK = 1 << 15  # samples that the NumPy twin works on at a time
-ALIASED = 1e-6  # |sin ψ/2| of a sum of waves below which its closed form loses digits
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ def even_gram(samples: int, turn: float, phase: float, orders: Sequence[int], de
     plain, ramp = {0: complex(N)}, {0: 0j}
     for m in {a + b for a in orders for b in (0, *orders)} | {a - b for a in orders for b in orders if a > b}:
         half = np.pi * m * turn
-        if abs(np.sin(half)) < ALIASED:
+        if abs(np.sin(half)) < 1e-6:  # |sin ψ/2| of a sum of waves below which its closed form loses digits
             return None
         turned = np.exp(1j * m * phase)
         kernel_of = np.sin(N * half) / np.sin(half)

@@ -12,8 +12,6 @@ from dashpot.arrays import Bools, Ints, Real
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 ROUNDING = 1e-5  # standard deviations
-BLUR = 1e-10  # of the cost: its rounding where the noise of stiff chains is ill-conditioned
-TOGETHER = 800  # unknowns × repeats × their displaced copies whose slopes are evaluated in one call
 PATIENCE = 12  # iterations after which Newton's own matrix is worth its evaluations
 
 
@@ -166,7 +164,8 @@ class _Search:
         there = self._evaluated(trial)
         usable = np.all(np.isfinite(step), axis=-1)
         with np.errstate(all="ignore"):  # steps from where there is no cost yet, or into the infinite
-            promised, blur = _promised(around, trial - x), BLUR * np.abs(around.cost)
+            # The cost is rounded by that much where the noise of stiff chains is ill-conditioned.
+            promised, blur = _promised(around, trial - x), 1e-10 * np.abs(around.cost)
             # A step that promises less than the rounding of the cost is not refused for that rounding.
             allowed = np.where(promised <= blur, blur, 1e-12 * around.cost + 1e-12)
             better = usable & (there.cost <= around.cost + allowed)
@@ -218,7 +217,8 @@ def _curved(
         width = 1e-4 * np.where(np.isfinite(spread), spread, 1.0)
         # Several unknowns at once where they are few, for a call costs more than its numbers; of many, what one call
         # holds grows with the square of their number.
-        together = max(1, min(m, TOGETHER // (m * len(x))))
+        # At most 800 unknowns × repeats × displaced copies in one call
+        together = max(1, min(m, 800 // (m * len(x))))
         columns = []
         for first in range(0, m, together):
             moved = [x + width[:, j, None] * np.eye(m)[j] for j in range(first, min(first + together, m))]

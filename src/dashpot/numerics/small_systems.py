@@ -60,7 +60,6 @@ def independent(products: Real, squares: Real | None = None) -> tuple[Real, Ints
     return unit[..., :, None] * vectors * scale[..., None, :], np.sum(kept, axis=-1)
 
 
-SINGULAR = 1e-14
 COMPILED_TO = 24  # rows up to which the kernel's inverse takes less time than LAPACK's
 
 
@@ -118,7 +117,7 @@ def scaled_inverse(matrix: Real) -> Real:
     except np.linalg.LinAlgError:
         inverse = _solve_or_nan(scaled, np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape))
     # Of a matrix with ones on its diagonal: entries that large are rounding, not information.
-    regular: Bools = np.abs(inverse).max(axis=(-2, -1)) < 1 / SINGULAR
+    regular: Bools = np.abs(inverse).max(axis=(-2, -1)) < 1 / 1e-14
     result: Real = inverse / outer
     return result if regular.all() else np.where(regular[..., None, None], result, np.nan)
 

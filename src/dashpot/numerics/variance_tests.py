@@ -12,9 +12,6 @@ from dashpot.arrays import Real
 # Independent tests of one hypothesis taken together.
 
 
-SMALLEST = 1e-300  # p-value that counts as such
-
-
 def fishers_product(p: Sequence[Real] | Sequence[float]) -> Real:
     """p-values of all tests together, (...,), of those of each, (tests, ...); 1 where there are none.
 
@@ -22,7 +19,7 @@ def fishers_product(p: Sequence[Real] | Sequence[float]) -> Real:
     """
     if not len(p):
         return np.ones(())
-    logs = np.log(np.maximum(p, SMALLEST))
+    logs = np.log(np.maximum(p, 1e-300))  # p-value that counts as such
     return np.asarray(chdtrc(2 * len(logs), -2 * np.sum(logs, axis=0)), dtype=float)
 
 

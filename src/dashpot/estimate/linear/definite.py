@@ -21,7 +21,6 @@ from dashpot.numerics.levenberg_marquardt import OptimizeResult
 from dashpot.numerics.small_systems import solve_scaled
 
 BARRIER = 1e-6  # of χ², for each row of the matrices: what keeping off the edge of the cone may cost
-TIE = 1e-4  # of χ²: more than the barrier costs, less than matters
 
 
 @dataclass(frozen=True)
@@ -155,7 +154,8 @@ class DefiniteOptimalIV(Method):
             length = np.sqrt(np.maximum(np.einsum("ku,kuv,kv->k", step, around.symmetric, step), 0.0))
             for _halving in range(12):
                 there = likelihood(x[active] + step, active)
-                worse = ~(there.cost <= cost[active] + TIE)
+                # In χ², more than the barrier costs and less than matters
+                worse = ~(there.cost <= cost[active] + 1e-4)
                 if not np.any(worse):
                     break
                 step = np.where(worse[:, None], step / 2, step)

@@ -31,7 +31,6 @@ from dashpot.model.network import Model
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
 
 FAR = 1e9  # times the start
-ASTRAY = 1e-4  # χ² so unlikely may mean a local minimum: other starts are tried
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,8 @@ class OptimalIV(Method):
         first, *others = starts(model, states)
         ends = self._search(model, states, first, np.arange(len(first)))
         for start in others:
-            (astray,) = (~ends.converged | (_tail(model, states, ends.cost) < ASTRAY)).nonzero()
+            # So unlikely a χ² may mean a local minimum: other starts are tried.
+            (astray,) = (~ends.converged | (_tail(model, states, ends.cost) < 1e-4)).nonzero()
             if not len(astray):
                 break
             ends = ends.improved(astray, self._search(model, states, start, astray))

@@ -37,8 +37,6 @@ from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled, solve_small
 
-HIDDEN = 0.95  # of the noise that makes least squares singular: as close as compensated least squares goes
-
 
 @dataclass(frozen=True)
 class TotalLeastSquares(Method):
@@ -64,7 +62,8 @@ class TotalLeastSquares(Method):
         if not np.all(ends.converged):
             text = "the noise factor did not converge: the noise hides at least one unknown"
             warnings.append(Notice("noise_factor_diverged", text))
-        elif np.any(ends.size > HIDDEN * sums.largest()):
+        # As close as this to the noise that makes least squares singular, the answer is worth nothing.
+        elif np.any(ends.size > 0.95 * sums.largest()):
             text = "do not trust tls here: the noise almost hides a combination of unknowns"
             warnings.append(Notice("noise_near_singular", text))
         return Solution(

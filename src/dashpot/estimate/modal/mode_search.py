@@ -23,9 +23,6 @@ from dashpot.numerics.small_systems import solve_scaled
 # Measured modes as the search needs them, and which of the model's modes each of them is.
 
 
-EXACT = 1e-6  # sd of exact points of a shape, relative to the largest of the others
-
-
 @dataclass(frozen=True)
 class MeasuredModes:
     """The data as the search needs them: what is there, and the roots that whiten it.
@@ -73,7 +70,8 @@ def measured_modes(model: Model, data: ModalData) -> MeasuredModes:
         if len(at) > 1:
             V = data.shape_covariance[k][np.ix_(at, at)]
             variance = np.diagonal(V).real
-            floor = np.where(variance == 0, EXACT**2 * np.max(variance), 0.0)
+            # Exact points of a shape have a millionth of the largest standard deviation of the others.
+            floor = np.where(variance == 0, 1e-6**2 * np.max(variance), 0.0)
             shape[k][np.ix_(at, at)] = _whitening(V + np.diag(floor), f"shape of mode {k + 1}")
             rows += 2 * len(at) - 2
         rows += count
@@ -383,13 +381,10 @@ def _shape_rows(data: ModalData, view: MeasuredModes, phi: Complex, dphi: Comple
     return slope - seen[..., None] * along, r
 
 
-ASTRAY = 1e-4  # χ² so unlikely may mean a local minimum: other starts are tried
 STARTS = 32
 LARGE = (
     8  # coordinates above which a rig of like parts that leads to a fit is taken without a look for others
 )
-FAR = 1e5  # times the values of like parts and usual ones, beyond which an end is none
-FOLLOWED = 10  # of the starts that have not settled after a few steps
 
 Search = Callable[[Real, Ints, int], OptimizeResult]  # starts, the repeats they belong to, most steps
 
@@ -421,7 +416,8 @@ def _search_near(model: Model, data: ModalData, view: MeasuredModes) -> Search:
     An end far outside the scale of everything known is none: nothing that is measured depends on it there.
     """
     lower, upper = model.bounds
-    largest = FAR * np.maximum(np.abs(like_parts(model, data)), np.abs(usual_parts(model, data)))
+    # An end beyond this many times the values of like parts and usual ones is none.
+    largest = 1e5 * np.maximum(np.abs(like_parts(model, data)), np.abs(usual_parts(model, data)))
 
     def search(start: Real, rows: Ints, limit: int) -> OptimizeResult:
         def misfit(theta: Real, some: Ints) -> QuadraticModel:
@@ -512,14 +508,16 @@ def _astray(minima: OptimizeResult, dof: int) -> Ints:
     """The repeats that have not settled, or settled where χ² is unlikely."""
     cost = np.where(np.isfinite(minima.cost), minima.cost, np.inf)
     tail = np.asarray(chdtrc(float(max(dof, 1)), cost))
-    return np.flatnonzero(~minima.converged | ~np.isfinite(minima.cost) | (tail < ASTRAY))
+    # So unlikely a χ² may mean a local minimum: other starts are tried.
+    return np.flatnonzero(~minima.converged | ~np.isfinite(minima.cost) | (tail < 1e-4))
 
 
 def _ends(search: Search, drawn: Real) -> OptimizeResult:
     """Where all starts of the one repeat end; the deepest of those that are still on their way are followed."""
     ends = search(drawn, np.zeros(len(drawn), dtype=np.int64), 25)
     on_the_way = np.flatnonzero(~ends.converged & np.isfinite(ends.cost))
-    deepest = on_the_way[np.argsort(ends.cost[on_the_way])[:FOLLOWED]]
+    # Ten of those that have not settled after a few steps
+    deepest = on_the_way[np.argsort(ends.cost[on_the_way])[:10]]
     if not len(deepest):
         return ends
     return ends.improved(deepest, search(ends.x[deepest], np.zeros_like(deepest), 100))

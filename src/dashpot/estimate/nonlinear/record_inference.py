@@ -33,8 +33,6 @@ from dashpot.numerics.small_systems import scaled_inverse
 
 # The motion that an estimate gives a record.
 
-SETTLED = 1e-6  # of the squared residuals, that one more step would take away
-
 
 @dataclass(frozen=True)
 class PredictedMotion:
@@ -116,7 +114,7 @@ def _likeliest_start(problem: RecordProblem, psi: Real) -> Real:
                 )
             step = step / 4
             continue
-        ended = square > (1 - SETTLED) * least
+        ended = square > (1 - 1e-6) * least  # what one more step would take away
         best, least = tried, square
         if ended:
             break
@@ -138,7 +136,6 @@ def followed_records(problem: RecordProblem, psi: Real) -> list[FollowedRecord]:
 # The Estimate of a fit.
 
 CUT_RECORD = "cut_record"  # code of a notice
-COLOURED = 1.5  # ratio of intervals with and without the residuals' colour that is told
 
 
 @dataclass(frozen=True)
@@ -291,7 +288,7 @@ def _meat(J: Real, power: Real) -> Real:
 def _coloured_notice(ratio: Real) -> list[Notice]:
     """A warning where intervals are far wider than white residuals would make them, by the `ratio` of both."""
     wider = float(np.median(ratio))
-    if wider <= COLOURED:
+    if wider <= 1.5:  # a smaller ratio is not worth a warning
         return []
     text = (
         f"the residuals are coloured: intervals are {wider:.2g} times those of white noise; "

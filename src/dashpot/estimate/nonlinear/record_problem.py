@@ -114,7 +114,6 @@ def _hidden(rows: Real, bases: int) -> list[int]:
 # the inputs to the channels, by the motion's own slopes. V is never formed: conjugate gradients solve with it.
 
 HALF_WINDOW = 60  # lines of a cosine transform over which an input's own spectrum is smoothed
-EXACT = 1e-9  # of an input's size: noise below it is none
 
 
 @dataclass(frozen=True)
@@ -212,7 +211,8 @@ class OutputCovariance:
     def _white(self) -> ChainSolver:
         """V⁻¹ were the errors of the inputs white in the whole band, which is near enough to begin with."""
         size = np.sqrt(np.mean(self.known.mean**2, axis=0))
-        sd = np.maximum(self.known.sd, EXACT * np.where(size > 0, size, 1.0))
+        # Noise below a billionth of an input's size is none.
+        sd = np.maximum(self.known.sd, 1e-9 * np.where(size > 0, size, 1.0))
         return ChainSolver(self.tangent, self.weight, sd)
 
 

@@ -211,7 +211,6 @@ def _idle(element: Element, values: Mapping[str, float]) -> Element:
 
 HOLDS = (3.0, 1.0, 0.3, 0.1, 0.03)  # natural frequency of a channel on its spring over that of its motion
 NEAR = 4.0  # misfit of the free motion over that of the held one at which it need be held no more
-FOLLOWED = 30.0  # the same of pieces, which are short enough for the search to go on from there
 
 
 def _released(problem: RecordProblem, psi: Real) -> tuple[RecordProblem, Real]:
@@ -245,7 +244,8 @@ def _released(problem: RecordProblem, psi: Real) -> tuple[RecordProblem, Real]:
         if min(data.samples for data in problem.records) < 64:
             break
         problem, psi, states = _halved(problem, psi, states)
-        if problem.misfit(psi) < FOLLOWED * least:
+        # Pieces are short enough for the search to go on from farther off.
+        if problem.misfit(psi) < 30.0 * least:
             break
     return problem, psi
 

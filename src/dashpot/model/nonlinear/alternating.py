@@ -17,8 +17,6 @@ from dashpot.model.nonlinear.compiled import compiled_forces, compiled_rig
 from dashpot.model.nonlinear.expression import Dual
 from dashpot.model.nonlinear.force_law import ForceLaw
 
-REPEATS = 1e-11  # of the elongation
-
 
 @dataclass(frozen=True)
 class Alternated:
@@ -256,7 +254,7 @@ def _rated(
         missing = np.roll(z, -1, axis=1) - z - half * (value + np.roll(value, -1, axis=1))
         change = repeating((1 + half * by_z) / scale, (-missing / scale)[..., None])[..., 0]
         z = z + (change if turn < 10 else 0.5 * change)
-        if np.max(np.abs(change) / size) <= REPEATS:
+        if np.max(np.abs(change) / size) <= 1e-11:  # of the elongation
             break
     gains = {}
     for name, slope in at.slopes.items():

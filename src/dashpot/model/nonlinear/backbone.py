@@ -36,9 +36,6 @@ from dashpot.numerics.small_systems import solve_scaled
 # period.
 
 
-INSTANTS = 16  # of a period, for each harmonic
-
-
 def channel_harmonics(
     model: Model, p: Real, channels: Sequence[Channel], drive: Drive, at: Periodic
 ) -> Complex:
@@ -59,14 +56,12 @@ def channel_harmonics(
 def swing(harmonics: Complex) -> Real:
     """Half of what each channel moves from its lowest to its highest value, (N, channels), of (N, H + 1, channels)."""
     orders = harmonics.shape[1] - 1
-    there, _, _ = period_basis(orders, INSTANTS * (orders + 1))
+    there, _, _ = period_basis(orders, 16 * (orders + 1))  # instants of a period
     period = np.einsum("tw,ncw->ntc", there, real_of(np.moveaxis(harmonics, 1, -1)))
     return (np.max(period, axis=1) - np.min(period, axis=1)) / 2
 
 
 SMALLEST = 1e-3  # of the largest size: where the curve begins
-POINTS = 60
-SETTLED = 1e-10
 
 
 @dataclass(frozen=True)
@@ -94,7 +89,7 @@ def backbone(model: Model, theta: Real, mode: int, largest: float, *, orders: in
     X = np.zeros((model.n, orders + 1))
     X[:, 1] = SMALLEST * largest * shape / delta[row]
     points: list[tuple[Real, float]] = []
-    sizes = np.geomspace(SMALLEST * largest, largest, POINTS)
+    sizes = np.geomspace(SMALLEST * largest, largest, 60)
     for size, ratio in zip(sizes, np.append(1.0, sizes[1:] / sizes[:-1]), strict=True):
         ended = solver.solved(ratio * X, omega, float(size))
         if ended is None:
@@ -198,7 +193,7 @@ class _FreeMotion:
             step = step * min(1.0, 0.2 * size / max(abs(float(step[-1])), 1e-300))
             X = X + step[:-1].reshape(X.shape)
             omega *= 1 + float(step[-1]) / size
-            if np.max(np.abs(step)) <= SETTLED * size:
+            if np.max(np.abs(step)) <= 1e-10 * size:
                 return X, omega
         return None
 

@@ -163,8 +163,6 @@ FIRST, SMALLEST, LARGEST = 0.01, 1e-6, 0.05  # steps, of the way
 POINTS = 3000  # on one curve at most
 TURNS = 450  # of Newton's method on one curve, or more while they have few equations:
 ROWS = 80_000  # so many in all
-SETTLED = 1e-8  # of the elongation
-TURN = 0.9  # cosine between tangents below which a step is halved
 WEAKEST = 0.01  # of the drive, from which a first point is followed where nothing else leads to it
 DIFFERENCE = 1e-6  # step of λ for slopes along it
 
@@ -294,7 +292,7 @@ class _Tracer:
             if step is None or np.linalg.norm(step) > 1.0:
                 return None
             point = point + step
-            if np.max(np.abs(step)) <= SETTLED:
+            if np.max(np.abs(step)) <= 1e-8:  # of the elongation
                 return _Corrected(point, turn + 1, by_q, secant)
         return None
 
@@ -318,7 +316,8 @@ class _Tracer:
                 q = size * end.point[:-1].reshape(self.shape)
                 slope = self.along(q, float(end.point[-1]), end.secant)
                 ahead = _tangent(end.by_q * size, slope, direction)
-            if end is None or ahead is None or float(ahead @ direction) < TURN:
+            # A step is halved where the tangent turns by more than 26°.
+            if end is None or ahead is None or float(ahead @ direction) < 0.9:
                 step /= 2
                 continue
             path.append((q, float(end.point[-1])))

@@ -26,7 +26,6 @@ Operator = Literal["", "stop", "play"]
 
 
 NEAR, HARDLY = 1e-6, 1e-150  # m, m/s: about rest, and nothing but a sign
-JUMP = 1e-6  # of a force: what is less is rounding
 
 
 @dataclass(frozen=True)
@@ -241,7 +240,8 @@ def _require_steady(law: ForceLaw) -> None:
     along_d = force(*np.meshgrid(hardly, near))
     along_v = force(*np.meshgrid(near, hardly, indexing="ij"))
     for name, both in (("d", along_d), ("v", along_v)):
-        if np.any(np.abs(np.diff(both, axis=1)) > JUMP * np.max(np.abs(around))):
+        # Less than a millionth of the force is rounding.
+        if np.any(np.abs(np.diff(both, axis=1)) > 1e-6 * np.max(np.abs(around))):
             raise ModelError(
                 f"the law {law.text!r} jumps where {name} changes its sign",
                 cure=f"smooth it: write tanh({name}/{name}0) for sign({name}), with a small {name}0",

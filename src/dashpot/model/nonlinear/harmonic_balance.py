@@ -114,10 +114,7 @@ def _regular_inverse(D: Complex) -> Complex:
 # them.
 
 
-TOLERANCE = 1e-10  # of the elongation, before the last step, which squares it
 SETTLED = 1e-8  # of the elongation: a response of which this is left counts as found
-HALVINGS = 5
-PATIENCE = 8  # iterations in which the residual must fall to half
 
 
 @dataclass(frozen=True)
@@ -274,14 +271,15 @@ class _Newton:
         size = np.where(size > 0, size, 1.0)
         with np.errstate(all="ignore"):
             self.error = np.max(np.abs(step), axis=(1, 2)) / size
-        settled = self.error <= TOLERANCE
+        settled = self.error <= 1e-10  # of the elongation, before the last step, which squares it
         self.q[settled] -= step[settled]
         self.forces.a[settled] -= (self.forces.slope[settled] @ step[settled][..., None])[..., 0]
         norm = _norm(self.r)
         fallen = ~(norm > 0.5 * self.mark)
         self.mark = np.where(fallen, norm, self.mark)
         self.idle = np.where(fallen, 0, self.idle + 1)
-        leaving = settled | ~np.isfinite(self.error) | (self.idle > PATIENCE)
+        # The residual must fall to half within 8 iterations.
+        leaving = settled | ~np.isfinite(self.error) | (self.idle > 8)
         if np.any(leaving):
             self.leave(leaving)
             step, size, norm = step[~leaving], size[~leaving], norm[~leaving]
@@ -295,7 +293,7 @@ class _Newton:
         self.q = q - factor[:, None, None] * step
         self.forces = alternate(self.model, self.constants, self.omega, self.q, self.times, start=forces)
         self.r = self.equations.residual(self.q, self.forces.a)
-        for _ in range(HALVINGS):
+        for _ in range(5):
             worse = ~(_norm(self.r) <= norm * (1 + 1e-9) + 1e-14 * size) & (self.error > 1e-9)
             if not np.any(worse):
                 break

@@ -253,9 +253,6 @@ def clipped(
     return z, np.where((above | below)[:, None], edge, tangent)
 
 
-SETTLED = 1e-13  # of the forces of a step
-
-
 PointForces = tuple[Real, Real]  # unit forces (S, 4, e) and states of laws (S, 4, z) at the points of a step
 
 
@@ -449,7 +446,7 @@ class Integrator:
             change = np.linalg.solve(self._matrix(at), (at.a.reshape(S, -1) - a)[..., None])[..., 0]
             a = a + change
             left = np.max(np.abs(change), initial=0.0) / (np.max(np.abs(a), initial=0.0) + 1e-300)
-            if not max([left, *(held.step for held in at.held)]) > SETTLED:
+            if not max([left, *(held.step for held in at.held)]) > 1e-13:  # of the forces of a step
                 break
         else:
             if guess is not None:

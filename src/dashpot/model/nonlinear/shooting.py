@@ -113,9 +113,6 @@ def _banded(
     return sparse.csr_array((np.concatenate(values), at), (N, N))
 
 
-CLOSED = 1e-10  # jumps between segments over the size of the motion
-NEARLY = 1e-5  # jumps that one more step of Newton's method closes
-PATIENCE = 6  # passes in which the jumps do not fall to half
 SHORTEST, LONGEST, SHARE = 4, 32, 1 / 16  # samples of a segment, a share of the root of those of the record
 
 
@@ -178,12 +175,12 @@ class _Chain:
         """
         best = last = np.inf
         idle = 0
-        while idle < PATIENCE:
-            self.run(slopes and last <= NEARLY)
+        while idle < 6:  # passes in which the jumps do not fall to half
+            self.run(slopes and last <= 1e-5)  # jumps that one more step of Newton's method closes
             jumps = self.states[-1][:-1] - self.begun[1:]
             size = np.max(np.abs(self.begun), axis=0) + 1e-300
             gap = float(np.max(np.abs(jumps) / np.maximum(size, 1e-6 * np.max(size)), initial=0.0))
-            if gap <= CLOSED:
+            if gap <= 1e-10:  # jumps between segments over the size of the motion
                 if slopes and not self.whole:
                     self.run(True)
                 return True
