@@ -327,8 +327,14 @@ def joined_sensors(
 
 
 def _between(
-    sensor: Sensor, start: float, end: float, zero: float, frequency_hz: float | None, experiment: int, source: str
-) -> Record:  # fmt: skip
+    sensor: Sensor,
+    start: float,
+    end: float,
+    zero: float,
+    frequency_hz: float | None,
+    experiment: int,
+    source: str,
+) -> Record:
     """What a sensor recorded from start to end, times counted from zero."""
     inside = (sensor.time >= start) & (sensor.time <= end)
     name = f"{source} ({sensor.name})"

@@ -432,9 +432,11 @@ def _stretches(
         if np.any(differs):
             row = int(rows[int(np.argmax(differs))])
             raise columns.error(
-                row, more[RECORD], f"record {number} is described differently at {columns.place(int(rows[0]))}",
+                row,
+                more[RECORD],
+                f"record {number} is described differently at {columns.place(int(rows[0]))}",
                 "its duration, samples, loads and columns must be the same in all of its lines",
-            )  # fmt: skip
+            )
         fundamental, duration, samples, loads, polynomial, ramp = first.tolist()
         stretch[rows] = len(stretches)
         try:

@@ -117,24 +117,19 @@ def _read(data: Content, source: str) -> tuple[list[_Group], dict[int, tuple[int
 
 def _note(key: bytes, content: bytes, groups: list[_Group]) -> None:
     """Take in what a key says of the channel, or of its newest component.  Raises ValueError or IndexError."""
-    if key not in (b"CG", b"CD", b"CC", b"CP", b"CR", b"CN", b"Cb"):
-        return
-    fields = [part.strip() for part in content.split(b",")]
     if key == b"CG":
         groups.append(_Group())
+    if key not in (b"CD", b"CC", b"CP", b"CR", b"CN", b"Cb"):
         return
-    group = groups[-1]
+    fields, components = [part.strip() for part in content.split(b",")], groups[-1].components
     if key == b"CD":
-        holder = group.components[-1] if group.components else group
+        holder = components[-1] if components else groups[-1]
         holder.step = float(fields[0])
         holder.start = float(fields[7]) if len(fields) > 7 and fields[7] else 0.0
         return
-    if key == b"CC" or not group.components:
-        group.components.append(_Component())
-    _note_of_component(group.components[-1], key, content, fields)
-
-
-def _note_of_component(component: _Component, key: bytes, content: bytes, fields: list[bytes]) -> None:
+    if key == b"CC" or not components:
+        components.append(_Component())
+    component = components[-1]
     if key == b"CP":
         component.width, component.kind = int(fields[1]), int(fields[2])
         mask, offset, _, gap = (int(text) for text in fields[4:8])

@@ -83,7 +83,9 @@ def records_of(
     Raises DataError as `record`.
     """
     named = _named(channels, source)
-    _require_positive({"frequency_hz": frequency_hz, "rate_hz": rate_hz}, source)
+    for what, number in (("frequency_hz", frequency_hz), ("rate_hz", rate_hz)):
+        if number is not None and not 0 < number < 1e12:
+            raise DataError(f"{what} is {number:g}", source, "give a positive number")
     values, units = _variables(data, source)
     variables = {name: _array(name, value, source) for name, value in values.items()}
     if time is not None:
@@ -112,13 +114,6 @@ def _named(channels: Sequence[Channel] | HasChannels, source: str) -> Sequence[C
         what = "the channels are no Channels" if named else "the channels are not said"
         raise DataError(what, source, cure)
     return named
-
-
-def _require_positive(numbers: Mapping[str, float | None], source: str) -> None:
-    """Raises DataError where one that is given is not a positive number."""
-    for what, number in numbers.items():
-        if number is not None and not 0 < number < 1e12:
-            raise DataError(f"{what} is {number:g}", source, "give a positive number")
 
 
 def _array(name: str, values: Any, source: str) -> Any:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from dashpot.channel import Channel
 from dashpot.data.clocks import ClockedRecords
 from dashpot.data.readers.amplitudes import amplitude_columns, phase_notices, read_amplitudes, read_frf
-from dashpot.data.readers.columns import Columns
+from dashpot.data.readers.columns import Columns, bare
 from dashpot.data.readers.records import Circumstances, read_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -52,12 +52,9 @@ def interpret_parts(
 
 def _names_any(columns: Columns, channels: Sequence[Channel]) -> bool:
     """Whether a column belongs to one of the channels."""
-    names = [
-        name for column in columns.header for name in (column, column.split("[")[0].split("(")[0].strip())
-    ]
-    known = {channel.name for channel in channels}
-    stems = (name.rpartition("_")[0].split("/")[0] for name in names)
-    return not known.isdisjoint(names) or not known.isdisjoint(stems)
+    names = {name for column in columns.header for name in (column, bare(column)[0])}
+    stems = {name.rpartition("_")[0].split("/")[0] for name in names}
+    return any(channel.name in names | stems for channel in channels)
 
 
 def interpret(columns: Columns, channels: Sequence[Channel], circumstances: Circumstances) -> Interpreted:

@@ -22,6 +22,7 @@ part = "Sheet1"                              # the group, sheet, block or segmen
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -237,7 +238,10 @@ def read_manifest(path: str | os.PathLike[str]) -> Manifest:
         line = document.line(("files", number))
         place = f"{source}:{line}" if line else source
         groups += resolved(entry, Path(path).parent / head.folder, place, number) if entry else []
-    return Manifest(tuple(groups), _treatments(conditioning, source) if conditioning else {})
+    fields: Any = {} if conditioning is None else conditioning.model_dump(exclude_none=True)
+    if fields.get("orders", "auto") != "auto":
+        fields["orders"] = line_numbers(fields["orders"], source)
+    return Manifest(tuple(groups), cast(Treatments, fields))
 
 
 def files_named(path: str | os.PathLike[str]) -> list[Path]:
@@ -286,8 +290,12 @@ def resolved(entry: FilesEntry, folder: Path, place: str, number: int) -> list[F
     groups: dict[tuple[float | None, int, str], FileGroup] = {}
     for name in names:
         for path, fields, without_sensor in _matches(name, folder, place):
-            frequency, sensor = _frequency(entry, fields), fields.get("sensor", "")
-            if not _in_band(entry, frequency) or (entry.sensors and sensor not in entry.sensors):
+            frequency, sensor = entry.frequency_hz, fields.get("sensor", "")
+            if "frequency" in fields:
+                frequency = float(re.sub("[,p]", ".", fields["frequency"]))
+            low, high = entry.band_hz or (0.0, math.inf)
+            outside = entry.band_hz is not None and (frequency is None or not low <= frequency <= high)
+            if outside or (entry.sensors and sensor not in entry.sensors):
                 continue
             experiment = int(
                 fields.get("experiment", number if entry.experiment is None else entry.experiment)
@@ -309,19 +317,6 @@ def resolved(entry: FilesEntry, folder: Path, place: str, number: int) -> list[F
             )
             raise DataError(shown(what, 300), place, "add it, or take the sensor out")
     return sorted(groups.values(), key=lambda g: (g.experiment, g.frequency_hz or 0.0))
-
-
-def _frequency(entry: FilesEntry, fields: Mapping[str, str]) -> float | None:
-    """The drive frequency that a file's name says, else the entry's."""
-    if "frequency" not in fields:
-        return entry.frequency_hz
-    return float(re.sub("[,p]", ".", fields["frequency"]))
-
-
-def _in_band(entry: FilesEntry, frequency: float | None) -> bool:
-    if entry.band_hz is None:
-        return True
-    return frequency is not None and entry.band_hz[0] <= frequency <= entry.band_hz[1]
 
 
 def _fields(name: str, place: str) -> list[str]:
@@ -443,14 +438,6 @@ def line_numbers(text: str | Sequence[int], place: str) -> tuple[int, ...]:
     if not numbers or min(numbers) < 1 or len(numbers) > MOST_LINES:
         raise DataError(f"{shown(str(text))} are not multiples", place, 'write them as "11:250" or [1, 3, 5]')
     return tuple(sorted(set(numbers)))
-
-
-def _treatments(conditioning: ConditioningTable, source: str) -> Treatments:
-    """The fields of Conditioning that the manifest sets."""
-    fields: Any = conditioning.model_dump(exclude_none=True)
-    if fields.get("orders", "auto") != "auto":
-        fields["orders"] = line_numbers(fields["orders"], source)
-    return cast(Treatments, fields)
 
 
 # Files of a manifest as records and spectra: columns chosen and renamed, sensors joined, periods averaged.

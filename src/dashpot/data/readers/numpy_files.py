@@ -70,9 +70,11 @@ def _streamed_member(file: DataFile, archive: zipfile.ZipFile, name: str) -> Str
 
     def pieces() -> Iterator[Any]:
         with (
-            damaged(file.name, "NumPy"), file.reading() as stream, zipfile.ZipFile(stream) as whole,
+            damaged(file.name, "NumPy"),
+            file.reading() as stream,
+            zipfile.ZipFile(stream) as whole,
             whole.open(member) as raw,
-        ):  # fmt: skip
+        ):
             _header(raw)
             for at in range(0, shape[0], PIECE):
                 count = min(PIECE, shape[0] - at)

@@ -269,9 +269,19 @@ def read_function(stream: UffStream, start: DatasetStart) -> NodalFunction:
             abscissa = np.concatenate([np.zeros(0), *(x for x, _ in read if x is not None)])
         _require_finite(abscissa, stream.place)
     return NodalFunction(
-        kind, response, reference, abscissa, ordinate,
-        _label(lines[8]), _label(lines[9]), ids, shape.even, kinds[3], z_value, long,
-    )  # fmt: skip
+        kind,
+        response,
+        reference,
+        abscissa,
+        ordinate,
+        _label(lines[8]),
+        _label(lines[9]),
+        ids,
+        shape.even,
+        kinds[3],
+        z_value,
+        long,
+    )
 
 
 def _words(line: bytes, start: int, end: int) -> str:
@@ -427,8 +437,3 @@ def _floats(raw: Any, layout: _Layout, width: int) -> Real:
     if layout.floats == 3:
         return from_ibm(np.frombuffer(data, dtype=f"{mark}u{width}"), width)
     return from_vax(np.frombuffer(data, dtype="<u2"), width)
-
-
-def packed_size(count: int, double: bool, complex_values: bool) -> int:
-    """Bytes of the values of an evenly spaced dataset 58b."""
-    return count * (8 if double else 4) * (2 if complex_values else 1)

@@ -77,22 +77,18 @@ def functions_of(file: DataFile, others: set[int] | None = None) -> Iterator[Nod
     """
     with file.reading() as raw:
         stream = UffStream(raw, file)
-        before = None
+        before: NodalFunction | None = None
         for start in dataset_starts(stream):
             if start.number == 58:
-                before = function = _sharing(read_function(stream, start), before)
+                function = read_function(stream, start)
+                if before is not None and function.beside(before):
+                    function = replace(function, abscissa=before.abscissa)  # shared, not held twice
+                before = function
                 yield function
             else:
                 skip_dataset(stream)
                 if others is not None:
                     others.add(start.number)
-
-
-def _sharing(function: NodalFunction, before: NodalFunction | None) -> NodalFunction:
-    """The function with the abscissa of the one before it, where it has the same."""
-    if before is None or not function.beside(before):
-        return function
-    return replace(function, abscissa=before.abscissa)
 
 
 def _together(held: Sequence[NodalFunction], function: NodalFunction) -> bool:

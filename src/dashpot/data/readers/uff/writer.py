@@ -17,7 +17,6 @@ from dashpot.data.readers.uff.function import (
     TIME_RESPONSE,
     NodalFunction,
     Point,
-    packed_size,
 )
 from dashpot.data.readers.uff.modes import NodalMode
 from dashpot.data.record import Record
@@ -103,49 +102,45 @@ def _functions(
     for function in functions:
         even = function.even and _is_even(function.abscissa)
         lines = _header(function, double, even)
-        lines[1] = _first_line(function, double, little, even) if binary else "    58"
-        yield ("\n".join(lines) + "\n").encode("utf-8", errors="replace")
+        end = END
         if binary:
-            yield _bytes(function, double, little, even)
-            yield b"\n" + END
+            numbers = (
+                _columns(function, even).astype(f"{'<' if little else '>'}f{8 if double else 4}").tobytes()
+            )
+            end = b"\n" + END
+            # Order of bytes, IEEE numbers, how many lines and bytes follow.
+            lines[1] += (
+                f"b{1 if little else 2:6d}{2:6d}{LINES:12d}{len(numbers):12d}{0:6d}{0:6d}{0:12d}{0:12d}"
+            )
         else:
-            yield _rows(function, double, even) + END
-
-
-def _first_line(function: NodalFunction, double: bool, little: bool, even: bool) -> str:
-    """The first line of a dataset 58b: order of bytes, IEEE numbers, how many lines and bytes follow."""
-    count = len(function.ordinate)
-    size = packed_size(count, double, np.iscomplexobj(function.ordinate))
-    size += 0 if even else count * (8 if double else 4)
-    return f"    58b{1 if little else 2:6d}{2:6d}{LINES:12d}{size:12d}{0:6d}{0:6d}{0:12d}{0:12d}"
+            numbers = _rows(function, double, even)
+        yield ("\n".join(lines) + "\n").encode("utf-8", errors="replace")
+        yield numbers
+        yield end
 
 
 def _header(function: NodalFunction, double: bool, even: bool) -> list[str]:
-    """All lines in front of the numbers; the second, of the dataset's number, is left empty."""
+    """All lines in front of the numbers."""
     data_type = (6 if double else 5) if np.iscomplexobj(function.ordinate) else (4 if double else 2)
     count = len(function.ordinate)
     start = float(function.abscissa[0]) if even else 0.0
     step = float(function.abscissa[-1] - start) / (count - 1) if even else 0.0
+    points = ""
+    for point in (function.response, function.reference):
+        points += f" {(point.entity or 'NONE')[:10]:<10}{point.node:10d}{point.direction:4d}"
     ids = [*function.ids, *[""] * 5][:4]
     ids.append(f"{EXACT} {start!r} {step!r}" if even else "")
     return [
         "    -1",
-        "",
+        "    58",
         *(f"{(text or 'NONE')[:80]:<80}" for text in ids),
-        _points_line(function),
+        f"{function.kind:5d}{0:10d}{0:5d}{0:10d}{points}",
         f"{data_type:10d}{count:10d}{int(even):10d}{_short(start)}{_short(step)}{_short(function.z_value)}",
         _axis(OF_TIME if function.kind == TIME_RESPONSE else OF_FREQUENCY, ""),
         _axis(1, function.unit),
         _axis(1 if function.kind == FRF else 0, function.reference_unit),
         _axis(function.z_kind, ""),
     ]
-
-
-def _points_line(function: NodalFunction) -> str:
-    points = ""
-    for point in (function.response, function.reference):
-        points += f" {(point.entity or 'NONE')[:10]:<10}{point.node:10d}{point.direction:4d}"
-    return f"{function.kind:5d}{0:10d}{0:5d}{0:10d}{points}"
 
 
 def _axis(kind: int, unit: str) -> str:
@@ -166,11 +161,6 @@ def _columns(function: NodalFunction, even: bool) -> np.ndarray:
     y = function.ordinate
     parts = [y.real, y.imag] if np.iscomplexobj(y) else [y]
     return np.stack([*([] if even else [function.abscissa]), *parts], axis=-1)
-
-
-def _bytes(function: NodalFunction, double: bool, little: bool, even: bool) -> bytes:
-    kind = f"{'<' if little else '>'}f{8 if double else 4}"
-    return _columns(function, even).astype(kind).tobytes()
 
 
 def _rows(function: NodalFunction, double: bool, even: bool) -> bytes:
