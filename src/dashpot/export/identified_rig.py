@@ -12,7 +12,7 @@ from dashpot.channel import Channel
 from dashpot.errors import DataError, ModelError
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.model.observation import calibration_names, observation_model
+from dashpot.model.observation import calibration_names, measures_input
 from dashpot.model.rigfile import Rig
 
 INSTEAD = "export its parameters (.csv, .parquet or .m)"
@@ -47,10 +47,7 @@ class IdentifiedRig:
     @property
     def outputs(self) -> tuple[Channel, ...]:
         """Channels that show more than inputs."""
-        alone = observation_model(self.model, self.channels, np.zeros(1)).inputs_alone
-        return tuple(
-            channel for channel, of_inputs in zip(self.channels, alone, strict=True) if not of_inputs
-        )
+        return tuple(c for c in self.channels if not measures_input(self.model, c))
 
     def require_linear(self, what: str) -> None:
         """Raises ModelError where an element has a nonlinear law, which `what` cannot hold."""

@@ -129,7 +129,7 @@ def _sensitivity_or_number(value: object) -> float | str:
 OnePointOrTable = Annotated[dict[str, GivenAmount], BeforeValidator(_one_or_table)]
 
 
-class RigEntry(Entry):
+class RigFileEntry(Entry):
     also_called: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "at": ("of",),
         "of": ("at", "between"),
@@ -158,22 +158,22 @@ class RigEntry(Entry):
     }
 
 
-class Head(RigEntry):
+class Head(RigFileEntry):
     name: Text = ""
     coordinates: Annotated[list[Text], BeforeValidator(_coordinates)]
     angles: Names = Field(default_factory=list)
 
 
-class VerdictEntry(RigEntry):
+class VerdictEntry(RigFileEntry):
     within: Annotated[float, BeforeValidator(_part)]
 
 
-class InputEntry(RigEntry):
+class InputEntry(RigFileEntry):
     kind: Annotated[Literal["displacement", "force"], one_of("displacement", "force")] = "displacement"
     at: Annotated[dict[str, GivenAmount], BeforeValidator(_one_or_many)] | None = None
 
 
-class ElementEntry(RigEntry):
+class ElementEntry(RigFileEntry):
     at: OnePointOrTable | None = None
     between: Annotated[list[Text], BeforeValidator(_pair)] | None = None
     along: Annotated[dict[str, GivenAmount], BeforeValidator(_table)] | None = None
@@ -188,7 +188,7 @@ class ElementEntry(RigEntry):
     law: Text | None = None
 
 
-class BlockEntry(RigEntry):
+class BlockEntry(RigFileEntry):
     matrix: Annotated[Literal["M", "C", "K", "H"], one_of("M", "C", "K", "H")]
     file: Text
     array: Text | None = None
@@ -200,7 +200,7 @@ class BlockEntry(RigEntry):
     max: Number | None = None
 
 
-class ConstantEntry(RigEntry):
+class ConstantEntry(RigFileEntry):
     value: GivenAmount | None = None
     sd: GivenAmount | None = None
     guess: GivenAmount | None = None
@@ -208,7 +208,7 @@ class ConstantEntry(RigEntry):
     max: GivenAmount | None = None
 
 
-class ChannelEntry(RigEntry):
+class ChannelEntry(RigFileEntry):
     of: OnePointOrTable
     quantity: Annotated[str, one_of(*Quantity)] | None = None
     unit: Text | None = None

@@ -16,7 +16,7 @@ from dashpot.model.matrix_elements import free_entries
 from dashpot.model.network import Input, Model
 from dashpot.model.rigfile.force_laws import law_fields
 from dashpot.model.rigfile.rig import Rig, is_electrical
-from dashpot.model.rigfile.schema import GROUND, VERDICT
+from dashpot.model.rigfile.schema import GROUND, NUMBERS, VERDICT
 
 LARGE = 1e7  # from which a number is written with a power of ten
 
@@ -104,9 +104,7 @@ def _element_fields(element: Element) -> dict[str, str]:
             fields = {
                 "along": _inline({toml_key(point): _number(factor) for point, factor in factors.items()})
             }
-    numbers = {
-        "value": element.value, "sd": element.sd, "guess": element.guess, "min": element.lower, "max": element.upper,
-    }  # fmt: skip
+    numbers = {key: getattr(element, field) for key, field in NUMBERS.items()}
     fields |= {key: _number(number) for key, number in numbers.items() if number is not None}
     if element.force_law is not None:
         fields |= law_fields(element.force_law)
