@@ -124,8 +124,10 @@ def run(args: Sequence[str] | None = None) -> int:
     What goes wrong is reported on stderr, one line for each problem.  With DASHPOT_TRACEBACK set, internal errors are
     raised instead.
     """
-    if os.environ.get(COMPLETION):
-        return _complete()
+    if os.environ.get(COMPLETION):  # the shell asks how to go on from what is typed
+        from click.shell_completion import shell_complete
+
+        return shell_complete(cli, {}, "dashpot", COMPLETION, os.environ[COMPLETION])
     try:
         result = cli.main(None if args is None else list(args), prog_name="dashpot", standalone_mode=False)
         sys.stdout.flush()
@@ -136,17 +138,16 @@ def run(args: Sequence[str] | None = None) -> int:
         # else here does.  What is still buffered must not complain at exit.
         _silence_stdout()
         return BROKEN_PIPE
-    except click.ClickException as error:
-        return _usage(error)
-    except DashpotError as error:
-        return _refused(error)
     except Exception as error:
-        asked_by = _stop_behind(error) or request_lost()
-        if asked_by is not None:
-            return _stopped(asked_by)
-        if os.environ.get(TRACEBACK) and not lacked(error):
-            raise
-        return _failed(error)
+        if not isinstance(error, click.ClickException | DashpotError):
+            asked_by = _stop_behind(error) or request_lost()
+            if asked_by is not None:
+                return _stopped(asked_by)
+            if os.environ.get(TRACEBACK) and not lacked(error):
+                raise
+        lines, code = _account(error)
+        _tell(lines)
+        return code
     return result if isinstance(result, int) else 0
 
 
@@ -171,42 +172,34 @@ def _stop_behind(error: BaseException) -> BaseException | None:
     return behind
 
 
-def _refused(error: DashpotError) -> int:
-    """One line for each of the first problems."""
-    if limited() and lacked(error):
-        return _starved(error)
-    most = 20  # a screenful is told one by one
-    _tell(str(problem) for problem in error.problems[:most])
-    if len(error.problems) > most:
-        _tell([f"{len(error.problems) - most} more problems; mend these first"])
-    return error.exit_code
+def _account(error: Exception) -> tuple[list[str], int]:
+    """What is said of an error, one line for each problem, and the exit code.
 
-
-def _failed(error: Exception) -> int:
-    """What the system refuses is the user's to mend; anything else is a fault of the program."""
-    if lacked(error):
-        return _starved(error)
+    What the system refuses is the user's to mend; anything else that nobody foresaw is a fault of the program.
+    """
+    if isinstance(error, click.ClickException):
+        text = " ".join(error.format_message().split()).rstrip(".")
+        context = getattr(error, "ctx", None)
+        path = context.command_path if context is not None else "dashpot"
+        # A cure follows a semicolon; where the message has none, the command's own help is it.
+        return [f"{text} (see {path} --help)" if "; " in text else f"{text}; see {path} --help"], USAGE
+    if lacked(error) and (limited() or not isinstance(error, DashpotError)):
+        # It blames no file: what a lack of memory stops first is no more than the next in line.
+        short = str(error) if isinstance(error, NotEnoughMemoryError) else f"not enough memory: {CURE}"
+        return [short], EXIT_CODE
+    if isinstance(error, DashpotError):
+        most = 20  # a screenful is told one by one
+        lines = [str(problem) for problem in error.problems[:most]]
+        if len(error.problems) > most:
+            lines.append(f"{len(error.problems) - most} more problems; mend these first")
+        return lines, error.exit_code
     if isinstance(error, OSError):
         place = "standard output" if error.filename is None else str(error.filename)
         _silence_stdout()
-        _tell([f"{place}: cannot be used ({error.strerror or error}); check the path and the space left"])
-        return USAGE
+        reason = f"{place}: cannot be used ({error.strerror or error}); check the path and the space left"
+        return [reason], USAGE
     cause = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-    _tell([f"internal error, please report ({cause}); {TRACEBACK}=1 shows where"])
-    return FAULT
-
-
-def _starved(error: Exception) -> int:
-    """A lack of memory blames no file: what it stops first is no more than the next in line."""
-    _tell([str(error) if isinstance(error, NotEnoughMemoryError) else f"not enough memory: {CURE}"])
-    return EXIT_CODE
-
-
-def _complete() -> int:
-    """Answer the shell, which asks how to go on from what is typed."""
-    from click.shell_completion import shell_complete
-
-    return shell_complete(cli, {}, "dashpot", COMPLETION, os.environ[COMPLETION])
+    return [f"internal error, please report ({cause}); {TRACEBACK}=1 shows where"], FAULT
 
 
 def _silence_stdout() -> None:
@@ -220,15 +213,6 @@ def _tell(lines: Iterable[str]) -> None:
     for line in lines:
         with suppress(OSError):  # nobody listens: the exit code says it all the same
             click.echo(f"dashpot: {printable(line)}", err=True)
-
-
-def _usage(error: click.ClickException) -> int:
-    text = " ".join(error.format_message().split()).rstrip(".")
-    context = getattr(error, "ctx", None)
-    path = context.command_path if context is not None else "dashpot"
-    # A cure follows a semicolon; where the message has none, the command's own help is it.
-    _tell([f"{text} (see {path} --help)" if "; " in text else f"{text}; see {path} --help"])
-    return USAGE
 
 
 def _open_closed() -> None:
