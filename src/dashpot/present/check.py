@@ -20,10 +20,6 @@ from dashpot.present.page import figure_picture, page_html
 from dashpot.present.schematic.drawing import rig_picture
 from dashpot.present.words import alike, short
 
-MOST_NAMES = 40  # unknowns in one picture
-MOST_PROFILES = 12  # drawn
-MOST_IDLE = 20  # frequencies that are listed one by one
-
 
 def check_document(
     structure: Structure, channels: Sequence[str], spectrum: Spectrum | None, found: DataFindings | None
@@ -92,7 +88,7 @@ def _steps(found: DataFindings | None) -> list[str]:
 def _evidence(found: DataFindings, spectrum: Spectrum) -> list[Section]:
     sections = [_hardly_separated(found, spectrum), *shares_section(found.collinearity, spectrum)]
     if found.profiles:
-        shown = found.profiles[:MOST_PROFILES]
+        shown = found.profiles[:12]  # profiles in one picture
         names = joined([entry.name for entry in shown])
         picture = figure_picture(profile_figure(shown), f"Profiles of {names}")
         sections.append(section("Profiles", *map(profile_in_words, found.profiles), picture))
@@ -111,7 +107,7 @@ def _hardly_separated(found: DataFindings, spectrum: Spectrum) -> Section:
 
 def shares_section(weak: Collinearity, spectrum: Spectrum) -> list[Section]:
     """What each line tells of each unknown, where they are few enough for a picture."""
-    if len(weak.names) > MOST_NAMES:
+    if len(weak.names) > 40:  # more unknowns do not fit in one picture
         return []
     figure = shares_figure(weak.names, *shares_by_band(weak, spectrum.frequency_hz))
     text = "Which frequencies determine each unknown: per cent of the information on it."
@@ -173,7 +169,7 @@ def collinearity_in_words(collinearity: Collinearity, spectrum: Spectrum, units:
         paragraphs.append("No strong collinearity: no interval is inflated tenfold.")
     every = spectrum.frequency_hz.tolist()
     idle = [every[line] for line in collinearity.idle]
-    if len(idle) > MOST_IDLE:
+    if len(idle) > 20:  # fewer are listed one by one
         telling = sorted(set(every) - set(idle))
         where = f"; the most informative lie from {telling[0]:.4g} to {telling[-1]:.4g} Hz" if telling else ""
         text = f"{len(idle)} of the {len(every)} frequencies add almost no information on any unknown{where}."

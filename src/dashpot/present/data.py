@@ -17,9 +17,6 @@ from dashpot.present.words import percent, plain, short
 from dashpot.units import si_unit
 
 BARS = " ▁▂▃▄▅▆▇█"
-FLOOR_DB = -80.0
-PICTURE = 20  # characters
-MOST_BITS = 24  # numbers of more are no readings of a converter
 NOISE_FROM = {
     "white": "white residuals",
     "blocks": "frequencies beside each harmonic",
@@ -86,7 +83,7 @@ def part_columns(part: InspectedPart) -> list[TableColumn]:
             printable(c.name),
             printable(c.unit or ""),
             *(f"{x:.3g}" for x in (c.rms, c.least, c.greatest)),
-            f"{c.bits:.0f}" if c.bits <= MOST_BITS else "",
+            f"{c.bits:.0f}" if c.bits <= 24 else "",  # numbers of more bits are no readings of a converter
             picture(c),
             column_remarks(c),
         )
@@ -102,9 +99,9 @@ def picture(column: InspectedColumn) -> str:
     levels = column.level_db.tolist()
     if not levels:
         return ""
-    width = max(1, math.ceil(len(levels) / PICTURE))
+    width = max(1, math.ceil(len(levels) / 20))
     groups = [max(levels[i : i + width]) for i in range(0, len(levels), width)]
-    return "".join(BARS[round(8 * max(0.0, 1 - level / FLOOR_DB))] for level in groups)
+    return "".join(BARS[round(8 * max(0.0, 1 + level / 80))] for level in groups)  # eighths of 80 dB
 
 
 def column_remarks(column: InspectedColumn) -> str:

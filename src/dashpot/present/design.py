@@ -27,7 +27,6 @@ from dashpot.present.page import figure_picture, page_html
 from dashpot.present.schematic.drawing import rig_picture
 from dashpot.present.words import alike, capitalised, names_of, percent, rounded, sentence, short
 
-NEGLIGIBLE = 0.01  # per cent that rounding may cost for a test to be called optimal
 WASTE = 0.05  # of the information: what waiting for the steady state may cost
 NOTHING = "–"
 NORMAL_95 = 1.96
@@ -163,7 +162,7 @@ def _used_whole(plan: Plan, whole: UnsettledTest) -> str:
 def _optimality(plan: Plan) -> str:
     cost = 100 * max(plan.loss, 0.0)
     gap = f"duality gap {plan.gap:.1e}"
-    if cost < NEGLIGIBLE:
+    if cost < 0.01:  # per cent that rounding may cost for a test to be called optimal
         best = "better by more than 0.01 %"
         return f"Optimal: no test of {plan.samples:,.0f} samples in this band is {best} ({gap})."
     return (

@@ -47,7 +47,6 @@ from dashpot.present.words import capitalised, names_of, percent, sentence, shor
 
 MOST_PANELS = 16  # channels drawn with amplitude and phase
 MOST_IN_FILE = 6  # channels of a figure that stands alone
-MOST_NAMES = 40  # unknowns in one picture
 MOST_NAMED = 4  # unknowns named one by one
 TERMS = ("±", "interval", "bound", "χ²", "residual", "difference of the motion", "correlation")
 
@@ -204,7 +203,7 @@ def _evidence(
         if found.dwells:
             sections.append(_dwells(found.dwells, dwells))
         sections += _residuals(found.residuals)
-    if len(estimate.names) <= MOST_NAMES:
+    if len(estimate.names) <= 40:  # more unknowns do not fit in one picture
         text = "Each unknown with its 95 % interval; shaded, the interval at the Cramér-Rao bound."
         if any(unknown.sd is not None for unknown in model.unknowns):
             text += " 'stated' is what the rig file says of it."

@@ -51,7 +51,6 @@ ABOUT = (
     "Identification of multi-degree-of-freedom dynamical systems based on the response in receiving forced "
     "displacement inputs (the case using harmonic excitation data)."
 )
-WELL_KNOWN = 1.0  # standard error of a share, in points, with which nobody needs more draws
 
 
 def reproduction_document(reproduction: Reproduction) -> Document:
@@ -511,4 +510,5 @@ def _steps(reproduction: Reproduction) -> tuple[str, ...]:
         "On data of your own, take the optimally weighted form: dashpot identify RIG DATA --method oiv.",
     )
     more = f"{reproduction.draws:,} draws tell a share of 95 % to ± {error:.1f} points: take --draws 1000 to judge it."
-    return steps if error <= WELL_KNOWN else (*steps, more)
+    # standard error in points with which nobody needs more draws
+    return steps if error <= 1.0 else (*steps, more)

@@ -14,8 +14,6 @@ from dashpot.present.document import Document, section
 from dashpot.present.figures.style import BAD, COLOURS, MUTED, limit_axis, style
 from dashpot.study.response_curves import MotionCurve
 
-COARSE = 1e-3  # share of the motion in harmonics left out from which it is said
-
 
 def curves_document(curves: Sequence[MotionCurve], by_amplitude: bool) -> Document:
     """A paragraph for each curve: where it turns, and between which points motions are unstable."""
@@ -32,7 +30,7 @@ def curves_document(curves: Sequence[MotionCurve], by_amplitude: bool) -> Docume
             parts.append("stable throughout")
         else:
             parts.append(f"unstable {_runs(x, curve.stable)} {unit}")
-        if curve.missing > COARSE:
+        if curve.missing > 1e-3:  # less is not worth saying
             parts.append(
                 f"{curve.orders} harmonics leave out up to {100 * curve.missing:.2g} % of the motion"
             )

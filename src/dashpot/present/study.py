@@ -21,11 +21,9 @@ from dashpot.present.schematic.drawing import true_rig_picture
 from dashpot.study.montecarlo import LEVELS, StudyOutcome, Summary, SummaryRow
 
 NOTHING = "–"
-ENOUGH_DRAWS = 400  # by which a share of 95 % is known to a point
 COUNTED_FACTORS = {"noise": "noise level", "samples": "samples per frequency", "in_all": "samples in total"}
 RESULTS = ("bias>", "spread>", "bound>", "ratio>", "coverage>", "failed>")
 LABEL = 21  # characters of several factors in one column on a line: 80 columns hold the rest beside it
-MOST_BYTES = 1_300_000  # of pictures in one page; base64 adds a third
 LEGEND = (
     "bias, spread and bound: rms over the parameters, % of their true values (bound: Cramér-Rao at the truth).",
     "ratio: spread / bound.",
@@ -58,7 +56,7 @@ def study_report(
     shown, used = [], 0
     for name, content in list(pictures.items())[:12]:
         used += len(content)
-        if used > MOST_BYTES:
+        if used > 1_300_000:  # bytes of pictures in one page; base64 adds a third
             break
         shown.append(image_picture(content, name.replace("_", " ")))
     rest = len(pictures) - len(shown)
@@ -159,7 +157,7 @@ def next_study_steps(rows: Sequence[SummaryRow]) -> tuple[str, ...]:
     method = next(iter(_most_accurate_first(rows)))
     draws = min(row.summary.draws - row.summary.failed for row in rows)
     steps = [f"Take its values in tests like these: dashpot identify RIG DATA --method {method}."]
-    if draws < ENOUGH_DRAWS:
+    if draws < 400:  # by which a share of 95 % is known to a point
         spread = 100 * math.sqrt(0.95 * 0.05 / max(draws, 1))
         steps.append(
             f"{draws} draws tell a share of 95 % to ± {spread:.1f} points: run the study with --draws 1000 before "
@@ -185,7 +183,6 @@ def _span(values: Sequence[float], decimals: int) -> str:
 
 # Pictures: scenarios that differ in one factor alone, as curves over a number or as bars.
 
-FEWEST = 3  # points that make a curve
 MOST_BARS = 8
 MOST_ALIKE = 12  # groups of one factor that are drawn: bars at each of 200 noise levels are 200 figures
 
@@ -230,7 +227,7 @@ def groups(outcome: StudyOutcome) -> list[FactorGroup]:
     """All sets of scenarios that differ in one factor alone and are worth a picture."""
     made = []
     for factor in varied_factors(outcome.rows):
-        least = FEWEST if factor in COUNTED_FACTORS else 2
+        least = 3 if factor in COUNTED_FACTORS else 2  # points that make a curve
         sets: dict[tuple[Rest, tuple[str, ...]], list[SummaryRow]] = {}
         for row in outcome.rows:
             factors = row.scenario.factors

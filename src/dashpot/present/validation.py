@@ -21,7 +21,6 @@ from dashpot.present.verdict import diagnosis_in_words
 from dashpot.present.words import capitalised, short
 
 POOR = 0.5  # FIT below which a prediction is of no use
-GOOD = 0.8  # FIT from which on a factor is what a channel is off by
 EXPLANATION = (
     "FIT = 1 − ‖measured − predicted‖ / ‖measured − mean‖ within the band used, from the inputs alone; only the "
     "state in which a record starts and ends is fitted to it."
@@ -164,7 +163,7 @@ def _factors(predictions: Sequence[RecordPrediction]) -> str:
     of_channel: dict[str, str] = {}
     for part in predictions:
         for name, fit, factor, rescaled in zip(part.channels, part.fit, *part.rescaled(), strict=True):
-            if fit < POOR and rescaled > GOOD:
+            if fit < POOR and rescaled > 0.8:  # from this FIT on a factor is what a channel is off by
                 of_channel[name] = f"{name} is {short(float(factor), 2)} times its prediction"
     if not of_channel:
         return ""

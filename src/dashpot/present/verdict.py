@@ -11,8 +11,6 @@ from dashpot.io.words import joined
 from dashpot.present.document import Paragraph, Verdict
 from dashpot.present.words import probability, sentence, short
 
-ALTERNATIVES = 2  # causes named beside the first
-ALIKE = 1.25  # greatest over least of figures that a range stands for
 # In words, for a page, and the style on a terminal.
 VERDICTS: dict[str, tuple[str, Verdict, str]] = {
     "fits": ("The model fits", "good", "green"),
@@ -142,13 +140,14 @@ def _noise(assessment: Assessment) -> str:
     low, high = (f"{short(100 * size, 2)} %" for size in (min(noise), max(noise)))
     parts = [f"{short(100 * size, 2)} %" for size in noise]
     alike = low if low == high else f"{low.removesuffix(' %')} to {high}"
-    return f"; noise alone would leave {alike if max(noise) <= ALIKE * min(noise) else joined(parts)}"
+    # figures within a quarter of each other are a range
+    return f"; noise alone would leave {alike if max(noise) <= 1.25 * min(noise) else joined(parts)}"
 
 
 def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
     """A line for each of the likeliest causes, with what to do about it."""
     lines = []
-    for rank, finding in enumerate(findings[: 1 + ALTERNATIVES]):
+    for rank, finding in enumerate(findings[:3]):  # the likeliest and two beside it
         lead = "Likely cause" if rank == 0 else "Or"
         outlook = remaining_in_words(finding)
         cause = sentence(f"{lead}: {finding.text}{outlook and f' ({outlook})'}")

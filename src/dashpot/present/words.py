@@ -9,7 +9,6 @@ from collections.abc import Collection, Sequence
 from dashpot.channel import Channel
 from dashpot.model.network import Model
 
-ROUNDING = 1e-14  # of a number: what is less is an error of its computation, no deviation
 DIGITS = 2  # of a standard deviation that are shown
 PLAIN = 7  # digits before the point from which powers of ten are used
 
@@ -26,7 +25,7 @@ def rounded(value: float, sd: float) -> tuple[str, str]:
 def alike(values: Sequence[float], sd: float) -> list[str]:
     """Several numbers to the last digit of one standard deviation, with one power of ten where they need it."""
     finite = [abs(v) for v in values if math.isfinite(v)]
-    rounding = ROUNDING * max(finite, default=0.0)
+    rounding = 1e-14 * max(finite, default=0.0)  # what is less is an error of its computation, no deviation
     if not (math.isfinite(sd) and sd > rounding):
         settled = [0.0 if abs(value) < rounding else value for value in values]
         return [plain(value) if math.isfinite(value) else "–" for value in settled]

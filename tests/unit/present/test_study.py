@@ -1,9 +1,11 @@
-"""Words of Monte Carlo studies."""
+"""Words and pictures of Monte Carlo studies."""
 
 from types import SimpleNamespace
 from typing import Any, cast
 
-from dashpot.present.study import accuracy_in_words, next_study_steps
+import pytest
+
+from dashpot.present.study import MOST_ALIKE, FactorGroup, accuracy_in_words, evenly_spread, next_study_steps
 
 
 def row(method: str, error: float, *coverage: float) -> Any:
@@ -28,3 +30,14 @@ def test_the_most_accurate_method_comes_first_with_the_range_over_all_scenarios(
     first, more = next_study_steps(cast("Any", rows))
     assert "--method oiv" in first
     assert "100 draws tell a share of 95 % to ± 2.2 points" in more
+
+
+@pytest.mark.parametrize("levels", [1, MOST_ALIKE, MOST_ALIKE + 1, 200])
+def test_of_many_groups_alike_some_are_drawn_the_first_and_the_last_among_them(levels: int) -> None:
+    bars = [FactorGroup("frequencies", (("noise", k),), ("A", "B"), (), {}) for k in range(levels)]
+    curves = [FactorGroup("noise", (("frequencies", "A"),), (1.0, 2.0, 3.0), (), {})]
+    drawn = list(evenly_spread([*bars, *curves]))
+    of_bars = [group for group in drawn if group.factor == "frequencies"]
+    assert len(drawn) == len(of_bars) + 1
+    assert len(of_bars) == min(levels, MOST_ALIKE) == len({group.rest for group in of_bars})
+    assert (of_bars[0], of_bars[-1]) == (bars[0], bars[-1])

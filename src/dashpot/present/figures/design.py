@@ -35,7 +35,6 @@ OTHER = "#b0531a"
 CLEAR = 4.0  # px around a dwell and between names
 PLACES = (((6, 3), "left"), ((-6, 3), "right"), ((0, 7), "center"), ((6, -8), "left"), ((-6, -8), "right"))
 FRAME: dict[str, Any] = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}  # over bars and curves
-NAMED = 8  # dwells whose frequencies are written beside them
 
 
 def planned_test_figure(answer: Answer) -> Figure:
@@ -129,7 +128,7 @@ def plan_figure(
     top.set_title(title)
     _heat(middle, frequency_hz, names, shares, dwells_hz)
     _intervals(bottom, bars, tests)
-    if len(dwells_hz) <= NAMED:
+    if len(dwells_hz) <= 8:  # of more dwells the names have no room
         figure.draw_without_rendering()  # the layout, by which places are known
         _name_dwells(over, dwells_hz, dwells)
     return figure

@@ -23,8 +23,6 @@ from matplotlib.lines import Line2D
 from dashpot.arrays import Real
 from dashpot.present.figures.style import svg
 
-POINTS_PER_INCH = 72  # the unit of length of matplotlib's SVG
-
 
 @dataclass(frozen=True)
 class AxisLabel:
@@ -78,7 +76,7 @@ def interactive_svg(figure: Figure) -> str:
 
 
 def _panel(figure: Figure, axes: Axes, shown: _Hover, series: list[dict[str, Any]]) -> dict[str, Any]:
-    width, height = POINTS_PER_INCH * figure.get_size_inches()
+    width, height = 72 * figure.get_size_inches()  # the unit of length of matplotlib's SVG is a point
     place = axes.get_position()
     panel: dict[str, Any] = {
         "id": axes.get_gid(),

@@ -36,7 +36,6 @@ from dashpot.present.words import short
 
 FREQUENCY, PHASE = AxisLabel("frequency", "Hz"), AxisLabel("phase", "°")
 MANY = 300  # lines from which dots are small and drawn as a picture within the picture
-MOST_ROWS = 3  # of one picture: a printed page holds it below what stands before
 MOST_PLANES = 8
 REACH = 1.96  # standard deviations of a 95 % band
 RAYLEIGH_95 = 1.73  # of an amplitude's size over its standard deviation, √(−ln 0.05)
@@ -44,7 +43,7 @@ RAYLEIGH_95 = 1.73  # of an amplitude's size over its standard deviation, √(�
 
 def rows_of_pictures(rows: int) -> list[range]:
     """Neighbouring rows for each of several pictures, about as many in each."""
-    pictures = -(-rows // MOST_ROWS)
+    pictures = -(-rows // 3)  # rows of one picture: a printed page holds three below what stands before
     ends = [rows * k // pictures for k in range(pictures + 1)]
     return [range(first, end) for first, end in pairwise(ends)]
 
@@ -255,7 +254,6 @@ def prediction_figure(part: RecordPrediction, rows: Sequence[int] | None = None)
 
 
 COLUMNS = 300  # of the outline of a dwell
-PERIODS = 4.0  # of the beginning of the part used
 POINTS = 400  # of a curve
 USED = "#d7e8f0"
 
@@ -285,7 +283,7 @@ def beginnings(dwells: Sequence[DwellHistory]) -> Figure:
     for column, dwell in enumerate(dwells):
         period = 1 / dwell.frequency_hz
         first = max(dwell.begin - period, 0.0)
-        last = min(dwell.begin + PERIODS * period, float(dwell.time[-1]))
+        last = min(dwell.begin + 4.0 * period, float(dwell.time[-1]))
         kept = (dwell.time >= first) & (dwell.time <= last)
         every = max(int(np.sum(kept)) // POINTS, 1)
         samples, measured = dwell.time[kept][::every], dwell.measured[kept][::every]

@@ -37,7 +37,6 @@ from dashpot.present.schematic.shapes import (
 from dashpot.present.words import sentence, short
 
 MOST_ELEMENTS, MOST_BODIES = 60, 40
-BESIDE = 640.0  # px of a drawing that still has room beside the parameters
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,8 @@ def rig_picture(
         drawing = schematic(model, channels, estimate, unsure, level)
     except UsageError:
         return None
-    return Picture(drawing.svg(), drawing.title, wide=drawing.width > BESIDE)
+    # px of a drawing that still has room beside the parameters
+    return Picture(drawing.svg(), drawing.title, wide=drawing.width > 640.0)
 
 
 def true_rig_picture(model: Model, theta: Real, channels: Sequence[Channel]) -> Picture | None:
@@ -146,7 +146,6 @@ def drawing_description(drawing: Drawing) -> str:
 # Modes on the drawing of a rig: bodies move sideways as the mode has them.
 
 
-REACH = 18.0  # px that the furthest body moves
 FRAMES = 16
 
 
@@ -219,7 +218,7 @@ def mode_drawing(model: Model, shape: Complex, title: str) -> ModeDrawing:
         point = next((point for point in moving if point not in model.angles), moving[0] if moving else None)
         if point is not None:
             size = largest[point in model.angles]
-            motion[index] = REACH * at[point] / size if size > 0 else 0j
+            motion[index] = 18.0 * at[point] / size if size > 0 else 0j  # px that the furthest body moves
     for index, body in enumerate(connected.bodies):
         if body.along:
             motion[index] = sum((factor * motion.get(other, 0j) for other, factor in body.along), 0j)

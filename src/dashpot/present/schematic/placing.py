@@ -41,7 +41,6 @@ SEPARATION = 16.0  # between branches
 WALL = 12.0  # width of a wall
 LEAST_ZONE = 84.0
 ARROW_ROOM = 14.0  # above the name of a base, for its arrow
-HATCH = 7.0  # between the strokes of a hatched side
 HOP = 3.5  # radius of a bump over a line
 WEIGHTS: dict[Tone, float] = {"unknown": 2.0, "doubtful": 2.0, "ink": 2.4, "sensor": 1.0, "known": 1.2}
 
@@ -434,7 +433,7 @@ def _wall(box: Box, body: int, at_left: bool) -> list[Shape]:
     """An upright line, hatched on the side away from the rig within the box."""
     face, back = (box.right, box.left) if at_left else (box.left, box.right)
     shapes = [stroke(((face, box.top), (face, box.bottom)), "ink", 2.0, body=body)]
-    count = max(int(box.height / HATCH), 1)
+    count = max(int(box.height / 7.0), 1)  # px between the strokes
     for k in range(count):
         y = box.top + k * box.height / count
         low = min(y + (box.width - 3), box.bottom)

@@ -17,7 +17,6 @@ XY = tuple[float, float]
 Shifts = Mapping[int, float]  # body → px to the right
 
 TEXT, SMALL, TITLE = 11.0, 9.5, 14.0  # px
-LEADING = 1.3  # line height over size
 MARGIN = 14.0  # px around a drawing
 FIXED = -1  # body of points that never move
 
@@ -94,7 +93,7 @@ class Line:
     @property
     def height(self) -> float:
         """Px."""
-        return LEADING * self.size
+        return 1.3 * self.size  # line height over size
 
 
 @dataclass(frozen=True)
