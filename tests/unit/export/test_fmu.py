@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-import dashpot
-from dashpot.errors import ModelError, UsageError
+from dashpot.errors import UsageError
 from dashpot.export import fmu
 from dashpot.export.fmu import write_fmu
 from dashpot.export.formats import ExportOptions
@@ -17,7 +16,7 @@ from dashpot.export.identified_rig import identified_rig
 from dashpot.export.state_space import state_space_of
 from dashpot.model.motion import integrator
 from dashpot.model.rigfile import parse_rig
-from tests.unit.export.exported import TWO_MASSES, VARIANTS, expected_response, lever, nonlinear, two_masses
+from tests.unit.export.exported import TWO_MASSES, VARIANTS, expected_response, lever, two_masses
 
 fmpy = pytest.importorskip("fmpy")
 validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu
@@ -202,9 +201,3 @@ def test_a_compiler_that_fails_is_named(tmp_path, monkeypatch):
     with pytest.raises(UsageError, match="does not compile the FMU"):
         write_fmu(two_masses(), tmp_path / "rig.fmu", ExportOptions())
     assert not (tmp_path / "rig.fmu").exists()
-
-
-def test_nonlinear_rigs_are_refused(tmp_path):
-    with pytest.raises(ModelError, match="an FMU cannot hold the nonlinear law of c1"):
-        write_fmu(nonlinear(), tmp_path / "rig.fmu", ExportOptions())
-    assert dashpot.__version__

@@ -19,7 +19,6 @@ from tests.unit.export.exported import (
     expected_response,
     hysteretic,
     lever,
-    nonlinear,
     two_masses,
 )
 
@@ -109,10 +108,6 @@ def test_matlab_and_json_hold_all_of_it():
 
 
 def test_what_it_cannot_hold_is_refused():
-    with pytest.raises(
-        ModelError, match="a state space cannot hold the nonlinear law of c1; export its parameters"
-    ):
-        state_space_of(nonlinear())
     with pytest.raises(ModelError, match="a state space cannot hold the hysteretic damping of h"):
         state_space_of(hysteretic())
     without_mass = parse_rig(TWO_MASSES.replace('m2 = { at = "x2", value = 2.7, sd = 0.01 }', ""), "rig.toml")
