@@ -208,8 +208,7 @@ def _projected(J: Complex, G: Complex, V: Complex) -> Real:
         Q: Complex = basis * (s > 1e-12 * np.max(s, axis=-1, keepdims=True, initial=0.0))[..., None, :]
         J = J - Q @ (hermitian(Q) @ J)
     rows = np.concatenate([J.real, J.imag], axis=-2)
-    information: Real = 2 * (np.swapaxes(rows, -1, -2) @ rows)
-    return information
+    return 2 * (np.swapaxes(rows, -1, -2) @ rows)
 
 
 def per_sample(model: Model, channels: Sequence[Channel], seen: Outputs) -> Real:
