@@ -360,5 +360,5 @@ class TestSolve:
 
     def test_an_undamped_resonance(self) -> None:
         model = Model(("x",), (Input("u"),), (mass("m", "x"), spring("k", "x", "u")))
-        with pytest.raises(ModelError, match=r"no steady response.*; an undamped resonance"):
+        with pytest.raises(ModelError, match="no steady response"):
             response(model, np.array([1.0, 100.0]), np.array([10.0]), np.ones((1, 1), complex))

@@ -104,11 +104,11 @@ class TestUnknowns:
         np.testing.assert_array_equal(RIG.theta({"m1": 3.0, "c1": 0.0}), [3.0, 2.7, 0.0])
 
     def test_theta_without_a_value(self) -> None:
-        with pytest.raises(ModelError, match="m1 has no value; give it one"):
+        with pytest.raises(ModelError, match="m1 has no value"):
             RIG.theta({})
 
     def test_theta_with_a_stranger(self) -> None:
-        with pytest.raises(ModelError, match="k1 is not an unknown of this rig; its unknowns are m1, m2, c1"):
+        with pytest.raises(ModelError, match="k1 is not an unknown"):
             RIG.theta({"m1": 1.0, "k1": 3.0})
 
     def test_priors(self) -> None:

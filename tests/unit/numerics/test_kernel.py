@@ -23,9 +23,9 @@ def test_numpy_is_what_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_choice_that_is_none_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(choice.VARIABLE, "fortran")
-    with pytest.raises(UsageError, match="DASHPOT_KERNEL is 'fortran'"):
+    with pytest.raises(UsageError, match="fortran"):
         choice.kernel()
-    with pytest.raises(UsageError, match="no kernel 'fortran'"), choice.using("fortran"):
+    with pytest.raises(UsageError, match="fortran"), choice.using("fortran"):
         pass
 
 

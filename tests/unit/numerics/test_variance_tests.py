@@ -1,19 +1,22 @@
-"""Whether variances are alike."""
+"""Whether variances are alike, and tests taken together, against SciPy."""
 
 import numpy as np
 import pytest
-from scipy.stats import bartlett
+from scipy.stats import bartlett, combine_pvalues
 
-from dashpot.numerics.variance_tests import equal_variances
+from dashpot.numerics.variance_tests import equal_variances, fishers_product
 
 
-def test_as_scipy_says() -> None:
+def test_equal_variances_are_bartletts() -> None:
     """Eight groups of 21 normal numbers; their means take a degree of freedom each."""
     groups = np.random.default_rng(4).normal(size=(8, 21)) * np.linspace(1, 1.5, 8)[:, None]
     assert equal_variances(np.var(groups, axis=1, ddof=1), 20) == pytest.approx(bartlett(*groups).pvalue)
+    assert equal_variances(np.ones(1), 4) == equal_variances(np.zeros(3), 4) == 1.0  # nothing to compare
 
 
-def test_nothing_to_compare() -> None:
-    """One group, or groups of zeros."""
-    assert equal_variances(np.ones(1), 4) == 1.0
-    assert equal_variances(np.zeros(3), 4) == 1.0
+def test_tests_taken_together_are_fishers() -> None:
+    p = np.random.default_rng(1).uniform(size=(7, 3))
+    assert fishers_product(list(p)) == pytest.approx(combine_pvalues(p, axis=0).pvalue)
+    assert fishers_product([0.03]) == pytest.approx(0.03)
+    assert fishers_product([]) == 1
+    assert fishers_product([0.0, 1.0]) == pytest.approx(0, abs=1e-250)

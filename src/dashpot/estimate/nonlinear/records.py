@@ -51,6 +51,10 @@ class RecordData:
         """Number of samples."""
         return len(self.outputs)
 
+    def part(self, samples: slice) -> RecordData:
+        """Some of its samples."""
+        return replace(self, inputs=self.inputs[samples], outputs=self.outputs[samples])
+
 
 def arranged(model: Model, record: Record) -> RecordData:
     """Raises DataError where an input is not measured, a channel cannot be compared with a motion, or times slip."""
@@ -75,7 +79,7 @@ def arranged(model: Model, record: Record) -> RecordData:
             record.source,
             "leave it out of the rig file",
         )
-    by_force = bool(len(model.force_inputs))
+    orders = tuple(int(view.derivative[i]) for i in outputs)
     data = RecordData(
         record.source,
         step,
@@ -84,9 +88,9 @@ def arranged(model: Model, record: Record) -> RecordData:
         values[:, outputs],
         view.on_x[outputs],
         view.on_q[outputs],
-        derivative=tuple(int(view.derivative[i]) for i in outputs),
+        derivative=orders,
         gain=tuple(int(view.gain[i]) for i in outputs),
-        drift=tuple(int(view.derivative[i]) > 0 or not by_force for i in outputs),
+        drift=tuple(order > 0 or not model.force_inputs for order in orders),
     )
     return beside_bases(model, data, shown.orders)
 
@@ -115,8 +119,7 @@ def in_pieces(data: RecordData) -> list[RecordData]:
     """A record in pieces of its steady length, about."""
     count = max(data.samples // data.steady, 1) if data.steady else 1
     edges = np.linspace(0, data.samples, count + 1).astype(int).tolist()
-    parts = [slice(first, last) for first, last in pairwise(edges)]
-    return [replace(data, inputs=data.inputs[part], outputs=data.outputs[part], steady=0) for part in parts]
+    return [replace(data.part(slice(*ends)), steady=0) for ends in pairwise(edges)]
 
 
 @dataclass(frozen=True)

@@ -257,7 +257,7 @@ def _halved(problem: RecordProblem, psi: Real, states: list[Real]) -> tuple[Reco
     for k, (data, state) in enumerate(zip(problem.records, states, strict=True)):
         middle = data.samples // 2
         for part in (slice(0, middle), slice(middle, data.samples)):
-            records.append(replace(data, inputs=data.inputs[part], outputs=data.outputs[part]))
+            records.append(data.part(part))
             parts.append(state[part])
             own += [state[part][0, free.starts], psi[problem.of_record(k)][len(free.starts) :]]
     cut = replace(

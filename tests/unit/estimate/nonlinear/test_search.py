@@ -104,7 +104,7 @@ def test_a_law_that_divides_by_zero_within_the_motion_is_refused():
     model, theta = two_masses("cubic")
     spectrum = settled(model, theta, ALL, FREQUENCIES)
     pole = replace(model.elements[-1], force_law=force_law("d/(d - 0.0004)"))
-    with pytest.raises(DataError, match="of q divides by zero within the measured motion"):
+    with pytest.raises(DataError, match="divides by zero"):
         identify(replace(model, elements=(*model.elements[:-1], pole)), spectrum, "ml")
 
 
@@ -136,7 +136,7 @@ def test_a_gap_that_never_closes_is_named_before_the_search():
     """No trial of its width had given a start, which ended in an error of numpy."""
     model, theta = chain("gap", 1)
     spectrum = settled(model, theta, motions("x1", "u"), FREQUENCIES, amplitude=6e-5, noise=0.01)
-    with pytest.raises(IdentifiabilityError, match="q leaves no trace: the element never moves far enough"):
+    with pytest.raises(IdentifiabilityError, match="leaves no trace"):
         identify(guessed(model, theta, 1.03), spectrum, "ml")
 
 
