@@ -30,8 +30,8 @@ from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import operated_states
 from dashpot.model.nonlinear.integration import Integrator, Motion, forcing
 from dashpot.model.nonlinear.moving_base import does_nothing, moving_rig
-from dashpot.model.nonlinear.shooting import ChainSolver, integrate, segment_length, segments_of
-from dashpot.model.nonlinear.tangent import Tangent, tangent
+from dashpot.model.nonlinear.shooting import integrate, segment_length, segments_of
+from dashpot.model.nonlinear.tangent import ChainSolver, Tangent, tangent
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 
 # Which constants of whole records can be found: states at their starts, and constants that sensors of inputs add.

@@ -7,7 +7,13 @@ from dashpot.channel import Channel, Quantity
 from dashpot.estimate.nonlinear.records import RecordData, shown_outputs
 from dashpot.model.nonlinear.integration import Integrator, Motion, forcing
 from dashpot.model.nonlinear.shooting import integrate
-from dashpot.model.nonlinear.tangent import Tangent, spline_coefficients, spline_transposed, tangent
+from dashpot.model.nonlinear.tangent import (
+    ChainSolver,
+    Tangent,
+    spline_coefficients,
+    spline_transposed,
+    tangent,
+)
 from dashpot.model.observation import observation_model
 from tests.nonlinear_rigs import two_masses
 
@@ -71,3 +77,15 @@ def test_the_transpose_is_one() -> None:
     there = np.sum(along.times(change) * outputs, axis=(0, 1))
     back = np.sum(along.transposed(outputs) * change, axis=(0, 1))
     np.testing.assert_allclose(there, back, rtol=1e-11)
+
+
+def test_the_chain_solver_is_the_inverse_of_the_covariance() -> None:
+    along = around("cubic", base())
+    weight, sd = np.array([1e5, 2e2, 1e5, 4e3, 2e2]), np.array([2e-5])
+    each = np.eye(SAMPLES)[:, None, :]
+    reach = sd * weight[:, None] * along.times(each)
+    flat = reach.reshape(SAMPLES * len(CHANNELS), SAMPLES)
+    columns = np.random.default_rng(0).standard_normal((SAMPLES, len(CHANNELS), 3))
+    dense = np.linalg.solve(np.eye(len(flat)) + flat @ flat.T, columns.reshape(len(flat), 3))
+    solved = ChainSolver(along, weight, sd).solve(columns)
+    np.testing.assert_allclose(solved.reshape(len(flat), 3), dense, atol=1e-8 * np.abs(dense).max())
