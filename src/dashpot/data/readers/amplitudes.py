@@ -337,8 +337,9 @@ def _layout(columns: Columns, found: Mapping[str, AmplitudeColumns], channels: S
         scale = channel.scale if pair.decibel else columns.scale(pair.first, channel)
         scales.append(scale)
         for other in (at, pair.second if pair.to_radian is None else None):
-            alike = other is None or not columns.unit(other)
-            if not alike and not np.isclose(columns.scale(other or 0, channel), scale, rtol=1e-9):
+            if other is None or not columns.unit(other):
+                continue
+            if not np.isclose(columns.scale(other, channel), scale, rtol=1e-9):
                 what = f"column {channel.name}: real part, imaginary part and sd are in different units"
                 raise DataError(what, columns.heading, "give all three in one unit")
     pairs = {}

@@ -23,7 +23,7 @@ def read_matlab(file: DataFile, scipy_io: Any) -> Iterator[ArrayColumns]:
 
     Elements of an array of structures are parts of their own.
     """
-    every = list(_variables(file))
+    every = list(variables_of(file))
     variables: dict[str, Any] = {name: value for name, value in every if value is not None}
     others = [name for name, value in every if value is None] if variables else None
     with warnings.catch_warnings(), file.reading() as stream:
@@ -61,7 +61,7 @@ NUMERIC = range(6, 16)  # classes of arrays, from double to uint64
 HEAD = 1 << 16  # bytes of an element that are looked at
 
 
-def _variables(file: DataFile) -> Iterator[tuple[str, Any]]:
+def variables_of(file: DataFile) -> Iterator[tuple[str, Any]]:
     """The name of each variable and, of a long real vector, its numbers; None of another one.
 
     Raises DataError where one reaches beyond the end of the file, or unpacks to too much.

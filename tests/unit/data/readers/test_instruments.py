@@ -1,4 +1,4 @@
-"""Files of instruments, Xsens DOT and LabVIEW, and the average of periods: what is read, and what is refused."""
+"""Files of instruments, Xsens DOT and LabVIEW: what is read, and what is refused."""
 
 import re
 
@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
-from dashpot.data.periods import average_periods
 from dashpot.data.readers import read
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.instruments import read_labview
-from dashpot.data.record import Record
 from dashpot.errors import DataError
 
 SENSORS = tuple(Channel(name, {name: 1}, Quantity.ACCELERATION, "m/s²") for name in ("u", "x1"))
@@ -201,46 +199,3 @@ class TestLabview:
         with pytest.raises(DataError, match=what) as error:
             read(path, AF)
         assert "\n" not in str(error.value)
-
-
-class TestPeriods:
-    RATE, PERIOD = 200.0, 0.5
-
-    def record(self, seed, periods=12, noise=0.1, lines=(2, 5)):
-        rng = np.random.default_rng(seed)
-        t = np.arange(int(periods * self.RATE * self.PERIOD)) / self.RATE
-        clean = sum(k * np.cos(2 * np.pi * k * t / self.PERIOD + k) for k in lines)
-        common = noise * rng.standard_normal(len(t))
-        values = np.stack([clean + common, 2 * clean + common], axis=-1)
-        return Record((Channel("a", {"a": 1}), Channel("b", {"b": 1}, gain=2.0)), t, values)
-
-    def test_amplitudes_and_covariance_with_gains_taken_out(self):
-        # 400 repeats: the mean of a variance from 11 periods has a relative standard error of √(1/11/400) = 1.5 %.
-        found = [average_periods(self.record(seed), self.PERIOD, (2, 5), skip=1) for seed in range(400)]
-        X = np.array([one.amplitudes for one in found])
-        true = np.array([[2 * np.exp(2j)] * 2, [5 * np.exp(5j)] * 2])
-        V = 4 * 0.1**2 / (11 * 100) * np.array([[1, 0.5], [0.5, 0.25]])
-        assert np.abs(np.mean(X, axis=0) - true).max() < 5 * np.sqrt(V[0, 0] / 400)
-        mean = np.mean([one.covariance for one in found], axis=0)
-        assert mean == pytest.approx(np.stack([V, V]), rel=0.07)
-        away = X - true
-        assert np.einsum("rlc,rld->lcd", away, away.conj()) / 400 == pytest.approx(np.stack([V, V]), rel=0.25)
-        assert found[0].frequency_hz == pytest.approx([4, 10])
-        assert list(found[0].dof) == [20, 20]
-        assert found[0].noise == ("periods", "periods")
-        assert list(found[0].samples) == [1100, 1100]
-
-    def test_what_cannot_be_averaged(self):
-        record = self.record(0)
-        for period, skip, what in (
-            (0.5123, 0, "not a whole number"),
-            (np.nan, 0, "not a whole number"),
-            (-0.5, 0, "not a whole number"),
-            (0.5, 11, "12 periods of 0.5 s, 11"),
-            (0.5, -1, "two periods"),
-        ):
-            with pytest.raises(DataError, match=what):
-                average_periods(record, period, (2,), skip=skip)
-        uneven = Record(record.channels, record.time + 1e-3 * np.sin(record.time), record.values)
-        with pytest.raises(DataError, match="evenly"):
-            average_periods(uneven, 0.5, (2,))

@@ -211,7 +211,7 @@ def test_long_vectors_of_matlab_are_not_held(tmp_path: Path, packed: bool, kind:
         {"x": numbers, "fs": 10.0, "remark": "a text", "z": np.arange(7) * 1j, "y": numbers[:, None] * 2},
         do_compression=packed,
     )
-    long = dict(matlab_vectors._variables(datafile.open_file(path)))
+    long = dict(matlab_vectors.variables_of(datafile.open_file(path)))
     assert {name for name, numbers in long.items() if numbers is not None} == {"x", "y"}
     assert set(long) == {"x", "y", "fs", "remark", "z"}
     (record,) = read(path, (Channel("x", {"x": 1}), Channel("y", {"x": 1}))).records
