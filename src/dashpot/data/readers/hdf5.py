@@ -6,6 +6,7 @@ import mmap
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -173,15 +174,14 @@ def _variable(name: str, item: Any) -> dict[str, Any]:
     if kind in item.attrs and not _is_sequence(item, kind) and item.attrs[kind] in (b"char", b"cell"):
         return {}
     if item.dtype.kind in "fiub" and max(item.shape, default=0) == item.size >= LONG:
-        axis = item.shape.index(item.size)
-        around = (0,) * axis, (0,) * (item.ndim - axis - 1)
-        places = range(0, item.size, PIECE)
-        return {
-            name: Streamed(
-                item.size, lambda: (item[(*around[0], slice(at, at + PIECE), *around[1])] for at in places)
-            )
-        }
+        return {name: Streamed(item.size, partial(_pieces, item, item.shape.index(item.size)))}
     return {name: item[()]}
+
+
+def _pieces(item: Any, axis: int) -> Iterator[Any]:
+    """A dataset with one long axis."""
+    for at in range(0, item.size, PIECE):
+        yield item[tuple(slice(at, at + PIECE) if k == axis else 0 for k in range(item.ndim))]
 
 
 def _scalars(item: Any) -> dict[str, Any]:
