@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import platform
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -77,27 +79,33 @@ class BlockStore:
     ) -> Iterator[FinishedTask[Task]]:
         """What `f` makes of each task, as it is finished: taken from the store, or computed by any `mapper` and kept.
 
-        `f` is a function of a module, which any process can be sent.  Raises DataError where a block cannot be written.
+        `f` is a function of a module, which any process can be sent.  Children of this process write their blocks, for
+        they clear away what is half-written when this one is killed; others, of a cluster, send them to be written
+        here.  Raises DataError where a block cannot be written.
         """
         kept: deque[FinishedTask[Task]] = deque()
         missing: dict[int, tuple[Key, Task]] = {}
 
-        def work() -> Iterator[tuple[int, Task]]:
+        def work() -> Iterator[tuple[int, Key, Task]]:
             for number, task in enumerate(tasks):
                 own = key(task)
                 columns, state = self._find(own)
                 self.states[state] += 1
                 if columns is None:
                     missing[number] = own, task
-                    yield number, task
+                    yield number, own, task
                 else:  # very many may wait here, of which none is held
                     kept.append(FinishedTask(task, True, partial(self.read, own)))
 
-        for number, columns in mapper(partial(_numbered, f), work()):
+        computed = partial(_computed, f, self.folder, (platform.node(), os.getpid()))
+        for number, columns, written in mapper(computed, work()):
             while kept:
                 yield kept.popleft()
             own, task = missing.pop(number)
-            self._keep(own, columns)
+            if self.folder is None:
+                self._memory[own.name] = columns
+            elif not written:
+                write_block(self.folder, own, columns)
             yield FinishedTask(task, False, partial(dict, columns))
         yield from kept
 
@@ -105,19 +113,17 @@ class BlockStore:
         """A block that is there.  Raises DataError where it is not whole, or is of something else."""
         columns, state = self._find(key)
         if columns is None:
+            where = None if self.folder is None else str(_file_of(self.folder, key))
             what = f"this block is {state}, though it was whole a moment ago"
-            raise DataError(what, str(self._path(key)), "run again, which computes it again")
+            raise DataError(what, where, "run again, which computes it again")
         return columns
-
-    def _path(self, key: Key) -> Path:
-        return Path() if self.folder is None else self.folder / f"{key.name}.parquet"
 
     def _find(self, key: Key) -> tuple[Columns | None, State]:
         if self.folder is None:
             columns = self._memory.get(key.name)
             return columns, "absent" if columns is None else "whole"
         try:
-            columns, metadata = read_table(self._path(key))
+            columns, metadata = read_table(_file_of(self.folder, key))
             meta = json.loads(metadata[METADATA])
             differing = {name for name, value in key.label.items() if meta["label"][name] != value}
             if differing - GROWING - {"version"} or meta["sha256"] != digest_of_columns(columns):
@@ -130,20 +136,37 @@ class BlockStore:
             return None, "outdated" if "version" in differing else "other"
         return columns, "whole"
 
-    def _keep(self, key: Key, columns: Columns) -> None:
-        if self.folder is None:
-            self._memory[key.name] = columns
-            return
-        path = self._path(key)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        meta = {"label": dict(key.label), "sha256": digest_of_columns(columns)}
-        write_table(path, columns, json.dumps(meta).encode())
+
+def _file_of(folder: Path, key: Key) -> Path:
+    return folder / f"{key.name}.parquet"
 
 
-def _numbered(f: Callable[[Task], Columns], numbered: tuple[int, Task]) -> tuple[int, Columns]:
-    """What a worker does with a task, whose number comes back with its result."""
-    number, task = numbered
-    return number, f(task)
+def _computed(
+    f: Callable[[Task], Columns],
+    folder: Path | None,
+    sharer: tuple[str, int],
+    numbered: tuple[int, Key, Task],
+) -> tuple[int, Columns, bool]:
+    """What a process does with a task: its number, its columns, and whether they are written.
+
+    sharer  machine and process of the one who shares out the work: this one itself, or its parent
+    """
+    number, key, task = numbered
+    columns = f(task)
+    machine, process = sharer
+    near = platform.node() == machine and process in (os.getpid(), os.getppid())
+    if folder is not None and near:
+        write_block(folder, key, columns)
+        return number, columns, True
+    return number, columns, False
+
+
+def write_block(folder: Path, key: Key, columns: Columns) -> None:
+    """A block in its place in a folder.  Raises DataError."""
+    path = _file_of(folder, key)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    meta = {"label": dict(key.label), "sha256": digest_of_columns(columns)}
+    write_table(path, columns, json.dumps(meta).encode())
 
 
 @contextmanager
