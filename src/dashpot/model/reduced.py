@@ -21,9 +21,8 @@ from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, calibration_slopes
 from dashpot.numerics.small_systems import solve_small
 
-DEPENDENT = (
-    1e-14  # squared share of a unit column that lies outside the span, below which it adds rounding only
-)
+# Squared share of a unit column that lies outside the span, below which it adds rounding only
+DEPENDENT = 1e-14
 STRIP = 64  # columns of the basis that are worked on at once
 
 

@@ -19,9 +19,8 @@ from dashpot.errors import UsageError
 VARIABLE = "DASHPOT_KERNEL"
 THREADS = "DASHPOT_KERNEL_THREADS"
 CHOICES = ("auto", "compiled", "numpy")
-MOST_THREADS = (
-    1024  # processors that one process can be bound to (CPU_SETSIZE of glibc); more threads only wait
-)
+# Processors that one process can be bound to (CPU_SETSIZE of glibc); more threads only wait
+MOST_THREADS = 1024
 
 _choice: ContextVar[str | None] = ContextVar("kernel", default=None)
 

@@ -382,9 +382,8 @@ def _shape_rows(data: ModalData, view: MeasuredModes, phi: Complex, dphi: Comple
 
 
 STARTS = 32
-LARGE = (
-    8  # coordinates above which a rig of like parts that leads to a fit is taken without a look for others
-)
+# Coordinates above which a rig of like parts that leads to a fit is taken without a look for others
+LARGE = 8
 
 Search = Callable[[Real, Ints, int], OptimizeResult]  # starts, the repeats they belong to, most steps
 

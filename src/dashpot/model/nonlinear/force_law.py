@@ -25,9 +25,6 @@ from dashpot.model.nonlinear.expression import Dual, Exponents, Expression, dime
 Operator = Literal["", "stop", "play"]
 
 
-NEAR, HARDLY = 1e-6, 1e-150  # m, m/s: about rest, and nothing but a sign
-
-
 @dataclass(frozen=True)
 class NamedLaw:
     """A usual law: its expression of d and v, or of its state z, and what its constants are."""
@@ -161,15 +158,12 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
     wanted = [name for name in dict.fromkeys(names) if name not in ({"d", "v", "z"} if state else {"d", "v"})]
     given = {constant.name: constant for constant in constants}
     _require_named(text, wanted, list(given), complete=usual is None)
-    if not state:
-        _require_motion(text, expression)
-    law = ForceLaw(
-        text,
-        expression,
-        tuple(given.get(name, Constant(name)) for name in wanted),
-        rate,
-        "" if usual is None else usual.operator,
-    )
+    if not state and not {"d", "v"} & set(expression.names):
+        raise ModelError(
+            f"the law {text!r} depends on neither d nor v", cure='write one that does, such as "d**3"'
+        )
+    constants = tuple(given.get(name, Constant(name)) for name in wanted)
+    law = ForceLaw(text, expression, constants, rate, "" if usual is None else usual.operator)
     law.exponents  # noqa: B018  # raises where no units make sense
     _require_finite_at_rest(law)
     if not state:
@@ -196,14 +190,6 @@ def _require_named(text: str, wanted: Sequence[str], given: Sequence[str], *, co
         )
 
 
-def _require_motion(text: str, expression: Expression) -> None:
-    """Raises ModelError where a law does not depend on the motion."""
-    if not {"d", "v"} & set(expression.names):
-        raise ModelError(
-            f"the law {text!r} depends on neither d nor v", cure='write one that does, such as "d**3"'
-        )
-
-
 def _require_finite_at_rest(law: ForceLaw) -> None:
     """Raises ModelError where the force or its slope is infinite at d = v = 0."""
     middle = np.array([_typical(constant) for constant in law.constants])
@@ -226,11 +212,11 @@ def _require_steady(law: ForceLaw) -> None:
 
     def force(d: Real, v: Real) -> Real:
         with np.errstate(all="ignore"):
-            return np.broadcast_to(law(d.ravel(), v.ravel(), d.ravel(), middle).value, d.size).reshape(
-                d.shape
-            )
+            value = law(d.ravel(), v.ravel(), d.ravel(), middle).value
+        return np.broadcast_to(value, d.size).reshape(d.shape)
 
-    near, hardly = np.array([-NEAR, 0.0, NEAR]), np.array([-HARDLY, HARDLY])
+    # m, m/s: about rest, and nothing but a sign
+    near, hardly = np.array([-1e-6, 0.0, 1e-6]), np.array([-1e-150, 1e-150])
     around = force(*np.meshgrid(near, near))
     if np.any(np.isnan(around)):
         raise ModelError(

@@ -12,12 +12,10 @@ import numpy as np
 from dashpot.arrays import Ints, Real
 from dashpot.model.nonlinear.integration import Integrator, Motion, PointForces
 
-SHORTEST, LONGEST, SHARE = 4, 32, 1 / 16  # samples of a segment, a share of the root of those of the record
-
 
 def segment_length(intervals: int) -> int:
     """Intervals of a segment: as long as passing along one and joining all of them take about the same time."""
-    return int(np.clip(SHARE * np.sqrt(intervals), SHORTEST, LONGEST))
+    return int(np.clip(np.sqrt(intervals) / 16, 4, 32))
 
 
 def segments_of(intervals: int, length: int) -> Ints:
