@@ -165,7 +165,6 @@ class ConditioningTable(Entry):
 class ManifestHead(Entry):
     """A whole manifest."""
 
-    examples: ClassVar[Mapping[str, str]] = {"files": '[[files]] with name = "…"'}
     wanted: ClassVar[Mapping[str, str]] = {
         "folder": "a folder in quotes",
         "conditioning": "a table [conditioning]",
@@ -227,6 +226,8 @@ def read_manifest(path: str | os.PathLike[str]) -> Manifest:
     document = read_toml(path, DataError, wanted)
     if "coordinates" in document.table:
         raise DataError("this is a rig file, not a manifest of data", document.path, "name data files here")
+    if "files" not in document.table:  # which makes it one
+        raise DataError([document.problem(("files",), "missing", 'add [[files]] with name = "…"')])
     report, source, groups = Report(document, DataError), document.path, []
     head = validated(ManifestHead, document.table, (), report)
     report.raise_any()
