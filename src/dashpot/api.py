@@ -158,7 +158,10 @@ def identify(
     except (IdentifiabilityError, ConvergenceError) as error:
         if not judged or spectrum.batch:
             raise
-        raise with_likely_causes(error, diagnosis(model, spectrum, seed=seed)[:1]) from error
+        explained = with_likely_causes(error, diagnosis(model, spectrum, seed=seed)[:1])
+        if explained is error:  # which must not be its own cause
+            raise
+        raise explained from error
     if judged:
         estimate = examined(model, spectrum, estimate, seed=seed, within=within)
     return _of_rig(rig, estimate, spectrum, files)
@@ -179,9 +182,10 @@ def _in_time(
     try:
         estimate = fitted.estimate()
     except IdentifiabilityError as error:
-        if not judged:
+        explained = with_causes(error, model, records) if judged else error
+        if explained is error:
             raise
-        raise with_causes(error, model, records) from error
+        raise explained from error
     return examined_records(model, records, estimate, fitted, within) if judged else estimate
 
 

@@ -183,7 +183,7 @@ def _account(error: Exception) -> tuple[list[str], int]:
         path = context.command_path if context is not None else "dashpot"
         # A cure follows a semicolon; where the message has none, the command's own help is it.
         return [f"{text} (see {path} --help)" if "; " in text else f"{text}; see {path} --help"], USAGE
-    if lacked(error) and (limited() or not isinstance(error, DashpotError)):
+    if (limited() or not isinstance(error, DashpotError)) and lacked(error):
         # It blames no file: what a lack of memory stops first is no more than the next in line.
         short = str(error) if isinstance(error, NotEnoughMemoryError) else f"not enough memory: {CURE}"
         return [short], EXIT_CODE

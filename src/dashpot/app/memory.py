@@ -92,5 +92,8 @@ def lacked(error: BaseException) -> bool:
             return True
         if not isinstance(behind, DashpotError) and limited() and _LACK.search(str(behind)):
             return True
+        before = behind
         behind = behind.__cause__ or behind.__context__
+        if behind is before:  # raised from itself
+            break
     return False

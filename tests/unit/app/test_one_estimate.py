@@ -21,6 +21,7 @@ from dashpot.study.montecarlo import Task, generator, repeats_of
 from dashpot.study.scenario import AUTO, Scenario
 from dashpot.study.simulate import dwells
 from tests import rigs
+from tests.two_masses import RIG as TWO_MASSES
 from tests.unit.app.conftest import Command
 
 SAME = 1e-9  # of a standard deviation
@@ -166,3 +167,24 @@ def test_where_there_is_no_answer_the_likely_causes_are_the_same(
         read_rig("rig.toml").identify("data.csv")
     assert [f"dashpot: {line}" for line in str(refused.value).splitlines()] == told.err
     assert refused.value.causes == (finding,)
+
+
+def test_an_error_without_known_causes_is_raised_as_it_is(
+    dashpot: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Raised from itself, it had no end for whoever looked behind it."""
+    refused = ConvergenceError("no end", cure="give a guess")
+
+    def lost(*_: object, **__: object) -> None:
+        raise refused
+
+    monkeypatch.setattr(api, "identify_with_noise", lost)
+    monkeypatch.setattr(api, "diagnosis", lambda *_, **__: ())
+    Path("rig.toml").write_text(TWO_MASSES, encoding="utf-8")
+    Path("data.csv").write_text(
+        "frequency_hz,x1_re,x1_im,x2_re,x2_im,u_re,u_im\n"
+        + "".join(f"{hz},1,{hz},2,{hz},1,0\n" for hz in range(1, 9))
+    )
+    told = dashpot("identify rig.toml data.csv -q")
+    assert (told.code, told.err) == (3, ["dashpot: no end; give a guess"])
+    assert refused.__cause__ is None
