@@ -23,7 +23,7 @@ import numpy as np
 
 from dashpot.channel import Channel, Quantity
 from dashpot.check.deficiencies import require_identifiable
-from dashpot.check.diagnosis.diagnose import examined
+from dashpot.check.explain.examine import examined
 from dashpot.errors import DashpotError, IdentifiabilityError
 from dashpot.estimate.automatic import identify_automatically
 from dashpot.estimate.modal.identify_modal import identify_modal

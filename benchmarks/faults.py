@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from dashpot.channel import Quantity
-from dashpot.check.diagnosis.diagnose import examined
+from dashpot.check.explain.examine import examined
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError
 from dashpot.estimate.automatic import identify_automatically

@@ -22,8 +22,8 @@ import numpy as np
 from dashpot.api import identify
 from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
-from dashpot.check.diagnosis.ranking import points_of
 from dashpot.check.element_evidence import compare_in_dwells, compare_in_records
+from dashpot.check.explain.rigs import points_of
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError

@@ -20,10 +20,10 @@ import numpy as np
 from dashpot.arrays import Real, random_generator
 from dashpot.channel import Channel, Quantity
 from dashpot.check.deficiencies import require_identifiable
-from dashpot.check.diagnosis.diagnose import diagnose as diagnosis
-from dashpot.check.diagnosis.diagnose import examined
-from dashpot.check.diagnosis.record_channels import require_sound_channels
-from dashpot.check.diagnosis.wording import with_likely_causes
+from dashpot.check.explain.effect import with_likely_causes
+from dashpot.check.explain.examine import diagnose as diagnosis
+from dashpot.check.explain.examine import examined
+from dashpot.check.explain.record_channels import require_sound_channels
 from dashpot.check.identifiability import Structure, structure
 from dashpot.check.nonlinear_structure import nonlinear_structure
 from dashpot.check.verdict import examined_records, with_causes

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.diagnosis.diagnose import diagnose
+from dashpot.check.explain.examine import diagnose
 from dashpot.data.readers import read
 from dashpot.model.rigfile import read_rig
 from tests.mistakes import times

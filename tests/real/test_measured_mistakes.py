@@ -7,7 +7,7 @@ ratio of two channels is measured and nothing known sets the scale, which of the
 import numpy as np
 import pytest
 
-from dashpot.check.diagnosis.diagnose import _misfit_and_causes
+from dashpot.check.explain.examine import explained
 from dashpot.data.readers import read
 from dashpot.model.rigfile import read_rig
 from tests.mistakes import MISTAKES
@@ -27,18 +27,20 @@ def ranks(example: str, rig_file: str, every: int, alike: set[str]) -> dict[str,
     rig = read_rig(EXAMPLES / example / rig_file)
     spectrum = read(str(EXAMPLES / example / "amplitudes.csv"), rig.channels).spectrum()
     spectrum = spectrum.select(range(0, spectrum.lines, every))
-    unmistaken, _ = _misfit_and_causes(rig.model, spectrum, None, 0)
+    as_is = explained(rig.model, spectrum)
+    assert as_is is not None
     places: dict[str, int | None] = {}
     for k, (name, mistake) in enumerate(MISTAKES.items()):
         try:
             case = mistake(rig.model, spectrum, np.random.default_rng(100 + k))
         except (ValueError, IndexError):
             continue  # nothing in this rig to get wrong
-        misfit, findings = _misfit_and_causes(case.model, case.spectrum, None, 0)
-        if misfit < SHOWN * unmistaken:
+        found = explained(case.model, case.spectrum)
+        assert found is not None
+        if found.as_is.reduced < SHOWN * as_is.as_is.reduced:
             continue
         places[name] = None
-        for place, finding in enumerate(findings):
+        for place, finding in enumerate(cause.effect for cause in found.causes):
             stands_for = len(case.of) == 1 and case.of <= alike and set(finding.of) <= alike
             if finding.kind in case.kinds and (frozenset(finding.of) == case.of or stands_for):
                 places[name] = place

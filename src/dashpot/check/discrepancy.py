@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammainc, gammaincc
 
-from dashpot.arrays import Bools, Ints, Real
+from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.check.residuals import Residuals
 from dashpot.estimate.assessment import Discrepancy
 from dashpot.estimate.result import Estimate
@@ -143,17 +143,21 @@ def _crossing(below: Callable[[float], bool], high: float) -> float:
 
 
 def _blocks(left: Residuals, estimate: Estimate) -> Ints | None:
-    """A number for each line, the same in a block: of one experiment, and no wider than a mode is sharp; None: unknown.
-
-    Far from all modes blocks may reach further, in proportion to their distance.
-    """
+    """`blocks_of` an estimate's own modes; None: unknown."""
     if estimate.modes is None or not len(estimate.modes.eigenvalues):
         return None
-    poles = estimate.modes.eigenvalues
-    omega = 2 * np.pi * left.frequency_hz
+    return blocks_of(left.frequency_hz, left.experiment, estimate.modes.eigenvalues)
+
+
+def blocks_of(frequency_hz: Real, experiment: Ints, poles: Complex) -> Ints:
+    """A number for each line, the same in a block: of one experiment, and no wider than a mode is sharp.
+
+    poles rad/s.  Far from all modes blocks may reach further, in proportion to their distance.
+    """
+    omega = 2 * np.pi * frequency_hz
     block = np.zeros(len(omega), dtype=np.int64)
-    for experiment in np.unique(left.experiment):
-        lines = np.flatnonzero(left.experiment == experiment)
+    for number in np.unique(experiment):
+        lines = np.flatnonzero(experiment == number)
         lines = lines[np.argsort(omega[lines], kind="stable")]
         at = omega[lines]
         away = np.min(np.abs(1j * at[:, None] - poles), axis=1)

@@ -15,14 +15,15 @@ from typing import Any
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.check.diagnosis.nonlinear_elements import (
+from dashpot.check.explain.laws import (
     SOFT_NONLINEAR_ELEMENTS as SOFT,
 )
-from dashpot.check.diagnosis.nonlinear_elements import (
+from dashpot.check.explain.laws import (
     Motions,
     candidate_elements,
     feeds_motion,
     fitted_in_full,
+    free_name,
     misfit,
     motions_of,
     moving_pairs,
@@ -31,8 +32,7 @@ from dashpot.check.diagnosis.nonlinear_elements import (
     softened,
     with_open_constants,
 )
-from dashpot.check.diagnosis.record_channels import require_sound_channels
-from dashpot.check.diagnosis.wording import free_name
+from dashpot.check.explain.record_channels import require_sound_channels
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, UsageError

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dashpot.check.diagnosis.modal_causes import diagnose_modes
+from dashpot.check.explain.modal import diagnose_modes
 from dashpot.check.verdict import doubts_about, rejected, unphysical, unstable, worst_of
 from dashpot.data.modal_data import ModalData
 from dashpot.estimate.assessment import Assessment, Judgement, Misfit

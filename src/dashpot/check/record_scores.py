@@ -14,9 +14,10 @@ from scipy.linalg import block_diag
 from scipy.special import stdtr
 
 from dashpot.arrays import Real
-from dashpot.check.diagnosis.nonlinear_elements import APART, CERTAIN, feeds_motion
-from dashpot.check.diagnosis.search import PARTS, missing_elements, steadiness, sums_of_parts
 from dashpot.check.element_evidence import record_candidates
+from dashpot.check.explain.laws import APART, CERTAIN, feeds_motion
+from dashpot.check.explain.rigs import missing_elements
+from dashpot.check.explain.score import PARTS, steadiness, sums_of_parts
 from dashpot.estimate.nonlinear.input_levels import all_linearised, cleared, drawn_noise
 from dashpot.estimate.nonlinear.record_inference import FollowedRecord
 from dashpot.estimate.nonlinear.record_problem import RecordProblem

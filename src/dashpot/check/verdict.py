@@ -9,11 +9,11 @@ import numpy as np
 from scipy.special import fdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
-from dashpot.channel import Channel
-from dashpot.check.diagnosis.ranking import Cause, points_of
-from dashpot.check.diagnosis.wording import finding, in_place_of_laws, laws_in_words, with_likely_causes
 from dashpot.check.discrepancy import discrepancies
 from dashpot.check.element_evidence import with_nothing
+from dashpot.check.explain.effect import with_likely_causes
+from dashpot.check.explain.laws import in_place_of_laws, law_in_words, laws_in_words
+from dashpot.check.explain.rigs import missing_in_words, points_of
 from dashpot.check.record_scores import CalledFor, element_called_for, element_of_uncertain
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
 from dashpot.data.record import Record
@@ -379,8 +379,9 @@ def settled_by_size(assessment: Assessment, asked: bool) -> Assessment:
     found.  Where a share of the motion was asked for, only what the data show fits.
     """
     codes = {reason.code for reason in assessment.reasons}
-    if assessment.described and not assessment.findings and codes <= BY_SIZE:
-        return replace(assessment, verdict="fits", reasons=())
+    causes = [each for each in assessment.findings if each.kind != "unexplained"]
+    if assessment.described and not causes and codes <= BY_SIZE:
+        return replace(assessment, verdict="fits", reasons=(), findings=())
     if assessment.verdict == "does not fit" or assessment.described or not asked:
         return assessment
     notices = []
@@ -659,7 +660,7 @@ def assess_records(
         called_for = element_called_for(model, trails) if trails and bool(estimate.converged) else None
     findings: tuple[Finding, ...] = ()
     if called_for is not None:
-        findings = (_finding(model, records[0].channels, called_for),)
+        findings = (_finding(model, called_for),)
         against = [*against, _reason(model, called_for)]
     elif not bool(estimate.converged):
         findings, reasons = _without_laws(model, records)
@@ -686,7 +687,7 @@ def _without_laws(model: Model, records: Sequence[Record]) -> tuple[tuple[Findin
         return (), ()
     if called_for is None:
         return (), ()
-    what = _finding(model, records[0].channels, called_for)
+    what = _finding(model, called_for)
     reason = _reason(model, called_for)
     text = reason.text.replace(
         "of the residuals", f"of the residuals of the rig without {laws_in_words(model)}"
@@ -694,12 +695,15 @@ def _without_laws(model: Model, records: Sequence[Record]) -> tuple[tuple[Findin
     return (in_place_of_laws(model, what),), (replace(reason, text=text),)
 
 
-def _finding(model: Model, channels: Sequence[Channel], called_for: CalledFor) -> Finding:
+def _finding(model: Model, called_for: CalledFor) -> Finding:
     """The element as what may be wrong, with its line of the rig file; it was not fitted."""
-    element = called_for.element
-    kind = "element" if element.force_law is None else "nonlinear"
-    cause = Cause(kind, points_of(element, model), 1 - called_for.share, called_for.value, element=element)
-    return replace(finding(model, tuple(channels), cause), remaining=None)
+    element, value = called_for.element, called_for.value
+    kind, words = ("element", missing_in_words) if element.force_law is None else ("nonlinear", law_in_words)
+    said = words(model, element, value)
+    points = points_of(element, model)
+    return Finding(
+        kind, points, said.text, said.change, None, value, elements=said.elements, explains=called_for.share
+    )
 
 
 def _reason(model: Model, called_for: CalledFor) -> Notice:

@@ -50,6 +50,9 @@ class Finding:
     remaining  χ² over its degrees of freedom with the remedy taken; None where it was not tried or no noise is known
     number     what was found: a gain, a delay in s, a frequency in Hz, a parameter
     channels, elements  entries of the rig file as they would be; () where the data must be mended
+    odds       of this cause after the data, among all that were tried and what was not; None where it has none
+    explains   share of the misfit that it explains
+    group      a number shared by causes that these data cannot tell apart; None where it stands alone
     """
 
     kind: str
@@ -60,12 +63,16 @@ class Finding:
     number: float | None = None
     channels: tuple[Channel, ...] = ()
     elements: tuple[Element, ...] = ()
+    odds: float | None = None
+    explains: float | None = None
+    group: int | None = None
 
     def content(self) -> dict[str, Any]:
         """As the JSON of an estimate has it."""
         return {
             "kind": self.kind, "of": list(self.of), "text": self.text, "change": self.change,
-            "remaining": self.remaining, "number": self.number,
+            "remaining": self.remaining, "number": self.number, "odds": self.odds, "explains": self.explains,
+            "group": self.group,
         }  # fmt: skip
 
 
@@ -139,7 +146,17 @@ def assessment_from(fit: Mapping[str, Any], diagnosis: Sequence[Mapping[str, Any
     )
     worst = tuple(Misfit(w["channel"], float(w["frequency_hz"]), float(w["sd"])) for w in fit["worst"])
     findings = tuple(
-        Finding(d["kind"], tuple(d["of"]), d["text"], d["change"], d["remaining"], d["number"])
+        Finding(
+            d["kind"],
+            tuple(d["of"]),
+            d["text"],
+            d["change"],
+            d["remaining"],
+            d["number"],
+            odds=d.get("odds"),
+            explains=d.get("explains"),
+            group=d.get("group"),
+        )
         for d in diagnosis
     )
     # Files of former versions have no noise and no discrepancy.

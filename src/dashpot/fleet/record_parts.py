@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import bdtrc, chdtrc
 
 from dashpot.arrays import Real
-from dashpot.check.diagnosis.diagnose import examined
+from dashpot.check.explain.examine import examined
 from dashpot.check.verdict import (
     PERHAPS_UNSTABLE,
     rejected,

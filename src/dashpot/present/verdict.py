@@ -9,7 +9,7 @@ from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.result import Estimate, Fit
 from dashpot.io.words import joined
 from dashpot.present.document import Paragraph, Verdict
-from dashpot.present.words import probability, sentence, short
+from dashpot.present.words import capitalised, probability, sentence, short
 
 # In words, for a page, and the style on a terminal.
 VERDICTS: dict[str, tuple[str, Verdict, str]] = {
@@ -145,15 +145,30 @@ def _noise(assessment: Assessment) -> str:
 
 
 def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
-    """A line for each of the likeliest causes, with what to do about it."""
+    """A line for each of the likeliest causes, with its odds and what to do about it."""
     lines = []
     for rank, finding in enumerate(findings[:3]):  # the likeliest and two beside it
-        lead = "Likely cause" if rank == 0 else "Or"
-        outlook = remaining_in_words(finding)
-        cause = sentence(f"{lead}: {finding.text}{outlook and f' ({outlook})'}")
+        group = findings[0].group is not None and finding.group == findings[0].group
+        lead = "Likely cause" if rank == 0 else "Or, which these data cannot tell from it" if group else "Or"
+        if finding.kind == "unexplained":
+            lead = "No cause found"
+        odds = "" if finding.odds is None else f" ({_percent(finding.odds)})"
         stop = "" if finding.change.endswith("}") else "."  # a line of a rig file is to be copied as it is
-        lines.append(f"{cause} To change: {finding.change}{stop}")
+        outlook = remaining_in_words(finding)
+        parts = (
+            f"{lead}{odds}: {sentence(finding.text)}",
+            outlook and capitalised(sentence(outlook)),
+            f"To change: {finding.change}{stop}",
+        )
+        lines.append(" ".join(part for part in parts if part))
     return lines
+
+
+def _percent(odds: float) -> str:
+    """Odds in per cent, never more certain than they can be kept."""
+    return (
+        "odds over 99 %" if odds >= 0.99 else "odds under 1 %" if odds <= 0.01 else f"odds {100 * odds:.0f} %"
+    )
 
 
 def remaining_in_words(finding: Finding) -> str:

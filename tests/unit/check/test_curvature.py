@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Quantity
-from dashpot.check.diagnosis.diagnose import examined
+from dashpot.check.explain.examine import examined
 from dashpot.check.profile import bent_unknowns, profile, with_profile_intervals
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.diagnosis.diagnose import examined
+from dashpot.check.explain.examine import examined
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Assessment, Judgement
 from dashpot.estimate.identify import identify

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dashpot.arrays import Complex
-from dashpot.check.diagnosis.diagnose import diagnose
+from dashpot.check.explain.examine import diagnose
 from dashpot.check.verdict import silent_channels
 from dashpot.data.spectrum import Spectrum
 from tests.unit.data.test_local_noise import RIG, functions

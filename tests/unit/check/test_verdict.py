@@ -8,7 +8,7 @@ import pytest
 from dashpot.arrays import Complex
 from dashpot.channel import Channel, Quantity
 from dashpot.check.deficiencies import require_identifiable
-from dashpot.check.diagnosis.diagnose import examined
+from dashpot.check.explain.examine import examined
 from dashpot.check.verdict import assess
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
@@ -161,15 +161,14 @@ def bench(seed: int = 0) -> tuple[Model, Spectrum]:
 
 
 def test_a_motor_bench_without_its_sign_and_delay_does_not_fit() -> None:
-    """Either angle may be the one that is turned: both are named, and nothing is called converged and good."""
+    """Either angle may be the one that is turned: two causes at once are two steps."""
     model, data = bench()
     estimate = examined(model, data, identify_automatically(model, data))
     assert estimate.assessment.verdict == "does not fit"
-    first, *others = estimate.assessment.findings
-    assert (first.kind, first.of) == ("delay", ("theta_l",))
-    assert "ms late and reads −1.0" in first.text
-    assert "sign = -1" in first.change
-    assert {finding.of[0] for finding in others[:2] if finding.kind == "sign"} == {"theta_m", "theta_l"}
+    first, second = estimate.assessment.findings[:2]
+    assert first.kind == "sign"
+    assert first.of[0] in ("theta_m", "theta_l")
+    assert second.kind == "delay"
 
 
 @pytest.mark.parametrize("fault", ["dead", "flipped"])

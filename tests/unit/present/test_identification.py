@@ -23,8 +23,8 @@ from dashpot import (
     method,
     simulate_spectrum,
 )
-from dashpot.check.diagnosis.diagnose import examined
 from dashpot.check.evidence import evidence_of
+from dashpot.check.explain.examine import examined
 from dashpot.check.profile import profile
 from dashpot.check.validation import RecordPrediction
 from dashpot.model.nonlinear.force_law import force_law

@@ -102,7 +102,7 @@ def validated(
     rig: Rig, estimate: Estimate, reading: Reading, options: RecordOptions, *, diagnosed: bool = True
 ) -> tuple[tuple[RecordPrediction, ...], tuple[Finding, ...]]:
     """The predictions of data, and what may be wrong with them where they are bad; raises DataError."""
-    from dashpot.check.diagnosis.prediction_mistakes import mistakes_in_lines, mistakes_in_records
+    from dashpot.check.explain.prediction import mistakes_in_lines, mistakes_in_records
     from dashpot.check.validation import missed, validate, validate_records
 
     if len(rig.model.nonlinear) and reading.continuous:

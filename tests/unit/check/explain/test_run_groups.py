@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.diagnosis.diagnose import diagnose
-from dashpot.check.diagnosis.ranking import Cause
-from dashpot.check.diagnosis.wording import finding
+from dashpot.check.explain.examine import diagnose
 from dashpot.check.residuals import channel_response
 from dashpot.data.conditioning.lines import spectrum as conditioned
 from dashpot.data.spectrum import Spectrum
@@ -15,7 +13,7 @@ from dashpot.estimate.assessment import Finding
 from dashpot.model.network import Model
 from dashpot.model.rigfile import parse_rig
 from tests import rigs
-from tests.unit.check.diagnosis.test_diagnose import clean
+from tests.unit.check.explain.test_diagnose import clean
 
 
 def changed(model: Model, spectrum: Spectrum, element: str, factor: float, where: np.ndarray) -> Spectrum:
@@ -77,18 +75,6 @@ def test_one_run_cannot_be_parted() -> None:
     only = conditioned(RIG_OF_ONE.simulate({"k": 100.0}, [1.0], samples=60, amplitudes={"u": 0.01}, seed=1))
     away = replace(only, amplitudes=only.amplitudes * np.array([1 + 1j, 2 - 1j, 1]))
     assert all(cause.kind != "changed" for cause in diagnose(RIG_OF_ONE.model, away))
-
-
-def test_hyphens_in_names_are_no_minus_signs() -> None:
-    model = rigs.paper_rig().model
-    named_apart = replace(
-        model, elements=tuple(replace(e, name=e.name.replace("k2", "k-2")) for e in model.elements)
-    )
-    spring = next(e for e in named_apart.elements if e.name == "k-2")
-    cause = Cause("changed", ("x1", "x2"), 1.0, -30.0, element=spring, where="experiment 2")
-    assert finding(named_apart, (), cause).text == (
-        "experiment 2 shows another rig than the others: k-2 differs by −30 N/m"
-    )
 
 
 def _parts() -> tuple[list[str], list[float]]:

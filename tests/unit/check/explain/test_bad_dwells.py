@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dashpot.check.diagnosis.diagnose import diagnose
-from tests.unit.check.diagnosis.test_contradictions import clean
+from dashpot.check.explain.examine import diagnose
+from tests.unit.check.explain.test_contradictions import clean
 
 
 def test_two_dwells_with_each_others_label_are_named_together() -> None:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from dashpot.arrays import Real
-from dashpot.check.diagnosis.diagnose import diagnose, examined
-from dashpot.check.diagnosis.steady_lines import _seen_through, _seen_through_all, steady_lines
+from dashpot.check.explain.examine import diagnose, examined
+from dashpot.check.explain.steady_lines import _seen_through, _seen_through_all, steady_lines
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -75,9 +75,10 @@ def scaled(channel: int, factor: float) -> Callable[[Record], Record]:
 
 
 def late(record: Record) -> Record:
-    """The second channel by 6 ms."""
+    """The second channel by one sample or 6 ms, whichever is more; it begins at rest."""
     values = np.array(record.values)
-    values[:, 1] = np.interp(record.time - 0.006, record.time, values[:, 1])
+    samples = max(1, round(0.006 / float(record.time[1] - record.time[0])))
+    values[:, 1] = np.concatenate([np.zeros(samples), values[:-samples, 1]])
     return replace(record, values=values)
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.diagnosis.diagnose import diagnose
-from tests.unit.check.diagnosis.test_diagnose import clean
+from dashpot.check.explain.examine import diagnose
+from tests.unit.check.explain.test_diagnose import clean
 
 
 @pytest.mark.parametrize(("into", "source"), [("d_x1", "d_x2"), ("d_x1", "u")])

@@ -15,9 +15,18 @@ from itertools import combinations
 import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
-from dashpot.check.diagnosis.ranking import ORDER, Cause, ranked
-from dashpot.check.diagnosis.trials import RATIOS, Trial, mistakes_of_a_channel, prepared, swapped, untouched
-from dashpot.check.diagnosis.wording import finding, mended_in_data, with_likely_causes
+from dashpot.check.explain.channels import (
+    RATIOS,
+    conjugate,
+    in_data,
+    in_words,
+    quantity,
+    sign,
+    swap,
+    unit,
+)
+from dashpot.check.explain.effect import Misfit, with_likely_causes
+from dashpot.check.explain.problem import Fit, LineProblem
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError, Problem
 from dashpot.estimate.assessment import Finding
@@ -44,46 +53,54 @@ MENDED = 0.1  # of the misfit: as much as a mistake may leave
 FOLLOWED = 3  # mistakes that are fitted in full
 
 
-def mistakes_by_equation(data: Prepared, misfit: float) -> list[Cause]:
+def mistakes_by_equation(data: Prepared, misfit: float) -> tuple[Finding, ...]:
     """What a channel may show in the place of what is stated, the best first; data of one repeat, all motion seen.
 
     misfit: χ² over its degrees of freedom as it is; ∞ where there is no fit.
     """
-    base = untouched(data)
-    # Each channel with its sign or its phases turned, in another unit, as another derivative, or for another
-    channels = data.spectrum.channels
-    trials = [
-        trial
-        for c, channel in enumerate(channels)
-        for trial in mistakes_of_a_channel(base, channel, c, data.view.omega)
+    start = np.zeros(len(data.view.names))
+    base = LineProblem(data, np.ones(len(data.spectrum.channels)), (start,))
+    seen = Misfit(base, Fit(base, start, np.inf, 0), ())
+    tried = [
+        (effect, size, effect.act(base, size))
+        for kind in (sign, conjugate, unit, quantity, swap)
+        for effect in kind(seen)
+        for size in effect.values
     ]
-    for first, second in combinations(range(len(channels)), 2):
-        names = channels[first].name, channels[second].name
-        trials.append(swapped(base, names, first, second))
-    left = np.array([_left(data, trial) for trial in trials])
-    mending = np.flatnonzero(left < PROMISED * _left(data, base))
-    causes = []
+    left = np.array([_left(problem.data) for _, _, problem in tried])
+    mending = np.flatnonzero(left < PROMISED * _left(data))
+    found = []
     for k in mending[np.argsort(left[mending])][:FOLLOWED].tolist():
-        trial = trials[k]
-        mended = replace(
-            data.spectrum, amplitudes=np.where(trial.kept, trial.y, np.nan), covariance=trial.V, moments=None
-        )
+        effect, size, problem = tried[k]
         try:
-            fitted = identify(data.model, mended, "ml")
+            spectrum = problem.data.spectrum
+            alone = replace(spectrum, amplitudes=spectrum.amplitudes[0], covariance=problem.V)
+            fitted = identify(data.model, alone, "ml")
         except DashpotError:
             continue
         remaining = float(fitted.fit.misfit) ** 2
         if remaining < MENDED * misfit:
-            causes.append(Cause(trial.kind, trial.of, remaining, trial.value))
-    return ranked(causes, misfit)
+            said = effect.words(size)
+            found.append(
+                Finding(
+                    effect.kind,
+                    effect.of,
+                    said.text,
+                    said.change,
+                    remaining,
+                    size,
+                    said.channels,
+                    said.elements,
+                )
+            )
+    return tuple(sorted(found, key=lambda each: each.remaining or 0.0))
 
 
-def _left(data: Prepared, trial: Trial) -> float:
+def _left(data: Prepared) -> float:
     """Share of the known forces that the equation of motion leaves; ∞ where there is no regression."""
-    supposed = prepared(data, trial)
-    states = states_if_seen(supposed.view, supposed.spectrum, supposed.covariance)
+    states = states_if_seen(data.view, data.spectrum, data.covariance)
     try:
-        return np.inf if states is None else harmonics_left(replace(supposed, states=states))
+        return np.inf if states is None else harmonics_left(replace(data, states=states))
     except DashpotError:
         return np.inf
 
@@ -98,6 +115,8 @@ GROSS = 5.0  # factor of a unit beyond which guesses tell it from their own erro
 ALIKE = 3.0  # times what the best leaves: others are named, too
 IN_ITS_LINE = "mend the channel that is named next, in its line of the rig file or in the data"
 IN_ITS_DATA = "mend the channel that is named next, in the data of this record"
+KINDS = ("sign", "unit", "swap")
+Mistake = tuple[str, tuple[str, ...], float]  # kind, channels, size
 SHARES = (0.1, 0.3)  # of the largest speed or elongation, at which the smooth laws bend
 
 
@@ -134,7 +153,8 @@ def _alike(first: Finding, second: Finding) -> bool:
 def _in_the_data(record: Record, findings: Sequence[Finding]) -> Iterator[Problem]:
     """What may be behind a contradiction in one of several records, with what to do with its numbers."""
     for each in findings:
-        change = mended_in_data(each, record.source).change
+        size = np.nan if each.number is None else each.number
+        change = in_data(each.kind, each.of, size, record.source)
         yield Problem(f"a likely cause: in this record, {each.text}", cure=f"{change}, or leave it out")
 
 
@@ -148,23 +168,28 @@ def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:
     if as_is is None or not np.max(as_is.shares) > CONTRADICTED:
         return ()
     tried = []
-    for cause, mended in _mistakes(model, record, as_is.guessed):
+    for mistake, mended in _mistakes(model, record, as_is.guessed):
         left = bench.contradiction(mended)
         if left is not None and left.much_less_than(as_is):
-            tried.append(replace(cause, remaining=left.total))
-    least = min((cause.remaining for cause in tried), default=0.0)
-    near = [cause for cause in tried if cause.remaining <= ALIKE * least]
-    near.sort(key=lambda cause: (_of_input(model, record, cause), ORDER.index(cause.kind), cause.remaining))
-    return tuple(replace(finding(model, record.channels, cause), remaining=None) for cause in near)
+            tried.append((left.total, mistake))
+    least = min((left for left, _ in tried), default=0.0)
+    near = [each for each in tried if each[0] <= ALIKE * least]
+    # Of two motions either may be turned, and outputs are more than inputs; of like mistakes the commoner first.
+    near.sort(key=lambda each: (_of_input(model, record, each[1][1]), KINDS.index(each[1][0]), each[0]))
+    found = []
+    for _, (kind, of, size) in near:
+        said = in_words(model, record.channels, kind, of, size)
+        number = None if kind == "swap" else size
+        found.append(Finding(kind, of, said.text, said.change, None, number, said.channels))
+    return tuple(found)
 
 
-def _of_input(model: Model, record: Record, cause: Cause) -> bool:
-    """Whether it is about the channel of an input: of two motions either may be turned, and outputs are more."""
-    return any(measures_input(model, c) for c in record.channels if c.name in cause.of)
+def _of_input(model: Model, record: Record, of: tuple[str, ...]) -> bool:
+    return any(measures_input(model, c) for c in record.channels if c.name in of)
 
 
-def _mistakes(model: Model, record: Record, guessed: bool) -> Iterator[tuple[Cause, Record]]:
-    """Causes, and the record as it would be without each.
+def _mistakes(model: Model, record: Record, guessed: bool) -> Iterator[tuple[Mistake, Record]]:
+    """Mistakes, and the record as it would be without each.
 
     guessed: only guesses tell what the rig does, of which the size of one motion, or of the input, says nothing.
     """
@@ -177,14 +202,14 @@ def _mistakes(model: Model, record: Record, guessed: bool) -> Iterator[tuple[Cau
             factor = np.ones(len(channels))
             factor[c] = 1 / number
             kind = "sign" if number < 0 else "unit"
-            yield Cause(kind, (channel.name,), np.inf, number), replace(record, values=values * factor)
+            yield (kind, (channel.name,), number), replace(record, values=values * factor)
     for first, second in combinations(range(len(channels)), 2):
         if inputs[first] != inputs[second]:
             continue
         order = np.arange(len(channels))
         order[[first, second]] = second, first
         names = (channels[first].name, channels[second].name)
-        yield Cause("swap", names, np.inf), replace(record, values=values[:, order])
+        yield ("swap", names, 1.0), replace(record, values=values[:, order])
 
 
 @dataclass(frozen=True)

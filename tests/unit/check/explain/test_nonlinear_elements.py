@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.diagnosis.diagnose import examined
-from dashpot.check.diagnosis.nonlinear_elements import (
+from dashpot.check.element_evidence import compare_in_dwells
+from dashpot.check.explain.examine import examined
+from dashpot.check.explain.laws import (
     called_for,
     candidate_elements,
     fitted_in_full,
@@ -14,7 +15,6 @@ from dashpot.check.diagnosis.nonlinear_elements import (
     scored_in_dwells,
     seen_candidates,
 )
-from dashpot.check.element_evidence import compare_in_dwells
 from dashpot.estimate.assessment import applied
 from dashpot.estimate.identify import identify
 from dashpot.estimate.preparation.prepared import prepare
@@ -132,7 +132,7 @@ def test_beside_one_wrong_dwell_no_candidate_is_sought_that_the_equation_of_moti
     """The first mode's dwell is flipped, where a nonlinear element would show as well; six fits took 6 s."""
     fits = []
     monkeypatch.setattr(
-        "dashpot.check.diagnosis.nonlinear_elements.fitted_in_full",
+        "dashpot.check.explain.laws.fitted_in_full",
         lambda *given: fits.append(given[3].element.name) or fitted_in_full(*given),
     )
     rig = rigs.plain_rig(np.random.default_rng(64), 4)

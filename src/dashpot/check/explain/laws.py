@@ -7,9 +7,9 @@ those that promise most are fitted (Rao's score test; for whole records the scor
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from itertools import combinations
 
 import numpy as np
@@ -17,10 +17,14 @@ from scipy.fft import next_fast_len
 from scipy.special import fdtrc
 
 from dashpot.arrays import Complex, Ints, Real, hermitian
-from dashpot.check.diagnosis.search import Promise, descended, promised, promises, steadiness
+from dashpot.check.explain.effect import Effect, Misfit, Phrase, as_is
+from dashpot.check.explain.problem import Fit, LineProblem, descended
+from dashpot.check.explain.rigs import points_of
+from dashpot.check.explain.score import ScoreTest, score_tests, steadiness
 from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
 from dashpot.errors import DashpotError
+from dashpot.estimate.assessment import Finding
 from dashpot.estimate.inference.time_course import UNEVEN
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.objective import (
@@ -40,6 +44,7 @@ from dashpot.estimate.nonlinear.search import lost_dwells_regained, measured_bra
 from dashpot.estimate.preparation.prepared import Prepared, prepare
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.estimate.result import Estimate
+from dashpot.io.words import joined
 from dashpot.model.elements import Element, Kind, between
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate, operated_states
@@ -53,6 +58,7 @@ from dashpot.model.observation import (
     calibration_factors,
     observation_model,
 )
+from dashpot.model.rigfile import element_line
 from dashpot.numerics.small_systems import orthonormal, real_rows
 
 # Nonlinear elements that a rig might have: laws between points that move, and what is said for each.
@@ -86,6 +92,7 @@ class ScoredElement:
     """A candidate: how far χ² falls with it, from `chi2` with `dof` degrees of freedom, and the value it would have.
 
     psi (M,): the rig's own unknowns beside it, where they are known better than by the fit without it.
+    fit: of the rig with it, where it was fitted in full.
     """
 
     element: Element
@@ -94,6 +101,7 @@ class ScoredElement:
     dof: int
     value: float
     psi: Real | None = None
+    fit: Fit | None = None
 
     @property
     def p_value(self) -> float:
@@ -386,7 +394,7 @@ def _scored_beside_linear(
     score = 2 * np.sum((each @ at.weighted[..., None]).real, axis=1)[0, :, 0]
     names = [*data.view.names, *(element.name for element in elements)]
     fixed = [False] * len(psi) + [True] * len(elements)
-    listed = promised(
+    listed = score_tests(
         names, fixed, np.block([[base.symmetric[0], cross.T], [cross, within]]),
         np.concatenate([base.gradient[0], score]), float(base.cost[0]), APART,
     )  # fmt: skip
@@ -435,11 +443,17 @@ def _scored_nonlinear_elements(
     exact = measured(larger, softness)
     start = _with_elements(extended, {element.name: 0.0 for element in elements}, psi)
     names = {element.name for element in elements}
-    return _as_scored(data, len(psi), elements, promises(larger.view, exact, start, sign, names, APART))
+    with np.errstate(all="ignore"):
+        at = local(larger.view, exact, start[None], sign[None])
+    listed = score_tests(
+        larger.view.names, [name in names for name in larger.view.names], at.symmetric[0], at.gradient[0],
+        float(at.cost[0]), APART,
+    )  # fmt: skip
+    return _as_scored(data, len(psi), elements, listed)
 
 
 def _as_scored(
-    data: Prepared, unknowns: int, elements: Sequence[Element], listed: Sequence[Promise]
+    data: Prepared, unknowns: int, elements: Sequence[Element], listed: Sequence[ScoreTest]
 ) -> list[ScoredElement]:
     dof = max(2 * int(np.sum(np.isfinite(data.spectrum.amplitudes))) - unknowns - 1, 1)
     by_name = {element.name: element for element in elements}
@@ -648,7 +662,91 @@ def fitted_in_full(
     constants = [replace(c, value=values[f"{element.name}.{c.name}"]) for c in law.constants]
     fitted_element = replace(candidate.element, force_law=law.with_constants(constants))
     fall = max(chi2 - least, 0.0)
-    return replace(candidate, element=fitted_element, fall=fall, chi2=chi2, value=values[element.name])
+    dof = candidate.dof - len(law.constants)
+    fit = Fit(LineProblem(larger, sign, (best,)), best, chi2 - fall, dof) if np.isfinite(least) else None
+    return replace(
+        candidate, element=fitted_element, fall=fall, chi2=chi2, value=values[element.name], fit=fit
+    )
+
+
+CHARACTER = {
+    ("spring", "cubic"): "odd", ("spring", "quintic"): "odd", ("spring", "quadratic"): "odd",
+    ("spring", "square"): "even", ("spring", "gap"): "with a clearance",
+    ("spring", "one-sided"): "with a clearance on one side", ("spring", "jenkins"): "friction behind a spring",
+    ("damper", "quadratic"): "damping that grows with speed", ("damper", "cubic"): "damping that grows with speed",
+    ("damper", "coulomb"): "friction",
+}  # fmt: skip
+
+
+def law_in_words(model: Model, element: Element, value: float) -> Phrase:
+    """A nonlinear element that the data call for, in words; the p-value is below that of CERTAIN."""
+    assert element.force_law is not None
+    points = points_of(element, model)
+    character = CHARACTER[element.kind.value, element.force_law.text]
+    if element.kind is Kind.SPRING and element.force_law.text not in ("square", "jenkins"):
+        character += ", stiffening" if value > 0 else ", softening"
+    text = f"the data call for a nonlinear element between {' and '.join(points)}, {character} (p < 1e-6)"
+    named = replace(with_open_constants(element), name=free_name(model, element), guess=float(f"{value:.4g}"))
+    change = f"[{named.kind.section}] {element_line(named)}"
+    return Phrase(text, change, (), (named,))
+
+
+def nonlinear_finding(model: Model, scored: ScoredElement, remaining: float | None) -> Finding:
+    """The element as a cause; remaining: χ² over its degrees of freedom with it."""
+    said = law_in_words(model, scored.element, scored.value)
+    points = points_of(scored.element, model)
+    return Finding(
+        "nonlinear", points, said.text, said.change, remaining, scored.value, elements=said.elements
+    )
+
+
+def nonlinear(misfit: Misfit, *, thorough: bool) -> Iterator[Effect]:
+    """Nonlinear elements that the dwells call for, each as it was fitted in full."""
+    problem, psi = misfit.problem, misfit.as_is.psi
+    if not np.all(np.isfinite(psi)):
+        return
+    model = problem.model
+    for scored in called_for(problem.data, psi, problem.sign, thorough=thorough):
+        if scored.fit is None or scored.element.force_law is None:
+            continue
+        yield Effect(
+            "nonlinear", points_of(scored.element, model), as_is, partial(law_in_words, model, scored.element),
+            (scored.value,), found=scored.fit, more=1 + len(scored.element.force_law.constants),
+            share=1 / (len(LAWS) * max(len(moving_pairs(model)), 1)),
+        )  # fmt: skip
+
+
+def laws_in_words(model: Model) -> str:
+    """The rig's nonlinear elements, in whose place something else may stand."""
+    return joined(model.elements[int(index)].name for index in model.nonlinear)
+
+
+def in_place_of_laws(model: Model, cause: Finding) -> Finding:
+    """The cause, found with the rig's nonlinear elements left out, as one that stands in their place."""
+    return replace(cause, text=f"{cause.text}, in place of {laws_in_words(model)}")
+
+
+def free_name(model: Model, element: Element) -> str:
+    """A name that the rig has not: what the law is usually called."""
+    assert element.force_law is not None
+    usual = {
+        "cubic": "k3",
+        "square": "k2",
+        "quintic": "k5",
+        "quadratic": "kq",
+        "gap": "kgap",
+        "one-sided": "kstop",
+        "jenkins": "kslip",
+        "coulomb": "fc",
+        "d**4": "k4",
+        "d**2*v": "c3",
+    }
+    word = usual[element.force_law.text]
+    if element.kind is Kind.DAMPER and word.startswith("k"):
+        word = "c" + word[1:]
+    taken = {other.name for other in model.elements} | {*model.coordinates, *(i.name for i in model.inputs)}
+    candidates = (word, *(f"{word}_{'_'.join(element.along)}{suffix}" for suffix in ("", "_2", "_3")))
+    return next(name for name in candidates if name not in taken)
 
 
 # Nonlinear elements that whole records call for beside a linear rig, by the score of each alone (THEORY

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.diagnosis.diagnose import diagnose, examined
-from dashpot.check.diagnosis.record_channels import mistakes_by_equation
+from dashpot.check.explain.examine import diagnose, examined
+from dashpot.check.explain.record_channels import mistakes_by_equation
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.preparation.prepared import prepare
@@ -62,10 +62,10 @@ def test_two_channels_exchanged_are_named_first():
 def test_right_channels_are_not_called_wrong(law):
     """Neither as the rig has them, nor where a spring beside the law has a wrong value."""
     model, spectrum = measured(law)
-    assert mistakes_by_equation(prepare(model, spectrum), 1.0) == []
+    assert mistakes_by_equation(prepare(model, spectrum), 1.0) == ()
     elements = tuple(replace(e, value=2300.0) if e.name == "k1" else e for e in model.elements)
     stiff = replace(model, elements=elements)
-    assert mistakes_by_equation(prepare(stiff, spectrum), 1e4) == []
+    assert mistakes_by_equation(prepare(stiff, spectrum), 1e4) == ()
 
 
 def test_the_assessment_of_a_fit_that_fails_says_which_channel():

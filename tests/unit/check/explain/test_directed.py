@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Quantity
-from dashpot.check.diagnosis.causes import directed_causes
-from dashpot.check.diagnosis.diagnose import examined
+from dashpot.check.explain.examine import directed, examined
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.model.elements import Kind, between
@@ -38,7 +37,7 @@ def test_motions_that_are_late_are_found_where_chi2_passes(inputs: float) -> Non
         spectrum = late(clean(seed, inputs=inputs), 3e-4)
         estimate = identify(RIG.model, spectrum)
         passed += bool(estimate.fit.p > 0.01)
-        causes = directed_causes(RIG.model, spectrum, estimate)
+        causes = directed(RIG.model, spectrum, estimate)
         told += bool(causes) and causes[0].kind == "delay"
         if causes and causes[0].of == ("d_u",):
             assert causes[0].number is not None
@@ -69,7 +68,7 @@ def test_a_spring_that_is_missing_is_found() -> None:
     )
     estimate = identify(RIG.model, spectrum)
     assert estimate.fit.p > 0.01
-    first = directed_causes(RIG.model, spectrum, estimate)[0]
+    first = directed(RIG.model, spectrum, estimate)[0]
     assert (first.kind, first.of) == ("element", ("x1", "ground"))
     assert first.number == pytest.approx(15, abs=6)
 
@@ -79,7 +78,7 @@ def test_clean_data_raise_no_alarm() -> None:
     alarms = 0
     for seed in range(60):
         spectrum = clean(1000 + seed, 0.01, 0.01)
-        alarms += bool(directed_causes(RIG.model, spectrum, identify(RIG.model, spectrum)))
+        alarms += bool(directed(RIG.model, spectrum, identify(RIG.model, spectrum)))
     assert alarms <= 2
 
 
@@ -89,4 +88,4 @@ def test_what_has_no_noise_size_is_not_tested() -> None:
         spectrum, covariance=np.full_like(spectrum.covariance, np.nan), noise=("unknown",) * spectrum.lines
     )
     model: Model = RIG.model
-    assert directed_causes(model, unknown, identify(model, unknown)) == []
+    assert directed(model, unknown, identify(model, unknown)) == ()

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from math import log
 
 import numpy as np
+from scipy.special import logsumexp
 
 from dashpot.arrays import Real
-from dashpot.check.diagnosis.causes import BY_CHANCE, RATES
-from dashpot.check.diagnosis.diagnose import LARGEST
-from dashpot.check.diagnosis.ranking import Cause, points_of, ranked
-from dashpot.check.diagnosis.search import APART, FOLLOWED, missing_elements, promised, stated_values
-from dashpot.check.diagnosis.trials import Likeness
-from dashpot.check.diagnosis.wording import finding
+from dashpot.check.explain.channels import CLOSE, GAIN_WIDTH, RATIOS, number
+from dashpot.check.explain.dwells import RATES
+from dashpot.check.explain.effect import Phrase
+from dashpot.check.explain.engine import LARGEST, LIKELY, LISTED, MOST, UNLISTED
+from dashpot.check.explain.rigs import (
+    FOLLOWED,
+    missing_elements,
+    missing_in_words,
+    other_value,
+    points_of,
+    stated_values,
+)
+from dashpot.check.explain.score import score_tests
 from dashpot.data.modal_data import ModalData
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
@@ -32,6 +42,15 @@ from dashpot.model.elements import Element
 from dashpot.model.network import Model
 
 DAMPINGS = (2.0, 100.0)  # loss factors, per cent
+NEAR = 0.25  # nepers within which a usual ratio of units is tried in the place of what was found
+LOST = log(
+    100
+)  # for each number that a cause leaves out, which may be in error by its own size, some 100 deviations
+# The probability of each kind before the data.
+PRIORS = {
+    "sign": 0.1, "swap": 0.08, "conjugate": 0.04, "unit": 0.05, "gain": 0.08, "frequency": 0.04, "damping": 0.1,
+    "mode": 0.1, "channel": 0.05, "element": 0.15, "value": 0.15,
+}  # fmt: skip
 DRAWS = 4  # rigs drawn at random from which each trial starts as well, where the points do not show all
 
 
@@ -53,14 +72,41 @@ class _Bench:
     data: ModalData
     starts: Real
 
-    def tried(self, trial: _Trial) -> tuple[Cause, Real]:
+    def tried(self, trial: _Trial) -> tuple[_Cause, Real]:
         """What a trial leaves of χ², and the rig (unknowns,) that it leads to."""
         try:
             end = searched_from(self.model, trial.data, self.starts)
         except DashpotError:  # too little is left of the data
-            return Cause(trial.kind, trial.of, np.inf, trial.number), self.starts[0]
+            return _Cause(trial, np.inf, 0), self.starts[0]
         chi2 = float(end.cost[0]) if np.isfinite(end.cost[0]) else np.inf
-        return Cause(trial.kind, trial.of, _reduced(self.model, trial.data, chi2), trial.number), end.x[0]
+        return _Cause(trial, chi2, _dof(self.model, trial.data)), end.x[0]
+
+
+@dataclass(frozen=True)
+class _Cause:
+    """A trial, χ² and the degrees of freedom that its fit leaves; the element that it adds or frees."""
+
+    trial: _Trial
+    chi2: float
+    dof: int
+    element: Element | None = None
+
+    @property
+    def reduced(self) -> float:
+        """χ² over its degrees of freedom; infinite where there are none."""
+        return self.chi2 / self.dof if self.dof > 0 else np.inf
+
+    def evidence(self, dof: int, alike: int) -> float:
+        """ln of the evidence, of a fit to all modes with `dof`; alike: causes of this kind that were tried."""
+        prior = log(PRIORS[self.trial.kind] / alike) - LOST * max(
+            dof - self.dof - (self.element is not None), 0
+        )
+        if not np.isfinite(self.reduced):
+            return -np.inf
+        more = 0.5 * log(max(dof, 2)) if self.element is not None or self.trial.kind == "gain" else 0.0
+        if self.trial.kind == "gain" and self.trial.number is not None:  # large ones are rare: Cauchy's prior
+            more += log(1 + (log(abs(self.trial.number)) / GAIN_WIDTH) ** 2)
+        return prior - more - 0.5 * self.dof * (log(max(self.reduced, 1.0)) + min(self.reduced, 1.0))
 
 
 def diagnose_modes(
@@ -82,21 +128,77 @@ def diagnose_modes(
     trials = [_Trial("frequency", (), _times(data, rate, 1.0), rate) for rate in RATES]
     if np.any(np.isfinite(data.damping_ratio)):
         trials += [_Trial("damping", (), _times(data, 1.0, 1 / number), number) for number in DAMPINGS]
-    plain = (*_shapes_mended(data), *trials)
-    candidates = [bench.tried(trial)[0] for trial in plain]
-    noise = 1 + BY_CHANCE * (2 / max(estimate.fit.dof, 1)) ** 0.5
-    if not any(cause.remaining < noise for cause in candidates):
-        candidates += [bench.tried(trial)[0] for trial in _without_one_mode(data)]
-        candidates += [cause for name in data.points for cause in _of_point(bench, name)]
-        candidates += _other_rigs(bench, estimate.values)
-    as_is = _reduced(model, data, float(estimate.fit.chi2))
-    return tuple(finding(model, (), cause) for cause in ranked(candidates, as_is))
+    candidates = [
+        bench.tried(trial)[0] for trial in (*_shapes_mended(data), *trials, *_without_one_mode(data))
+    ]
+    candidates += [cause for name in data.points for cause in _of_point(bench, name)]
+    candidates += _other_rigs(bench, estimate.values)
+    dof = _dof(model, data)
+    as_is = float(estimate.fit.chi2)
+    count = Counter(cause.trial.kind for cause in candidates)
+    floor = log(UNLISTED) - 0.5 * dof * (log(max(as_is / max(dof, 1), 1.0)) + 1)
+    weights = np.array([*(cause.evidence(dof, count[cause.trial.kind]) for cause in candidates), floor])
+    odds = np.exp(weights - logsumexp(weights))[:-1]
+    excess = max(as_is / max(dof, 1) - 1, np.finfo(float).tiny)
+    found: list[Finding] = []
+    total = 0.0
+    for k in np.argsort(-odds, kind="stable").tolist():
+        cause = candidates[k]
+        explains = 1 - min(max(cause.reduced - 1, 0.0) / excess, 1.0)
+        if explains < LIKELY or any(
+            (each.kind, each.of) == (cause.trial.kind, cause.trial.of) for each in found
+        ):
+            continue
+        said = _said(model, cause)
+        found.append(
+            Finding(
+                cause.trial.kind, cause.trial.of, said.text, said.change, cause.reduced, cause.trial.number,
+                elements=said.elements, odds=float(odds[k]), explains=explains,
+            )
+        )  # fmt: skip
+        total += float(odds[k])
+        if total > LISTED or len(found) == MOST:
+            break
+    return tuple(found)
 
 
-def _reduced(model: Model, data: ModalData, chi2: float) -> float:
-    """χ² over its degrees of freedom; infinite where there are none."""
-    dof = measured_modes(model, with_one_axis(data)).dof(model)
-    return chi2 / dof if dof > 0 else np.inf
+def _dof(model: Model, data: ModalData) -> int:
+    return int(measured_modes(model, with_one_axis(data)).dof(model))
+
+
+def _said(model: Model, cause: _Cause) -> Phrase:
+    """A cause in words."""
+    kind, of = cause.trial.kind, cause.trial.of
+    size = 1.0 if cause.trial.number is None else cause.trial.number
+    if cause.element is not None:
+        words = missing_in_words if kind == "element" else other_value
+        return words(model, cause.element, size)
+    match kind:
+        case "sign":
+            text = f"{of[0]} has the opposite sign in all mode shapes. Sensor reversed?"
+            return Phrase(text, f"change the sign of {of[0]} in the shapes")
+        case "swap":
+            return Phrase(f"{of[0]} and {of[1]} are exchanged", f"exchange {of[0]} and {of[1]} in the shapes")
+        case "unit" | "gain":
+            text = f"{of[0]} is {number(size)} × what the model predicts in all mode shapes"
+            return Phrase(text, f"divide {of[0]} by {number(size)} in the shapes")
+        case "damping":
+            word = "loss factors" if size == 2.0 else "per cent"
+            return Phrase(
+                f"the damping ratios are {size:g} × what the model gives: {word}?", f"divide them by {size:g}"
+            )
+        case "frequency":
+            text = f"the modes are at {number(size)} × the stated frequencies. Are they in another unit?"
+            return Phrase(text, f"multiply the frequencies by {size:.6g}")
+        case "conjugate":
+            text = "all phases have the opposite sign: the data use e^(−jωt)"
+            return Phrase(text, "change the sign of the imaginary parts")
+        case "mode":
+            text = f"the mode at {of[0]} disagrees with all others"
+            return Phrase(text, f"leave out the mode at {of[0]}, or measure it again")
+        case _:
+            text = f"{of[0]} disagrees with the other points, and no common error explains it"
+            return Phrase(text, f"leave {of[0]} out, or check its sensor and where it is mounted")
 
 
 # Mistakes in the data
@@ -150,7 +252,7 @@ def _without_one_mode(data: ModalData) -> list[_Trial]:
     return trials
 
 
-def _of_point(bench: _Bench, name: str) -> list[Cause]:
+def _of_point(bench: _Bench, name: str) -> list[_Cause]:
     """A point left out, and its gain against what the others make of it."""
     data = bench.data
     if len(data.points) < 2:
@@ -175,15 +277,16 @@ def _of_point(bench: _Bench, name: str) -> list[Cause]:
     gain = float(np.sum((np.conj(expected) * shown)[there].real)) / power if power > 0 else 0.0
     if gain == 0:
         return [alone]
-    forms = Likeness(gain, 0, 0.0, conjugate=False, left=0.0).rounded()
-    trials = [_Trial(form.kind, (name,), _divided(data, name, form.number), form.number) for form in forms]
+    near = [float(np.copysign(ratio, gain)) for ratio in RATIOS if abs(np.log(abs(gain) / ratio)) < NEAR]
+    forms = [("unit", each) for each in near] + ([("gain", gain)] if abs(gain + 1) > CLOSE else [])
+    trials = [_Trial(kind, (name,), _divided(data, name, size), size) for kind, size in forms]
     return [alone, *(bench.tried(trial)[0] for trial in trials)]
 
 
 # Another rig
 
 
-def _other_rigs(bench: _Bench, theta: Real) -> list[Cause]:
+def _other_rigs(bench: _Bench, theta: Real) -> list[_Cause]:
     """Missing parts and stated values that are wrong: those that the score at `theta` promises most of, fitted."""
     model = bench.model
     candidates = {"element": _parts_of_modes(model), "value": stated_values(model)}
@@ -213,8 +316,8 @@ def _promised(
     at = modal_misfit(larger, flat, measured_modes(larger, flat), start, np.zeros(1, dtype=np.int64))
     by_name = {element.name: element for element in elements}
     names = larger.unknown_names
-    listed = promised(
-        names, [name in by_name for name in names], at.symmetric[0], at.gradient[0], float(at.cost[0]), APART
+    listed = score_tests(
+        names, [name in by_name for name in names], at.symmetric[0], at.gradient[0], float(at.cost[0])
     )
     return [(promise.fall, by_name[promise.name]) for promise in listed]
 
@@ -232,9 +335,9 @@ def _extended(model: Model, starts: Real, elements: Sequence[Element]) -> tuple[
     )
 
 
-def _fitted(bench: _Bench, kind: str, element: Element) -> Cause:
+def _fitted(bench: _Bench, kind: str, element: Element) -> _Cause:
     larger, starts = _extended(bench.model, bench.starts, [element])
     of = points_of(element, bench.model)
     cause, theta = _Bench(larger, bench.data, starts).tried(_Trial(kind, of, bench.data))
-    number = float(theta[larger.unknown_names.index(element.name)])
-    return replace(cause, number=number, element=element)
+    size = float(theta[larger.unknown_names.index(element.name)])
+    return replace(cause, trial=replace(cause.trial, number=size), element=element)

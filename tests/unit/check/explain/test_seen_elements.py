@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.diagnosis.diagnose import diagnose
-from dashpot.check.diagnosis.nonlinear_elements import seen_candidates
+from dashpot.check.explain.examine import diagnose
+from dashpot.check.explain.laws import seen_candidates
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.preparation.prepared import prepare

@@ -1,0 +1,521 @@
+"""What may be wrong with a channel, or with two: its sign, unit, gain, clock, quantity, filter, range or place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+
+from dashpot import units
+from dashpot.arrays import Complex, Real
+from dashpot.channel import Channel, Quantity
+from dashpot.check.explain.effect import Effect, Misfit, Phrase, said
+from dashpot.check.explain.problem import LineProblem
+from dashpot.errors import DashpotError
+from dashpot.model.network import Model
+from dashpot.model.rigfile import channel_line
+
+# Ratios of usual units, rms and peak, degrees and radians, and their inverses.
+RATIOS = (
+    1e3, 1e-3, 1e6, 1e-6, 100.0, 0.01, 9.80665, 1 / 9.80665, 2**0.5, 0.5**0.5, 2.0, 0.5,
+    180 / np.pi, np.pi / 180, 2 * np.pi, 1 / (2 * np.pi), 25.4, 1 / 25.4, 0.0254, 1 / 0.0254, 9806.65, 1 / 9806.65,
+)  # fmt: skip
+OF_FORCES = RATIOS[:12]  # forces are in no inches and no degrees
+CLOSE = 0.015  # relative distance within which a factor is taken for a usual ratio
+GAINS = (0.4, 0.6, 0.8, 0.9, 0.97, 1.03, 1.1, 1.25, 1.6, 2.5)  # where the search for a gain begins
+DELAYS = (
+    -0.4,
+    -0.2,
+    -0.1,
+    -0.05,
+    -0.02,
+    0.02,
+    0.05,
+    0.1,
+    0.2,
+    0.4,
+)  # … a delay, periods of the highest frequency
+GAIN_WIDTH = 0.1  # nepers: a sensor's sensitivity is usually known to some per cent
+DELAY_WIDTH = 0.05  # periods of the highest frequency: a sample or two of usual sampling
+SHARE_WIDTH = 0.05  # of the other channel's size: usual cross-talk
+REACH = 1.5  # periods of the highest frequency: the longest delay that is looked for
+DISAGREES = (
+    "disagrees with the other channels, and no common error (sign, unit, gain, delay, swap) explains it"
+)
+DERIVATIVES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
+FEWEST = 6  # lines that tell a course over frequency
+USUAL_UNITS = {
+    Quantity.DISPLACEMENT: ("m", "mm", "µm", "cm", "in", "deg", "rad"),
+    Quantity.VELOCITY: ("m/s", "mm/s", "in/s", "rpm", "rad/s", "deg/s"),
+    Quantity.ACCELERATION: ("m/s²", "g", "mm/s²", "rad/s²"),
+    Quantity.FORCE: ("N", "kN", "mN", "lbf"),
+}
+RATIOS_IN_WORDS = {
+    2**0.5: "Are they peak values, read as rms?",
+    0.5**0.5: "Are they rms values, read as peak?",
+    2.0: "Are they peak-to-peak values?",
+    0.5: "Is it half of a peak-to-peak value?",
+}
+
+
+def number(value: float, form: str = ".4g") -> str:
+    """A number in a sentence."""
+    return f"{value:{form}}".replace("-", "−")
+
+
+def known_ratio(factor: float) -> float | None:
+    """The usual ratio of units that a factor (of either sign) is, None where it is none."""
+    return next((ratio for ratio in RATIOS if abs(abs(factor) / ratio - 1) < CLOSE), None)
+
+
+def _line(model: Model, channel: Channel) -> str:
+    return f"[channels] {channel_line(channel, model)}"
+
+
+# A factor: another sign, unit or gain.
+
+
+def sign(misfit: Misfit) -> Iterator[Effect]:
+    """Each channel with the opposite sign."""
+    for c, channel in enumerate(misfit.problem.channels):
+        yield Effect(
+            "sign",
+            (channel.name,),
+            partial(times, c),
+            partial(turned, misfit.problem.model, channel),
+            (-1.0,),
+        )
+
+
+def unit(misfit: Misfit) -> Iterator[Effect]:
+    """Each channel in another usual unit."""
+    for c, channel in enumerate(misfit.problem.channels):
+        ratios = OF_FORCES if channel.quantity is Quantity.FORCE else RATIOS
+        words = partial(factor_in_words, misfit.problem.model, channel)
+        yield Effect("unit", (channel.name,), partial(times, c), words, ratios, share=misfit.share(c))
+
+
+def gain(misfit: Misfit) -> Iterator[Effect]:
+    """Each channel with another gain."""
+    for c, channel in enumerate(misfit.problem.channels):
+        used, y, e = misfit.compared(c)
+        found = (float(np.median((y / e).real)),) if np.sum(used) > 2 else ()
+        begun = (*(each for each in found if each > 0), *GAINS)
+        words = partial(factor_in_words, misfit.problem.model, channel)
+        yield Effect(
+            "gain",
+            (channel.name,),
+            partial(times, c),
+            words,
+            begun,
+            GAIN_WIDTH,
+            1.0,
+            True,
+            share=misfit.share(c),
+        )
+
+
+def times(c: int, problem: LineProblem, factor: float) -> LineProblem:
+    """The problem where channel c is `factor` times what it should be."""
+    return problem.scaled(c, 1 / factor)
+
+
+def turned(model: Model, channel: Channel, _: float) -> Phrase:
+    mended = replace(channel, sign=-1.0 if channel.sign is None else -channel.sign)
+    text = f"{channel.name} has the opposite sign to what the model predicts. Sensor reversed?"
+    return Phrase(text, _line(model, mended), (mended,))
+
+
+def factor_in_words(model: Model, channel: Channel, factor: float) -> Phrase:
+    text = f"{channel.name} is {number(factor)} × what the model predicts"
+    for each in USUAL_UNITS[channel.quantity]:
+        try:
+            scale = units.scale(each, channel.quantity.value, each in ("deg", "rad", "rpm"))
+        except DashpotError:
+            continue
+        another = abs(scale / channel.scale - 1) > 2 * CLOSE
+        if another and factor > 0 and abs(scale * factor / channel.scale - 1) < CLOSE:
+            stated = channel.unit if channel.unit else units.si_unit(channel.quantity.value)
+            mended = replace(channel, unit=each, scale=scale)
+            return Phrase(f"{text}. Are the data in {each}, not {stated}?", _line(model, mended), (mended,))
+    mended = replace(channel, gain=float(f"{(1.0 if channel.gain is None else channel.gain) * factor:.6g}"))
+    for ratio, question in RATIOS_IN_WORDS.items():
+        if abs(abs(factor) / ratio - 1) < CLOSE:
+            text += f". {question}"
+    return Phrase(text, _line(model, mended), (mended,))
+
+
+# A course over frequency: late, filtered, another derivative, phases the other way.
+
+
+def delay(misfit: Misfit) -> Iterator[Effect]:
+    """Each channel late or early."""
+    omega = misfit.problem.omega
+    period = 2 * np.pi / float(np.max(omega))
+    for c, channel in enumerate(misfit.problem.channels):
+        used, y, e = misfit.compared(c)
+        found = (_lateness(y, e, omega[used]),) if np.sum(used) > 2 else ()
+        begun = (*found, *(part * period for part in DELAYS))
+        words = partial(late, misfit.problem.model, channel)
+        yield Effect(
+            "delay",
+            (channel.name,),
+            partial(_delayed, c),
+            words,
+            begun,
+            DELAY_WIDTH * period,
+            share=misfit.share(c),
+        )
+
+
+def _delayed(c: int, problem: LineProblem, late: float) -> LineProblem:
+    return problem.scaled(c, np.exp(1j * problem.omega * late).astype(np.complex128))
+
+
+def _lateness(y: Complex, e: Complex, omega: Real) -> float:
+    """The delay by which y (lines,) is nearest to e, however near that is."""
+    turn = y / e / np.abs(y / e)
+    reach = 2 * np.pi * REACH / np.max(omega)
+    delays = np.linspace(-reach, reach, 1201)
+    match = np.mean(turn * np.exp(1j * np.outer(delays, omega)), axis=1).real
+    late = float(delays[int(np.argmax(match))])
+    return late - float(np.sum(np.angle(turn * np.exp(1j * omega * late)) * omega) / np.sum(omega**2))
+
+
+def late(model: Model, channel: Channel, late: float) -> Phrase:
+    stated = 0.0 if channel.delay is None else channel.delay
+    mended = replace(channel, delay=float(f"{stated + late:.4g}"))
+    text = f"{channel.name} is {1e3 * abs(late):.3g} ms {'late' if late > 0 else 'early'}"
+    return Phrase(text, _line(model, mended), (mended,))
+
+
+def quantity(misfit: Misfit) -> Iterator[Effect]:
+    """Each channel, or all motions alike, as another derivative of the motion."""
+    channels, model = misfit.problem.channels, misfit.problem.model
+    motions = [
+        c for c in np.flatnonzero(~misfit.inputs).tolist() if channels[c].quantity is not Quantity.FORCE
+    ]
+    single = [(c,) for c, channel in enumerate(channels) if channel.quantity is not Quantity.FORCE]
+    alike = len(motions) > 1 and len({channels[c].quantity for c in motions}) == 1
+    for chosen in (*single, *([tuple(motions)] if alike else [])):
+        stated = channels[chosen[0]].quantity.derivative
+        powers = tuple(float(power) for power in (-2, -1, 1, 2) if 0 <= stated + power <= 2)
+        of = tuple(channels[c].name for c in chosen)
+        words = partial(_other_quantity, model, [channels[c] for c in chosen])
+        yield Effect("quantity", of, partial(_derived, chosen), words, powers)
+
+
+def _derived(chosen: tuple[int, ...], problem: LineProblem, power: float) -> LineProblem:
+    for c in chosen:
+        problem = problem.scaled(c, ((1j * problem.omega) ** -power).astype(np.complex128))
+    return problem
+
+
+def _other_quantity(model: Model, channels: list[Channel], power: float) -> Phrase:
+    true = DERIVATIVES[channels[0].quantity.derivative + int(power)]
+    mended = tuple(replace(channel, quantity=true, unit="", scale=1.0) for channel in channels)
+    stated = channels[0].quantity.value
+    if len(channels) == 1:
+        text = f"{channels[0].name} behaves like {_article(true.value)}, not like {_article(stated)}"
+    else:
+        many, few = (f"{word}s".replace("ys", "ies") for word in (true.value, stated))
+        text = f"{', '.join(channel.name for channel in channels)} behave like {many}, not like {few}"
+    change = "; ".join(channel_line(channel, model) for channel in mended)
+    return Phrase(text, f"[channels] {change}", mended)
+
+
+def _article(word: str) -> str:
+    return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
+
+
+def conjugate(misfit: Misfit) -> Iterator[Effect]:
+    """The phases of one channel, or of all, of opposite sign; those of all samples are what they are."""
+    channels = misfit.problem.channels
+    everything = tuple(range(len(channels)))
+    for chosen in (*(() if misfit.of_samples else ((),)), *((c,) for c in everything)):
+        of = tuple(channels[c].name for c in chosen)
+        yield Effect("conjugate", of, partial(conjugated, chosen or everything), partial(_opposite, of))
+
+
+def conjugated(chosen: tuple[int, ...], problem: LineProblem, _: float) -> LineProblem:
+    """With the phases of chosen channels of opposite sign; correlations with the others are lost."""
+    turned = np.isin(np.arange(len(problem.channels)), chosen)
+    y = np.where(turned, np.conj(problem.y), problem.y)
+    both, neither = turned[:, None] & turned[None, :], ~turned[:, None] & ~turned[None, :]
+    return problem.with_amplitudes(y, np.where(both, np.conj(problem.V), np.where(neither, problem.V, 0.0)))
+
+
+def _opposite(of: tuple[str, ...], _: float) -> Phrase:
+    if of:
+        return Phrase(f"the phases of {of[0]} have the opposite sign", f"conjugate {of[0]} in the data")
+    text = "all phases have the opposite sign: the data use e^(−jωt)"
+    return Phrase(text, "change the sign of the imaginary parts")
+
+
+def radians(misfit: Misfit) -> Iterator[Effect]:
+    """All phases in radians, read as degrees."""
+    y = misfit.problem.y[misfit.problem.kept]
+    small = np.max(np.abs(np.angle(y)), initial=0.0) < 1.01 * np.pi * np.pi / 180
+    if small and not misfit.of_samples:
+        words = Phrase("the phases are radians, read as degrees", "give the phases in rad, as NAME_phase_rad")
+        yield Effect("unit", (), _phases_times, partial(said, words), (180 / np.pi,))
+
+
+def _phases_times(problem: LineProblem, factor: float) -> LineProblem:
+    return problem.with_amplitudes(np.abs(problem.y) * np.exp(1j * factor * np.angle(problem.y)))
+
+
+# Filters and ranges.
+
+
+def filtered(misfit: Misfit) -> Iterator[Effect]:
+    """Each channel through a low-pass or a high-pass filter of first or second order."""
+    omega = misfit.problem.omega
+    if len(np.unique(omega)) < FEWEST:
+        return
+    corners = tuple(np.geomspace(0.1 * np.min(omega), 8 * np.max(omega), 8) / (2 * np.pi))
+    for c, channel in enumerate(misfit.problem.channels):
+        for power in (1, -1):
+            for order in (1, 2):
+                act = partial(_through, c, power, order)
+                words = partial(_filter, channel.name, power)
+                yield Effect("filter", (channel.name,), act, words, corners, 1.0, 1.0, True)
+
+
+def _through(c: int, power: int, order: int, problem: LineProblem, corner_hz: float) -> LineProblem:
+    s = (1j * problem.omega / (2 * np.pi * corner_hz)) ** power
+    passed = 1 + s if order == 1 else 1 + 2**0.5 * s + s**2
+    return problem.scaled(c, np.asarray(passed, dtype=np.complex128))
+
+
+def _filter(name: str, power: int, corner_hz: float) -> Phrase:
+    if power > 0:
+        text = f"{name} looks low-pass filtered at about {corner_hz:.2g} Hz. Is an amplifier filter on?"
+    else:
+        text = f"{name} looks high-pass filtered at about {corner_hz:.2g} Hz. Is it AC-coupled?"
+    return Phrase(text, f"leave {name} out, or repair its signal chain")
+
+
+def saturation(misfit: Misfit) -> Iterator[Effect]:
+    """Each channel of the motion limited at some level: the fundamental of a clipped sine is too small."""
+    for c in np.flatnonzero(~misfit.inputs).tolist():
+        largest = float(np.max(np.abs(misfit.problem.y[:, c])))
+        if largest > 0:
+            limits = tuple(largest * share for share in (0.8, 0.87, 0.95))
+            name = misfit.problem.channels[c].name
+            yield Effect(
+                "saturation", (name,), partial(_unlimited, c), partial(limited, name), limits, 0.5, 1.0, True
+            )
+
+
+def _unlimited(c: int, problem: LineProblem, limit: float) -> LineProblem:
+    """Amplitudes as they would be without the limit, by the describing function of clipping."""
+    level = np.concatenate([np.linspace(0.0, 1.0, 50), np.geomspace(1.0, 50.0, 200)[1:]])
+    part = np.minimum(1 / np.maximum(level, 1e-9), 1.0)
+    shown = level * 2 / np.pi * (np.arcsin(part) + part * np.sqrt(1 - part**2))
+    size = np.abs(problem.y[:, c]) / limit
+    factor = np.where(size > 0, np.interp(size, shown, level) / np.where(size > 0, size, 1.0), 1.0)
+    return problem.scaled(c, factor.astype(np.complex128))
+
+
+def limited(name: str, limit: float, unit: str = "(SI)") -> Phrase:
+    """That a channel ends at a limit, in its unit."""
+    text = (
+        f"{name} is too low at large amplitudes, as if limited at {limit:.3g} {unit}. Clipped or saturated?"
+    )
+    return Phrase(text, f"drive less, widen the range, or leave {name} out if others show the motion")
+
+
+def gain_step(misfit: Misfit) -> Iterator[Effect]:
+    """Each channel with another gain from some line on, where the others say best."""
+    if not misfit.problem.runs:
+        return
+    hertz = misfit.problem.data.spectrum.frequency_hz
+    for c, channel in enumerate(misfit.problem.channels):
+        used, y, e = misfit.compared(c)
+        if np.sum(used) < FEWEST:
+            continue
+        ratio, lines = (y / e).real, np.flatnonzero(used)
+        splits = range(3, len(ratio) - 2)
+        left = [
+            float(
+                np.sum(
+                    np.abs(
+                        y / e
+                        - np.where(np.arange(len(ratio)) < k, np.median(ratio[:k]), np.median(ratio[k:]))
+                    )
+                    ** 2
+                )
+            )
+            for k in splits
+        ]
+        if not left:
+            continue
+        k = splits[int(np.argmin(left))]
+        first, second = float(np.median(ratio[:k])), float(np.median(ratio[k:]))
+        if not (first > 0 and second > 0 and abs(second / first - 1) > 1e-4):
+            continue
+        act = partial(_stepped, c, int(lines[k]))
+        words = partial(_other_range, channel.name, float(hertz[lines[k]]))
+        yield Effect(
+            "gain",
+            (channel.name,),
+            act,
+            words,
+            (second / first,),
+            GAIN_WIDTH,
+            1.0,
+            True,
+            share=1 / len(splits),
+        )
+
+
+def _stepped(c: int, line: int, problem: LineProblem, factor: float) -> LineProblem:
+    return problem.scaled(
+        c, np.where(np.arange(len(problem.y)) < line, 1.0, 1 / factor).astype(np.complex128)
+    )
+
+
+def _other_range(name: str, hertz: float, factor: float) -> Phrase:
+    change = 100 * (factor - 1)
+    moves = f"{'rises' if change > 0 else 'falls'} by {abs(change):.3g} % from {hertz:g} Hz on"
+    text = f"the gain of {name} {moves}. Did the amplifier range change?"
+    return Phrase(
+        text, f"give the dwells before and after as two data sets, the gain of {name} unknown in one"
+    )
+
+
+# Two channels, another place, and a channel that is left out.
+
+
+def swap(misfit: Misfit) -> Iterator[Effect]:
+    """Any two channels, there at the same lines, exchanged."""
+    problem = misfit.problem
+    for i, j in combinations(range(len(problem.channels)), 2):
+        if np.array_equal(problem.kept[:, i], problem.kept[:, j]):
+            pair = problem.channels[i], problem.channels[j]
+            of = tuple(channel.name for channel in pair)
+            yield Effect("swap", of, partial(_exchanged, i, j), partial(_swap, problem.model, *pair))
+
+
+def _exchanged(i: int, j: int, problem: LineProblem, _: float) -> LineProblem:
+    order = np.arange(len(problem.channels))
+    order[[i, j]] = j, i
+    return problem.with_amplitudes(
+        problem.y[:, order], problem.V[:, order][:, :, order], problem.kept[:, order]
+    )
+
+
+def _swap(model: Model, first: Channel, second: Channel, _: float) -> Phrase:
+    mended = replace(second, name=first.name), replace(first, name=second.name)
+    change = "; ".join(channel_line(channel, model) for channel in mended)
+    return Phrase(f"{first.name} and {second.name} are exchanged", f"[channels] {change}", mended)
+
+
+def crosstalk(misfit: Misfit) -> Iterator[Effect]:
+    """A part of one channel in another, as large as the others say."""
+    problem = misfit.problem
+    power = np.array([np.mean(np.abs(problem.y[:, c]) ** 2) for c in range(len(problem.channels))])
+    for c, channel in enumerate(problem.channels):
+        used, y, e = misfit.compared(c)
+        weight = 1 / problem.sd[used, c] ** 2
+        for other in np.flatnonzero(power > 0).tolist():
+            if other == c or not np.any(used):
+                continue
+            shown = problem.y[used, other]
+            share = float(
+                np.sum(weight * (np.conj(shown) * (y - e)).real) / np.sum(weight * np.abs(shown) ** 2)
+            )
+            relative = np.sqrt(power[other] / power[c]) if power[c] > 0 else np.inf
+            if 1e-4 < abs(share) * relative < 1:
+                names = channel.name, problem.channels[other].name
+                act, words = partial(_cleared, c, other), partial(_mixed, *names)
+                yield Effect("crosstalk", names, act, words, (share,), SHARE_WIDTH / float(relative))
+
+
+def _cleared(c: int, other: int, problem: LineProblem, share: float) -> LineProblem:
+    """The other's noise, times a small share, is left out."""
+    y = np.array(problem.y)
+    y[:, c] -= share * y[:, other]
+    return problem.with_amplitudes(y)
+
+
+def _mixed(name: str, other: str, share: float) -> Phrase:
+    text = f"{name} contains {number(share, '.3g')} × {other} beside its own signal: cross-talk?"
+    return Phrase(text, f"subtract {number(share)} × {other} from {name}, or check cables and amplifier")
+
+
+def place(misfit: Misfit) -> Iterator[Effect]:
+    """Each channel of the motion as one of another point."""
+    model, channels = misfit.problem.model, misfit.problem.channels
+    for c in np.flatnonzero(~misfit.inputs).tolist():
+        channel = channels[c]
+        if channel.quantity is Quantity.FORCE or len(channel.of) != 1:
+            continue
+        for point in (*model.coordinates, *model.displacement_inputs):
+            if set(channel.of) != {point}:
+                mended = replace(channel, of={point: 1.0})
+                text = f"{channel.name} shows the motion of {point}. Is the sensor mounted there?"
+                phrase = Phrase(text, _line(model, mended), (mended,))
+                yield Effect("place", (channel.name,), partial(_mounted, c, mended), partial(said, phrase))
+
+
+def _mounted(c: int, mended: Channel, problem: LineProblem, _: float) -> LineProblem:
+    channels = tuple(mended if k == c else each for k, each in enumerate(problem.channels))
+    return problem.of_rig(problem.model, channels)
+
+
+def left_out(misfit: Misfit) -> Iterator[Effect]:
+    """Each channel left out."""
+    for c, channel in enumerate(misfit.problem.channels):
+        shows = misfit.silent.get(channel.name)
+        name = channel.name
+        why = shows or DISAGREES
+        phrase = Phrase(f"{name} {why}", f"leave {name} out, or check its sensor and where it is mounted")
+        fit = misfit.without[c]
+        if shows:  # what measured nothing need not show anything
+            fit = replace(fit, problem=replace(fit.problem, lost=None))
+        yield Effect("channel", (name,), partial(without, c), partial(said, phrase), found=fit)
+
+
+def without(c: int, problem: LineProblem, _: float = 1.0) -> LineProblem:
+    """The problem without channel c."""
+    dropped = np.zeros(problem.kept.shape, dtype=bool)
+    dropped[:, c] = True
+    return problem.without(dropped)
+
+
+def in_words(
+    model: Model, channels: Sequence[Channel], kind: str, of: tuple[str, ...], size: float
+) -> Phrase:
+    """What a person reads of a sign, a unit or an exchange that was found without an effect."""
+    named = [channel for name in of for channel in channels if channel.name == name]
+    match kind:
+        case "sign":
+            return turned(model, named[0], size)
+        case "swap":
+            return _swap(model, named[0], named[1], size)
+        case _:
+            return factor_in_words(model, named[0], size)
+
+
+def in_data(kind: str, of: tuple[str, ...], size: float, where: str) -> str:
+    """What to do with the numbers in `where`, where the line of the rig file is right for other data."""
+    names = " and ".join(of)
+    usual = known_ratio(size) if math.isfinite(size) and kind in ("unit", "sign") else None
+    factor = -1.0 if kind == "sign" else math.copysign(usual, size) if usual is not None else size
+    match kind:
+        case "swap":
+            return f"exchange {names} in {where}"
+        case "delay":
+            return f"shift {names} by {number(-1e3 * size)} ms in {where}"
+        case "frequency":
+            return f"multiply the sampling rate of {where} by {size:.5g}"
+        case "sign" | "unit" | "gain" if of:
+            return f"multiply {names} by {number(1 / factor, '.6g')} in {where}"
+        case _:
+            return f"measure {names} again in {where}"

@@ -1,0 +1,284 @@
+"""What may be wrong with dwells, runs and clocks: one dwell, its label, the time base, a changed rig."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from dashpot.arrays import Bools
+from dashpot.check.explain.channels import number
+from dashpot.check.explain.effect import Effect, Misfit, Phrase, as_is, said
+from dashpot.check.explain.problem import FEWER_DRAWS, Fit, LineProblem, fitted, replaced, searched
+from dashpot.check.explain.rigs import missing_elements, points_of, stated_values
+from dashpot.data.spectrum import SettledDwell
+from dashpot.model.elements import Element
+
+SUSPECTS = 40  # dwells of which each is left out in turn
+NAMED = 3  # of them whose label, phases or sign may be what is wrong
+RATES = (
+    2 * np.pi,
+    1 / (2 * np.pi),
+    2.0,
+    0.5,
+    60.0,
+    1 / 60,
+)  # factors of frequencies in other units or time bases
+RATE_WIDTH = 0.01  # relative: clocks that are off are off by little
+LABEL_WIDTH = 0.2  # nepers: a dwell's own frequency beside its label
+LABEL_STARTS = (300, 3)  # of the scan for a dwell's own frequency: points, decades
+RATES_IN_WORDS = {
+    0.159155: "Are they rad/s, given as Hz?",
+    6.283185: "Are they Hz, given as rad/s?",
+    0.016667: "Are they per minute, given as Hz?",
+}
+
+
+def dwell(misfit: Misfit) -> Iterator[Effect]:
+    """Each of the worst dwells left out; of those that help most, another frequency, an exchange, phases or signs."""
+    problem = misfit.problem
+    lines = len(problem.y)
+    if not problem.runs or lines <= 3:
+        return
+    worst = np.argsort(-misfit.as_is.problem.chi2_of_lines(misfit.as_is.psi))[:SUSPECTS].tolist()
+    share, labels = 1 / lines, problem.labels
+    trials = [_without(line, problem, 1.0) for line in worst]
+    ends = fitted(trials)
+    order = sorted(range(len(worst)), key=lambda k: ends[k].chi2)
+    for k in order:
+        text = f"the dwell at {labels[worst[k]]} disagrees with all others"
+        phrase = Phrase(text, f"leave out {labels[worst[k]]}, or measure it again")
+        yield Effect(
+            "dwell", (labels[worst[k]],), partial(_without, worst[k]), partial(said, phrase), share=share
+        )
+    for k in order[:NAMED]:
+        line, end = worst[k], ends[k]
+        if (
+            len(problem.model.nonlinear) == 0
+        ):  # harmonics of a nonlinear rig go with the frequency of their dwell
+            begun = _own_frequency(end, problem, line)
+            words = partial(_relabelled, labels[line])
+            act = partial(_labelled, line)
+            yield Effect("frequency", (labels[line],), act, words, begun, LABEL_WIDTH, 1.0, True, share=share)
+            for other in range(lines):
+                if other != line and labels[other] != labels[line]:
+                    pair = tuple(labels[i] for i in sorted((line, other)))
+                    phrase = Phrase(
+                        f"the dwells labelled {pair[0]} and {pair[1]} are exchanged",
+                        f"label the dwell at {pair[0]} {pair[1]}, and the one at {pair[1]} {pair[0]}",
+                    )
+                    act = partial(_exchanged, line, other)
+                    yield Effect("frequency", pair, act, partial(said, phrase), share=share / lines)
+        if not misfit.of_samples:
+            phrase = Phrase(
+                f"the phases of the dwell at {labels[line]} have the opposite sign",
+                f"conjugate the amplitudes at {labels[line]}",
+            )
+            yield Effect(
+                "conjugate", (labels[line],), partial(_turned, line), partial(said, phrase), share=share
+            )
+
+
+def _without(line: int, problem: LineProblem, _: float) -> LineProblem:
+    return problem.without(np.broadcast_to(np.arange(len(problem.y))[:, None] == line, problem.y.shape))
+
+
+def _own_frequency(end: Fit, problem: LineProblem, line: int) -> tuple[float, ...]:
+    """Frequencies at which one line fits best by the fit without it."""
+    stated = float(problem.data.spectrum.frequency_hz[line])
+    points, decades = LABEL_STARTS
+    grid = stated * np.logspace(-decades / 2, decades / 2, points)
+    rows = np.full(points, line)
+    cost = problem.at_lines(rows).at_frequencies(grid).chi2_of_lines(end.psi)
+    inner = np.flatnonzero((cost[1:-1] <= cost[:-2]) & (cost[1:-1] <= cost[2:])) + 1
+    best = inner[np.argsort(cost[inner])][:3]
+    begun = []
+    for k in best.tolist():
+        fine = grid[k] * np.logspace(-decades / points, decades / points, 60)
+        cost_there = problem.at_lines(np.full(60, line)).at_frequencies(fine).chi2_of_lines(end.psi)
+        begun.append(float(fine[int(np.argmin(cost_there))]) / stated)
+    return tuple(begun) or (1.1,)
+
+
+def _labelled(line: int, problem: LineProblem, ratio: float) -> LineProblem:
+    frequency = np.array(problem.data.spectrum.frequency_hz)
+    frequency[line] *= ratio
+    return problem.at_frequencies(frequency)
+
+
+def _relabelled(label: str, ratio: float) -> Phrase:
+    own = float(label.split()[0]) * ratio
+    return Phrase(f"the dwell labelled {label} moves like one at {own:.4g} Hz", f"label it {own:.4g} Hz")
+
+
+def _exchanged(first: int, second: int, problem: LineProblem, _: float) -> LineProblem:
+    order = np.arange(len(problem.y))
+    order[[first, second]] = second, first
+    return problem.with_amplitudes(problem.y[order], problem.V[order], problem.kept[order])
+
+
+def _turned(line: int, problem: LineProblem, _: float) -> LineProblem:
+    y, V = np.array(problem.y), np.array(problem.V)
+    y[line], V[line] = np.conj(y[line]), np.conj(V[line])
+    return problem.with_amplitudes(y, V)
+
+
+def clock(misfit: Misfit) -> Iterator[Effect]:
+    """All frequencies times one factor: another unit, a time base that is wrong, or slightly off."""
+    problem = misfit.problem
+    if misfit.fixed or problem.data.states is not None or not problem.runs:
+        yield Effect("frequency", (), _at_rate, _rate, RATES)
+    else:  # where not all motion is seen, nothing leads from the rig as it is to that of another clock
+        for rate in RATES:
+            (fit,) = searched([_at_rate(problem, rate)], draws=FEWER_DRAWS)
+            yield Effect("frequency", (), _at_rate, _rate, (rate,), found=fit, share=1 / len(RATES))
+    yield Effect("frequency", (), _at_rate, _rate, (0.98, 0.995, 1.005, 1.02), RATE_WIDTH, 1.0, True)
+
+
+def _at_rate(problem: LineProblem, rate: float) -> LineProblem:
+    spectrum = problem.data.spectrum
+    stretches = tuple(
+        replace(each, fundamental_hz=rate * each.fundamental_hz)
+        if isinstance(each, SettledDwell) and each.fundamental_hz is not None
+        else each
+        for each in spectrum.stretches
+    )
+    data = replace(problem.data, spectrum=replace(spectrum, stretches=stretches))
+    return replace(problem, data=data).at_frequencies(rate * spectrum.frequency_hz)
+
+
+def _rate(rate: float) -> Phrase:
+    question = next((text for ratio, text in RATES_IN_WORDS.items() if abs(rate / ratio - 1) < 1e-3), "")
+    text = f"the response is at {rate:.4g} × the stated frequencies. {question or 'Is the time base wrong?'}"
+    return Phrase(text, f"multiply the frequencies by {rate:.6g}")
+
+
+def hold(misfit: Misfit) -> Iterator[Effect]:
+    """Each input held from sample to sample, so that it is late by half a step and weaker at high frequencies."""
+    steps = {
+        float(step)
+        for each in misfit.problem.data.spectrum.stretches
+        if (step := getattr(each, "step_s", None)) is not None
+    }
+    highest = float(np.max(misfit.problem.omega))
+    for c in np.flatnonzero(misfit.inputs).tolist():
+        name = misfit.problem.channels[c].name
+        words, act = partial(_held_words, name), partial(_held, c)
+        if steps:
+            yield Effect("hold", (name,), act, words, tuple(sorted(steps)))
+        else:
+            begun = tuple(part * 2 * np.pi / highest for part in (0.02, 0.1, 0.3))
+            yield Effect("hold", (name,), act, words, begun, 0.1 * 2 * np.pi / highest)
+
+
+def _held(c: int, problem: LineProblem, step: float) -> LineProblem:
+    """What is recorded at the samples was held for a step: the drive itself is this."""
+    half = problem.omega * step / 2
+    return problem.scaled(c, (np.sinc(half / np.pi) * np.exp(-1j * half)).astype(np.complex128))
+
+
+def _held_words(name: str, step: float) -> Phrase:
+    text = f"{name} looks held between its samples ({1e3 * step:.3g} ms). By a D/A converter, or a simulator?"
+    return Phrase(
+        text, f"give {name} as it is between samples, or delay = {-step / 2:.3g} in its line as a first step"
+    )
+
+
+MOST_SPLITS = 24  # ways to part the runs that are tried
+SPARE = 1.5  # real numbers for each unknown that a part must have
+
+
+def changed(misfit: Misfit) -> Iterator[Effect]:
+    """The rig another one in some of the runs: each experiment, or all from some run on, fitted by itself."""
+    problem = misfit.problem
+    spectrum = problem.data.spectrum
+    numbers = 2 * np.sum(problem.kept, axis=1) - 2 * len(problem.model.inputs)
+    least = SPARE * len(problem.starts[0])
+    parts: list[tuple[str, Bools]] = []
+    experiments = np.unique(spectrum.experiment)
+    if 1 < len(experiments) <= MOST_SPLITS:
+        parts += [(f"experiment {each}", spectrum.experiment == each) for each in experiments.tolist()]
+    if problem.runs and spectrum.lines > 1:
+        order = np.arange(spectrum.lines)
+        ends = np.unique(np.linspace(1, spectrum.lines - 1, MOST_SPLITS).astype(int)).tolist()
+        parts += [(f"the runs from {problem.labels[k]} on", order >= k) for k in ends]
+    parts = [each for each in parts if min(np.sum(numbers[each[1]]), np.sum(numbers[~each[1]])) > least]
+    if not parts:
+        return
+
+    def only(lines: Bools) -> LineProblem:
+        return problem.with_amplitudes(problem.y, None, problem.kept & lines[:, None])
+
+    fits = fitted([only(chosen) for _, lines in parts for chosen in (~lines, lines)], kept=2 * MOST_SPLITS)
+    pairs = sorted(
+        zip(parts, zip(fits[::2], fits[1::2], strict=True), strict=True),
+        key=lambda each: each[1][0].chi2 + each[1][1].chi2,
+    )
+    for (where, _), (first, second) in pairs[:NAMED]:
+        whole = Fit(problem, first.psi, first.chi2 + second.chi2, first.dof + second.dof, (first, second))
+        subject = f"{where} show{'s' if where.startswith('experiment') else ''} another rig than the others"
+        change = f"identify {where} by itself, or find out what was changed"
+        yield Effect(
+            "changed", (), as_is, partial(said, Phrase(subject, change)), found=whole, more=len(first.psi),
+            share=1 / len(parts),
+        )  # fmt: skip
+        for part, step, rise in _one_part_otherwise(first, second)[:NAMED]:
+            other = second
+            if part.name not in first.problem.view.names:
+                (other,) = fitted(
+                    [second.problem.from_starts((second.psi,)).of_rig(replaced(problem.model, part))]
+                )
+            chi2, fell = first.chi2 + other.chi2, second.chi2 - other.chi2
+            extra = max(rise + fell, 0.0)  # for what else would have to be the same
+            less = replace(problem, given_up=problem.given_up - extra / 2)
+            single = Fit(less, first.psi, chi2 + extra, whole.dof, (first, other))
+            text = (
+                f"{subject}: {part.name} differs by {number(step, '+.3g')} {part.unit(problem.model.angles)}"
+            )
+            yield Effect(
+                "changed", points_of(part, problem.model), as_is, partial(said, Phrase(text, change)), (step,),
+                found=single, more=1, share=1 / len(parts),
+            )  # fmt: skip
+
+
+def _one_part_otherwise(first: Fit, second: Fit) -> list[tuple[Element, float, float]]:
+    """Elements that may be otherwise in the second of two groups of lines, the best first.
+
+    Each with its step, and by how much χ² of both together rises where all else is the same, by the parabolas about
+    the two fits.  Elements are the rig's own and those that it lacks.
+    """
+    model, names = first.problem.model, first.problem.view.names
+    added = [*missing_elements(model), *stated_values(model)]
+    larger = model
+    for each in added:
+        larger = replaced(larger, each)
+    there = second.problem.from_starts((second.psi,)).of_rig(larger)
+    information, score, _ = there.slopes(there.starts[0])
+    alone, _, _ = first.problem.slopes(first.psi)
+    if not (np.all(np.isfinite(information)) and np.all(np.isfinite(alone))):
+        return []
+    every = list(there.view.names)
+    free = [every.index(name) for name in names]
+    unit = 1 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    own = unit[free]
+    with np.errstate(all="ignore"):
+        information, score = information * np.outer(unit, unit), score * unit
+        alone, away = alone * np.outer(own, own), (second.psi - first.psi) / own
+        pull = alone @ away
+        both = information[np.ix_(free, free)] + alone
+        found = []
+        freed = {each.name for each in added}
+        for element in (*(each for each in model.elements if each.name not in freed), *added):
+            if element.name not in every:
+                continue
+            j = every.index(element.name)
+            column = information[free, j]
+            whole = np.block([[both, column[:, None]], [column[None], information[j : j + 1, j : j + 1]]])
+            side = np.append(-pull, score[j])
+            if not (np.all(np.isfinite(whole)) and np.all(np.isfinite(side))):
+                continue
+            ends = np.linalg.lstsq(whole, side, rcond=1e-12)[0]
+            found.append((element, float(ends[-1] * unit[j]), float(away @ pull - side @ ends)))
+    return sorted(found, key=lambda each: each[2])

@@ -1,0 +1,139 @@
+"""One thing that may be otherwise than the rig file says, as the engine weighs it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex
+from dashpot.channel import Channel
+from dashpot.check.explain.problem import Fit, LineProblem
+from dashpot.errors import DashpotError, Problem
+from dashpot.estimate.assessment import Finding
+from dashpot.model.elements import Element
+from dashpot.model.observation import measures_input
+
+
+@dataclass(frozen=True)
+class Phrase:
+    """What a person reads of a cause, and the edit that it asks for.
+
+    text, change        what is wrong; the line to write in the rig file, or what to do with the data
+    channels, elements  entries of the rig file as they would be; () where the data must be mended
+    """
+
+    text: str
+    change: str
+    channels: tuple[Channel, ...] = ()
+    elements: tuple[Element, ...] = ()
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A supposition, with a size where it has one.
+
+    kind, of   as in a Finding
+    act        the problem with the supposition at a size
+    words      what a person reads at the size that was found
+    values     sizes that are tried: alternatives, or where the search for a size begins
+    width      the prior scale of a size that is sought, about `null`; None where `values` are alternatives.  The prior
+               is Cauchy's: most mistakes are small, some are large
+    of_ratio   whether sizes are ratios, sought and scaled by their logarithm
+    unknown    the unknown of the problem that is the size, where `act` makes it one
+    others     further unknowns that it brings, which are positive, each with its likely size: their priors are as wide
+               as a factor of e
+    found      the fit, where the search for the effect has made it already
+    more       further unknowns that it brings, of which is known beforehand what one number of the data tells
+    share      of the probability of its kind
+    """
+
+    kind: str
+    of: tuple[str, ...]
+    act: Callable[[LineProblem, float], LineProblem]
+    words: Callable[[float], Phrase]
+    values: tuple[float, ...] = (1.0,)
+    width: float | None = None
+    null: float = 0.0
+    of_ratio: bool = False
+    unknown: str = ""
+    others: tuple[tuple[str, float], ...] = ()
+    found: Fit | None = None
+    more: int = 0
+    share: float = 1.0
+
+    def coordinate(self, size: float) -> float:
+        """Where a size lies on the scale on which it is sought."""
+        return float(np.log(abs(size))) if self.of_ratio else size
+
+    def size_at(self, coordinate: float, like: float) -> float:
+        """The size at a coordinate, of the sign of another one."""
+        return float(np.copysign(np.exp(coordinate), like)) if self.of_ratio else coordinate
+
+    def log_prior(self, size: float) -> float:
+        """Logarithm of the prior density of a size that is sought, over its coordinate."""
+        assert self.width is not None
+        away = (self.coordinate(size) - self.coordinate(self.null)) / self.width
+        return -float(np.log(np.pi * self.width * (1 + away**2)))
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """What the kinds of effects go by: the problem as it is, fitted, and fitted without each channel.
+
+    pool       all ψ that fits have led to
+    silent     channels that measured nothing by their own numbers, with what they show
+    of_samples whether amplitudes were made of samples, whose phases are what they are
+    fixed      whether the values of the rig stand
+    """
+
+    problem: LineProblem
+    as_is: Fit
+    without: tuple[Fit, ...]
+    silent: Mapping[str, str] = field(default_factory=dict)
+    of_samples: bool = False
+    fixed: bool = False
+
+    @cached_property
+    def inputs(self) -> Bools:
+        """Which channels measure inputs, (channels,)."""
+        return np.array([measures_input(self.problem.model, channel) for channel in self.problem.channels])
+
+    def share(self, c: int) -> float:
+        """Of the probability of a mistake of channels: inputs, of which there is often one, are looked after better."""
+        return 0.5 if self.inputs[c] else 1.0
+
+    def compared(self, c: int) -> tuple[Bools, Complex, Complex]:
+        """Lines that count, and at them channel c and what all others say it should show."""
+        y, expected = self.problem.y[:, c], self.without[c].expected[:, c]
+        with np.errstate(invalid="ignore"):
+            used = self.problem.kept[:, c] & np.isfinite(expected) & (np.abs(expected) > 0) & (np.abs(y) > 0)
+        return used, y[used], expected[used]
+
+
+def said(phrase: Phrase, _: float) -> Phrase:
+    """For `words` that no size changes."""
+    return phrase
+
+
+def as_is(problem: LineProblem, _: float) -> LineProblem:
+    """For `act` of an effect that was `found`."""
+    return problem
+
+
+Kind = Callable[[Misfit], Iterator[Effect]]
+
+Failure = TypeVar("Failure", bound=DashpotError)
+
+
+def with_likely_causes(error: Failure, findings: Sequence[Finding]) -> Failure:
+    """The error, with what may be behind it."""
+    if not findings:
+        return error
+    more = [Problem(f"a likely cause: {each.text}", cure=each.change) for each in findings]
+    explained = type(error)([*error.problems, *more])
+    explained.causes = tuple(findings)
+    return explained

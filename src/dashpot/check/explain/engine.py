@@ -1,0 +1,609 @@
+"""The engine: every effect tried on a problem, the best few fitted closely, and their odds by evidence.
+
+The evidence of a supposition is the probability of the data under it, its unknowns weighed by their priors: the
+likelihood at the best fit with noise and discrepancy averaged over, the part of its prior that a size leaves (Occam's
+factor, Laplace), what left-out amplitudes might have been, and the prior of its kind.  Among them stands always that
+nothing of the list is the matter: the rig as it is, with the discrepancy that it then has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import log
+
+import numpy as np
+from scipy.special import chdtrc, log_ndtr, logsumexp
+
+from dashpot.arrays import Ints, Real
+from dashpot.check.discrepancy import blocks_of
+from dashpot.check.explain import channels, dwells, rigs
+from dashpot.check.explain import laws as laws_of_rig
+from dashpot.check.explain.effect import Effect, Kind, Misfit, Phrase
+from dashpot.check.explain.problem import DRAWS, FEWER_DRAWS, Fit, LineProblem, fitted, judged, searched
+from dashpot.errors import DashpotError, ModelError
+from dashpot.estimate.assessment import Finding
+from dashpot.estimate.inference.diagnostics import of_one_sign
+from dashpot.model.modes import modes
+
+# The kinds of effects, each with its probability before the data: what people get wrong, by how often.
+KINDS: tuple[tuple[float, Kind], ...] = (
+    (0.08, channels.sign), (0.10, channels.unit), (0.08, channels.gain), (0.08, channels.delay),
+    (0.04, channels.quantity), (0.04, channels.conjugate), (0.01, channels.radians), (0.04, channels.filtered),
+    (0.02, channels.saturation), (0.01, channels.gain_step), (0.06, channels.swap), (0.02, channels.crosstalk),
+    (0.02, channels.place), (0.03, channels.left_out), (0.06, dwells.dwell), (0.04, dwells.clock),
+    (0.02, dwells.hold), (0.02, dwells.changed), (0.10, rigs.element), (0.08, rigs.value), (0.01, rigs.hysteretic),
+    (0.01, rigs.oscillator), (0.005, rigs.unmeasured), (0.005, rigs.residual),
+)  # fmt: skip
+LARGEST = 12  # coordinates of the rigs that are explained: fits of larger ones take too long to wait for
+OF_LAWS = 0.05  # that a nonlinear element is missing
+# Kinds that say how numbers of the data may be wrong, whatever the rig.
+OF_DATA = (
+    channels.sign,
+    channels.unit,
+    channels.gain,
+    channels.delay,
+    channels.quantity,
+    channels.swap,
+    dwells.clock,
+)
+FAR = ("swap", "sign", "conjugate", "quantity")  # kinds to whose rigs the way may be long
+AFRESH = 6  # of them that are searched from drawn rigs
+NEGATIVE = 1e-3  # that a part of a sound rig is negative, such as a spring that represents bending
+UNLISTED = 0.05  # that it is something else
+LISTED = 0.95  # odds that the causes named sum to
+MOST = 5  # causes that are named
+LIKELY = 0.5  # of the misfit that a cause explains at the least to be named
+CLOSELY = 16  # effects whose size is sought closely and whose evidence is computed
+BEGUN = 0.3  # of the prior scale of a size: the first step to both sides
+ROUNDS = 3  # parabolas through χ² about a size
+TOGETHER = log(10)  # difference of log likelihoods that tells two causes apart
+IMPROBABLE = 1e-4  # p-value of what the best cause leaves, below which a second one is looked for
+ENOUGH = 2.0  # χ² over its degrees of freedom that leaves nothing to explain
+SIZES = np.concatenate([[0.0], np.geomspace(1e-5, 3.0, 30)])  # of a discrepancy, relative to the motion
+EXCESSES = np.concatenate(
+    [[1.0], np.geomspace(1.05, 1e24, 120)]
+)  # of the noise's variance over what is known of it
+
+
+Fitter = Callable[[Sequence[LineProblem]], list[Fit]]
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A supposition fitted: its size, where the fit ended, and what speaks for it.
+
+    likelihood, evidence  logarithms, without and with priors
+    possible  that of the probability that the parts of the rig are those of one that can be built
+    odds      among all that were tried, and what was not
+    explains  share of the misfit
+    group     a number that causes share which the data cannot tell apart; None for one that stands alone
+    """
+
+    effect: Effect
+    size: float
+    fit: Fit
+    likelihood: float
+    evidence: float
+    possible: float = 0.0
+    odds: float = np.nan
+    explains: float = 0.0
+    group: int | None = None
+
+    def finding(self, noise_known: bool) -> Finding:
+        """As an assessment has it."""
+        said = self.effect.words(self.size)
+        number = None if self.effect.values == (1.0,) else self.size
+        left = self.fit.reduced if noise_known and np.isfinite(self.fit.reduced) else None
+        return Finding(
+            self.effect.kind, self.effect.of, said.text, said.change, left, number, said.channels, said.elements,
+            odds=self.odds, explains=self.explains, group=self.group,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """The problem as it is, fitted, and what may be the matter, the likeliest first."""
+
+    as_is: Fit
+    causes: tuple[Cause, ...]
+    unlisted: float
+
+
+@np.errstate(all="ignore")  # what is supposed may be absurd
+def explain(
+    problem: LineProblem, *, silent: Mapping[str, str] | None = None, of_samples: bool = False, seed: int = 0,
+    laws: bool = True,
+) -> Explanation:  # fmt: skip
+    """What may be otherwise, so that the rig describes the data.
+
+    silent      channels that measured nothing by their own numbers, with what they show
+    of_samples  whether amplitudes were made of samples, so that their phases and frequencies are what they are
+    laws        whether a nonlinear element is looked for
+    """
+    misfit = _begun(problem, silent or {}, of_samples, seed)
+    first = _step(misfit, laws=laws)
+    best = first.causes[0] if first.causes else None
+    if best is None or not _leaves_more_than_noise(best.fit):
+        return first
+    second = _step(_continued(misfit, best))
+    more = [
+        each
+        for each in second.causes
+        if each.effect.of != best.effect.of or each.effect.kind != best.effect.kind
+    ]
+    if not more or (_leaves_more_than_noise(more[0].fit) and more[0].explains < 0.9):
+        return first
+    both = replace(more[0], odds=best.odds * more[0].odds)
+    return replace(first, causes=(best, both, *first.causes[1:])[:MOST])
+
+
+def _begun(problem: LineProblem, silent: Mapping[str, str], of_samples: bool, seed: int) -> Misfit:
+    """The problem as it is and without each channel, searched from afar."""
+    names = [channel.name for channel in problem.channels]
+    without = [channels.without(c, problem, 1.0) for c in range(len(names))]
+    far: list[LineProblem] = []
+    if (
+        problem.data.states is None
+    ):  # no regression leads to the rig of an input that is turned, or in another unit
+        inputs = [
+            c
+            for c, at in enumerate(Misfit(problem, Fit(problem, problem.starts[0], 0.0, 0), ()).inputs)
+            if at
+        ]
+        far += [channels.times(c, problem, factor) for c in inputs for factor in (-1.0, 1e3, 1e-3)]
+        far += [] if of_samples else [channels.conjugated(tuple(range(len(names))), problem, 1.0)]
+    fits = searched([problem, *without, *far], seed)
+    pool = _distinct([fit.psi for fit in fits])
+    begun = problem.from_starts(pool)
+    return Misfit(begun, replace(fits[0], problem=begun), tuple(fits[1 : len(names) + 1]), silent, of_samples)
+
+
+def _continued(misfit: Misfit, best: Cause) -> Misfit:
+    """From the best cause on: the problem with it mended."""
+    mended = best.fit.problem.from_starts((best.fit.psi,))
+    fits = fitted([mended, *(channels.without(c, mended, 1.0) for c in range(len(mended.channels)))])
+    begun = mended.from_starts(_distinct([fit.psi for fit in fits]))
+    return Misfit(begun, replace(fits[0], problem=begun), tuple(fits[1:]), misfit.silent, misfit.of_samples)
+
+
+def _distinct(ends: Sequence[Real]) -> list[Real]:
+    """Ends that differ by more than a per cent in some unknown, in their order."""
+    kept: list[Real] = []
+    for psi in ends:
+        if not np.all(np.isfinite(psi)):
+            continue
+        if not any(
+            np.all(np.abs(psi - each) <= 0.01 * np.maximum(np.abs(psi), np.abs(each))) for each in kept
+        ):
+            kept.append(psi)
+    return kept or [ends[0]]
+
+
+def _leaves_more_than_noise(fit: Fit) -> bool:
+    known = fit.problem.data.noise_known
+    return known and fit.dof > 0 and bool(chdtrc(fit.dof, fit.chi2) < IMPROBABLE) and fit.reduced > 1.5
+
+
+IN_FULL = 8  # effects on whole records that are fitted with the transients of their ends
+
+
+@np.errstate(all="ignore")  # what is supposed may be absurd
+def explain_records(
+    lines: LineProblem, problem: LineProblem, of_channel: Kind, *, silent: Mapping[str, str] | None = None,
+    seed: int = 0,
+) -> Explanation:  # fmt: skip
+    """As `explain`, of whole records.
+
+    lines       few lines of them without transients, in which gross mistakes are looked for
+    problem     the records themselves, with the loads of their ends
+    of_channel  what a channel shows in the place of what all others say of it, by the records themselves
+    """
+    rough = _begun(lines, silent or {}, True, seed)
+    tried = _tried(rough, KINDS, fitted)
+    tried.sort(key=lambda each: -(each[3].roughly + log(each[1] * each[0].share)))
+    (as_is,) = fitted([problem])
+    without = fitted([channels.without(c, problem, 1.0) for c in range(len(problem.channels))])
+    misfit = Misfit(
+        problem.from_starts(_distinct([as_is.psi, *(fit.psi for fit in without)])),
+        as_is,
+        tuple(without),
+        silent or {},
+        True,
+    )
+    chosen = [
+        each for each in tried if not each[0].unknown and each[0].found is None and each[0].kind != "channel"
+    ][:IN_FULL]
+    in_full: list[tuple[Effect, float, float, Fit]] = []
+    for effect, prior, size, end in chosen:
+        try:
+            supposed = effect.act(misfit.problem, size)
+        except DashpotError:
+            continue
+        near = [end.psi] if len(end.psi) == len(supposed.starts[0]) else []
+        (fit,) = fitted([supposed.from_starts((*near, *supposed.starts))])
+        in_full.append((effect, prior, size, fit))
+    of_records = ((0.10, rigs.element), (0.08, rigs.value), (0.01, rigs.hysteretic), (0.06, of_channel))
+    return _weighed_all(misfit, [*in_full, *_tried(misfit, of_records, fitted)], fitted)
+
+
+@np.errstate(all="ignore")  # what is supposed may be absurd
+def mistakes_of_data(problem: LineProblem) -> Explanation:
+    """What may be wrong with the numbers of data that a rig, whose values stand, predicts badly."""
+    names = [channel.name for channel in problem.channels]
+    fits = judged([problem, *(channels.without(c, problem, 1.0) for c in range(len(names)))])
+    misfit = Misfit(problem, fits[0], tuple(fits[1:]), {}, True, True)
+    return _step(misfit, tuple((1 / len(OF_DATA), kind) for kind in OF_DATA), judged, laws=False)
+
+
+def _step(
+    misfit: Misfit, kinds: tuple[tuple[float, Kind], ...] = KINDS, fit: Fitter = fitted, *, laws: bool = False
+) -> Explanation:
+    """All effects of some kinds tried once on a problem."""
+    tried = _tried(misfit, kinds, fit)
+    if laws and not any(_settles(misfit, end) for *_, end in tried):
+        tried = _searched_afresh(misfit, tried)
+    if laws and not any(_settles(misfit, end) for *_, end in tried):
+        keeps_all = not any(end.reduced < _enough(misfit) for *_, end in tried)
+        found = laws_of_rig.nonlinear(misfit, thorough=keeps_all)
+        tried += [
+            (effect, OF_LAWS, effect.values[0], effect.found) for effect in found if effect.found is not None
+        ]
+    return _weighed_all(misfit, tried, fit)
+
+
+def _weighed_all(misfit: Misfit, tried: list[tuple[Effect, float, float, Fit]], fit: Fitter) -> Explanation:
+    """The best of what was tried, their sizes sought closely, with their odds."""
+    priors = {id(effect): prior for effect, prior, _, _ in tried}
+    tried.sort(key=lambda each: -(each[3].roughly + log(each[1] * each[0].share)))
+    closely = _closely(misfit.problem, [(effect, size, end) for effect, _, size, end in tried[:CLOSELY]], fit)
+    block = _blocks(misfit.as_is)
+    weighed = [
+        _weighed(effect, size, end, bend, priors[id(effect)], block)
+        for effect, size, end, bend in closely
+        if np.isfinite(end.chi2)
+    ]
+    causes = [cause for cause in weighed if cause is not None]
+    possible = log_possible(misfit.as_is)
+    as_is = log_likelihood(misfit.as_is, block) + possible
+    weights = np.array([*(cause.evidence for cause in causes), as_is + log(UNLISTED)])
+    odds = np.exp(weights - logsumexp(weights))
+    causes = [
+        replace(cause, odds=float(chance), explains=_explained(misfit.as_is, possible, cause))
+        for cause, chance in zip(causes, odds[:-1], strict=True)
+    ]
+    causes = [cause for cause in sorted(causes, key=lambda each: -each.evidence) if cause.explains >= LIKELY]
+    unique: dict[tuple[str, tuple[str, ...]], Cause] = {}
+    for cause in causes:
+        unique.setdefault((cause.effect.kind, cause.effect.of), cause)
+    listed = list(unique.values())
+    total = np.cumsum([cause.odds for cause in listed])
+    count = int(np.searchsorted(total, LISTED)) + 1 if len(listed) else 0
+    return Explanation(misfit.as_is, _grouped(listed[: min(count, MOST)]), float(odds[-1]))
+
+
+def _enough(misfit: Misfit) -> float:
+    """χ² over its degrees of freedom that leaves nothing to explain: noise, or next to nothing of a gross misfit."""
+    return max(ENOUGH, 0.02 * misfit.as_is.reduced)
+
+
+def _settles(misfit: Misfit, end: Fit) -> bool:
+    """Whether an effect explains all there is, keeping all data and one rig."""
+    return end.reduced < _enough(misfit) and end.problem.roughly_lost == 0.0 and not end.parts
+
+
+def _tried(
+    misfit: Misfit, kinds: tuple[tuple[float, Kind], ...], fit: Fitter
+) -> list[tuple[Effect, float, float, Fit]]:
+    """Each effect with the prior of its kind, the best of its sizes, and the fit there."""
+    suppositions: list[tuple[Effect, float, float, LineProblem]] = []
+    best: dict[int, tuple[Effect, float, float, Fit]] = {}
+    for prior, kind in kinds:
+        for effect in kind(misfit):
+            if effect.kind != "channel" and not misfit.silent.keys().isdisjoint(effect.of):
+                continue  # of what measured nothing no gain and no sign can be told
+            if effect.found is not None:
+                best[id(effect)] = effect, prior, effect.values[0], effect.found
+                continue
+            for size in effect.values:
+                try:
+                    suppositions.append((effect, prior, size, effect.act(misfit.problem, size)))
+                except DashpotError:  # a rig or channels that cannot be
+                    continue
+    # Of another rig each is followed to its end: from a rig that does not fit, the first steps say little.
+    suppositions.sort(key=lambda each: not each[0].unknown)
+    count = sum(bool(each[0].unknown) for each in suppositions)
+    problems = [each[3] for each in suppositions]
+    fits = [*fitted(problems[:count], kept=count), *fit(problems[count:])]
+    for (effect, prior, size, _), fitted_end in zip(suppositions, fits, strict=True):
+        end = _on_the_same_data(misfit, fitted_end)
+        there = best.get(id(effect))
+        if there is None or end.roughly > there[3].roughly:
+            best[id(effect)] = effect, prior, size, end
+    return list(best.values())
+
+
+def _searched_afresh(
+    misfit: Misfit, tried: list[tuple[Effect, float, float, Fit]]
+) -> list[tuple[Effect, float, float, Fit]]:
+    """The most hopeful of what changes the motion itself, searched from drawn rigs as well."""
+    far = [k for k, (effect, *_) in enumerate(tried) if effect.kind in FAR and effect.found is None]
+    far = sorted(far, key=lambda k: -tried[k][3].roughly)[:AFRESH]
+    problems = [tried[k][0].act(misfit.problem, tried[k][2]) for k in far]
+    alike = [k for k, problem in zip(far, problems, strict=True) if problem.view is misfit.problem.view]
+    problems = [problem for problem in problems if problem.view is misfit.problem.view]
+    seen = misfit.problem.data.states is not None
+    again = list(tried)
+    for k, end in zip(alike, searched(problems, draws=FEWER_DRAWS if seen else DRAWS), strict=True):
+        effect, prior, size, before = tried[k]
+        if end.chi2 < before.chi2:
+            again[k] = effect, prior, size, _on_the_same_data(misfit, end)
+    return again
+
+
+def _on_the_same_data(misfit: Misfit, end: Fit) -> Fit:
+    """The fit, charged for numbers that test the rig as it is and only give inputs here: they may be of any size."""
+    problem = end.problem
+    lost = 0 if problem.lost is None else np.count_nonzero(np.isfinite(problem.lost))
+    before = 0 if misfit.problem.lost is None else np.count_nonzero(np.isfinite(misfit.problem.lost))
+    more = max(len(end.psi) - len(misfit.as_is.psi), 0)
+    taken_up = misfit.as_is.dof - end.dof - 2 * (lost - before) - more
+    if taken_up <= 0:
+        return end
+    on = problem.counted
+    typical = (
+        float(np.mean(np.log(np.maximum(np.abs(problem.y[on]) / problem.sd[on], 1.0)))) if np.any(on) else 0.0
+    )
+    charged = replace(problem, given_up=problem.given_up - taken_up * (0.5 + typical))
+    return replace(end, problem=charged)
+
+
+@dataclass
+class _Sought:
+    """A size on its way to the best: its fit, half of the curvature of χ², and the step to both sides, 0 at the end."""
+
+    effect: Effect
+    size: float
+    fit: Fit
+    bend: float = 0.0
+    step: float = 0.0
+
+    def at(self, move: float) -> float:
+        """The size so far away on its scale."""
+        return self.effect.size_at(self.effect.coordinate(self.size) + move, self.size)
+
+    def take(self, ends: Sequence[tuple[float, Fit]]) -> bool:
+        """Go to the best of other sizes, if it is better; whether it was."""
+        size, fit = min(ends, key=lambda end: end[1].chi2)
+        better = fit.chi2 < self.fit.chi2
+        if better:
+            self.size, self.fit = size, fit
+        return better
+
+
+def _closely(
+    problem: LineProblem, found: Sequence[tuple[Effect, float, Fit]], refit: Fitter
+) -> list[tuple[Effect, float, Fit, float]]:
+    """Sizes at the vertex of the parabola through χ² at three of them, and half of its curvature there.
+
+    Of sizes that are unknowns of the problem the curvature is their own information.
+    """
+    every = [_Sought(effect, size, fit) for effect, size, fit in found]
+    for each in every:
+        if each.effect.width is not None and not each.effect.unknown:
+            each.step = BEGUN * each.effect.width
+    for _ in range(ROUNDS):
+        sought = [each for each in every if each.step > 0]
+
+        def supposed(each: _Sought, move: float) -> LineProblem:
+            return replace(each.effect.act(problem, each.at(move)), starts=(each.fit.psi,))
+
+        ends = refit([supposed(each, side * each.step) for each in sought for side in (-1, 1)])
+        moves = []
+        for each, low, high in zip(sought, ends[::2], ends[1::2], strict=True):
+            bend = (low.chi2 - 2 * each.fit.chi2 + high.chi2) / each.step**2
+            vertex = 0.0
+            if np.isfinite(bend) and bend > 0:
+                each.bend = bend / 2
+                vertex = float(
+                    np.clip(
+                        0.5 * (low.chi2 - high.chi2) / each.step / bend, *(3 * each.step * np.array([-1, 1]))
+                    )
+                )
+            moves.append(vertex)
+        nearer = refit([supposed(each, move) for each, move in zip(sought, moves, strict=True)])
+        for each, low, high, move, end in zip(sought, ends[::2], ends[1::2], moves, nearer, strict=True):
+            tried = [(each.at(-each.step), low), (each.at(each.step), high), (each.at(move), end)]
+            moved = each.take(tried)
+            if each.bend > 0:
+                scale = max(each.fit.reduced, 1.0) if np.isfinite(each.fit.reduced) else 1.0
+                each.step = min(each.step, 2 * float(np.sqrt(scale / each.bend)))
+            elif not moved:
+                each.step = 0.0
+    return [(each.effect, each.size, each.fit, each.bend) for each in every]
+
+
+def _weighed(effect: Effect, size: float, fit: Fit, bend: float, prior: float, block: Ints) -> Cause | None:
+    """The cause with its evidence; None for a rig that cannot be built."""
+    likelihood = log_likelihood(fit, block)
+    possible = log_possible(fit, effect.unknown)
+    evidence = likelihood + possible + log(prior * effect.share)
+    scale = max(fit.reduced, 1.0) if np.isfinite(fit.reduced) else 1.0
+    if effect.more:
+        evidence -= 0.5 * effect.more * log(max(fit.dof, 2))
+    elif effect.unknown:
+        size, left = _of_unknowns(effect, fit, scale)
+        if left is None:
+            return None
+        evidence += left
+    elif effect.width is None:
+        evidence -= log(len(effect.values))
+    else:
+        # No vaguer than the prior itself, where χ² bends too little to tell.
+        sharpness = max(bend / scale, 1 / effect.width**2)
+        evidence += effect.log_prior(size) + 0.5 * log(2 * np.pi / sharpness)
+    return Cause(effect, size, fit, likelihood, evidence, possible)
+
+
+def _of_unknowns(effect: Effect, fit: Fit, scale: float) -> tuple[float, float | None]:
+    """The size that is an unknown of the problem, and what the priors of all that the effect brings leave (Laplace).
+
+    None where a part that must be positive is not.
+    """
+    names = list(fit.problem.view.names)
+    size = float(fit.psi[names.index(effect.unknown)])
+    added = [effect.unknown, *(name for name, _ in effect.others)]
+    chosen = [names.index(name) for name in added]
+    values = fit.psi[chosen]
+    if effect.others and not np.all(values > 0):
+        return size, None
+    information, _, _ = fit.problem.slopes(fit.psi)
+    if not np.all(np.isfinite(information)):
+        return size, None
+    unit = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    inverse = np.linalg.pinv(information / np.outer(unit, unit), rcond=1e-14) / np.outer(unit, unit)
+    stretch = np.abs(values) if effect.of_ratio or effect.others else np.ones(1)
+    covariance = scale * inverse[np.ix_(chosen, chosen)] / np.outer(stretch, stretch)
+    widths = np.array([effect.width if effect.width is not None else 1.0, *([1.0] * len(effect.others))])
+    # A posterior is no wider than its prior.
+    precision = np.linalg.pinv(covariance, rcond=1e-14) + np.diag(1 / widths**2)
+    left = 0.5 * (len(chosen) * log(2 * np.pi) - float(np.linalg.slogdet(precision)[1]))
+    left += effect.log_prior(size) if effect.width is not None else 0.0
+    for (_, likely), value in zip(effect.others, values[1:], strict=True):
+        left -= log(np.pi * (1 + float(np.log(value / likely)) ** 2))
+    return size, left
+
+
+def log_possible(fit: Fit, but: str = "") -> float:
+    """ln of the probability that what must be positive of a rig is, as known as the fit leaves it; `but` may be not."""
+    if fit.parts:
+        return sum(log_possible(part, but) for part in fit.parts)
+    model = fit.problem.model
+    information, _, _ = fit.problem.slopes(fit.psi)
+    if not np.all(np.isfinite(information)):
+        return 0.0
+    unit = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    scale = max(fit.reduced, 1.0 if fit.problem.data.noise_known else 0.0)
+    if not np.isfinite(scale):
+        return 0.0
+    m = len(model.unknowns)
+    held = of_one_sign(model) & np.array([unknown.name != but for unknown in model.unknowns], dtype=bool)
+    with np.errstate(all="ignore"):
+        inverse = np.linalg.pinv(information / np.outer(unit, unit), rcond=1e-14)
+        sd = np.sqrt(np.maximum(scale * np.diag(inverse), 0.0)) / unit
+        away = np.where(sd[:m] > 0, fit.psi[:m] / sd[:m], 0.0)
+    return float(np.logaddexp(np.sum(log_ndtr(np.nan_to_num(away[held]))), log(NEGATIVE)))
+
+
+def _explained(as_is: Fit, possible: float, cause: Cause) -> float:
+    """Share of the misfit that goes: of what is more than noise, or of all where no noise is known.
+
+    A rig that cannot be built is a misfit, as improbable as it is.
+    """
+    floor = 1.0 if as_is.problem.data.noise_known else 0.0
+    before = max(as_is.reduced - floor, 0.0) - 2 * possible / max(as_is.dof, 1)
+    after = max(cause.fit.reduced - floor, 0.0) - 2 * cause.possible / max(cause.fit.dof, 1)
+    return 1 - min(after / before, 1.0) if before > 0 else 0.0
+
+
+def _grouped(causes: Sequence[Cause]) -> tuple[Cause, ...]:
+    """With a number for those that the data cannot tell apart."""
+    groups: list[list[int]] = []
+    for k, cause in enumerate(causes):
+        for group in groups:
+            if all(_alike(causes[j], cause) for j in group):
+                group.append(k)
+                break
+        else:
+            groups.append([k])
+    numbers = {k: number for number, group in enumerate(groups, start=1) for k in group if len(group) > 1}
+    return tuple(replace(cause, group=numbers.get(k)) for k, cause in enumerate(causes))
+
+
+def _alike(first: Cause, second: Cause) -> bool:
+    return abs(first.likelihood - second.likelihood) < TOGETHER
+
+
+def _blocks(fit: Fit) -> Ints:
+    """Lines that one discrepancy makes alike."""
+    spectrum, model = fit.problem.data.spectrum, fit.problem.model
+    try:
+        poles = modes(model, model.parameters(fit.psi[: len(model.unknowns)])).eigenvalues
+        found = blocks_of(spectrum.frequency_hz, spectrum.experiment, poles) if len(poles) else None
+    except (ModelError, ValueError, np.linalg.LinAlgError):
+        found = None
+    return np.arange(spectrum.lines) if found is None else found
+
+
+def log_likelihood(fit: Fit, block: Ints) -> float:
+    """ln p(data | fit), relative to the noise alone: noise larger than known, and discrepancy, averaged over.
+
+    Of each channel a part ŷ a of its motion is left, a one complex number for each block of lines with a variance of
+    s², in noise whose variance is v times what is known of it.  s and v are the same in all channels, and unknown: half
+    of the probability is for none, and for the noise that is known.
+    """
+    problem = fit.problem
+    total = max(2 * int(np.sum(problem.counted)), 1)
+    used = min(max(fit.dof, 1) / total, 1.0)  # of each square: unknowns and inputs have taken up the rest
+    log_v = np.log(EXCESSES if problem.data.noise_known else np.concatenate([1 / EXCESSES[:0:-1], EXCESSES]))
+    prior_v = _half_for(log_v, int(np.argmin(np.abs(log_v))))
+    prior_s = _half_for(SIZES, 0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        value = problem.given_up + _of_lost(fit, log_v, prior_v)
+        table = prior_v[:, None] + prior_s[None, :]
+        for c in range(len(problem.channels)):
+            table = table + _of_channel(fit, c, block, used, log_v)
+        value += float(logsumexp(table))
+    return value if np.isfinite(value) else -np.inf
+
+
+def _of_channel(fit: Fit, c: int, block: Ints, used: float, log_v: Real) -> Real:
+    """ln p of one channel for each v and s; used: the part of each of its squares that is left to test the fit by."""
+    problem = fit.problem
+    on = problem.counted[:, c]
+    if not np.any(on):
+        return np.zeros((len(log_v), len(SIZES)))
+    sd, r = problem.sd[on, c], fit.residual[on, c]
+    z, g = r / sd, (problem.y[on, c] - r) / sd
+    number, count = np.unique(block[on], return_inverse=True, return_counts=True)[1:]
+
+    def summed(values: Real) -> Real:
+        return np.bincount(number, values, len(count)).astype(np.float64)
+
+    energy, product = summed(np.abs(g) ** 2), np.conj(g) * z
+    coherent = (summed(product.real) ** 2 + summed(product.imag) ** 2) / np.maximum(energy, 1e-300)
+    rest = max(float(np.sum(np.abs(z) ** 2)) - float(np.sum(coherent)), 0.0)
+    v = np.exp(log_v)[:, None]
+    widened = v[:, :, None] + SIZES[None, :, None] ** 2 * energy
+    table = -np.sum(np.log(widened) * used + coherent / widened, axis=-1)
+    return np.asarray(table - used * (len(z) - len(count)) * log_v[:, None] - rest / v)
+
+
+def _of_lost(fit: Fit, log_v: Real, prior_v: Real) -> float:
+    """ln p of what is left out beside what it should be, in noise of any size."""
+    problem = fit.problem
+    if problem.lost is None:
+        return 0.0
+    expected = fit.expected
+    out = np.isfinite(problem.lost) & np.isfinite(expected)
+    if not np.array_equal(out, np.isfinite(problem.lost)):
+        return problem.roughly_lost - problem.given_up
+    square = float(np.sum(np.abs((problem.lost - expected)[out] / problem.sd_of_lost[out]) ** 2))
+    return float(logsumexp(-np.count_nonzero(out) * log_v - square / np.exp(log_v) + prior_v))
+
+
+def _half_for(values: Real, k: int) -> Real:
+    """Logarithms of probabilities: one half for the value at k, the rest alike for the others."""
+    weights = np.full(len(values), 0.5 / max(len(values) - 1, 1))
+    weights[k] = 0.5
+    return np.log(weights)
+
+
+def unexplained(as_is: Fit) -> Phrase:
+    """That none of the list is the matter, with where most of the misfit is."""
+    power = np.abs(as_is.residual / as_is.problem.sd) ** 2
+    line, c = np.unravel_index(int(np.argmax(power)), power.shape)
+    name = as_is.problem.channels[int(c)].name
+    hertz = as_is.problem.data.spectrum.frequency_hz[int(line)]
+    text = f"no listed cause explains half of the misfit, which is largest in {name} near {hertz:.4g} Hz"
+    return Phrase(text, "look at the residuals there, and measure more points or fewer at a time")

@@ -1,0 +1,393 @@
+"""The estimate with its verdict and, where the rig does not fit, what may be the matter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import chdtrc
+
+from dashpot.arrays import diagonal_matrices, random_generator
+from dashpot.channel import Channel
+from dashpot.check.explain.channels import factor_in_words, late, turned
+from dashpot.check.explain.engine import LARGEST, Explanation, explain, unexplained
+from dashpot.check.explain.laws import called_for, called_for_in_records, in_place_of_laws, nonlinear_finding
+from dashpot.check.explain.problem import LineProblem
+from dashpot.check.explain.record_channels import mistakes_by_equation
+from dashpot.check.explain.records import explained_records
+from dashpot.check.explain.rigs import missing_elements, missing_in_words, points_of
+from dashpot.check.explain.score import score_tests
+from dashpot.check.profile import with_profile_intervals
+from dashpot.check.verdict import (
+    BEYOND,
+    UNTESTED,
+    assess,
+    rejected,
+    settled_by_size,
+    several_motions,
+    silent_channels,
+)
+from dashpot.data.spectrum import FITTED, SettledDwell, Spectrum
+from dashpot.errors import DashpotError, ModelError
+from dashpot.estimate.assessment import Assessment, Finding
+from dashpot.estimate.identify import identify
+from dashpot.estimate.inference.time_course import TIME_CHANGES
+from dashpot.estimate.likelihood.global_search import candidates
+from dashpot.estimate.likelihood.objective import local, measured
+from dashpot.estimate.nonlinear.search import linear_rig, starting_points
+from dashpot.estimate.preparation.prepared import Prepared, prepare
+from dashpot.estimate.result import Estimate
+from dashpot.model.network import Model
+from dashpot.model.observation import measures_input, observation_model
+from dashpot.notices import Notice
+
+OF_SAMPLES = {"white", "blocks", "periods"}  # kinds of noise that were read from samples
+MUCH = 0.2  # of a channel's motion, left over without known noise
+SUPPOSED = 0.01  # of an amplitude: its noise where none is known
+MOSTLY = 0.9  # of the misfit, that a cause explains which leaves nothing to others
+OF_THE_RIG = ("value", "element", "nonlinear", "hysteretic", "oscillator")  # kinds of causes
+LEFT_OUT = ("channel", "dwell")  # causes that leave data out
+
+
+def diagnose(
+    model: Model, spectrum: Spectrum, estimate: Estimate | None = None, *, seed: int = 0
+) -> tuple[Finding, ...]:
+    """What may be the matter where a rig does not fit, the likeliest first; () where that cannot be looked for.
+
+    `spectrum` has no batch axes.  The estimate, where there is one, is one more start.  Nothing is applied.
+    """
+    backwards = _pushed_backwards(model, spectrum, estimate)
+    if backwards or model.n > LARGEST:
+        return backwards
+    if len(model.nonlinear):
+        return _where_laws_are_seen(model, spectrum, estimate, np.inf)
+    found = explained(model, spectrum, estimate, seed=seed)
+    return () if found is None else _findings(found)
+
+
+def explained(
+    model: Model, spectrum: Spectrum, estimate: Estimate | None = None, *, seed: int = 0
+) -> Explanation | None:
+    """What the engine finds for a linear rig, without batch axes; None for a free decay, nothing but a transient."""
+    silent = silent_channels(model, spectrum)
+    if spectrum.carries_loads:
+        if not model.inputs:
+            return None
+        at = identify(model, spectrum, "ml") if estimate is None else estimate
+        return explained_records(
+            model, spectrum, at, silent=silent if _one_line_each(spectrum) else {}, seed=seed
+        )
+    if not spectrum.noise_known:
+        spectrum = _with_supposed_noise(model, spectrum)
+    data = prepare(model, spectrum)
+    (psi, *_), (sign, *_) = candidates(data, 1, random_generator(seed))
+    if estimate is not None and np.all(np.isfinite(estimate.values)):
+        psi = estimate.values
+        for name, value in estimate.signs.items():
+            sign[spectrum.index(name)] = float(value)
+    of_samples = set(spectrum.noise) <= OF_SAMPLES
+    return explain(LineProblem(data, sign, (psi,)), silent=silent, of_samples=of_samples, seed=seed)
+
+
+def _one_line_each(spectrum: Spectrum) -> bool:
+    return spectrum.lines <= len(spectrum.records)
+
+
+def _findings(found: Explanation) -> tuple[Finding, ...]:
+    """The causes as an assessment has them; where none explains enough, that none does."""
+    known = found.as_is.problem.data.noise_known
+    if found.causes:
+        return tuple(cause.finding(known) for cause in found.causes)
+    said = unexplained(found.as_is)
+    return (Finding("unexplained", (), said.text, said.change, None, odds=found.unlisted, explains=0.0),)
+
+
+def _with_supposed_noise(model: Model, spectrum: Spectrum) -> Spectrum:
+    """Amplitudes without known noise with a little of their size.
+
+    What a wrong rig leaves over, which else would be taken for noise, lets every remedy explain all.
+    """
+    alone = observation_model(model, spectrum.channels, spectrum.omega).inputs_alone
+    power = np.where(spectrum.present, np.abs(spectrum.amplitudes) ** 2, 0.0)
+    mean = np.sum(power, axis=0) / np.maximum(np.sum(spectrum.present, axis=0), 1)
+    V = diagonal_matrices(np.where(alone, 0.0, SUPPOSED**2 * (power + SUPPOSED * mean)))
+    return replace(spectrum, covariance=V, noise=(FITTED,) * spectrum.lines)
+
+
+def _pushed_backwards(model: Model, spectrum: Spectrum, estimate: Estimate | None) -> tuple[Finding, ...]:
+    """A force of opposite sign: every part is negative and χ² the same, where forces alone set the scale."""
+    forces = [channel for channel in spectrum.channels if set(channel.of) & set(model.force_inputs)]
+    scaled = any(element.value for element in model.elements) or model.displacement_inputs
+    if estimate is None or scaled or len(forces) != 1:
+        return ()
+    theta, sd = (values[: len(model.unknowns)] for values in (estimate.values, estimate.noise_sd))
+    if not np.all(theta < -BEYOND * sd):
+        return ()
+    said = turned(model, forces[0], -1.0)
+    left = float(estimate.fit.misfit) ** 2
+    return (Finding("sign", (forces[0].name,), said.text, said.change, left, -1.0, said.channels, odds=1.0),)
+
+
+def examined(
+    model: Model, spectrum: Spectrum, estimate: Estimate, *, seed: int = 0, within: float | None = None
+) -> Estimate:
+    """The estimate with its assessment, and likely causes where the rig does not fit; batches as they are.
+
+    within: as of `assess`.  Where the rig fits, the intervals follow χ² where that is no parabola.
+    """
+    if estimate.values.ndim != 1:
+        return estimate
+    try:
+        assessment = assess(model, spectrum, estimate, within=within)
+    except ModelError as error:
+        if bool(estimate.converged):
+            raise
+        # A search that was lost may end at a rig without any response; what misled it can be told all the same.
+        assessment = Assessment("does not fit", (Notice("no_response", error.problems[0].what),), {}, ())
+    unsettled = assessment.verdict == "does not fit" or not bool(estimate.converged)
+    if len(model.nonlinear):
+        if unsettled:
+            misfit = float(estimate.fit.misfit) ** 2
+            others = _where_laws_are_seen(model, spectrum, estimate, misfit)
+            others = others or _in_place_of_laws(model, spectrum, misfit, seed)
+            assessment = replace(assessment, findings=(*assessment.findings, *others))
+    else:
+        laws = _laws_in_records(model, spectrum, estimate)
+        if unsettled or laws:
+            assessment = _with_causes(model, spectrum, estimate, assessment, laws, seed)
+        elif not estimate.fit.known_noise and max(assessment.relative_residual.values(), default=0.0) > MUCH:
+            assessment = _with_causes_of_much(model, spectrum, estimate, assessment, seed)
+    estimate, assessment = _without_changes_in_time(estimate, assessment)
+    assessment = settled_by_size(assessment, within is not None)
+    return _closed(model, spectrum, estimate, assessment)
+
+
+def _with_causes(
+    model: Model, spectrum: Spectrum, estimate: Estimate, assessment: Assessment, laws: tuple[Finding, ...], seed: int
+) -> Assessment:  # fmt: skip
+    """The assessment with what may be the matter.
+
+    Nonlinear elements that whole records call for stand first, unless a cause of the list explains more than they;
+    changes in the course of a record behind what explains nearly all.
+    """
+    found = diagnose(model, spectrum, estimate, seed=seed)
+    best = found[0] if found else None
+    by_law = laws[0].explains or 0.0 if laws else 0.0
+    explains = 0.0 if best is None or best.explains is None else best.explains
+    if laws and by_law > min(explains, 1 - (1 - by_law) / 10):
+        share = f"{100 * by_law:.0f} %"
+        text = f"a nonlinear element between {' and '.join(laws[0].of)} explains {share} of the residuals (p < 1e-6)"
+        others = (each for each in assessment.reasons if each.code not in UNTESTED)
+        reasons = (Notice("nonlinear", text, laws[0].of), *others)
+        listed = tuple(each for each in found if each.kind not in ("nonlinear", "unexplained"))
+        return replace(assessment, verdict="does not fit", reasons=reasons, findings=(*laws, *listed))
+    named = {(each.kind, each.of) for each in found}
+    in_time = tuple(each for each in assessment.findings if (each.kind, each.of) not in named)
+    if best is not None and explains >= MOSTLY:
+        return replace(assessment, findings=(*found, *in_time))
+    kept = found if not in_time else tuple(each for each in found if each.kind != "unexplained")
+    return replace(assessment, findings=(*in_time, *kept))
+
+
+def _with_causes_of_much(
+    model: Model, spectrum: Spectrum, estimate: Estimate, assessment: Assessment, seed: int
+) -> Assessment:
+    """The assessment of a fit without known noise, which is none where a cause explains nearly all that it leaves."""
+    found = diagnose(model, spectrum, estimate, seed=seed)
+    if not found or found[0].kind in (*LEFT_OUT, "unexplained") or (found[0].explains or 0.0) < MOSTLY:
+        return assessment
+    name, left = max(assessment.relative_residual.items(), key=lambda each: each[1])
+    text = f"{100 * left:.0f} % of the motion at {name} is unexplained, and one cause explains most of it"
+    reasons = (Notice("much_left", text, (name,)), *(r for r in assessment.reasons if r.code not in UNTESTED))
+    kept = tuple(reason for reason in reasons if reason.code != "below_noise")
+    return replace(assessment, verdict="does not fit", reasons=kept, findings=found)
+
+
+def _laws_in_records(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[Finding, ...]:
+    """Nonlinear elements that whole records call for, what explains most first."""
+    if model.n > LARGEST:
+        return ()
+    misfit = float(estimate.fit.misfit) ** 2
+    return tuple(
+        replace(
+            nonlinear_finding(model, scored, misfit * (1 - scored.fall / scored.chi2)),
+            explains=scored.fall / scored.chi2,
+        )
+        for scored in called_for_in_records(model, spectrum, estimate)
+    )
+
+
+def _where_laws_are_seen(
+    model: Model, spectrum: Spectrum, estimate: Estimate | None, misfit: float
+) -> tuple[Finding, ...]:
+    """Mistakes of channels, else elements beside the rig's own laws, of settled dwells that show all motion."""
+    if spectrum.carries_loads or model.n > LARGEST:
+        return ()
+    data = prepare(model, spectrum)
+    if data.states is None:
+        return ()
+    mistakes = mistakes_by_equation(data, misfit)
+    if mistakes:
+        return mistakes
+    known = estimate is not None and bool(np.all(np.isfinite(estimate.values)))
+    psi = estimate.values if estimate is not None and known else starting_points(data)[0]
+    (sign,) = spectrum.signs({} if estimate is None else estimate.signs)
+    return tuple(
+        nonlinear_finding(model, scored, (scored.chi2 - scored.fall) / scored.dof)
+        for scored in called_for(data, psi, sign, thorough=False)
+    )
+
+
+def _in_place_of_laws(model: Model, spectrum: Spectrum, misfit: float, seed: int) -> tuple[Finding, ...]:
+    """Nonlinear elements that settled dwells call for where the rig's own are left out, and that leave less misfit."""
+    if spectrum.carries_loads:
+        return ()
+    try:
+        linear = linear_rig(model)
+        found = diagnose(linear, spectrum, identify(linear, spectrum, "ml"), seed=seed)
+    except DashpotError:
+        return ()
+    return tuple(
+        in_place_of_laws(model, each)
+        for each in found
+        if each.kind == "nonlinear" and each.remaining is not None and each.remaining < (1 - MOSTLY) * misfit
+    )
+
+
+def _without_changes_in_time(estimate: Estimate, assessment: Assessment) -> tuple[Estimate, Assessment]:
+    """Changes in the course of a record as what they are where the rig is another one: the last of the reasons.
+
+    The warnings, which go with a remedy for each, name them no more.
+    """
+    if not assessment.findings or assessment.findings[0].kind not in OF_THE_RIG:
+        return estimate, assessment
+    in_time = tuple(reason for reason in assessment.reasons if reason.code in TIME_CHANGES)
+    others = tuple(reason for reason in assessment.reasons if reason.code not in TIME_CHANGES)
+    warnings = tuple(notice for notice in estimate.warnings if notice.code not in TIME_CHANGES)
+    return replace(estimate, warnings=warnings), replace(assessment, reasons=(*others, *in_time))
+
+
+def _closed(model: Model, spectrum: Spectrum, estimate: Estimate, assessment: Assessment) -> Estimate:
+    """The estimate with its assessment, of fits looked at closely, and with the intervals that suit it."""
+    if not estimate.fit.known_noise:  # what a remedy leaves has no measure
+        findings = tuple(replace(each, remaining=None) for each in assessment.findings)
+        assessment = replace(assessment, findings=findings)
+    if assessment.verdict == "fits" and not rejected(
+        estimate
+    ):  # scores over a noise that is too small prove nothing
+        assessment = _looked_at_closely(model, spectrum, estimate, assessment)
+    if len(model.nonlinear):
+        estimate = replace(
+            estimate, warnings=(*estimate.warnings, *several_motions(model, spectrum, estimate))
+        )
+    if assessment.verdict != "does not fit":
+        estimate = with_profile_intervals(model, spectrum, estimate)
+    return replace(estimate, assessment=assessment)
+
+
+# Of a fit that χ² passes, single directions in which it is off beyond doubt: the gain or delay of a channel, an element
+# between two points (THEORY §11).  χ² spreads what it finds over all amplitudes; a score test looks along one column,
+# projected out of what the rig's own unknowns can do, and finds a tenth of the misfit that χ² needs.
+
+
+LEVEL = 1e-3  # of all directions together: one clean test in a thousand
+APART = 0.03  # part of a column that the rig's own unknowns must leave
+MOST_AMPLITUDES = 20_000
+MOST_DIRECTED = 3  # causes that are named
+
+
+def _looked_at_closely(
+    model: Model, spectrum: Spectrum, estimate: Estimate, assessment: Assessment
+) -> Assessment:
+    """The assessment of a fit, which is none where a gain, a delay or an element is off beyond doubt."""
+    findings = directed(model, spectrum, estimate)
+    if not findings:
+        return assessment
+    text = f"{findings[0].text}: too small for χ² to show, yet more than noise explains"
+    reasons = (Notice("directed", text, findings[0].of), *assessment.reasons)
+    return replace(assessment, verdict="does not fit", reasons=reasons, findings=findings)
+
+
+def directed(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[Finding, ...]:
+    """What of a fit is off beyond doubt, the clearest first; () where nothing is, or no noise is known.
+
+    Each direction is tested by itself beside the rig's unknowns, at LEVEL over their number.
+    """
+    settled = all(isinstance(stretch, SettledDwell) for stretch in spectrum.stretches)
+    small = model.n <= LARGEST and spectrum.amplitudes.size <= MOST_AMPLITUDES
+    able = settled and small and not len(model.nonlinear) and estimate.fit.known_noise
+    if not able or not bool(estimate.converged) or estimate.fit.dof < 1:
+        return ()
+    elements = {element.name: element for element in missing_elements(model)}
+    channels, exact = _with_open_calibrations(model, spectrum)
+    extended = replace(model, elements=(*model.elements, *elements.values()))
+    try:
+        data = prepare(extended, replace(spectrum, channels=channels, moments=None), states=False)
+        names, information, score, chi2 = _columns(data, spectrum, estimate)
+    except DashpotError:
+        return ()  # channels that contradict each other, say
+    together = {}
+    if len(exact) == 1:  # an input without noise is late where all that it moves is early
+        for word in ("gain", "delay"):
+            together[f"{exact[0]}.{word}"] = [
+                name for name in names if name.endswith(f".{word}") and name not in estimate.names
+            ]
+    moves = np.eye(len(names))
+    alike = [[float(name in members) for name in names] for members in together.values()]
+    moves = np.concatenate([moves, np.reshape(alike, (-1, len(names)))])
+    every = (*names, *together)
+    fixed = [name not in estimate.names for name in every]
+    tests = score_tests(every, fixed, moves @ information @ moves.T, moves @ score, chi2, APART)
+    # Where the noise was estimated, χ² scatters as much more as the intervals are wider.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        widened = float(np.nanmax(np.append((estimate.noise_sd / estimate.bound_sd) ** 2, 1.0)))
+    certain = [test for test in tests if float(chdtrc(1, test.fall / widened)) * len(tests) < LEVEL]
+    by_name = {channel.name: channel for channel in spectrum.channels}
+    findings = []
+    of: tuple[str, ...]
+    for test in sorted(certain, key=lambda each: -each.fall)[:MOST_DIRECTED]:
+        left = (test.chi2 - test.fall) / max(estimate.fit.dof - 1, 1)
+        step = -test.step if test.name in together else test.step
+        name, _, word = test.name.rpartition(".")
+        if name and word == "gain":
+            said, kind, of, size = factor_in_words(model, by_name[name], 1 + step), "gain", (name,), 1 + step
+        elif name and word == "delay":
+            said, kind, of, size = late(model, by_name[name], step), "delay", (name,), step
+        else:
+            element = elements[test.name]
+            said, kind, of, size = (
+                missing_in_words(model, element, step),
+                "element",
+                points_of(element, model),
+                step,
+            )
+        findings.append(Finding(kind, of, said.text, said.change, left, size, said.channels, said.elements))
+    return tuple(findings)
+
+
+def _columns(
+    data: Prepared, spectrum: Spectrum, estimate: Estimate
+) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, float]:
+    """Names of all directions, their information and score, and χ², at the estimate."""
+    view = data.view
+    known = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
+    psi = np.array([known.get(name, 1.0 if name.endswith(".gain") else 0.0) for name in view.names])
+    with np.errstate(all="ignore"):
+        at = local(view, measured(data), psi[None], spectrum.signs(estimate.signs))
+    return view.names, at.symmetric[0], at.gradient[0], float(at.cost[0])
+
+
+def _with_open_calibrations(model: Model, spectrum: Spectrum) -> tuple[tuple[Channel, ...], tuple[str, ...]]:
+    """The channels with gain and delay to be found where they have noise, and the names of inputs that have none."""
+    variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
+    noisy = np.any(variance.reshape(-1, len(spectrum.channels)) > 0, axis=0).tolist()
+    channels = tuple(
+        replace(channel, gain=None, delay=None) if heard and channel.same_gain_as is None else channel
+        for channel, heard in zip(spectrum.channels, noisy, strict=True)
+    )
+    exact = tuple(
+        channel.name
+        for channel, heard in zip(spectrum.channels, noisy, strict=True)
+        if not heard and measures_input(model, channel)
+    )
+    return channels, exact

@@ -1,0 +1,501 @@
+"""Amplitudes at lines as a problem of fitting: the data, what may be supposed of them, and fits of many at once.
+
+A supposition about the data is another problem of the same shape, so that a whole catalogue of them is one batch; one
+about the rig is a problem with another view.  Either way it can be fitted, scored and supposed upon again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Ints, Real
+from dashpot.channel import Channel
+from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.likelihood.descent import Stage, descend_all, descend_in_repeats
+from dashpot.estimate.likelihood.global_search import candidates, seen_directly
+from dashpot.estimate.likelihood.objective import directly_driven, local, measured, predict
+from dashpot.estimate.linear.least_squares import compensated
+from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation.state_reconstruction import states_if_seen
+from dashpot.model.elements import Element
+from dashpot.model.network import Model
+from dashpot.model.observation import ObservationModel, calibration_factors, observation_model, transfer
+
+DRAWS, FEWER_DRAWS = (
+    1500,
+    200,
+)  # rigs drawn at random as starts; fewer where all motion is seen and gives a start
+FOLLOWED, FEWER_FOLLOWED = 12, 3  # of them that are followed
+SOFTNESS = 0.05  # relative noise added in the stage between logarithms and the likelihood
+GLANCE, SHORT, LONG = (
+    3,
+    8,
+    30,
+)  # iterations: before the hopeless are left, before the best start is chosen, in all
+KEPT = 24  # problems of a batch that are fitted to the end
+ROUGHLY = 1e-2  # standard deviations at which a descent ends
+LIMIT = 2.0  # nepers and radians beyond which a residual of logarithms counts no more
+FAINTEST = 1e-6  # relative noise of channels that have none
+
+
+@dataclass(frozen=True)
+class LineProblem:
+    """Amplitudes of one repeat of a test and a rig to be fitted to them.
+
+    data    what every method gets: amplitudes NaN where nothing counts
+    sign    (channels,) signs of the channels
+    starts  ψ (M,) each, from which a fit begins, the best known first
+    runs    whether each line was measured at a time of its own, not all of them in one record
+    lost    amplitudes that a supposition leaves out, which may have an error of any size, (lines, channels), NaN where
+            none was; None where all count
+    given_up  log probability of what else a supposition leaves to chance
+    """
+
+    data: Prepared
+    sign: Real
+    starts: tuple[Real, ...]
+    runs: bool = True
+    lost: Complex | None = None
+    given_up: float = 0.0
+
+    @property
+    def view(self) -> ObservationModel:
+        """What the channels show."""
+        return self.data.view
+
+    @property
+    def model(self) -> Model:
+        """The rig."""
+        return self.data.model
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The channels, in the order of the amplitudes."""
+        return self.data.spectrum.channels
+
+    @property
+    def y(self) -> Complex:
+        """Amplitudes, (lines, channels), 0 where nothing counts."""
+        return np.nan_to_num(self.data.spectrum.amplitudes[0])
+
+    @property
+    def kept(self) -> Bools:
+        """Which amplitudes count, (lines, channels)."""
+        return np.isfinite(self.data.spectrum.amplitudes[0])
+
+    @property
+    def counted(self) -> Bools:
+        """Which of them test the rig: channels without noise give the inputs."""
+        return self.kept & (np.diagonal(self.arranged().W[0], axis1=-2, axis2=-1).real > 0)
+
+    @property
+    def V(self) -> Complex:
+        """Their covariance, (lines, channels, channels)."""
+        return self.data.covariance[0]
+
+    @property
+    def omega(self) -> Real:
+        """Angular frequencies of the lines, (lines,)."""
+        return self.view.omega
+
+    @property
+    def labels(self) -> list[str]:
+        """Lines as dwells are named."""
+        return [f"{frequency:g} Hz" for frequency in self.data.spectrum.frequency_hz]
+
+    @cached_property
+    def sd(self) -> Real:
+        """Of the noise of each amplitude as a complex number, (lines, channels); never 0."""
+        variance = np.diagonal(self.V, axis1=-2, axis2=-1).real
+        size = np.sqrt(np.mean(np.abs(self.y) ** 2, axis=0))
+        return np.sqrt(np.maximum(np.nan_to_num(variance), (FAINTEST * np.where(size > 0, size, 1.0)) ** 2))
+
+    def with_amplitudes(self, y: Complex, V: Complex | None = None, kept: Bools | None = None) -> LineProblem:
+        """With other amplitudes, their covariance, and which of them count."""
+        V = self.V if V is None else V
+        kept = self.kept if kept is None else kept
+        spectrum = replace(
+            self.data.spectrum, amplitudes=np.where(kept, y, np.nan)[None], covariance=np.nan_to_num(V)[None],
+            moments=None,
+        )  # fmt: skip
+        return replace(self, data=replace(self.data, spectrum=spectrum, covariance=V[None], states=None))
+
+    def scaled(self, channel: int, factor: Complex | complex) -> LineProblem:
+        """With one channel times a factor, a number or (lines,)."""
+        turn = np.ones(self.y.shape, dtype=np.complex128)
+        turn[:, channel] = factor
+        return self.with_amplitudes(self.y * turn, turn[:, :, None] * self.V * np.conj(turn)[:, None, :])
+
+    def without(self, dropped: Bools) -> LineProblem:
+        """With some amplitudes (lines, channels) left out, which may have an error of any size."""
+        dropped = dropped & self.kept
+        before = np.full(dropped.shape, np.nan, dtype=np.complex128) if self.lost is None else self.lost
+        lost = np.where(dropped, self.y, before)
+        return replace(self.with_amplitudes(self.y, None, self.kept & ~dropped), lost=lost)
+
+    @cached_property
+    def sd_of_lost(self) -> Real:
+        """Of the noise that amplitudes which are left out have at the least, (lines, channels).
+
+        A channel without noise is known no better than the quietest that has some.
+        """
+        y = self.y if self.lost is None else np.where(np.isfinite(self.lost), self.lost, self.y)
+        size = np.maximum(np.sqrt(np.mean(np.abs(y) ** 2, axis=0)), np.finfo(float).tiny)
+        relative = np.sqrt(np.maximum(np.diagonal(self.V, axis1=-2, axis2=-1).real, 0.0)) / size
+        smallest = np.min(relative, where=relative > 2 * FAINTEST, initial=1.0)
+        return np.maximum(relative, smallest if smallest < 1 else FAINTEST) * size
+
+    @property
+    def roughly_lost(self) -> float:
+        """Log probability of what is left out, each amplitude being anything of its own size."""
+        if self.lost is None:
+            return self.given_up
+        out = np.isfinite(self.lost)
+        size = np.sqrt(np.sum(np.abs(self.lost[out]) ** 2) / max(np.count_nonzero(out), 1))
+        ratio = np.maximum(np.maximum(np.abs(self.lost[out]), size) / self.sd_of_lost[out], 1.0)
+        return self.given_up - float(np.sum(1 + 2 * np.log(ratio)))
+
+    def of_rig(self, model: Model, channels: tuple[Channel, ...] | None = None) -> LineProblem:
+        """Of another rig with the same coordinates and inputs, or other channels; new unknowns begin at their guesses.
+
+        An unknown that is new has the guess of its element, or 0.
+        """
+        spectrum = self.data.spectrum if channels is None else replace(self.data.spectrum, channels=channels)
+        view = observation_model(model, spectrum.channels, spectrum.omega)
+        states = (
+            states_if_seen(view, spectrum, self.data.covariance) if self.data.states is not None else None
+        )
+        data = replace(self.data, view=view, spectrum=spectrum, states=states)
+        return replace(self, data=data, starts=tuple(self.lifted(view, psi) for psi in self.starts))
+
+    def lifted(self, view: ObservationModel, psi: Real) -> Real:
+        """The ψ of another view that means the same as ψ (M,) here."""
+        known = dict(zip(self.view.names, psi.tolist(), strict=True))
+        begun = {unknown.name: unknown.guess for unknown in view.model.unknowns}
+        return np.array(
+            [
+                known.get(name, 1.0 if name.endswith(".gain") else begun.get(name) or 0.0)
+                for name in view.names
+            ]
+        )
+
+    def at_frequencies(self, frequency_hz: Real) -> LineProblem:
+        """With other frequencies (lines,) of the same lines."""
+        spectrum = replace(self.data.spectrum, frequency_hz=frequency_hz)
+        view = observation_model(self.model, spectrum.channels, spectrum.omega)
+        seen = self.data.states is not None
+        states = states_if_seen(view, spectrum, self.data.covariance) if seen else None
+        return replace(self, data=replace(self.data, view=view, spectrum=spectrum, states=states))
+
+    def at_lines(self, lines: Ints) -> LineProblem:
+        """Of some of the lines."""
+        spectrum = self.data.spectrum.select(lines)
+        view = observation_model(self.model, spectrum.channels, spectrum.omega)
+        V = self.data.covariance[:, lines]
+        data = replace(self.data, view=view, spectrum=spectrum, covariance=V, states=None)
+        return replace(self, data=data, lost=None if self.lost is None else self.lost[lines])
+
+    def from_starts(self, starts: Sequence[Real]) -> LineProblem:
+        """Begun elsewhere."""
+        return replace(self, starts=tuple(starts))
+
+    def arranged(self, softness: float = 0.0) -> Measured:
+        """As the likelihood takes them."""
+        return measured(self.data, softness)
+
+    def slopes(self, psi: Real) -> tuple[Real, Real, float]:
+        """Information (M, M), minus half the slope (M,) and χ² at ψ."""
+        with np.errstate(all="ignore"):
+            at = local(self.view, self.arranged(), psi[None], self.sign[None])
+        return at.symmetric[0], at.gradient[0], float(at.cost[0])
+
+    def chi2_of_lines(self, psi: Real) -> Real:
+        """χ² of each line at ψ (M,), (lines,)."""
+        with np.errstate(all="ignore"):
+            cost = predict(self.view, self.arranged(), psi[None], self.sign[None]).cost_per_line[0]
+        return np.where(np.isfinite(cost), cost, np.inf)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where a problem's fit ended: ψ (M,), χ² and its degrees of freedom.
+
+    parts  fits of parts of the lines, each with a rig of its own; () where one rig is fitted to all
+    """
+
+    problem: LineProblem
+    psi: Real
+    chi2: float
+    dof: int
+    parts: tuple[Fit, ...] = ()
+
+    @property
+    def reduced(self) -> float:
+        """χ² over its degrees of freedom; inf where nothing tests the fit."""
+        return self.chi2 / self.dof if self.dof > 0 else np.inf
+
+    @property
+    def roughly(self) -> float:
+        """The logarithm of the evidence by χ² alone, the noise as large as it must be."""
+        known = self.problem.data.noise_known
+        excess = max(self.reduced, 1.0 if known else 1e-12)
+        held = min(self.reduced, 1.0) if known else 1.0
+        return self.problem.roughly_lost - 0.5 * max(self.dof, 0) * (float(np.log(excess)) + held)
+
+    @cached_property
+    def residual(self) -> Complex:
+        """What the fit leaves of the amplitudes that count, (lines, channels), 0 elsewhere."""
+        if self.parts:
+            return np.sum([part.residual for part in self.parts], axis=0)
+        of = self.problem
+        with np.errstate(all="ignore"):
+            r = predict(of.view, of.arranged(), self.psi[None], of.sign[None]).r[0]
+        return np.where(of.counted, np.nan_to_num(r), 0.0)
+
+    @cached_property
+    def expected(self) -> Complex:
+        """What all channels should show, those left out as well, (lines, channels)."""
+        of = self.problem
+        arranged = of.arranged()
+        with np.errstate(all="ignore"):
+            q = predict(of.view, arranged, self.psi[None], of.sign[None]).q
+            every = replace(arranged, y=of.y[None], q=q)
+            return of.y - predict(of.view, every, self.psi[None], of.sign[None]).r[0]
+
+    def again(self, problem: LineProblem) -> Fit:
+        """The same values beside other data: not fitted."""
+        return judged([replace(problem, starts=(self.psi,))])[0]
+
+
+def judged(problems: Sequence[LineProblem]) -> list[Fit]:
+    """Each problem at its first start, as it is."""
+    return _fits(problems, _ended([each.from_starts(each.starts[:1]) for each in problems], 0))
+
+
+def fitted(problems: Sequence[LineProblem], kept: int = KEPT) -> list[Fit]:
+    """Each from the best of its starts or its own least squares; the hopeless after a few steps only."""
+    if not problems:
+        return []
+    begun = [
+        each.from_starts((*each.starts, *own)) for each, own in zip(problems, _own(problems), strict=True)
+    ]
+    first = _ended(begun, 0)
+    glance = _ended([each.from_starts([x]) for each, (x, _) in zip(begun, first, strict=True)], GLANCE)
+    fits = _fits(problems, glance)
+    hopeful = np.argsort([-fit.roughly for fit in fits])[:kept].tolist()
+    long = _ended([problems[k].from_starts([glance[k][0]]) for k in hopeful], LONG)
+    for k, end in zip(hopeful, long, strict=True):
+        fits[k] = _fits([problems[k]], [end])[0]
+    return fits
+
+
+def searched(problems: Sequence[LineProblem], seed: int = 0, draws: int = DRAWS) -> list[Fit]:
+    """Each from its starts, its own least squares and drawn rigs: thorough, for the few that need it.
+
+    All have the same view.
+    """
+    if not problems:
+        return []
+    some = problems[0]
+    arranged = [each.arranged() for each in problems]
+    drawn, _ = candidates(some.data, draws, np.random.default_rng(seed))
+    drawn = drawn[np.all(np.isfinite(drawn), axis=1)]
+    with np.errstate(all="ignore"):
+        G = transfer(some.view, some.model.parameters(drawn[:, : some.view.m])).G
+        signs = np.broadcast_to(some.sign, (len(drawn), len(some.sign)))
+        G = calibration_factors(some.view, drawn, signs)[..., None] * G
+    seen = some.data.states is not None
+    followed = FEWER_FOLLOWED if seen else FOLLOWED
+    far = [
+        drawn[np.argsort(_distance(G, one, each))[:followed]]
+        for each, one in zip(problems, arranged, strict=True)
+    ]
+    if not seen:
+        far = _from_afar(problems, arranged, far)
+    begun = [
+        each.from_starts((*each.starts, *own, *_finite(ends)))
+        for each, own, ends in zip(problems, _own(problems), far, strict=True)
+    ]
+    short = _ended(begun, SHORT)
+    long = _ended([each.from_starts([x]) for each, (x, _) in zip(begun, short, strict=True)], LONG)
+    return _fits(problems, long)
+
+
+def _fits(problems: Sequence[LineProblem], ends: Sequence[tuple[Real, float]]) -> list[Fit]:
+    return [
+        Fit(each, x, cost, each.arranged().rows - len(x))
+        for each, (x, cost) in zip(problems, ends, strict=True)
+    ]
+
+
+def _ended(problems: Sequence[LineProblem], limit: int) -> list[tuple[Real, float]]:
+    """The best end, ψ (M,) and χ², of each problem's starts, after `limit` iterations at most."""
+    ends: list[tuple[Real, float]] = [(each.starts[0], np.inf) for each in problems]
+    for group in _alike(problems):
+        some = problems[group[0]]
+        starts = [_finite(problems[t].starts) for t in group]
+        if not all(len(each) for each in starts):
+            starts = [np.stack(problems[t].starts[:1]) for t in group]
+        origin = np.repeat(np.arange(len(group)), [len(each) for each in starts])
+        psi = np.concatenate(starts)
+        sign = np.stack([problems[group[k]].sign for k in origin])
+        data = _stack([problems[t].arranged() for t in group])
+        if limit == 0:
+            x, cost = psi, Stage(some.view, data).cost(psi, sign, origin)
+        else:
+            x, cost = descended(some.view, data, psi, sign, origin, limit)
+        for k, t in enumerate(group):
+            mine = np.flatnonzero(origin == k)
+            best = mine[int(np.argmin(cost[mine]))]
+            ends[t] = (x[best], float(cost[best]))
+    return ends
+
+
+def descended(
+    view: ObservationModel, data: Measured, start: Real, sign: Real, rows: Ints, limit: int
+) -> tuple[Real, Real]:
+    """Ends ψ (k, M) and χ² (k,), inf where there is none, of starts in the repeats `rows`, near enough to compare."""
+    with np.errstate(all="ignore"):
+        ended = descend_in_repeats(view, data, start, sign, rows, limit=limit, tolerance=ROUGHLY)
+    return ended.x, np.where(np.isfinite(ended.cost), ended.cost, np.inf)
+
+
+def _finite(rows: Sequence[Real] | Real) -> Real:
+    stacked = np.stack(list(rows))
+    return stacked[np.all(np.isfinite(stacked), axis=1)]
+
+
+def _alike(problems: Sequence[LineProblem]) -> list[list[int]]:
+    """Which problems go into one batch: of one view, with inputs that are given exactly in all or in none."""
+    groups: dict[object, list[int]] = {}
+    for t, each in enumerate(problems):
+        arranged = each.arranged()
+        apart = t if arranged.ends is not None or arranged.nonlinear is not None else -1
+        groups.setdefault((id(each.view), arranged.q is None, apart), []).append(t)
+    return list(groups.values())
+
+
+def _stack(arranged: Sequence[Measured]) -> Measured:
+    """One batch with a repeat for each problem."""
+    if len(arranged) == 1:
+        return arranged[0]
+    inputs = [one.q for one in arranged if one.q is not None]
+    return Measured(
+        np.concatenate([one.y for one in arranged]),
+        np.concatenate([one.W[:1] for one in arranged]),
+        np.concatenate(inputs) if inputs else None,
+        arranged[0].rows,
+    )
+
+
+def _own(problems: Sequence[LineProblem]) -> list[list[Real]]:
+    """Noise-compensated least squares of each problem's own lines, (M,), where all is seen there; else nothing."""
+    by_equation: list[list[Real]] = [[] for _ in problems]
+    groups: dict[tuple[int, bytes], list[int]] = {}
+    for t, each in enumerate(problems):
+        lines = np.any(each.kept, axis=1)
+        groups.setdefault((id(each.view), lines.tobytes() + each.kept[lines].tobytes()), []).append(t)
+    for rows in groups.values():
+        some = problems[rows[0]]
+        lines = np.flatnonzero(np.any(some.kept, axis=1))
+        Y = np.stack([problems[t].data.spectrum.amplitudes[0][lines] for t in rows])
+        V = np.stack([problems[t].V[lines] for t in rows])
+        part = some.data.spectrum.select(lines)
+        spectrum = replace(part, amplitudes=Y, covariance=np.nan_to_num(V), moments=None)
+        view = observation_model(some.model, part.channels, part.omega)
+        states = states_if_seen(view, spectrum, V) if len(lines) else None
+        if states is None:
+            continue
+        if np.any(some.view.gain >= 0) or np.any(some.view.delay >= 0):
+            continue
+        with np.errstate(all="ignore"):
+            theta = compensated(some.model, states)
+        for t, values in zip(rows, theta, strict=True):
+            by_equation[t] = [np.concatenate([values, problems[t].starts[0][len(values) :]])]
+    return by_equation
+
+
+def _from_afar(
+    problems: Sequence[LineProblem], arranged: Sequence[Measured], starts: Sequence[Real]
+) -> list[Real]:
+    """Where the starts lead by logarithms of the channels, then with softened weights; and the starts alone.
+
+    Problems whose inputs no channel shows go through the second stage alone.
+    """
+    ends = list(starts)
+    view, sign = problems[0].view, problems[0].sign
+    driven = [directly_driven(view, one) for one in arranged]
+    shown = {t: one for t, one in enumerate(driven) if one is not None and one.q is not None}
+    if shown:
+        past = _in_logarithms(
+            view, sign, list(shown.values()), [starts[t] for t in shown], by_logarithms=True
+        )
+        for t, psi in zip(shown, past, strict=True):
+            ends[t] = psi
+    soft = [each.arranged(SOFTNESS) for each in problems]
+    both = [np.concatenate([ends[t], starts[t]]) for t in range(len(problems))]
+    for exact in (True, False):
+        group = [t for t, one in enumerate(soft) if (one.q is not None) is exact]
+        if group:
+            past = _in_logarithms(view, sign, [soft[t] for t in group], [both[t] for t in group])
+            for t, psi in zip(group, past, strict=True):
+                ends[t] = psi
+    return ends
+
+
+def _in_logarithms(
+    view: ObservationModel, sign: Real, arranged: Sequence[Measured], starts: Sequence[Real], *,
+    by_logarithms: bool = False,
+) -> list[Real]:  # fmt: skip
+    """Where each problem's starts end that move in logarithms; the channels may be compared by theirs as well."""
+    data, start = _stack(arranged), np.concatenate(starts)
+    # What is left out is 0 in its amplitudes, which logarithms pass over.
+    stage = Stage(view, data, np.ones(data.y.shape[1:]) if by_logarithms else None)
+    origin = np.repeat(np.arange(len(starts)), [len(psi) for psi in starts])
+    signs = np.broadcast_to(sign, (len(start), len(sign)))
+    ends = descend_all(stage, start, signs, origin, limit=LONG, tolerance=ROUGHLY)
+    return [ends[origin == t] for t in range(len(starts))]
+
+
+def _distance(G: Complex, exact: Measured, problem: LineProblem) -> Real:
+    """How far each drawn rig is from a problem's data, (draws,): bounded logarithms of the channels, even weights."""
+    y0 = problem.y
+    used = problem.kept & (y0 != 0)
+    with np.errstate(all="ignore"):
+        if exact.q is not None:
+            shown = (G @ exact.q[0][..., None])[..., 0]
+        else:
+            size = np.where(used, 1 / np.maximum(np.abs(y0), 1e-300), 0.0)
+            g, y = G * size[..., None], y0 * size
+            gh = np.conj(np.swapaxes(g, -1, -2))
+            normal = np.nan_to_num(gh @ g)
+            small = 1e-9 * np.trace(normal, axis1=-2, axis2=-1).real + 1e-300
+            v = np.linalg.solve(
+                normal + small[..., None, None] * np.eye(G.shape[-1]), np.nan_to_num(gh @ y[..., None])
+            )
+            shown = (G @ v)[..., 0]
+        away = np.abs(np.log(np.where(used, y0 / shown, 1.0))) ** 2
+    away = np.where(np.isfinite(away), np.minimum(away, LIMIT**2), LIMIT**2)
+    return np.sum(np.where(used, away, 0.0), axis=(-2, -1))
+
+
+def with_element_starts(problem: LineProblem) -> LineProblem:
+    """With what all motion says of the larger rig by its equation, where that is seen."""
+    if problem.data.states is None or not seen_directly(problem.data):
+        return problem
+    with np.errstate(all="ignore"):
+        values = compensated(problem.model, problem.data.states)[0]
+    if len(values) != len(problem.view.names) or not np.all(np.isfinite(values)):
+        return problem
+    return problem.from_starts((*problem.starts, values))
+
+
+def replaced(model: Model, element: Element) -> Model:
+    """The rig with an element in the place of the one of its name, or a new one."""
+    there = tuple(element if each.name == element.name else each for each in model.elements)
+    new = () if any(each.name == element.name for each in model.elements) else (element,)
+    return replace(model, elements=(*there, *new))

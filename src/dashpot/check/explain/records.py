@@ -1,0 +1,167 @@
+"""What may be the matter with whole records: the engine on all of their lines, and what a channel shows in time.
+
+In a fit to all channels the rig, its inputs and its ends give way to the one that is wrong, and its residual does not
+show what it is.  Without that channel they do not, and what they predict of it shows its limits, its zero, or when its
+gain changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from dashpot.arrays import Complex, Ints, Real
+from dashpot.channel import Quantity
+from dashpot.check.explain.channels import DISAGREES, limited
+from dashpot.check.explain.effect import Effect, Misfit, Phrase, as_is, said
+from dashpot.check.explain.engine import Explanation, explain_records
+from dashpot.check.explain.problem import Fit, LineProblem
+from dashpot.check.explain.steady_lines import steady_lines, working_noise
+from dashpot.check.verdict import IN_TIME, clipped_at
+from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
+from dashpot.errors import DashpotError
+from dashpot.estimate.inference.time_course import change_notice, time_changes
+from dashpot.estimate.likelihood.descent import loudest
+from dashpot.estimate.likelihood.objective import record_fit
+from dashpot.estimate.likelihood.record_noise import RESIDUAL
+from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.result import Estimate
+from dashpot.model.network import Model
+from dashpot.model.observation import channel_unit
+
+MOST_LINES = 800  # of all records that the engine fits: those where the rig moves most
+EXPLAINED = 0.6  # share of what is wrong that a wandering zero must explain
+PIECES = 48  # of a record, whose means say how the zero wanders
+STEPS, SUDDEN = 4, 0.7  # pieces that must make up this share of all that the zero moves, to be steps
+LASTING = ("gain", "clock")  # changes that one channel alone can have, and that last
+
+
+def explained_records(
+    model: Model,
+    spectrum: Spectrum,
+    estimate: Estimate,
+    *,
+    silent: dict[str, str] | None = None,
+    seed: int = 0,
+) -> Explanation | None:
+    """What may be otherwise where whole records (no batch axes) do not fit; None where they cannot be looked at.
+
+    Noise that was read from the residuals of this very rig is taken to be as low as where it is lowest.
+    """
+    if not np.all(np.isfinite(estimate.values)):
+        return None
+    quiet = spectrum
+    if RESIDUAL in spectrum.noise:
+        variance = working_noise(spectrum)[:, :, None] * np.eye(len(spectrum.channels))
+        quiet = replace(spectrum, covariance=variance.astype(np.complex128))
+    power = np.sum(
+        np.abs(np.nan_to_num(quiet.amplitudes)) ** 2 / np.maximum(working_noise(quiet), 1e-300), axis=1
+    )
+    chosen = np.arange(quiet.lines)
+    if quiet.lines > MOST_LINES:
+        chosen = loudest(quiet.frequency_hz, power, MOST_LINES // 30)
+    (sign,) = quiet.signs(estimate.signs)
+    try:
+        lines = LineProblem(prepare(model, steady_lines(model, spectrum)), sign, (estimate.values,), False)
+        whole = LineProblem(prepare(model, quiet, states=False), sign, (estimate.values,), False)
+        part = LineProblem(
+            prepare(model, quiet.select(chosen), states=False), sign, (estimate.values,), False
+        )
+        return explain_records(lines, part, lambda misfit: _in_time(misfit, whole), silent=silent, seed=seed)
+    except DashpotError:
+        return None
+
+
+def _in_time(misfit: Misfit, whole: LineProblem) -> Iterator[Effect]:
+    """Each channel of the motion with an error of its own, by what it shows in time against all others."""
+    for c, (channel, fit) in enumerate(zip(misfit.problem.channels, misfit.without, strict=True)):
+        if misfit.inputs[c]:
+            continue
+        kind, phrase = _shown(whole, c, fit)
+        yield Effect(kind, (channel.name,), as_is, partial(said, phrase), found=fit)
+
+
+def _shown(whole: LineProblem, c: int, fit: Fit) -> tuple[str, Phrase]:
+    """The kind of error of channel c, against the fit without it, in words."""
+    name = whole.channels[c].name
+    plain = (
+        "channel",
+        Phrase(f"{name} {DISAGREES}", f"leave {name} out, or check its sensor and where it is mounted"),
+    )
+    without = whole.without(np.broadcast_to(np.arange(len(whole.channels)) == c, whole.kept.shape))
+    arranged = without.arranged()
+    if arranged.ends is None:
+        return plain
+    with np.errstate(all="ignore"):
+        found = record_fit(without.view, arranged, fit.psi[None], without.sign[None])
+        predicted: Complex = np.einsum("lq,lq->l", found.rig.G[0, :, c], found.motion[0])
+    spectrum, y = whole.data.spectrum, whole.y[:, c]
+    if not np.all(np.isfinite(predicted)):
+        return plain
+    predicted = predicted + _of_its_ends(replace(spectrum, amplitudes=whole.y), c, predicted)
+    unit = channel_unit(whole.model, spectrum.channels[c])
+    for number in spectrum.records:
+        its = np.flatnonzero(spectrum.stretch == number)
+        stretch = spectrum.stretches[number]
+        assert isinstance(stretch, WholeRecord)
+        order = stretch.orders(spectrum.frequency_hz[its])
+        samples = 2 * (int(np.max(order)) + 1)
+        shown, should = (history_of_lines(values[its], order, samples) for values in (y, predicted))
+        end = clipped_at(shown, should, 2 * len(its))
+        if end is not None:
+            return "saturation", limited(name, end, unit)
+        gain = float(shown @ should / (should @ should)) if np.any(should) else 0.0
+        zero = _wander(shown - gain * should, stretch.duration_s, unit)
+        if zero is not None:
+            return "channel", Phrase(f"{name} {zero}", f"leave {name} out, or repair its signal chain")
+    single = replace(spectrum, amplitudes=whole.y)
+
+    def unweighted(lines: Ints, _: int) -> tuple[Complex, Complex]:
+        return (y - predicted)[lines], predicted[lines]
+
+    changes = time_changes(unweighted, single, np.array([c]))
+    named = [each for each in changes if each.kind in LASTING] or [
+        each for each in changes if each.kind == "jump"
+    ]
+    if not named:
+        return plain
+    notice = change_notice(named[0], len(spectrum.records))
+    question, remedy = IN_TIME[notice.code]
+    return "time", Phrase(f"{notice.text}: {question}", remedy)
+
+
+def _of_its_ends(spectrum: Spectrum, c: int, predicted: Complex) -> Complex:
+    """What the ends of each record add to a channel of velocity or acceleration beyond the motion, (lines,).
+
+    A polynomial of s for each derivative (THEORY §8), which the channels of the fit do not tell: it stands at the ends.
+    """
+    added: Complex = np.zeros_like(predicted)
+    channel = spectrum.channels[c]
+    derivative = 0 if channel.quantity is Quantity.FORCE else channel.quantity.derivative
+    for number in spectrum.records if derivative else ():
+        its = np.flatnonzero(spectrum.stretch == number)
+        s = 1j * spectrum.omega[its] / np.max(spectrum.omega[its])
+        powers = s[:, None] ** np.arange(derivative)
+        left = spectrum.amplitudes[its, c] - predicted[its]
+        columns, both = (np.concatenate([part.real, part.imag]) for part in (powers, left))
+        added[its] = powers @ np.linalg.lstsq(columns, both, rcond=None)[0]
+    return added
+
+
+def _wander(away: Real, duration_s: float, unit: str) -> str | None:
+    """That the zero of a channel drifts or steps, where that is most of what is wrong with it."""
+    edges = np.linspace(0, len(away), PIECES + 1).astype(np.int64)
+    means = np.add.reduceat(away, edges[:-1]) / np.diff(edges)
+    if float(np.mean(means**2)) < EXPLAINED * float(np.mean(away**2)):
+        return None
+    size, steps = float(np.ptp(means)), np.abs(np.diff(means))
+    k = int(np.argmax(steps))
+    if np.sum(np.sort(steps)[-STEPS:]) > SUDDEN * np.sum(steps):
+        at = duration_s * (k + 1) / PIECES
+        return (
+            f"has a zero that shifts by {steps[k]:.3g} {unit} near {at:.3g} s. Range changed, or cable moved?"
+        )
+    return f"has a zero that drifts by {size:.3g} {unit}. Is it its amplifier, or the temperature?"

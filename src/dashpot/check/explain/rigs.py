@@ -1,0 +1,326 @@
+"""What the rig may have otherwise: a missing part, another value, a hidden body, modes outside the band."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+
+from dashpot import units
+from dashpot.arrays import Real
+from dashpot.channel import Quantity
+from dashpot.check.explain.channels import CLOSE, number
+from dashpot.check.explain.effect import Effect, Misfit, Phrase, said
+from dashpot.check.explain.problem import LineProblem, replaced, with_element_starts
+from dashpot.check.explain.score import score_tests
+from dashpot.model.elements import Element, Kind, between, mass
+from dashpot.model.network import Input, Model
+from dashpot.model.rigfile import element_line
+
+FOLLOWED = 8  # elements of a kind that are fitted in full, those of which the score promises most
+VALUE_WIDTH = 0.3  # nepers: a stated value that is wrong without another unit
+ELEMENT_WIDTH = 1.0  # of the typical size of a kind in the rig
+USUAL = {
+    Kind.MASS: ("mass", ("g", "lb", "t")),
+    Kind.SPRING: ("stiffness", ("N/mm", "lbf/in")),
+    Kind.DAMPER: ("damping", ("N·s/mm", "lbf·s/in")),
+}
+
+
+def points_of(element: Element, model: Model) -> tuple[str, ...]:
+    """What a cause is about: an element of the rig by its name, a new one by the points that it joins."""
+    if element.name in {existing.name for existing in model.elements}:
+        return (element.name,)
+    points = tuple(element.along)
+    return points if len(points) > 1 else (*points, "ground")
+
+
+def missing_elements(model: Model, kinds: Sequence[Kind] = (Kind.SPRING, Kind.DAMPER)) -> list[Element]:
+    """An element of each kind between any two points, unless there is one, and a mass where there is none."""
+    points = [*model.coordinates, *model.displacement_inputs, "ground"]
+    there = {(e.kind, frozenset(e.along.items())) for e in model.elements if e.force_law is None}
+    letters = {Kind.SPRING: "k", Kind.DAMPER: "c", Kind.HYSTERETIC: "h"}
+    found = [
+        between(f"{letters[kind]}_{first}_{second}", kind, first, second)
+        for first, second in combinations(points, 2)
+        if first in model.coordinates  # between inputs, or an input and the ground, it moves nothing
+        for kind in kinds
+    ]
+    found += [mass(f"m_{x}", x) for x in model.coordinates]
+    return [
+        element
+        for element in found
+        if (element.kind, frozenset(element.along.items())) not in there
+        and (element.kind, frozenset((point, -factor) for point, factor in element.along.items()))
+        not in there
+    ]
+
+
+def stated_values(model: Model) -> list[Element]:
+    """The elements whose value is stated, each as if it were unknown."""
+    return [
+        replace(element, value=None, sd=None, guess=element.value)
+        for element in model.elements
+        if element.value and element.same_as is None and element.force_law is None
+    ]
+
+
+def scores(problem: LineProblem, psi: Real, elements: Sequence[Element]) -> dict[str, tuple[float, float]]:
+    """By the name of each element: how far χ² would fall were its parameter free, and the step of it (Rao's score).
+
+    Each by itself beside the rig's own unknowns at ψ (M,), the best fit without it; elements of which less than
+    a hundredth of the column is its own are left out.
+    """
+    if not elements:
+        return {}
+    model = problem.model
+    for element in elements:
+        model = replaced(model, element)
+    larger = problem.from_starts((psi,)).of_rig(model)
+    added = {element.name for element in elements}
+    names = larger.view.names
+    tests = score_tests(names, [name in added for name in names], *larger.slopes(larger.starts[0]))
+    return {test.name: (test.fall, test.step) for test in tests}
+
+
+def element(misfit: Misfit) -> Iterator[Effect]:
+    """A missing spring, damper or mass."""
+    yield from _added(misfit, "element", missing_elements(misfit.problem.model))
+
+
+def hysteretic(misfit: Misfit) -> Iterator[Effect]:
+    """Hysteretic damping beside a spring."""
+    model = misfit.problem.model
+    joined = {frozenset(each.along) for each in model.elements if each.kind is Kind.SPRING}
+    candidates = [
+        each
+        for each in missing_elements(model, (Kind.HYSTERETIC,))
+        if each.kind is Kind.HYSTERETIC and frozenset(each.along) in joined
+    ]
+    yield from _added(misfit, "hysteretic", candidates)
+
+
+def _added(misfit: Misfit, kind: str, candidates: list[Element]) -> Iterator[Effect]:
+    problem, model = misfit.problem, misfit.problem.model
+    promised = scores(problem, misfit.as_is.psi, candidates)
+    chosen = sorted(
+        (each for each in candidates if each.name in promised), key=lambda each: -promised[each.name][0]
+    )
+    for candidate in chosen[:FOLLOWED]:
+        width = ELEMENT_WIDTH * _typical(model, misfit.as_is.psi, candidate.kind)
+        yield Effect(
+            kind, points_of(candidate, model), partial(_with, candidate), partial(missing_in_words, model, candidate),
+            (0.0,), width, unknown=candidate.name, share=1 / len(candidates),
+        )  # fmt: skip
+
+
+def _typical(model: Model, psi: Real, kind: Kind) -> float:
+    """The typical size of an element of a kind: the geometric mean of the rig's own; of springs where it has none."""
+    p = np.abs(model.parameters(psi[: len(model.unknowns)]))
+    like = [p[i] for i, each in enumerate(model.elements) if each.kind is kind and p[i] > 0]
+    if not like:
+        like = [p[i] for i, each in enumerate(model.elements) if each.kind is Kind.SPRING and p[i] > 0] or [
+            1.0
+        ]
+    return float(np.exp(np.mean(np.log(like))))
+
+
+def _with(element: Element, problem: LineProblem, start: float) -> LineProblem:
+    larger = problem.of_rig(replaced(problem.model, replace(element, guess=start)))
+    return with_element_starts(larger)
+
+
+def missing_in_words(model: Model, element: Element, value: float) -> Phrase:
+    """An element that the rig lacks, with its line."""
+    points = tuple(element.along)
+    where = " and ".join(points) if len(points) > 1 else f"{points[0]} and the ground"
+    at = f"at {points[0]}" if element.kind is Kind.MASS else f"between {where}"
+    word = "hysteretic element" if element.kind is Kind.HYSTERETIC else element.kind.value
+    text = f"a {word} {at} is missing: {number(value, '.3g')} {element.unit(model.angles)}"
+    if element.kind is Kind.SPRING and value < 0 and len(points) > 1:
+        text += " (negative: typical of bending of the parts in between)"
+    return Phrase(text, f"[{element.kind.section}] {element_line(element)}", (), (element,))
+
+
+def value(misfit: Misfit) -> Iterator[Effect]:
+    """A stated value that is another one, or is in another unit."""
+    problem, model = misfit.problem, misfit.problem.model
+    listed = stated_values(model)
+    promised = scores(problem, misfit.as_is.psi, listed)
+    listed.sort(key=lambda each: -promised.get(each.name, (0.0, 0.0))[0])
+    share = 1 / max(len(listed), 1)
+    for each in listed[:FOLLOWED]:
+        assert each.guess is not None
+        words = partial(other_value, model, each)
+        yield Effect(
+            "value", (each.name,), partial(_with, each), words, (each.guess,), VALUE_WIDTH, each.guess, True,
+            unknown=each.name, share=share,
+        )  # fmt: skip
+        if each.kind in USUAL and not model.angles:
+            quantity, usual = USUAL[each.kind]
+            ratios = tuple(units.scale(unit, quantity, False) for unit in usual)
+            yield Effect(
+                "value",
+                (each.name,),
+                partial(_in_unit, each),
+                partial(_unit, model, each.name),
+                ratios,
+                share=share,
+            )
+
+
+def _in_unit(element: Element, problem: LineProblem, ratio: float) -> LineProblem:
+    assert element.guess is not None
+    return problem.of_rig(replaced(problem.model, replace(element, value=element.guess * ratio, guess=None)))
+
+
+def _stated(model: Model, name: str) -> Element:
+    return next(own for own in model.elements if own.name == name)
+
+
+def other_value(model: Model, element: Element, found: float) -> Phrase:
+    """A stated value that would be another one, with its line."""
+    name = element.name
+    stated = _stated(model, name)
+    assert stated.value is not None
+    text = f"{name} would be {number(found)} {stated.unit(model.angles)}, not {stated.value:g}"
+    quantity, usual = USUAL.get(stated.kind, ("", ()))
+    for unit in () if model.angles else usual:
+        if abs(found / (stated.value * units.scale(unit, quantity, False)) - 1) < CLOSE:
+            return _unit(model, name, units.scale(unit, quantity, False))
+    mended = replace(stated, value=None, sd=None, guess=float(f"{found:.4g}") if found > 0 else None)
+    return Phrase(text, f"[{mended.kind.section}] {element_line(mended)}", (), (mended,))
+
+
+def _unit(model: Model, name: str, ratio: float) -> Phrase:
+    stated = _stated(model, name)
+    assert stated.value is not None
+    quantity, usual = USUAL[stated.kind]
+    unit = min(usual, key=lambda each: abs(np.log(units.scale(each, quantity, False) / ratio)))
+    mended = replace(stated, value=float(f"{stated.value * ratio:.8g}"))
+    meant = f"{mended.value:g} {stated.unit(model.angles)}"
+    text = f"{name} would be {meant}, not {stated.value:g}. Is it {stated.value:g} {unit}?"
+    return Phrase(text, f"[{mended.kind.section}] {element_line(mended)}", (), (mended,))
+
+
+# Bodies and forces that the rig has not.
+
+
+RESONANCES = 7  # frequencies over the band from which a hidden body is sought
+BODY = 0.1  # of the typical mass, where the search begins
+BODY_DAMPING = 0.02  # damping ratio there
+
+
+def oscillator(misfit: Misfit) -> Iterator[Effect]:
+    """A body on a spring and a damper that the rig lacks, at each coordinate."""
+    problem, model = misfit.problem, misfit.problem.model
+    if model.angles:
+        return
+    names = {
+        *model.coordinates,
+        *(each.name for each in model.inputs),
+        *(each.name for each in model.elements),
+    }
+    body = next(name for name in ("body", "body_2", "hidden_body") if name not in names)
+    typical = _typical(model, misfit.as_is.psi, Kind.MASS)
+    omega = problem.omega
+    rates = np.geomspace(np.min(omega), np.max(omega), RESONANCES)
+    middle = float(np.sqrt(rates[0] * rates[-1]))
+    for x in model.coordinates:
+        parts = (
+            mass(f"m_{body}", body),
+            between(f"k_{body}", Kind.SPRING, body, x),
+            between(f"c_{body}", Kind.DAMPER, body, x),
+        )  # fmt: skip
+        larger = replace(model, coordinates=(*model.coordinates, body), elements=(*model.elements, *parts))
+        yield Effect(
+            "oscillator", (x,), partial(_beside_body, larger, parts, typical), partial(_body, model, parts, x),
+            tuple(rates.tolist()), 2.0, BODY * typical * middle**2, True, unknown=f"k_{body}",
+            others=((f"m_{body}", BODY * typical), (f"c_{body}", 2 * BODY_DAMPING * BODY * typical * middle)),
+            share=1 / len(model.coordinates),
+        )  # fmt: skip
+
+
+def _beside_body(
+    larger: Model, parts: tuple[Element, ...], typical: float, problem: LineProblem, rate: float
+) -> LineProblem:
+    m = BODY * typical
+    begun = dict(
+        zip((each.name for each in parts), (m, m * rate**2, 2 * BODY_DAMPING * m * rate), strict=True)
+    )
+    of = problem.of_rig(larger)
+    names = of.view.names
+    starts = [
+        np.array([begun.get(name, start) for name, start in zip(names, psi, strict=True)])
+        for psi in of.starts
+    ]
+    return of.from_starts(starts)
+
+
+def _body(model: Model, parts: tuple[Element, ...], x: str, stiffness: float) -> Phrase:
+    lines = "; ".join(f"[{each.kind.section}] {element_line(each)}" for each in parts)
+    text = f"a body on a spring at {x} is missing from the rig ({number(stiffness, '.3g')} N/m)"
+    return Phrase(text, f'add a coordinate "{parts[0].name.removeprefix("m_")}"; {lines}')
+
+
+def unmeasured(misfit: Misfit) -> Iterator[Effect]:
+    """A force at one coordinate that no channel measures, another one at each line."""
+    model = misfit.problem.model
+    motions = np.flatnonzero(~misfit.inputs)
+    if len(motions) < 3 or not misfit.problem.data.noise_known:  # it would take up what tests the rig
+        return
+    taken = {
+        *model.coordinates,
+        *(each.name for each in model.inputs),
+        *(each.name for each in model.elements),
+    }
+    name = next(each for each in ("disturbance", "disturbance_2") if each not in taken)
+    for x in model.coordinates:
+        larger = replace(model, inputs=(*model.inputs, Input(name, "force", {x: 1.0})))
+        text = f"a force at {x} that no channel measures explains the residuals"
+        phrase = Phrase(text, f'measure it, or add [inputs] {name} = {{ kind = "force", at = "{x}" }}')
+        yield Effect("input", (x,), partial(_pushed, larger), partial(said, phrase), share=1 / model.n)
+
+
+def _pushed(larger: Model, problem: LineProblem, _: float) -> LineProblem:
+    return problem.of_rig(larger)
+
+
+def residual(misfit: Misfit) -> Iterator[Effect]:
+    """What modes outside the band add to a channel: a compliance of higher ones, a mass line of lower ones."""
+    problem, model = misfit.problem, misfit.problem.model
+    channels = problem.channels
+    for source in np.flatnonzero(misfit.inputs).tolist():
+        force = set(channels[source].of) <= set(model.force_inputs)
+        for c in np.flatnonzero(~misfit.inputs).tolist():
+            if channels[c].quantity is Quantity.FORCE:
+                continue
+            size = float(np.sqrt(np.mean(np.abs(problem.y[:, c]) ** 2)))
+            for word, power in (("compliance", 0 if force else 2), ("mass line", -2 if force else 0)):
+                order = (
+                    power
+                    + channels[c].quantity.derivative
+                    - (0 if force else channels[source].quantity.derivative)
+                )
+                rms = float(np.sqrt(np.mean(np.abs(problem.omega**order * problem.y[:, source]) ** 2)))
+                if rms > 0 and size > 0:
+                    names = channels[c].name, channels[source].name
+                    text = f"modes outside the band add a {word} to {names[0]}, driven by {names[1]}"
+                    change = (
+                        f"narrow the band, or model what is stiffer and heavier than the rig at {names[0]}"
+                    )
+                    phrase = Phrase(text, change)
+                    begun = tuple(share * size / rms for share in (-0.1, 0.1))
+                    yield Effect(
+                        "residual", (names[0],), partial(_beyond, c, source, order), partial(said, phrase), begun,
+                        0.05 * size / rms,
+                    )  # fmt: skip
+
+
+def _beyond(c: int, source: int, order: int, problem: LineProblem, size: float) -> LineProblem:
+    y = np.array(problem.y)
+    y[:, c] -= size * (1j * problem.omega) ** order * y[:, source]
+    return problem.with_amplitudes(y)
