@@ -233,12 +233,13 @@ def _article(word: str) -> str:
 
 
 def conjugate(misfit: Misfit) -> Iterator[Effect]:
-    """The phases of one channel, or of all, of opposite sign; those of all samples are what they are."""
+    """The phases of one channel, or of all, of opposite sign: hardly where amplitudes were made of samples."""
     channels = misfit.problem.channels
     everything = tuple(range(len(channels)))
     for chosen in (*(() if misfit.of_samples else ((),)), *((c,) for c in everything)):
         of = tuple(channels[c].name for c in chosen)
-        yield Effect("conjugate", of, partial(conjugated, chosen or everything), partial(_opposite, of))
+        act, words = partial(conjugated, chosen or everything), partial(_opposite, of)
+        yield Effect("conjugate", of, act, words, share=0.01 if misfit.of_samples else 1.0)
 
 
 def conjugated(chosen: tuple[int, ...], problem: LineProblem, _: float) -> LineProblem:
