@@ -40,7 +40,7 @@ DELAYS = (
     0.4,
 )  # … a delay, periods of the highest frequency
 GAIN_WIDTH = 0.1  # nepers: a sensor's sensitivity is usually known to some per cent
-DELAY_WIDTH = 0.05  # periods of the highest frequency: a sample or two of usual sampling
+DELAY_WIDTH = 0.2  # periods of the highest frequency: a sample or two of usual sampling
 SHARE_WIDTH = 0.05  # of the other channel's size: usual cross-talk
 REACH = 1.5  # periods of the highest frequency: the longest delay that is looked for
 DISAGREES = (
@@ -173,7 +173,15 @@ def delay(misfit: Misfit) -> Iterator[Effect]:
 
 
 def _delayed(c: int, problem: LineProblem, late: float) -> LineProblem:
-    return problem.scaled(c, np.exp(1j * problem.omega * late).astype(np.complex128))
+    """A whole record of a channel with a clock of its own has ends of its own."""
+    shifted = problem.scaled(c, np.exp(1j * problem.omega * late).astype(np.complex128))
+    if not problem.data.spectrum.records:
+        return shifted
+    channels = tuple(
+        replace(channel, delay=(channel.delay or 0.0) + late) if k == c else channel
+        for k, channel in enumerate(problem.channels)
+    )
+    return shifted.of_rig(problem.model, channels)
 
 
 def _lateness(y: Complex, e: Complex, omega: Real) -> float:

@@ -44,14 +44,20 @@ def dwell(misfit: Misfit) -> Iterator[Effect]:
         return
     worst = np.argsort(-misfit.as_is.problem.chi2_of_lines(misfit.as_is.psi))[:SUSPECTS].tolist()
     share, labels = 1 / lines, problem.labels
-    trials = [_without(line, problem, 1.0) for line in worst]
+    # What drove the rig is still what the inputs' channels show.
+    motions = ~misfit.inputs if np.any(~misfit.inputs) else np.ones_like(misfit.inputs)
+    trials = [_without(line, motions, problem) for line in worst]
     ends = fitted(trials)
     order = sorted(range(len(worst)), key=lambda k: ends[k].chi2)
     for k in order:
         text = f"the dwell at {labels[worst[k]]} disagrees with all others"
         phrase = Phrase(text, f"leave out {labels[worst[k]]}, or measure it again")
         yield Effect(
-            "dwell", (labels[worst[k]],), partial(_without, worst[k]), partial(said, phrase), share=share
+            "dwell",
+            (labels[worst[k]],),
+            partial(_without, worst[k], motions),
+            partial(said, phrase),
+            share=share,
         )
     for k in order[:NAMED]:
         line, end = worst[k], ends[k]
@@ -81,8 +87,8 @@ def dwell(misfit: Misfit) -> Iterator[Effect]:
             )
 
 
-def _without(line: int, problem: LineProblem, _: float) -> LineProblem:
-    return problem.without(np.broadcast_to(np.arange(len(problem.y))[:, None] == line, problem.y.shape))
+def _without(line: int, motions: Bools, problem: LineProblem, _: float = 1.0) -> LineProblem:
+    return problem.without((np.arange(len(problem.y)) == line)[:, None] & motions)
 
 
 def _own_frequency(end: Fit, problem: LineProblem, line: int) -> tuple[float, ...]:
@@ -187,7 +193,8 @@ def _held_words(name: str, step: float) -> Phrase:
 
 
 MOST_SPLITS = 24  # ways to part the runs that are tried
-SPARE = 1.5  # real numbers for each unknown that a part must have
+ALL_AT_ONCE = 0.05  # of the probability of a rig that was changed: that no one part explains it
+SPARE = 3.0  # real numbers for each unknown that a part must have
 
 
 def changed(misfit: Misfit) -> Iterator[Effect]:
@@ -222,7 +229,7 @@ def changed(misfit: Misfit) -> Iterator[Effect]:
         change = f"identify {where} by itself, or find out what was changed"
         yield Effect(
             "changed", (), as_is, partial(said, Phrase(subject, change)), found=whole, more=len(first.psi),
-            share=1 / len(parts),
+            share=ALL_AT_ONCE / len(parts),
         )  # fmt: skip
         for part, step, rise in _one_part_otherwise(first, second)[:NAMED]:
             other = second

@@ -77,7 +77,7 @@ class Effect:
         """Logarithm of the prior density of a size that is sought, over its coordinate."""
         assert self.width is not None
         away = (self.coordinate(size) - self.coordinate(self.null)) / self.width
-        return -float(np.log(np.pi * self.width * (1 + away**2)))
+        return float(np.log(2 / (np.pi * self.width)) - 2 * np.log1p(away**2))
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def as_is(problem: LineProblem, _: float) -> LineProblem:
     return problem
 
 
-Kind = Callable[[Misfit], Iterator[Effect]]
+Effects = Callable[[Misfit], Iterator[Effect]]
 
 Failure = TypeVar("Failure", bound=DashpotError)
 

@@ -19,15 +19,16 @@ from dashpot.arrays import Ints, Real
 from dashpot.check.discrepancy import blocks_of
 from dashpot.check.explain import channels, dwells, rigs
 from dashpot.check.explain import laws as laws_of_rig
-from dashpot.check.explain.effect import Effect, Kind, Misfit, Phrase
-from dashpot.check.explain.problem import DRAWS, FEWER_DRAWS, Fit, LineProblem, fitted, judged, searched
+from dashpot.check.explain.effect import Effect, Effects, Misfit, Phrase
+from dashpot.check.explain.problem import Fit, LineProblem, fitted, judged, searched
 from dashpot.errors import DashpotError, ModelError
 from dashpot.estimate.assessment import Finding
 from dashpot.estimate.inference.diagnostics import of_one_sign
+from dashpot.model.elements import Kind
 from dashpot.model.modes import modes
 
 # The kinds of effects, each with its probability before the data: what people get wrong, by how often.
-KINDS: tuple[tuple[float, Kind], ...] = (
+KINDS: tuple[tuple[float, Effects], ...] = (
     (0.08, channels.sign), (0.10, channels.unit), (0.08, channels.gain), (0.08, channels.delay),
     (0.04, channels.quantity), (0.04, channels.conjugate), (0.01, channels.radians), (0.04, channels.filtered),
     (0.02, channels.saturation), (0.01, channels.gain_step), (0.06, channels.swap), (0.02, channels.crosstalk),
@@ -49,7 +50,8 @@ OF_DATA = (
 )
 FAR = ("swap", "sign", "conjugate", "quantity")  # kinds to whose rigs the way may be long
 AFRESH = 6  # of them that are searched from drawn rigs
-NEGATIVE = 1e-3  # that a part of a sound rig is negative, such as a spring that represents bending
+NEGATIVE = 1e-3  # that a spring of a sound rig is negative, as one that represents bending
+IMPOSSIBLE = -100.0  # ln of the probability of a rig with negative masses or dampers, however negative
 UNLISTED = 0.05  # that it is something else
 LISTED = 0.95  # odds that the causes named sum to
 MOST = 5  # causes that are named
@@ -60,6 +62,7 @@ ROUNDS = 3  # parabolas through χ² about a size
 TOGETHER = log(10)  # difference of log likelihoods that tells two causes apart
 IMPROBABLE = 1e-4  # p-value of what the best cause leaves, below which a second one is looked for
 ENOUGH = 2.0  # χ² over its degrees of freedom that leaves nothing to explain
+NEXT_TO_NOTHING = 0.003  # of a gross misfit, beside which nothing finer is looked for: a rig is rarely better
 SIZES = np.concatenate([[0.0], np.geomspace(1e-5, 3.0, 30)])  # of a discrepancy, relative to the motion
 EXCESSES = np.concatenate(
     [[1.0], np.geomspace(1.05, 1e24, 120)]
@@ -190,7 +193,7 @@ IN_FULL = 8  # effects on whole records that are fitted with the transients of t
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
 def explain_records(
-    lines: LineProblem, problem: LineProblem, of_channel: Kind, *, silent: Mapping[str, str] | None = None,
+    lines: LineProblem, problem: LineProblem, of_channel: Effects, *, silent: Mapping[str, str] | None = None,
     seed: int = 0,
 ) -> Explanation:  # fmt: skip
     """As `explain`, of whole records.
@@ -211,18 +214,19 @@ def explain_records(
         silent or {},
         True,
     )
-    chosen = [
-        each for each in tried if not each[0].unknown and each[0].found is None and each[0].kind != "channel"
-    ][:IN_FULL]
+    chosen: dict[tuple[str, ...], tuple[Effect, float, float, Fit]] = {}
+    for each in tried:  # of the forms of one channel's mistake the lines without transients tell which it is
+        if not each[0].unknown and each[0].found is None and len(chosen) < IN_FULL:
+            chosen.setdefault(each[0].of, each)
     in_full: list[tuple[Effect, float, float, Fit]] = []
-    for effect, prior, size, end in chosen:
+    for effect, prior, size, end in chosen.values():
         try:
             supposed = effect.act(misfit.problem, size)
         except DashpotError:
             continue
         near = [end.psi] if len(end.psi) == len(supposed.starts[0]) else []
         (fit,) = fitted([supposed.from_starts((*near, *supposed.starts))])
-        in_full.append((effect, prior, size, fit))
+        in_full.append((effect, prior, size, _on_the_same_data(misfit, fit)))
     of_records = ((0.10, rigs.element), (0.08, rigs.value), (0.01, rigs.hysteretic), (0.06, of_channel))
     return _weighed_all(misfit, [*in_full, *_tried(misfit, of_records, fitted)], fitted)
 
@@ -237,7 +241,11 @@ def mistakes_of_data(problem: LineProblem) -> Explanation:
 
 
 def _step(
-    misfit: Misfit, kinds: tuple[tuple[float, Kind], ...] = KINDS, fit: Fitter = fitted, *, laws: bool = False
+    misfit: Misfit,
+    kinds: tuple[tuple[float, Effects], ...] = KINDS,
+    fit: Fitter = fitted,
+    *,
+    laws: bool = False,
 ) -> Explanation:
     """All effects of some kinds tried once on a problem."""
     tried = _tried(misfit, kinds, fit)
@@ -284,7 +292,7 @@ def _weighed_all(misfit: Misfit, tried: list[tuple[Effect, float, float, Fit]], 
 
 def _enough(misfit: Misfit) -> float:
     """χ² over its degrees of freedom that leaves nothing to explain: noise, or next to nothing of a gross misfit."""
-    return max(ENOUGH, 0.02 * misfit.as_is.reduced)
+    return max(ENOUGH, NEXT_TO_NOTHING * misfit.as_is.reduced)
 
 
 def _settles(misfit: Misfit, end: Fit) -> bool:
@@ -293,7 +301,7 @@ def _settles(misfit: Misfit, end: Fit) -> bool:
 
 
 def _tried(
-    misfit: Misfit, kinds: tuple[tuple[float, Kind], ...], fit: Fitter
+    misfit: Misfit, kinds: tuple[tuple[float, Effects], ...], fit: Fitter
 ) -> list[tuple[Effect, float, float, Fit]]:
     """Each effect with the prior of its kind, the best of its sizes, and the fit there."""
     suppositions: list[tuple[Effect, float, float, LineProblem]] = []
@@ -332,9 +340,8 @@ def _searched_afresh(
     problems = [tried[k][0].act(misfit.problem, tried[k][2]) for k in far]
     alike = [k for k, problem in zip(far, problems, strict=True) if problem.view is misfit.problem.view]
     problems = [problem for problem in problems if problem.view is misfit.problem.view]
-    seen = misfit.problem.data.states is not None
     again = list(tried)
-    for k, end in zip(alike, searched(problems, draws=FEWER_DRAWS if seen else DRAWS), strict=True):
+    for k, end in zip(alike, searched(problems), strict=True):
         effect, prior, size, before = tried[k]
         if end.chi2 < before.chi2:
             again[k] = effect, prior, size, _on_the_same_data(misfit, end)
@@ -487,12 +494,16 @@ def log_possible(fit: Fit, but: str = "") -> float:
     if not np.isfinite(scale):
         return 0.0
     m = len(model.unknowns)
+    stiff = {element.name for element in model.elements if element.kind is Kind.SPRING}
     held = of_one_sign(model) & np.array([unknown.name != but for unknown in model.unknowns], dtype=bool)
     with np.errstate(all="ignore"):
         inverse = np.linalg.pinv(information / np.outer(unit, unit), rcond=1e-14)
         sd = np.sqrt(np.maximum(scale * np.diag(inverse), 0.0)) / unit
         away = np.where(sd[:m] > 0, fit.psi[:m] / sd[:m], 0.0)
-    return float(np.logaddexp(np.sum(log_ndtr(np.nan_to_num(away[held]))), log(NEGATIVE)))
+    logs = log_ndtr(np.nan_to_num(away))
+    springs = np.array([unknown.name in stiff for unknown in model.unknowns], dtype=bool)
+    bending = float(np.logaddexp(np.sum(logs[held & springs]), log(NEGATIVE)))
+    return bending + max(float(np.sum(logs[held & ~springs])), IMPOSSIBLE)
 
 
 def _explained(as_is: Fit, possible: float, cause: Cause) -> float:

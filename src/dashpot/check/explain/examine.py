@@ -69,16 +69,15 @@ def explained(
     model: Model, spectrum: Spectrum, estimate: Estimate | None = None, *, seed: int = 0
 ) -> Explanation | None:
     """What the engine finds for a linear rig, without batch axes; None for a free decay, nothing but a transient."""
-    silent = silent_channels(model, spectrum)
     if spectrum.carries_loads:
         if not model.inputs:
             return None
         at = identify(model, spectrum, "ml") if estimate is None else estimate
-        return explained_records(
-            model, spectrum, at, silent=silent if _one_line_each(spectrum) else {}, seed=seed
-        )
+        silent = silent_channels(model, spectrum) if _one_line_each(spectrum) else {}
+        return explained_records(model, spectrum, at, silent=silent, seed=seed)
     if not spectrum.noise_known:
         spectrum = _with_supposed_noise(model, spectrum)
+    silent = silent_channels(model, spectrum)
     data = prepare(model, spectrum)
     (psi, *_), (sign, *_) = candidates(data, 1, random_generator(seed))
     if estimate is not None and np.all(np.isfinite(estimate.values)):

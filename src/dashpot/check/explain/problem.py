@@ -241,10 +241,12 @@ class Fit:
     @property
     def roughly(self) -> float:
         """The logarithm of the evidence by χ² alone, the noise as large as it must be."""
+        if self.dof <= 0 or not np.isfinite(self.chi2):  # nothing tests it
+            return -np.inf
         known = self.problem.data.noise_known
         excess = max(self.reduced, 1.0 if known else 1e-12)
         held = min(self.reduced, 1.0) if known else 1.0
-        return self.problem.roughly_lost - 0.5 * max(self.dof, 0) * (float(np.log(excess)) + held)
+        return self.problem.roughly_lost - 0.5 * self.dof * (float(np.log(excess)) + held)
 
     @cached_property
     def residual(self) -> Complex:
