@@ -709,9 +709,13 @@ def nonlinear(misfit: Misfit, *, thorough: bool) -> Iterator[Effect]:
     for scored in called_for(problem.data, psi, problem.sign, thorough=thorough):
         if scored.fit is None or scored.element.force_law is None:
             continue
+        # With laws, harmonics are data as well: without one the rig is as improbable as it is by its own lines.
+        plain = replace(misfit.as_is, chi2=scored.chi2, dof=scored.dof + 1)
+        anchor = misfit.as_is.roughly - plain.roughly if plain.dof != misfit.as_is.dof else 0.0
+        fit = replace(scored.fit, problem=replace(scored.fit.problem, given_up=anchor))
         yield Effect(
             "nonlinear", points_of(scored.element, model), as_is, partial(law_in_words, model, scored.element),
-            (scored.value,), found=scored.fit, more=1 + len(scored.element.force_law.constants),
+            (scored.value,), found=fit, more=1 + len(scored.element.force_law.constants),
             share=1 / (len(LAWS) * max(len(moving_pairs(model)), 1)),
         )  # fmt: skip
 
