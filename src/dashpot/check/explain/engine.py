@@ -127,7 +127,8 @@ def explain(
     misfit = _begun(problem, silent or {}, of_samples, seed)
     first = _step(misfit, laws=laws)
     best = first.causes[0] if first.causes else None
-    if best is None or not _leaves_more_than_noise(best.fit):
+    # Beside a law of its own every further trial is a search by harmonic balance.
+    if best is None or len(best.fit.problem.model.nonlinear) or not _leaves_more_than_noise(best.fit):
         return first
     second = _step(_continued(misfit, best))
     more = [
