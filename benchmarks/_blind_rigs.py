@@ -504,11 +504,17 @@ def spoil_samples(case: Case, stretches: list[Array]) -> list[Array]:
     return stretches
 
 
+class OverdampedError(Exception):
+    """A trial of the unknowns leaves fewer modes than were measured."""
+
+
 def modal(case: Case, rig: Rig, values: dict[str, float]) -> Array:
     """Frequency, damping ratio and shape at each sensor's point of the lowest modes: one row a mode, real numbers."""
     roots, vectors = eig(state_matrix(rig, values))
     keep = np.flatnonzero(roots.imag > 0)
     keep = keep[np.argsort(np.abs(roots[keep]))][: case.modes]
+    if case.references is not None and len(keep) < len(case.references):
+        raise OverdampedError
     seen = [rig.coordinates.index(sensor.reads[0][0]) for sensor in rig.sensors[:-1]]
     shapes = vectors[np.ix_(seen, keep)].T
     if case.references is None:

@@ -40,6 +40,7 @@ from _blind_rigs import (
     Array,
     Case,
     Data,
+    OverdampedError,
     Part,
     Rng,
     Truth,
@@ -515,7 +516,10 @@ def draw_fault(rng: Rng, kind: str, name: str) -> tuple[Case, Data, float]:
             data = measure(case)
             if name == "samples lost in all channels":
                 return case, data, np.nan
-            fit = free_fit(case, data)
+            try:
+                fit = free_fit(case, data)
+            except OverdampedError:
+                continue
             if fit.d > SHOWN:
                 accepted = case.truth.accepted + tuple(equivalents(case, data, fit.d))
                 return replace(case, truth=replace(case.truth, accepted=accepted)), data, fit.moved

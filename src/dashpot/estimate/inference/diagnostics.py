@@ -567,7 +567,6 @@ def require_determined(
 
 UNSEEN_LAW = "law_not_seen"  # code of a notice
 CONSTANT_HARDLY_SEEN = "constant_hardly_seen"  # code of a notice
-SHARE = 1e-3  # part of a direction from which an unknown belongs to it
 ROUNDING = 1e-13  # of an information matrix with ones on its diagonal
 
 
@@ -589,12 +588,16 @@ def traceless(names: Sequence[str], information: Real, least: float = ROUNDING) 
     diagonal = np.abs(np.diagonal(information))
     silent = tuple(name for name, told in zip(names, diagonal, strict=False) if told == 0)
     scale = np.where(diagonal > 0, np.sqrt(diagonal), 1.0)
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale) + np.diag(1.0 * (diagonal == 0)))
+    scaled = information / np.outer(scale, scale) + np.diag(1.0 * (diagonal == 0))
+    values, vectors = np.linalg.eigh(scaled)
     if not values[0] < least:
         return Traceless(silent, ())
-    part = np.abs(vectors[:, 0])
-    chosen = part[: len(names)] > SHARE * np.max(part)
-    return Traceless(silent, tuple(name for name, there in zip(names, chosen, strict=True) if there))
+    kept = list(range(len(scaled)))
+    for j in np.argsort(np.abs(vectors[:, 0])).tolist():  # the rest of a group hangs together without an unknown of it
+        rest = [i for i in kept if i != j]
+        if rest and np.linalg.eigvalsh(scaled[np.ix_(rest, rest)])[0] < least:
+            kept = rest
+    return Traceless(silent, tuple(name for i, name in enumerate(names) if i in kept))
 
 
 def require_traces(model: Model, names: Sequence[str], information: Real, least: float = ROUNDING) -> None:
