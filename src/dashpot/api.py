@@ -47,9 +47,6 @@ from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import method_class, methods_for
 from dashpot.estimate.result import Estimate, Origin, Value
-from dashpot.export.identified_rig import IdentifiedRig, identified_rig
-from dashpot.export.state_space import StateSpace, state_space_of
-from dashpot.export.transfer_functions import TransferFunctions, frequency_responses, transfer_functions_of
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
 from dashpot.model.network import Model
@@ -57,16 +54,11 @@ from dashpot.model.observation import measures_input
 from dashpot.model.rigfile import Rig, default_channels, read_rig
 from dashpot.numerics.blas_threads import one_blas_thread
 from dashpot.quantities import frequencies as frequencies_of
-from dashpot.study.simulate import (
-    driven_record,
-    dwells,
-    response_band,
-    settled_motion,
-    settled_records,
-    simulate_records,
-)
 
 if TYPE_CHECKING:
+    from dashpot.export.identified_rig import IdentifiedRig
+    from dashpot.export.state_space import StateSpace
+    from dashpot.export.transfer_functions import TransferFunctions
     from dashpot.present.schematic.drawing import Drawing, ModeDrawing
 
 AnyPath = str | os.PathLike[str]
@@ -266,18 +258,24 @@ def simulate(
     Raises UsageError where an unknown has no value or an input does not exist, ModelError where the rig has no steady
     response, DataError where a channel measures what the rig has not.
     """
+    from dashpot.study import simulate as simulation
+
     rig, theta = _with_stated(rig, values)
     model = rig.model
     if isinstance(frequencies, Record | Reading) or _has_columns(frequencies):  # what inputs do
         rng = random_generator(seed)
         drives = _inputs(rig, frequencies)
-        return tuple(driven_record(model, theta, rig.channels, drive, rng) for drive in drives)
+        return tuple(simulation.driven_record(model, theta, rig.channels, drive, rng) for drive in drives)
     chosen: Sequence[float] = frequencies_of(frequencies) if isinstance(frequencies, str) else frequencies
-    test = dwells(model, chosen, samples, amplitudes=amplitudes, periods=periods, rate=rate)
+    test = simulation.dwells(model, chosen, samples, amplitudes=amplitudes, periods=periods, rate=rate)
     if len(model.nonlinear):
-        settled = settled_motion(model, theta, rig.channels, test)
-        return tuple(settled_records(settled, test, random_generator(seed)))
-    return tuple(simulate_records(model, model.parameters(theta), rig.channels, test, random_generator(seed)))
+        settled = simulation.settled_motion(model, theta, rig.channels, test)
+        return tuple(simulation.settled_records(settled, test, random_generator(seed)))
+    return tuple(
+        simulation.simulate_records(
+            model, model.parameters(theta), rig.channels, test, random_generator(seed)
+        )
+    )
 
 
 def draw(
@@ -319,6 +317,8 @@ def state_space(
     Raises ModelError for nonlinear and hysteretic elements and coordinates without mass, UsageError where values are
     missing or `given` is not possible, DataError where the estimate is of another rig.
     """
+    from dashpot.export.state_space import state_space_of
+
     return state_space_of(_identified(rig, source), given)
 
 
@@ -332,6 +332,8 @@ def transfer_functions(
 
     SI units; arguments, and what is raised, as of `state_space`.
     """
+    from dashpot.export.transfer_functions import transfer_functions_of
+
     return transfer_functions_of(state_space(rig, source, given=given))
 
 
@@ -369,6 +371,8 @@ def export(
 
 def _identified(rig: Rig | Estimate, source: Estimate | Rig | Mapping[str, float] | None) -> IdentifiedRig:
     """A rig with values, whichever way round they are given; known values are those of the estimate."""
+    from dashpot.export.identified_rig import identified_rig
+
     estimate = rig if isinstance(rig, Estimate) else source if isinstance(source, Estimate) else None
     whole = rig if isinstance(rig, Rig) else source if isinstance(source, Rig) else None
     if whole is None or estimate is not None:
@@ -388,6 +392,8 @@ def frf(
 
     Raises UsageError where the rig has no such channel or input, ModelError as `transfer_functions`.
     """
+    from dashpot.export.transfer_functions import frequency_responses
+
     of_rig = _identified(estimate, rig)
     model, default = of_rig.model, default_channels(of_rig.model)
     named = {channel.name: channel for channel in (*default, *of_rig.channels)}
@@ -419,6 +425,8 @@ def predicted_motion(
 
     Raises DataError where an input is missing, and as `Estimate.with_values` and `simulate`.
     """
+    from dashpot.study.simulate import response_band
+
     changed = with_exact_values(estimate, changes)
     whole = _rig_of(changed, rig)
     predicted = [response_band(whole.model, changed, whole.channels, one) for one in _inputs(whole, inputs)]

@@ -136,6 +136,7 @@ def structure(
     return base
 
 
+@lru_cache(maxsize=KEPT)
 def determines(model: Model, channels: tuple[Channel, ...], lines: LinePattern) -> bool:
     """Whether such lines determine every unknown.  Raises as `structure`.
 

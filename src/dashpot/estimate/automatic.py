@@ -139,7 +139,9 @@ def identify_each(
 def may_be_another_minimum(model: Model, spectrum: Spectrum, estimate: Estimate) -> Bools:
     """Which estimates (...,) may be another minimum: not plausible, or with a part that noise leaves uncertain."""
     uncertain = np.any(_below(model, estimate, LOOSE), axis=-1)
-    return ~plausible(model, estimate) | (uncertain & noisy(model, spectrum))
+    if np.any(uncertain):
+        uncertain = uncertain & noisy(model, spectrum)
+    return ~plausible(model, estimate) | uncertain
 
 
 def plausible(model: Model, estimate: Estimate) -> Bools:
@@ -150,14 +152,15 @@ def plausible(model: Model, estimate: Estimate) -> Bools:
 
 def _endless(model: Model, estimate: Estimate) -> Bools:
     """Where an unknown has run off to infinity, where the likelihood is flat: no end of a search; (...,)."""
-    m, kinds = len(model.unknowns), {element.name: element.kind for element in model.elements}
-    sizes = np.abs(model.parameters(estimate.values[..., :m]))
+    kinds = {element.name: element.kind for element in model.elements}
+    sizes = np.abs(model.parameters(estimate.values[..., : len(model.unknowns)]))
     endless = np.zeros(estimate.converged.shape, dtype=bool)
-    for unknown, sd in zip(model.unknowns, np.moveaxis(estimate.noise_sd[..., :m], -1, 0), strict=True):
-        if (kind := kinds.get(unknown.name)) is not None:
-            alike = [element.kind is kind for element in model.elements]
-            largest = np.fmax.reduce(sizes[..., alike], axis=-1)
-            endless |= ~(sd <= np.where(largest > 0, OPEN * largest, np.inf))
+    for kind in dict.fromkeys(kinds.values()):
+        alike = [each is kind for each in kinds.values()]
+        largest = np.fmax.reduce(sizes[..., alike], axis=-1)
+        most = np.where(largest > 0, OPEN * largest, np.inf)
+        sought = [i for i, unknown in enumerate(model.unknowns) if kinds.get(unknown.name) is kind]
+        endless |= np.any(~(estimate.noise_sd[..., sought] <= most[..., None]), axis=-1)
     return endless
 
 

@@ -29,7 +29,8 @@ class Entry(BaseModel):
     wanted       what a key takes, where its validators do not say what is wrong
     """
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    # Validators of a table are built when a file has one.
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
     also_called: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     examples: ClassVar[Mapping[str, str]] = {}
     wanted: ClassVar[Mapping[str, str]] = {}
