@@ -593,7 +593,9 @@ def traceless(names: Sequence[str], information: Real, least: float = ROUNDING) 
     if not values[0] < least:
         return Traceless(silent, ())
     kept = list(range(len(scaled)))
-    for j in np.argsort(np.abs(vectors[:, 0])).tolist():  # the rest of a group hangs together without an unknown of it
+    for j in np.argsort(
+        np.abs(vectors[:, 0])
+    ).tolist():  # the rest of a group hangs together without an unknown of it
         rest = [i for i in kept if i != j]
         if rest and np.linalg.eigvalsh(scaled[np.ix_(rest, rest)])[0] < least:
             kept = rest
