@@ -1,4 +1,5 @@
-"""What changes in the course of a whole record: a jump off the prediction, a channel that reads more or later.
+"""What changes in the course of a whole record: a jump off the prediction, a channel that reads more or later, noise
+that grows louder; and whether parts of the band agree.
 
 The lines of a record are one history each of residual and prediction.  A spike, lost samples, a sensor that comes loose
 or another range are spread over all lines, and there nothing but noise, which is read from the residuals themselves;
@@ -22,6 +23,7 @@ from dashpot.data.conditioning.still import smoothed
 from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines, samples_of_squares
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_noise import RESIDUAL, residuals_of_records
+from dashpot.estimate.likelihood.record_passes import RecordPieces
 from dashpot.estimate.likelihood.record_sums import record_residuals, rows_by_line
 from dashpot.estimate.method import Solution
 from dashpot.estimate.preparation.prepared import Prepared
@@ -32,72 +34,284 @@ from dashpot.numerics.levenberg_marquardt import QuadraticModel
 from dashpot.numerics.small_systems import scaled_inverse
 from dashpot.numerics.variance_tests import equal_variances
 
-# Where a history steps, and by how much its clock slips: from one sample on it is later than what is
-# predicted of it.
-#
-# Slips of more than a part of a cycle are no small delay: the motion has turned, or reads less, by its
-# correlation with the prediction at no lag. The lag at which each part of it is most like the prediction
-# tells them apart.
+BLOCKS = 48  # of time in a record, at most
+TINY = np.finfo(float).tiny
 
+# Steps of a channel's gain or clock, jumps, and blocks in which all residuals are loud.
 
-SLIPPED = 0.3  # of what the parts differ from the prediction, that a slip leaves at the most
-AS_GOOD = (
-    0.002  # of the correlation that a smaller slip may miss: periodic motion is like itself a period later
-)
-EDGE = 0.02  # of a history at either end that is left out
-LEAST_REACH = 4  # samples on either side that there must be to look for one
+GAIN_STEP = "gain_step"
+CLOCK_STEP = "clock_step"
+SPIKES = "spikes"
+JUMP = "residual_jump"
+TIME_CHANGES = (GAIN_STEP, CLOCK_STEP, SPIKES, JUMP)  # codes of the notices made here
 
+NEARBY = 200  # independent samples on either side that show the usual size
+AT_ONCE = 6  # of them that one departure lasts
+LINES_EACH = 10  # of a block at the least, of all channels: short records have fewer blocks
+DECAY = 4  # blocks that a new start decays in
 
-@dataclass(frozen=True)
-class Slip:
-    """By how many samples a history is later from the sample `turn` on."""
-
-    turn: int
-    samples: float
+Kind = Literal["jump", "gain", "clock", "block"]
+Whitened = Callable[[Ints, int], tuple[Complex, Complex]]
 
 
 @dataclass(frozen=True)
-class _Lag:
-    """Samples by which a part of a history is late, and what differs as it is and with that taken out, 0 … 1."""
+class TimeChange:
+    """A jump off the prediction, a step of a channel's gain or clock, or a block in which all residuals are loud.
 
-    samples: float
-    left: float
-    left_at_best: float
+    channels  that show it; () of a block, which shows in all together
+    record    number of the stretch; time_s after its start
+    size      of a jump in deviations of what is left nearby; of a gain what it is after over before; of a clock by how
+              many s the channel is later than before; of a block its power over the usual one
+    gradual   whether it changes all the time, and not at once
+    times     how often a channel jumps
+    """
+
+    kind: Kind
+    channels: tuple[str, ...]
+    record: int
+    time_s: float
+    size: float
+    gradual: bool = False
+    times: int = 1
 
 
-def slip(measured: Real, prediction: Real, near: float) -> Slip | None:
-    """The slip of a history (samples,) that changes near that sample; None where it is another change.
+@dataclass(frozen=True)
+class _Histories:
+    """Whitened residual and prediction of a channel, and its slope per s, (samples,), in the record of that number.
 
-    Slips of up to half of the shorter part are looked for.
+    `each` samples are one independent of the others.
+    """
+
+    channel: str
+    record: int
+    residual: Real
+    prediction: Real
+    slope: Real
+    step_s: float
+    each: float
+
+    def louder_with_motion(self, usual: Real) -> Real:
+        """Variance of the residual as a straight line over the square of the motion, (samples,).
+
+        usual (samples,) as it is nearby: what is beyond 16 times that is no noise, and tells of jumps.
+        """
+        square, motion = np.minimum(self.residual**2, 16.0 * usual), self.prediction**2
+        about = motion - np.mean(motion)
+        slope = max(float(np.mean(about * square)) / max(float(np.mean(about**2)), TINY), 0.0)
+        return np.maximum(np.mean(square) + slope * about, 0.0)
+
+
+def time_change_notices(data: Prepared, solution: Solution) -> tuple[Notice, ...]:
+    """What changes in the whole records of a linear rig (one repeat); a search that has not ended predicts nothing."""
+    spectrum, view = data.spectrum, data.view
+    if len(solution.theta) != 1 or not np.all(solution.converged) or len(view.model.nonlinear):
+        return ()
+    exact = measured(data)
+    if exact.ends is None:
+        return ()
+    residual, _ = residuals_of_records(view, exact, solution.theta, spectrum.signs(solution.signs))
+    variance = np.diagonal(exact.W[0], axis1=-2, axis2=-1).real
+
+    def whitened(lines: Ints, channel: int) -> tuple[Complex, Complex]:
+        weight, left = np.sqrt(variance[lines, channel]), residual[lines, channel]
+        return left * weight, (exact.y[0, lines, channel] - left) * weight
+
+    alike: dict[tuple[Kind, frozenset[str], bool], list[TimeChange]] = {}
+    for change in time_changes(whitened, spectrum, np.flatnonzero(~view.inputs_alone)):
+        alike.setdefault((change.kind, frozenset(change.channels), change.gradual), []).append(change)
+    return tuple(change_notice(some[0], len(spectrum.records), len(some) - 1) for some in alike.values())
+
+
+def time_changes(whitened: Whitened, spectrum: Spectrum, outputs: Ints) -> tuple[TimeChange, ...]:
+    """Changes in the whole records of a spectrum.
+
+    whitened  residual and prediction over the noise, (lines,) each, of some lines and a channel; outputs: the channels
+    """
+    return tuple(c for number in spectrum.records for c in _of_record(whitened, spectrum, number, outputs))
+
+
+def _of_record(whitened: Whitened, spectrum: Spectrum, number: int, outputs: Ints) -> list[TimeChange]:
+    """Changes of one record, each told once: jumps of several channels at one time as one."""
+    lines, stretch = np.flatnonzero(spectrum.stretch == number), spectrum.stretches[number]
+    assert isinstance(stretch, WholeRecord)
+    shown = {int(c): int(np.count_nonzero(whitened(lines, int(c))[0])) for c in outputs}
+    shown = {c: count for c, count in shown.items() if count >= 60}  # lines of parts that can be compared
+    if not shown:
+        return []
+    near_s, total = stretch.duration_s / len(lines), sum(shown.values())
+    order = stretch.orders(spectrum.frequency_hz[lines])
+    samples = samples_of_squares(order)  # so that no peak is missed
+    blocks = min(BLOCKS, total // len(shown) // LINES_EACH)
+    steps, jumps, by_block = list[TimeChange](), list[TimeChange](), np.zeros((3, blocks))
+    for c, count in shown.items():  # histories of one channel at a time: those of long records are large
+        residual, prediction = whitened(lines, c)
+        rate = 1j * spectrum.omega[lines] * prediction
+        left, motion, slope = (
+            history_of_lines(each, order, samples) for each in (residual, prediction, rate)
+        )
+        name, step_s = spectrum.channels[c].name, stretch.duration_s / samples
+        of = _Histories(name, number, left, motion, slope, step_s, samples / (2 * count))
+        steps += _steps(of)
+        jumps += _jump(of)
+        if blocks:
+            by_block += _of_blocks(of, blocks)
+    if len(steps) == 1:
+        # What the step leaves at its edge jumps, too.
+        return [*steps, *(jump for jump in jumps if jump.channels != steps[0].channels)]
+    # Several steps at once are no channel's gain, but a rig that is another or drives what it has not.
+    changes = list[TimeChange]()
+    for jump in sorted(jumps, key=lambda each: -each.size):  # several channels' at one time as the largest
+        for i, group in enumerate(changes):
+            if abs(group.time_s - jump.time_s) <= AT_ONCE * near_s:
+                channels = (*group.channels, *jump.channels)
+                changes[i] = replace(group, channels=channels, times=max(group.times, jump.times))
+                break
+        else:
+            changes.append(jump)
+    block = _loud_block(by_block, 2 * total / max(blocks, 1))
+    if block is None:
+        return changes
+    time_s = (block + 0.5) * stretch.duration_s / blocks
+    if not any(each.times > 1 or abs(each.time_s - time_s) < DECAY * LINES_EACH * near_s for each in changes):
+        power = float(by_block[0, block] / np.median(by_block[0]))
+        changes.append(TimeChange("block", (), number, time_s, power))
+    return changes
+
+
+def _jump(of: _Histories) -> list[TimeChange]:
+    """The largest departure that noise of the size of its neighbours would not show, and how many there are."""
+    e, each = of.residual, of.each
+    power = np.concatenate([[0.0], np.cumsum(e**2)])
+    rows = np.arange(len(e))
+    near, edge = round(NEARBY * each), round(AT_ONCE * each)
+    sums, counts = list[Real](), list[Ints]()
+    for reach in (near, edge):
+        begin, end = np.maximum(rows - reach, 0), np.minimum(rows + reach + 1, len(e))
+        sums.append(power[end] - power[begin])
+        counts.append(end - begin)
+    usual = (sums[0] - sums[1]) / np.maximum(counts[0] - counts[1], 1)
+    usual = np.maximum(usual, of.louder_with_motion(usual))
+    size = np.abs(e) / np.sqrt(np.where(usual > 0, usual, np.inf))
+    size[:edge] = size[len(size) - edge :] = 0.0  # the terms of the ends have their own errors
+    # Once in 10,000 records of a right rig, and 8 deviations at the least: noise of real sensors has tails.
+    far = np.flatnonzero(size > max(8.0, -float(ndtri(1e-4 * each / (2 * len(e))))))
+    if not len(far):
+        return []
+    largest, elsewhere = int(np.argmax(size)), np.ones(len(e), dtype=bool)
+    for row in far:
+        elsewhere[max(row - near, 0) : row + near] = False
+    # A model that does not fit departs by much again and again.
+    if not size[largest] > 1.25 * np.max(size, where=elsewhere, initial=0.0):
+        return []
+    times = 1 + int(np.count_nonzero(np.diff(far) > AT_ONCE * each))
+    at_s = largest * of.step_s
+    return [TimeChange("jump", (of.channel,), of.record, at_s, float(size[largest]), times=times)]
+
+
+def _steps(of: _Histories) -> list[TimeChange]:
+    """Changes of the channel's gain or clock; where motion that is later or earlier says more, a slip of the clock.
+
+    What is late by a good part of a cycle lacks more than its slope: it reads less, or has turned.
+    """
+    changes = list[TimeChange]()
+    change = _share_change(of, of.prediction)
+    if change is not None:
+        time_s, before, after, gradual = change
+        ratio = (1 + after) / (1 + before)
+        if abs(ratio - 1) > 0.01:  # a smaller step is of no account
+            changes.append(TimeChange("gain", (of.channel,), of.record, time_s, ratio, gradual))
+    change = _share_change(of, of.slope)
+    if change is not None:
+        time_s, before, after, gradual = change
+        late = before - after  # what is late by δ lacks δ times the slope
+        if abs(late) > 0.01 * float(np.sqrt(np.mean(of.prediction**2) / np.mean(of.slope**2))):
+            changes.append(TimeChange("clock", (of.channel,), of.record, time_s, late, gradual))
+    for change_at_once in (each for each in changes if not each.gradual):
+        slipped = _slip(of.residual + of.prediction, of.prediction, change_at_once.time_s / of.step_s)
+        if slipped is not None:
+            turn_s, late_s = (number * of.step_s for number in slipped)
+            return [TimeChange("clock", (of.channel,), of.record, turn_s, late_s)]
+    return changes
+
+
+def _share_change(of: _Histories, shape: Real) -> tuple[float, float, float, bool] | None:
+    """How the share of a shape of motion (samples,) in the residual changes; None where it does not.
+
+    The time in s, the share before and after, and whether it changes gradually.
+    """
+    e, parts = of.residual, np.arange(8)  # of a record, each with a share of its own
+    edges = np.linspace(0, len(e), len(parts) + 1).astype(np.int64)
+    size = np.add.reduceat(shape**2, edges[:-1])
+    if not np.all(size > 0):
+        return None
+    share = np.add.reduceat(e * shape, edges[:-1]) / size
+    left_over = (e - np.repeat(share, np.diff(edges)) * shape) * shape
+    # The noise may be louder where the motion is: each part tells its own.
+    variance = of.each * np.add.reduceat(left_over**2, edges[:-1]) / size**2
+    weight = 1 / np.maximum(variance, TINY)
+
+    def explained(*shapes: Real) -> tuple[float, Real]:
+        root, columns = np.sqrt(weight), np.stack(shapes, axis=1)
+        fitted = columns @ np.linalg.lstsq(root[:, None] * columns, root * share, rcond=None)[0]
+        return float(np.sum(weight * (share - fitted) ** 2)), fitted
+
+    even, freedom = np.ones(len(parts)), len(e) / of.each / len(parts) - 1  # of each part's variance
+    whole, _ = explained(even)
+    if not fdtrc(len(parts) - 1, freedom, whole / (len(parts) - 1)) < 1e-6:
+        return None
+    steps = [explained((parts < k) * even, (parts >= k) * even) for k in parts[1:]]
+    best = int(np.argmin([rest for rest, _ in steps]))
+    rest, fitted = steps[best]
+    rest_of_line, line = explained(even, even * parts)
+    if min(rest, rest_of_line) > 0.3 * whole:  # one step must explain most of the differences
+        return None
+    if rest_of_line < rest:
+        half = (line[1] - line[0]) / 2  # from the middle of a part to its end
+        return len(e) * of.step_s, float(line[0] - half), float(line[-1] + half), True
+    before, after = float(fitted[0]), float(fitted[-1])
+    # What a sample adds to the sum of squares with the share before, less what it adds with the one after
+    near = slice(edges[best], edges[best + 2])
+    change = -2 * (before - after) * (e * shape)[near] + (before**2 - after**2) * (shape**2)[near]
+    turn = int(edges[best] + np.argmin(np.cumsum(change)) + 1)
+    return turn * of.step_s, before, after, False
+
+
+def _slip(measured: Real, prediction: Real, near: float) -> tuple[int, float] | None:
+    """The sample near that one from which on a history (samples,) is later, and by how many; None where none is.
+
+    Slips of more than a part of a cycle are no small delay: the motion has turned, or reads less, by its correlation
+    with the prediction at no lag.  The lag at which each part of it is most like the prediction tells them apart; lags
+    of up to half of the shorter part are looked for.
     """
     turn, count = round(near), len(measured)
-    reach = round(min(turn, count - turn) / 2 - EDGE * count)
-    if reach < LEAST_REACH:
+    edge = round(0.02 * count)  # where the terms of a record's ends are
+    reach = round(min(turn, count - turn) / 2 - 0.02 * count)
+    if reach < 4:
         return None
-    edge = round(EDGE * count)  # where the terms of a record's ends are
     before, after = (
         _lag(measured, prediction, begin, end, reach) for begin, end in ((edge, turn), (turn, count - edge))
     )
-    if before is None or after is None or before.samples == after.samples:
+    if before is None or after is None or before[0] == after[0]:
         return None
-    if max(before.left_at_best, after.left_at_best) > SLIPPED * max(before.left, after.left):
+    if max(before[2], after[2]) > LEFT_BY_LAG * max(before[1], after[1]):
         return None
     rows = np.arange(count)
-
-    def squares(late: float) -> Real:
-        shifted: Real = np.interp(rows - late, rows, prediction)
-        return (measured - shifted) ** 2
-
-    gained = np.cumsum(squares(before.samples) - squares(after.samples))
-    return Slip(reach + int(np.argmin(gained[reach : count - reach])) + 1, after.samples - before.samples)
+    squares = [(measured - np.interp(rows - late, rows, prediction)) ** 2 for late in (before[0], after[0])]
+    gained = np.cumsum(squares[0] - squares[1])
+    return reach + int(np.argmin(gained[reach : count - reach])) + 1, after[0] - before[0]
 
 
-def _lag(measured: Real, prediction: Real, begin: int, end: int, reach: int) -> _Lag | None:
-    """How late the samples from begin to end are, by their correlation with the prediction; None where it is still."""
+LEFT_BY_LAG = 0.3  # of what a part differs from the prediction, that a lag leaves at the most
+
+
+def _lag(
+    measured: Real, prediction: Real, begin: int, end: int, reach: int
+) -> tuple[float, float, float] | None:
+    """Samples by which a part of a history is late, by its correlation with the prediction, and what differs as it is
+    and with that taken out, 0 … 1; None where it is still."""
     rows = np.arange(begin - reach, end + reach)
-    shown = np.where(
-        (rows >= 0) & (rows < len(prediction)), prediction[np.clip(rows, 0, len(prediction) - 1)], 0.0
-    )
+    inside = (rows >= 0) & (rows < len(prediction))
+    shown = np.where(inside, prediction[np.clip(rows, 0, len(prediction) - 1)], 0.0)
     size = next_fast_len(len(shown) + end - begin, real=True)
     like = irfft(rfft(shown, size) * np.conj(rfft(measured[begin:end], size)), size)[: 2 * reach + 1][::-1]
     power = np.concatenate([[0.0], np.cumsum(shown**2)])
@@ -107,22 +321,79 @@ def _lag(measured: Real, prediction: Real, begin: int, end: int, reach: int) -> 
         return None
     left = 1 - np.maximum(like, 0.0) ** 2 / (energy * total)
     least = 1 + np.flatnonzero((left[1:-1] <= left[:-2]) & (left[1:-1] <= left[2:]))
-    good = least[left[least] <= np.min(left) + AS_GOOD * (1 - np.min(left))]
+    # Periodic motion is like itself a period later: a smaller lag may miss a little of the correlation.
+    good = least[left[least] <= np.min(left) + 0.002 * (1 - np.min(left))]
     best = int(good[np.argmin(np.abs(good - reach))]) if len(good) else reach
-    if not 0 < best < 2 * reach or left[best] > SLIPPED * left[reach]:
-        return _Lag(0.0, float(left[reach]), float(left[reach]))
+    if not 0 < best < 2 * reach or left[best] > LEFT_BY_LAG * left[reach]:
+        return 0.0, float(left[reach]), float(left[reach])
     first, middle, last = left[best - 1 : best + 2]
     bend = first - 2 * middle + last
     between = 0.5 * (first - last) / bend if bend > 0 else 0.0
-    return _Lag(best - reach + float(between), float(left[reach]), float(middle))
+    return best - reach + float(between), float(left[reach]), float(middle)
 
 
-def step_sample(product: Real, power: Real, shares: tuple[float, float], begin: int, end: int) -> int:
-    """The sample from begin to end at which the share steps: least squares of the residual there."""
-    before, after = shares
-    # What a sample adds to the sum of squares with the share before, less what it adds with the one after.
-    change = -2 * (before - after) * product[begin:end] + (before**2 - after**2) * power[begin:end]
-    return int(begin + np.argmin(np.cumsum(change)) + 1)
+def _of_blocks(of: _Histories, blocks: int) -> Real:
+    """Mean squares of a channel in blocks of time, (3, blocks): residual, the same over what is usual, motion."""
+    edges = np.linspace(0, len(of.residual), blocks, endpoint=False).astype(np.int64)
+    square = of.residual**2
+    typical = np.median(square) / 0.455  # the median of a square of noise of variance 1
+    usual = of.louder_with_motion(np.full(len(square), typical))
+    # Noise is taken for no quieter than a fifth where the rig hardly moves.
+    squares = (square, square / np.maximum(usual, 0.2 * typical), (of.prediction + of.residual) ** 2)
+    count = np.diff(np.append(edges, len(square)))
+    return np.stack([np.add.reduceat(values, edges) for values in squares]) / count
+
+
+def _loud_block(by_block: Real, dof: float) -> int | None:
+    """The block in which all residuals are loud: at once, alone, and more than the motion explains.
+
+    A model that does not fit is loud wherever the motion is.  by_block (3, blocks): `_of_blocks` summed over channels;
+    dof of a block's power.
+    """
+    left, over_usual, motion = by_block
+    blocks = len(left)
+    if blocks < 17:  # that a loud one can stand out of
+        return None
+    power = left / np.median(left)
+    j = int(np.argmax(power))
+    if not 0 < j < blocks - 1:  # the terms of the ends have their own errors
+        return None
+    surely = min(power[j], over_usual[j] / np.median(over_usual))
+    if not fdtrc(dof, dof * (blocks - 1), surely) < 1e-6 / blocks:
+        return None
+    behind = np.arange(blocks) - j
+    apart = (behind < -1) | (behind > DECAY)
+    share = np.maximum(power - 1, 1 / np.sqrt(dof)) / np.maximum(motion, TINY)
+    loudest = np.flatnonzero(apart)[np.argmax(motion[apart])]
+    # Twice as far above the usual as any block apart from it, and four times what the loudest motion leaves over
+    alone = power[j] - 1 > 2.0 * (np.max(power[apart]) - 1)
+    return j if alone and share[j] > 4.0 * share[loudest] else None
+
+
+def change_in_words(change: TimeChange, records: int) -> str:
+    """What changes, in words; of how many records it is one."""
+    record = f" in record {change.record + 1}" if records > 1 else ""
+    where = f"{change.time_s:.4g} s{record}"
+    if change.kind == "block":
+        return f"the residuals jump near {where} and decay again"
+    names = joined(change.channels)
+    if change.kind == "gain":
+        when = f"at the end as at the start{record}" if change.gradual else f"after {where} as before"
+        return f"{names} reads {change.size:.3g} × as much {when}"
+    if change.kind == "clock":
+        word = "later" if change.size > 0 else "earlier"
+        when = f"at the end than at the start{record}" if change.gradual else f"after {where} than before"
+        return f"{names} is {1e3 * abs(change.size):.3g} ms {word} {when}"
+    several = len(change.channels) > 1
+    again = f" and at {change.times - 1} more times" if change.times > 1 else ""
+    return f"{names} jump{'' if several else 's'} off the prediction at {where} ({change.size:.0f} sd){again}"
+
+
+def change_notice(change: TimeChange, records: int, more: int = 0) -> Notice:
+    """The change as a warning of the estimate; of how many records it is one, and in how many more it is alike."""
+    again = f", and likewise in {more} more record{'s' if more > 1 else ''}" if more else ""
+    code = {"gain": GAIN_STEP, "clock": CLOCK_STEP}.get(change.kind, SPIKES if change.times > 1 else JUMP)
+    return Notice(code, change_in_words(change, records) + again, change.channels)
 
 
 # Noise that is louder at some times of a whole record than at others, as where it grows with the motion.
@@ -135,14 +406,8 @@ def step_sample(product: Real, power: Real, shares: tuple[float, float], begin: 
 # White), and one Gauss-Newton step with samples weighted by that power leads to the estimate that the noise
 # allows.
 
-
-BLOCKS = 48  # of a record
-LINES_EACH = 20  # of a block at the least: each tells its power by two numbers
-FEWEST = 6  # blocks that can be compared
-LEVEL = 0.01  # of the test whether a channel is as loud in all blocks
-QUIETEST = 0.01  # of the mean power: what blocks are weighted by at the least
-FAR = 1e-3  # p-value of a step that noise does not explain
 UNEVEN = "noise_in_time"
+EACH_POWER = 20  # lines of a block at the least: each tells its power by two numbers
 
 
 @dataclass(frozen=True)
@@ -180,14 +445,13 @@ class NoiseInTime:
 
     @property
     def weight(self) -> Real:
-        """Of the samples of each block, (blocks,)."""
-        return 1 / np.maximum(self.power, QUIETEST)
+        """Of the samples of each block, (blocks,); no block counts as quieter than a hundredth of the mean."""
+        return 1 / np.maximum(self.power, 0.01)
 
     def bound(self, lines: EvenNoise) -> Real:
         """The least covariance that the noise allows, (M, M); 1/power of few samples is too large on the mean."""
-        return scaled_inverse(
-            lines.information + self._more(self.weight * (self.dof - 2) / self.dof)[:-1, :-1]
-        )
+        more = self._more(self.weight * (self.dof - 2) / self.dof)
+        return scaled_inverse(lines.information + more[:-1, :-1])
 
     def of_lines(self, lines: EvenNoise) -> EstimateInTime:
         """The estimate that weighs lines."""
@@ -245,106 +509,70 @@ def counted_in_time(
 
     sums: at the solution; covariance, bound (K, M, M) and dof (K, M) are those of even noise.
     """
-    step, uneven = np.zeros(solution.theta.shape), _noise_in_time(data, solution)
+    exact, theta = measured(data), solution.theta
+    signs = data.spectrum.signs(solution.signs, len(theta))
+    step, uneven = np.zeros(theta.shape), list[NoiseInTime | None]([None] * len(theta))
     covariance, bound, dof = covariance.copy(), bound.copy(), np.array(dof)
-    for k, noise in enumerate(uneven):
-        if noise is None:
+    for k in range(len(theta) if exact.ends is not None and small(data.model) else 0):
+        one = slice(k, k + 1)
+        at = exact.pick(one).record_pieces, theta[one], signs[one]
+        blocks = _uneven_blocks(data, *at)
+        if not blocks:
             continue
+        uneven[k] = noise = NoiseInTime(*(np.concatenate(part) for part in zip(*blocks, strict=True)))
         lines = EvenNoise(sums.symmetric[k], sums.gradient[k], covariance[k], dof[k])
-        of_lines, of_samples = noise.of_lines(lines), noise.of_samples(lines)
-        held = solution.bounds is not None
-        best = of_lines if held or _is_far(of_samples.step, of_lines.covariance) else of_samples
+        best, of_samples = noise.of_lines(lines), noise.of_samples(lines)
+        # A step that noise does not explain, by the estimate's own covariance: the model does not fit, and has no
+        # better end.
+        away = of_samples.step @ scaled_inverse(best.covariance) @ of_samples.step
+        if solution.bounds is None and chdtrc(len(of_samples.step), away) > 1e-3:
+            best = of_samples
         step[k], covariance[k], dof[k], bound[k] = best.step, best.covariance, best.dof, noise.bound(lines)
     return CountedInTime(step, covariance, bound, dof, tuple(uneven))
 
 
-def _is_far(step: Real, covariance: Real) -> bool:
-    """Whether noise does not explain that loud and quiet times differ: the model does not fit, and has no better end.
-
-    The step's own covariance is less than that of the estimate it begins at.
-    """
-    return not chdtrc(len(step), step @ scaled_inverse(covariance) @ step) > FAR
-
-
-def _noise_in_time(data: Prepared, solution: Solution) -> list[NoiseInTime | None]:
-    """Of each repeat; None where its noise is even."""
-    spectrum, theta = data.spectrum, solution.theta
-    exact, sign = measured(data), spectrum.signs(solution.signs, len(theta))
-    if exact.ends is None or not small(data.model):
-        return [None] * len(theta)
-    results: list[NoiseInTime | None] = []
-    for repeat in range(len(theta)):
-        one = slice(repeat, repeat + 1)
-        at = exact.pick(one).record_pieces, theta[one], sign[one]
-        residual, _ = record_residuals(*at)
-        uneven = _uneven_channels(residual[0], spectrum, np.flatnonzero(~data.view.inputs_alone))
-        if not uneven:
-            results.append(None)
-            continue
-        rows = rows_by_line(*at)[0]
-        blocks = [of.products(rows) for of in uneven]
-        results.append(NoiseInTime(*(np.concatenate(part) for part in zip(*blocks, strict=True))))
-    return results
-
-
-@dataclass(frozen=True)
-class _Channel:
-    """An output at the lines of one record, which are its `orders`, to be looked at in so many blocks of time.
-
-    dof: of the power in each block
-    """
-
-    lines: Ints
-    orders: Ints
-    channel: int
-    blocks: int
-    dof: float
-
-    @staticmethod
-    def of(
-        residual: Complex, stretch: WholeRecord, spectrum: Spectrum, lines: Ints, channel: int
-    ) -> _Channel | None:
-        """None where there are too few of the lines with residuals (lines of all, channels) to compare blocks."""
-        lines = lines[residual[lines, channel] != 0]
-        blocks = min(BLOCKS, len(lines) // LINES_EACH)
-        if blocks < FEWEST:
-            return None
-        # Where inputs are noisy, too, residuals are louder at some lines, which then tell more than others.
-        loud = smoothed(np.abs(residual[lines, channel]) ** 2 + 0j, LINES_EACH // 2).real
-        dof = 2 * np.sum(loud) ** 2 / np.sum(loud**2) / blocks
-        return _Channel(lines, stretch.orders(spectrum.frequency_hz[lines]), channel, blocks, float(dof))
-
-    def histories(self, rows: Complex) -> list[Real]:
-        """Rows (lines of all, channels, ...) in time: those of each block, (samples, ...)."""
-        samples = samples_of_squares(self.orders)
-        begins = np.linspace(0, samples, self.blocks, endpoint=False).astype(np.int64)
-        return np.split(history_of_lines(rows[self.lines, self.channel], self.orders, samples), begins[1:])
-
-    def p_even(self, residual: Complex) -> float:
-        """p-value of residuals (lines of all, channels) that are as loud in all blocks."""
-        power = np.array([np.mean(part**2) for part in self.histories(residual)])
-        return equal_variances(power, self.dof)
-
-    def products(self, rows: Complex) -> tuple[Real, Real, Real]:
-        """Products, power and degrees of freedom of each block; rows (lines of all, channels, M + 1)."""
-        parts = self.histories(rows)
-        products = np.stack([part.T @ part for part in parts])
-        power = products[:, -1, -1] / np.array([len(part) for part in parts])
-        scale = 4 / sum(len(part) for part in parts)
-        return products * scale, power / np.mean(power), np.full(self.blocks, self.dof)
-
-
-def _uneven_channels(residual: Complex, spectrum: Spectrum, outputs: Ints) -> list[_Channel]:
-    """Outputs of records whose residuals (lines, channels) are not as loud in all blocks of time."""
+def _uneven_blocks(
+    data: Prepared, pieces: RecordPieces, theta: Real, sign: Real
+) -> list[tuple[Real, Real, Real]]:
+    """Products, power and degrees of freedom of the blocks of time of each output in each record whose residual is not
+    as loud in all of them; of one repeat."""
+    residual = record_residuals(pieces, theta, sign)[0][0]
+    spectrum = data.spectrum
     sought = np.array(spectrum.noise) == RESIDUAL
-    compared = []
+    compared = list[tuple[Ints, int, Ints, int, float, float]]()
     for number in spectrum.records:
         stretch = spectrum.stretches[number]
         assert isinstance(stretch, WholeRecord)
-        lines = np.flatnonzero((spectrum.stretch == number) & sought)
-        of_record = [_Channel.of(residual, stretch, spectrum, lines, int(channel)) for channel in outputs]
-        compared += [each for each in of_record if each is not None]
-    return [each for each in compared if each.p_even(residual) < LEVEL / len(compared)]
+        of_record = np.flatnonzero((spectrum.stretch == number) & sought)
+        for channel in np.flatnonzero(~data.view.inputs_alone).tolist():
+            lines = of_record[residual[of_record, channel] != 0]
+            blocks = min(BLOCKS, len(lines) // EACH_POWER)
+            if blocks < 6:  # that can be compared
+                continue
+            # Where inputs are noisy, too, residuals are louder at some lines, which then tell more than others.
+            loud = smoothed(np.abs(residual[lines, channel]) ** 2 + 0j, EACH_POWER // 2).real
+            dof = float(2 * np.sum(loud) ** 2 / np.sum(loud**2) / blocks)
+            orders = stretch.orders(spectrum.frequency_hz[lines])
+            parts = _in_blocks(residual[lines, channel], orders, blocks)
+            p_even = equal_variances(np.array([np.mean(part**2) for part in parts]), dof)
+            compared.append((lines, channel, orders, blocks, dof, p_even))
+    found = [each for each in compared if each[-1] < 0.01 / len(compared)]
+    rows = rows_by_line(pieces, theta, sign)[0] if found else residual
+    uneven = []
+    for lines, channel, orders, blocks, dof, _ in found:
+        parts = _in_blocks(rows[lines, channel], orders, blocks)
+        products = np.stack([part.T @ part for part in parts])
+        power = products[:, -1, -1] / np.array([len(part) for part in parts])
+        scale = 4 / sum(len(part) for part in parts)
+        uneven.append((products * scale, power / np.mean(power), np.full(blocks, dof)))
+    return uneven
+
+
+def _in_blocks(rows: Complex, orders: Ints, blocks: int) -> list[Real]:
+    """Rows (lines, ...) of a record in time: those of each block, (samples, ...)."""
+    samples = samples_of_squares(orders)
+    begins = np.linspace(0, samples, blocks, endpoint=False).astype(np.int64)
+    return np.split(history_of_lines(rows, orders, samples), begins[1:])
 
 
 # Whether parts of the band agree on the parameters, and how far they move when one part is left out (THEORY
@@ -359,11 +587,7 @@ def _uneven_channels(residual: Complex, spectrum: Spectrum, outputs: Ints) -> li
 # Both figures come from the information and the scores of the lines at the estimate, so that nothing is
 # fitted again.
 
-
-PARTS = 6
-LEVEL_BAND_STABILITY = 1e-3  # of the test whether they agree
 DISAGREE = "bands_disagree"
-TELLING = 0.02  # of what the whole band knows of a direction: parts that know less do not judge it
 
 
 @dataclass(frozen=True)
@@ -385,14 +609,29 @@ class BandStability:
 
     @cached_property
     def p(self) -> Real:
-        """Tail probability that noise alone makes the parts differ as much, (K,)."""
-        each = zip(self.information, self.scores, self.total, strict=True)
-        return np.array([_agreement(*repeat) for repeat in each])
+        """Tail probability that noise alone makes the parts differ as much, (K,): Σ Sᵀ I⁻¹ S of their scores S."""
+        tails = np.ones(len(self.total))
+        for k, total in enumerate(self.total):
+            size = np.sqrt(np.diagonal(total))
+            values, vectors = np.linalg.eigh(total / (size[:, None] * size))
+            usable = values > 1e-12 * values[-1]
+            root = vectors[:, usable] / np.sqrt(values[usable]) / size[:, None]
+            statistic, dof = 0.0, -int(np.sum(usable))
+            for part, score in zip(self.information[k], self.scores[k], strict=True):
+                known, axes = np.linalg.eigh(root.T @ part @ root)
+                seen = (
+                    known > 0.02
+                )  # parts that know less of a direction than that of the whole do not judge it
+                along = (axes.T @ (root.T @ score))[seen]
+                statistic += float(np.sum(along**2 / known[seen]))
+                dof += int(np.sum(seen))
+            tails[k] = 1.0 if dof < 1 else float(chdtrc(dof, statistic))
+        return tails
 
     @property
     def disagree(self) -> Bools:
         """Where the parts differ by more than noise makes them, (K,)."""
-        return self.p < LEVEL_BAND_STABILITY
+        return self.p < 1e-3
 
     @cached_property
     def moved(self) -> Real:
@@ -447,12 +686,11 @@ def band_stability(frequency_hz: Real, information: Real, scores: Real, prior: R
     the estimate; prior (M, M) precision.
     """
     total = np.sum(information, axis=1) + prior
-    # 1 where a line belongs to a part, (K, lines, parts): ascending in frequency, with equal shares of
-    # information
+    # 1 where a line belongs to a part, (K, lines, parts): ascending in frequency, with equal shares of information
     share = np.einsum("klij,kji->kl", information, scaled_inverse(total))
     order = np.argsort(frequency_hz, kind="stable")
     run = np.cumsum(np.maximum(np.nan_to_num(share[:, order]), 0.0), axis=1)
-    parts = min(PARTS, len(order))
+    parts = min(6, len(order))
     part = np.empty(share.shape, dtype=np.int64)
     part[:, order] = np.minimum((parts * run / np.maximum(run[:, -1:], 1e-300)).astype(int), parts - 1)
     belongs = (part[..., None] == np.arange(parts)).astype(float)
@@ -463,389 +701,3 @@ def band_stability(frequency_hz: Real, information: Real, scores: Real, prior: R
 
 def _variances(covariance: Real) -> Real:
     return np.diagonal(covariance, axis1=-2, axis2=-1)
-
-
-def _agreement(information: Real, scores: Real, total: Real) -> float:
-    """Tail probability of Σ Sᵀ I⁻¹ S over the parts, χ² where only noise makes their scores S."""
-    size = np.sqrt(np.diagonal(total))
-    values, vectors = np.linalg.eigh(total / (size[:, None] * size))
-    usable = values > 1e-12 * values[-1]
-    root = vectors[:, usable] / np.sqrt(values[usable]) / size[:, None]
-    statistic, dof = 0.0, -int(np.sum(usable))
-    for part, score in zip(information, scores, strict=True):
-        known, axes = np.linalg.eigh(root.T @ part @ root)
-        seen = known > TELLING
-        along = (axes.T @ (root.T @ score))[seen]
-        statistic += float(np.sum(along**2 / known[seen]))
-        dof += int(np.sum(seen))
-    return 1.0 if dof < 1 else float(chdtrc(dof, statistic))
-
-
-GAIN_STEP = "gain_step"
-CLOCK_STEP = "clock_step"
-SPIKES = "spikes"
-JUMP = "residual_jump"
-TIME_CHANGES = (GAIN_STEP, CLOCK_STEP, SPIKES, JUMP)  # codes of the notices made here
-
-FEWEST_TIME_COURSE = 60  # lines of a record whose parts can be compared
-PARTS_TIME_COURSE = 8  # of a record, each with a gain of its own
-IMPROBABLE = 1e-4  # chance of the largest departure of a right rig
-LEAST = 8.0  # deviations that a departure must have at the least: noise of real sensors has tails
-APART = 1.25  # times any departure elsewhere: a model that does not fit departs by much again and again
-NEARBY = 200  # independent samples on either side that show the usual size
-AT_ONCE = 6  # of them that one departure lasts
-HEAVY = 16.0  # times the usual power: more is no noise
-STEP_LEVEL = 1e-6  # p-value of parts that read alike
-STEP_SHARE = 0.7  # of the differences of the parts that one step must explain
-STEP = 0.01  # of a gain: a smaller step is of no account
-LINES_EACH_TIME_COURSE = 10  # of a block at the least: short records have fewer blocks
-FEWEST_BLOCKS = 17  # that a loud one can stand out of
-BLOCK_LEVEL = 1e-6  # p-value of blocks of equal power
-LOUDER = 4.0  # times what the loudest motion elsewhere leaves over, relative to itself: then it is no misfit
-DECAY = 4  # blocks that a new start decays in
-MEDIAN = 0.455  # of a square of noise of variance 1
-QUIET = 0.2  # of the typical variance: noise is taken for no quieter where the rig hardly moves
-ALONE = 2.0  # times as far above the usual as any block apart from these
-
-Kind = Literal["jump", "gain", "clock", "block"]
-Whitened = Callable[[Ints, int], tuple[Complex, Complex]]
-
-
-@dataclass(frozen=True)
-class TimeChange:
-    """A jump off the prediction, a step of a channel's gain or clock, or a block in which all residuals are loud.
-
-    channels  that show it; () of a block, which shows in all together
-    record    number of the stretch; time_s after its start
-    size      of a jump in deviations of what is left nearby; of a gain what it is after over before; of a clock by how
-              many s the channel is later than before; of a block its power over the usual one
-    gradual   whether it changes all the time, and not at once
-    times     how often a channel jumps
-    """
-
-    kind: Kind
-    channels: tuple[str, ...]
-    record: int
-    time_s: float
-    size: float
-    gradual: bool = False
-    times: int = 1
-
-
-@dataclass(frozen=True)
-class _Histories:
-    """Whitened residual and prediction of a channel, and its slope per s, (samples,), in the record of that number.
-
-    `each` samples are one independent of the others.
-    """
-
-    channel: str
-    record: int
-    residual: Real
-    prediction: Real
-    slope: Real
-    step_s: float
-    each: float
-
-
-def time_change_notices(data: Prepared, solution: Solution) -> tuple[Notice, ...]:
-    """What changes in the whole records of a linear rig (one repeat); a search that has not ended predicts nothing."""
-    spectrum, view = data.spectrum, data.view
-    if len(solution.theta) != 1 or not np.all(solution.converged) or len(view.model.nonlinear):
-        return ()
-    exact = measured(data)
-    if exact.ends is None:
-        return ()
-    residual, _ = residuals_of_records(view, exact, solution.theta, spectrum.signs(solution.signs))
-    variance = np.diagonal(exact.W[0], axis1=-2, axis2=-1).real
-
-    def whitened(lines: Ints, channel: int) -> tuple[Complex, Complex]:
-        weight, left = np.sqrt(variance[lines, channel]), residual[lines, channel]
-        return left * weight, (exact.y[0, lines, channel] - left) * weight
-
-    changes = time_changes(whitened, spectrum, np.flatnonzero(~view.inputs_alone))
-    alike: dict[tuple[Kind, frozenset[str], bool], list[TimeChange]] = {}
-    for change in changes:
-        alike.setdefault((change.kind, frozenset(change.channels), change.gradual), []).append(change)
-    return tuple(change_notice(some[0], len(spectrum.records), len(some) - 1) for some in alike.values())
-
-
-def time_changes(whitened: Whitened, spectrum: Spectrum, outputs: Ints) -> tuple[TimeChange, ...]:
-    """Changes in the whole records of a spectrum.
-
-    whitened  residual and prediction over the noise, (lines,) each, of some lines and a channel; outputs: the channels
-    """
-    return tuple(c for number in spectrum.records for c in _of_record(whitened, spectrum, number, outputs))
-
-
-def _of_record(whitened: Whitened, spectrum: Spectrum, number: int, outputs: Ints) -> list[TimeChange]:
-    """Changes of one record, each told once: jumps of several channels at one time as one."""
-    lines, stretch = np.flatnonzero(spectrum.stretch == number), spectrum.stretches[number]
-    assert isinstance(stretch, WholeRecord)
-    shown = {int(c): int(np.count_nonzero(whitened(lines, int(c))[0])) for c in outputs}
-    shown = {c: count for c, count in shown.items() if count >= FEWEST_TIME_COURSE}
-    if not shown:
-        return []
-    near_s, total = stretch.duration_s / len(lines), sum(shown.values())
-    blocks = min(BLOCKS, total // len(shown) // LINES_EACH_TIME_COURSE)
-    steps: list[TimeChange] = []
-    jumps: list[TimeChange] = []
-    by_block = np.zeros((3, blocks))
-    for c, count in shown.items():  # histories of one channel at a time: those of long records are large
-        of = _histories(whitened(lines, c), spectrum, lines, c, count)
-        steps += _steps(of)
-        jumps += [jump for jump in (_jump(of),) if jump is not None]
-        if blocks >= FEWEST_BLOCKS:
-            by_block += _of_blocks(of, blocks)
-    if len(steps) == 1:
-        # What the step leaves at its edge jumps, too.
-        return [*steps, *(jump for jump in jumps if jump.channels != steps[0].channels)]
-    # Several steps at once are no channel's gain, but a rig that is another or drives what it has not.
-    changes = _together(jumps, near_s)
-    block = _loud_block(by_block, 2 * total / blocks) if blocks >= FEWEST_BLOCKS else None
-    if block is not None:
-        time_s = (block + 0.5) * stretch.duration_s / blocks
-        if not any(_explains(change, time_s, near_s) for change in changes):
-            power = float(by_block[0, block] / np.median(by_block[0]))
-            changes.append(TimeChange("block", (), number, time_s, power))
-    return changes
-
-
-def _histories(
-    of: tuple[Complex, Complex], spectrum: Spectrum, lines: Ints, channel: int, shown: int
-) -> _Histories:
-    """Of a channel that so many of a record's lines show, from its residual and prediction there, (lines,) each."""
-    number = int(spectrum.stretch[lines[0]])
-    stretch = spectrum.stretches[number]
-    assert isinstance(stretch, WholeRecord)
-    residual, prediction = of
-    order = stretch.orders(spectrum.frequency_hz[lines])
-    samples = samples_of_squares(order)  # so that no peak is missed
-    return _Histories(
-        spectrum.channels[channel].name,
-        number,
-        history_of_lines(residual, order, samples),
-        history_of_lines(prediction, order, samples),
-        history_of_lines(1j * spectrum.omega[lines] * prediction, order, samples),
-        stretch.duration_s / samples,
-        samples / (2 * shown),
-    )
-
-
-def _explains(jump: TimeChange, time_s: float, near_s: float) -> bool:
-    """Whether a jump, or one of several, may be what makes the block at that time loud."""
-    return jump.times > 1 or abs(jump.time_s - time_s) < DECAY * LINES_EACH_TIME_COURSE * near_s
-
-
-def _jump(of: _Histories) -> TimeChange | None:
-    """The largest departure that noise of the size of its neighbours would not show, and how many there are."""
-    e, each = of.residual, of.each
-    power = np.concatenate([[0.0], np.cumsum(e**2)])
-    rows = np.arange(len(e))
-
-    def within(reach: int) -> tuple[Real, Ints]:
-        begin, end = np.maximum(rows - reach, 0), np.minimum(rows + reach + 1, len(e))
-        return power[end] - power[begin], end - begin
-
-    wide, narrow = within(round(NEARBY * each)), within(round(AT_ONCE * each))
-    usual = (wide[0] - narrow[0]) / np.maximum(wide[1] - narrow[1], 1)
-    usual = np.maximum(usual, _louder_with_motion(of, usual))
-    size = np.abs(e) / np.sqrt(np.where(usual > 0, usual, np.inf))
-    edge = round(AT_ONCE * each)  # the terms of the ends have their own errors
-    size[:edge] = size[len(size) - edge :] = 0.0
-    limit = max(LEAST, -float(ndtri(IMPROBABLE * each / (2 * len(e)))))
-    far = np.flatnonzero(size > limit)
-    if not len(far):
-        return None
-    largest = int(np.argmax(size))
-    near = np.zeros(len(e), dtype=bool)
-    for row in far:
-        near[max(row - round(NEARBY * each), 0) : row + round(NEARBY * each)] = True
-    if not size[largest] > APART * np.max(size, where=~near, initial=0.0):
-        return None
-    times = 1 + int(np.count_nonzero(np.diff(far) > AT_ONCE * each))
-    return TimeChange(
-        "jump", (of.channel,), of.record, largest * of.step_s, float(size[largest]), times=times
-    )
-
-
-def _louder_with_motion(of: _Histories, usual: Real) -> Real:
-    """Variance of the residual as a straight line over the square of the motion, (samples,): noise may grow with it.
-
-    usual (samples,) as it is nearby: what is far beyond tells of jumps.
-    """
-    square, motion = np.minimum(of.residual**2, HEAVY * usual), of.prediction**2
-    about = motion - np.mean(motion)
-    slope = max(float(np.mean(about * square)) / max(float(np.mean(about**2)), np.finfo(float).tiny), 0.0)
-    return np.maximum(np.mean(square) + slope * about, 0.0)
-
-
-@dataclass(frozen=True)
-class _Change:
-    """How the share of one shape of motion in the residual changes: when, from what to what, at once or gradually."""
-
-    time_s: float
-    before: float
-    after: float
-    gradual: bool
-
-    def told(self, of: _Histories, kind: Kind, size: float) -> TimeChange:
-        """The same as what it means."""
-        return TimeChange(kind, (of.channel,), of.record, self.time_s, size, self.gradual)
-
-
-def _steps(of: _Histories) -> list[TimeChange]:
-    """Changes of the channel's gain or clock; where motion that is later or earlier says more, a slip of the clock.
-
-    What is late by a good part of a cycle lacks more than its slope: it reads less, or has turned.
-    """
-    changes = [change for change in (_gain_change(of), _clock_change(of)) if change is not None]
-    for change in changes:
-        slipped = (
-            None
-            if change.gradual
-            else slip(of.residual + of.prediction, of.prediction, change.time_s / of.step_s)
-        )
-        if slipped is not None:
-            late_s = slipped.samples * of.step_s
-            return [TimeChange("clock", (of.channel,), of.record, slipped.turn * of.step_s, late_s)]
-    return changes
-
-
-def _gain_change(of: _Histories) -> TimeChange | None:
-    """A change of the channel's gain."""
-    change = _change(of, of.prediction)
-    if change is None:
-        return None
-    ratio = (1 + change.after) / (1 + change.before)
-    return change.told(of, "gain", ratio) if abs(ratio - 1) > STEP else None
-
-
-def _clock_change(of: _Histories) -> TimeChange | None:
-    """A change of the channel's clock."""
-    change = _change(of, of.slope)
-    if change is None:
-        return None
-    late = change.before - change.after  # what is late by δ lacks δ times the slope
-    least = STEP * float(np.sqrt(np.mean(of.prediction**2) / np.mean(of.slope**2)))
-    return change.told(of, "clock", late) if abs(late) > least else None
-
-
-def _change(of: _Histories, shape: Real) -> _Change | None:
-    """Where the share of a shape of motion (samples,) in the residual changes; None where it does not."""
-    edges = np.linspace(0, len(of.residual), PARTS_TIME_COURSE + 1).astype(np.int64)
-    e = of.residual
-    size = np.add.reduceat(shape**2, edges[:-1])
-    if not np.all(size > 0):
-        return None
-    share = np.add.reduceat(e * shape, edges[:-1]) / size
-    left_over = (e - np.repeat(share, np.diff(edges)) * shape) * shape
-    # The noise may be louder where the motion is: each part tells its own.
-    variance = of.each * np.add.reduceat(left_over**2, edges[:-1]) / size**2
-    weight = 1 / np.maximum(variance, np.finfo(float).tiny)
-
-    def explained(*shapes: Real) -> tuple[float, Real]:
-        root, columns = np.sqrt(weight), np.stack(shapes, axis=1)
-        fitted = columns @ np.linalg.lstsq(root[:, None] * columns, root * share, rcond=None)[0]
-        return float(np.sum(weight * (share - fitted) ** 2)), fitted
-
-    parts = np.arange(PARTS_TIME_COURSE)
-    even = np.ones(PARTS_TIME_COURSE)
-    whole, _ = explained(even)
-    freedom = len(e) / of.each / PARTS_TIME_COURSE - 1  # of each part's variance
-    if not fdtrc(PARTS_TIME_COURSE - 1, freedom, whole / (PARTS_TIME_COURSE - 1)) < STEP_LEVEL:
-        return None
-    steps = [explained((parts < k) * even, (parts >= k) * even) for k in range(1, PARTS_TIME_COURSE)]
-    best = int(np.argmin([rest for rest, _ in steps]))
-    rest, fitted = steps[best]
-    rest_of_line, line = explained(even, even * parts)
-    if min(rest, rest_of_line) > (1 - STEP_SHARE) * whole:
-        return None
-    if rest_of_line < rest:
-        half = (line[1] - line[0]) / 2  # from the middle of a part to its end
-        return _Change(len(e) * of.step_s, float(line[0] - half), float(line[-1] + half), gradual=True)
-    before, after = float(fitted[0]), float(fitted[-1])
-    turn = step_sample(e * shape, shape**2, (before, after), edges[best], edges[best + 2])
-    return _Change(turn * of.step_s, before, after, gradual=False)
-
-
-def _of_blocks(of: _Histories, blocks: int) -> Real:
-    """Mean squares of a channel in blocks of time, (3, blocks): residual, the same over what is usual, motion."""
-    edges = np.linspace(0, len(of.residual), blocks, endpoint=False).astype(np.int64)
-    count = np.diff(np.append(edges, len(of.residual)))
-    typical = np.median(of.residual**2) / MEDIAN
-    usual = _louder_with_motion(of, np.full(len(of.residual), typical))
-    squares = (
-        of.residual**2,
-        of.residual**2 / np.maximum(usual, QUIET * typical),
-        (of.prediction + of.residual) ** 2,
-    )
-    return np.stack([np.add.reduceat(values, edges) for values in squares]) / count
-
-
-def _loud_block(by_block: Real, dof: float) -> int | None:
-    """The block in which all residuals are loud: at once, alone, and more than the motion explains.
-
-    A model that does not fit is loud wherever the motion is.  by_block (3, blocks): `_of_blocks` summed over channels;
-    dof of a block's power.
-    """
-    left, over_usual, motion = by_block
-    blocks, power = len(left), left / np.median(left)
-    j = int(np.argmax(power))
-    if not 0 < j < blocks - 1:  # the terms of the ends have their own errors
-        return None
-    surely = min(power[j], over_usual[j] / np.median(over_usual))
-    if not fdtrc(dof, dof * (blocks - 1), surely) < BLOCK_LEVEL / blocks:
-        return None
-    behind = np.arange(blocks) - j
-    apart = (behind < -1) | (behind > DECAY)
-    share = np.maximum(power - 1, 1 / np.sqrt(dof)) / np.maximum(motion, np.finfo(float).tiny)
-    loudest = np.flatnonzero(apart)[np.argmax(motion[apart])]
-    alone = power[j] - 1 > ALONE * (np.max(power[apart]) - 1)
-    return j if alone and share[j] > LOUDER * share[loudest] else None
-
-
-def _together(jumps: list[TimeChange], near_s: float) -> list[TimeChange]:
-    """Jumps of several channels at one time as one, the largest first."""
-    groups: list[TimeChange] = []
-    for jump in sorted(jumps, key=lambda each: -each.size):
-        for i, group in enumerate(groups):
-            if abs(group.time_s - jump.time_s) <= AT_ONCE * near_s:
-                channels = (*group.channels, *jump.channels)
-                groups[i] = replace(group, channels=channels, times=max(group.times, jump.times))
-                break
-        else:
-            groups.append(jump)
-    return groups
-
-
-def change_in_words(change: TimeChange, records: int) -> str:
-    """What changes, in words; of how many records it is one."""
-    record = f" in record {change.record + 1}" if records > 1 else ""
-    where = f"{change.time_s:.4g} s{record}"
-    if change.kind == "block":
-        return f"the residuals jump near {where} and decay again"
-    names = joined(change.channels)
-    if change.kind == "gain":
-        when = f"at the end as at the start{record}" if change.gradual else f"after {where} as before"
-        return f"{names} reads {change.size:.3g} × as much {when}"
-    if change.kind == "clock":
-        word = "later" if change.size > 0 else "earlier"
-        when = f"at the end than at the start{record}" if change.gradual else f"after {where} than before"
-        return f"{names} is {1e3 * abs(change.size):.3g} ms {word} {when}"
-    several = len(change.channels) > 1
-    again = f" and at {change.times - 1} more times" if change.times > 1 else ""
-    return f"{names} jump{'' if several else 's'} off the prediction at {where} ({change.size:.0f} sd){again}"
-
-
-def change_notice(change: TimeChange, records: int, more: int = 0) -> Notice:
-    """The change as a warning of the estimate; of how many records it is one, and in how many more it is alike."""
-    again = f", and likewise in {more} more record{'s' if more > 1 else ''}" if more else ""
-    text = change_in_words(change, records) + again
-    if change.kind == "gain":
-        return Notice(GAIN_STEP, text, change.channels)
-    if change.kind == "clock":
-        return Notice(CLOCK_STEP, text, change.channels)
-    if change.times > 1:
-        return Notice(SPIKES, text, change.channels)
-    return Notice(JUMP, text, change.channels)
