@@ -39,14 +39,6 @@ from dashpot.numerics.variance_tests import fishers_product
 # rests: the noise of such an input explains nothing, and a fit that takes it for the drive ends anywhere.
 
 
-BIN = 12  # lines in which a response is nearly constant and a transient straight
-BINS = 400  # looked at, at most
-SPARE = 4  # lines that a bin must have beyond its columns
-CHANCE = 0.01  # p-value above which no relation shows
-OPEN = 0.1  # of a value: a standard deviation, by the noise alone, from which on it is open
-FEW = 4  # equations for each term of the ends and each unknown, below which little is left for the rig
-
-
 def of_records(model: Model, theta: Real, covariance: Real, spectrum: Spectrum) -> list[Notice]:
     """What is to be said of an estimate that whole records have given (no batch axes).
 
@@ -54,29 +46,24 @@ def of_records(model: Model, theta: Real, covariance: Real, spectrum: Spectrum) 
     """
     if not spectrum.records:
         return []
+    notices = []
     frequency = modes(model, model.parameters(theta[: len(model.unknowns)])).frequency_hz
-    notices = short_records(frequency, spectrum) + modes_outside(
-        model, theta, covariance, frequency, spectrum
+    records = [value for value in spectrum.stretches if isinstance(value, WholeRecord)]
+    longest, slowest = (
+        max(value.duration_s for value in records),
+        float(np.min(frequency[frequency > 0], initial=np.inf)),
     )
+    if len(records) == len(spectrum.stretches) and longest * slowest < 1:
+        text = (
+            f"the longest record, {longest:.4g} s, is shorter than one period of the slowest mode, "
+            f"{1 / slowest:.4g} s: its transient can hardly be separated from its motion"
+        )
+        notices.append(Notice("short_record", text))
+    notices += modes_outside(model, theta, covariance, frequency, spectrum)
     few = few_lines(model, spectrum)
     if few is not None:
         notices.append(Notice("few_lines", f"{few}, hardly more; widen the band or record for longer"))
     return notices + unrelated_inputs(model, spectrum)
-
-
-def short_records(frequency: Real, spectrum: Spectrum) -> list[Notice]:
-    """A warning where no whole record lasts for one period of the slowest mode found, of those at `frequency`, Hz."""
-    durations = [value.duration_s for value in spectrum.stretches if isinstance(value, WholeRecord)]
-    if not durations or len(durations) < len(spectrum.stretches):
-        return []
-    slowest = float(np.min(frequency[frequency > 0], initial=np.inf))
-    if max(durations) * slowest >= 1:
-        return []
-    text = (
-        f"the longest record, {max(durations):.4g} s, is shorter than one period of the slowest mode, "
-        f"{1 / slowest:.4g} s: its transient can hardly be separated from its motion"
-    )
-    return [Notice("short_record", text)]
 
 
 def modes_outside(
@@ -88,7 +75,8 @@ def modes_outside(
     inside = int(np.sum((moving >= low) & (moving <= high)))
     count = len(model.unknowns)
     sd = np.sqrt(np.diagonal(covariance)[:count])
-    open_ones = [u.name for u, s, v in zip(model.unknowns, sd, theta, strict=False) if not s < OPEN * abs(v)]
+    # Open by the noise alone: known to no better than a tenth
+    open_ones = [u.name for u, s, v in zip(model.unknowns, sd, theta, strict=False) if not s < 0.1 * abs(v)]
     if inside == len(moving) or not open_ones:
         return []
     text = (
@@ -107,7 +95,7 @@ def few_lines(model: Model, spectrum: Spectrum) -> str | None:
     lines = spectrum.lines
     fitted = outputs if model.inputs else 0  # free motion alone is known between the samples as well
     terms = sum(2 * model.n * value.loads + value.polynomial * fitted for value in records)
-    if 2 * lines * outputs >= FEW * (terms + len(model.unknowns)):
+    if 2 * lines * outputs >= 4 * (terms + len(model.unknowns)):  # with fewer, little is left for the rig
         return None
     whose = "records'" if len(records) > 1 else "record's"
     return (
@@ -132,7 +120,7 @@ def unrelated_inputs(model: Model, spectrum: Spectrum) -> list[Notice]:
         if isinstance(value, WholeRecord)
         for p in _p_values(amplitudes[spectrum.stretch == number], inputs)
     ]
-    if not bins or np.min(fishers_product(bins)) * np.sum(~inputs) <= CHANCE:
+    if not bins or np.min(fishers_product(bins)) * np.sum(~inputs) <= 0.01:  # a relation shows
         return []
     names = [channel.name for channel, given in zip(spectrum.channels, inputs, strict=True) if given]
     low, high = float(np.min(spectrum.frequency_hz)), float(np.max(spectrum.frequency_hz))
@@ -146,21 +134,17 @@ def unrelated_inputs(model: Model, spectrum: Spectrum) -> list[Notice]:
 def _p_values(X: Complex, inputs: Bools) -> list[Real]:
     """p-values of the F tests in each bin of one record, (outputs,) each; X (lines, channels)."""
     columns = 2 + int(np.sum(inputs))
-    each = max(BIN, columns + SPARE)
-    if not np.all(np.isfinite(X)):
-        return []
+    each = max(12, columns + 4)  # lines in which a response is nearly constant and a transient straight
     starts = np.arange(0, len(X) - each + 1, each)
-    if not len(starts):
+    if not len(starts) or not np.all(np.isfinite(X)):
         return []
-    # The starts of those BINS bins in which the inputs are strongest; inputs (lines, inputs). A few tones in
-    # a long record are in few of its bins, and the others tell nothing of them.
-    if len(starts) <= BINS:
-        most_driven = starts
-    else:
+    if len(starts) > 400:
+        # Those in which the inputs are strongest: a few tones are in few bins of a long record, and the others
+        # tell nothing of them.
         power = np.abs(X[:, inputs]) ** 2
         total = np.sum(power / np.maximum(np.mean(power, axis=0), np.finfo(float).tiny), axis=1)
-        most_driven = starts[np.sort(np.argsort(np.add.reduceat(total, starts))[-BINS:])]
-    part = X[most_driven[:, None] + np.arange(each)]
+        starts = starts[np.sort(np.argsort(np.add.reduceat(total, starts))[-400:])]
+    part = X[starts[:, None] + np.arange(each)]
     run = np.linspace(-1, 1, each)[:, None]
     transient = np.broadcast_to(np.concatenate([np.ones((each, 1)), run], axis=1), (len(part), each, 2))
     driven = np.concatenate([transient, part[..., inputs]], axis=-1)
@@ -189,8 +173,6 @@ def _left(columns: Complex, Y: Complex) -> Real:
 
 
 MODES_UNSEEN = "modes_unseen"
-CHANCE_FREE_MOTION = 1e-3  # p-value of a mode above which it may be the highest noise of the band
-RESTS = 1.05  # times its standard deviation without the mode, from which on a value rests on it
 
 
 @dataclass(frozen=True)
@@ -203,13 +185,6 @@ class _FreeMode:
     by_columns: Real
     covariance: Real
 
-    def p_chance(self, lines: int, outputs: int) -> float:
-        """p-value of the highest that noise shows anywhere in so many lines, in whatever shape suits it best."""
-        square = np.einsum(
-            "ri,rij,rj->", self.part, np.linalg.pinv(self.covariance, hermitian=True), self.part
-        )
-        return min(1.0, lines * float(gammaincc(outputs * len(self.part), square / 2)))
-
 
 def modes_unseen(data: Prepared, solution: Solution) -> tuple[Notice, ...]:
     """That modes found in free motion (one repeat of a linear rig) may be noise, and which unknowns rest on them."""
@@ -220,12 +195,16 @@ def modes_unseen(data: Prepared, solution: Solution) -> tuple[Notice, ...]:
     pieces, sign = measured(data).record_pieces, spectrum.signs(solution.signs)
     fit = ends_fitted(pieces, solution.theta, sign)
     low, high = np.min(spectrum.frequency_hz), np.max(spectrum.frequency_hz)
-    unseen = [
-        mode
-        for mode in _free_modes(pieces, fit, solution.theta[0])
-        if low <= mode.frequency_hz <= high
-        and mode.p_chance(spectrum.lines, len(view.channels)) > CHANCE_FREE_MOTION
-    ]
+    unseen = []
+    for mode in _free_modes(pieces, fit, solution.theta[0]):
+        if not low <= mode.frequency_hz <= high:
+            continue
+        inverse = np.linalg.pinv(mode.covariance, hermitian=True)
+        square = np.einsum("ri,rij,rj->", mode.part, inverse, mode.part)
+        # p-value of the highest that noise shows anywhere in so many lines, in whatever shape suits it best
+        p = spectrum.lines * float(gammaincc(len(view.channels) * len(mode.part), square / 2))
+        if p > 1e-3:
+            unseen.append(mode)
     if not unseen:
         return ()
     # The likeliest loads under which these modes are still
@@ -241,7 +220,7 @@ def modes_unseen(data: Prepared, solution: Solution) -> tuple[Notice, ...]:
         )[0]
         for ends in (fit, replace(fit, z=z[None]))
     )
-    rests = ~(sd_without < RESTS * sd)
+    rests = ~(sd_without < 1.05 * sd)  # by a twentieth more: a value rests on the modes
     names = tuple(name for name, resting in zip(model.unknown_names, rests, strict=False) if resting)
     if not names:
         return ()
@@ -273,13 +252,7 @@ def _free_modes(pieces: RecordPieces, fit: EndsFitted, theta: Real) -> list[_Fre
 
 
 ZERO = 1.96  # standard deviations within which a negative part may be none
-BIASED = 3.0  # standard deviations
-FALSE_ALARMS = 0.05  # of short records of white noise, at most, fail the test of whiteness
-
 APART = 4.0  # standard deviations beyond which two statements contradict each other
-# Share of a prior's variance in the posterior beyond which the data say too little to contradict it.
-MOST_TOLD = 0.95
-SILENT = 1e-12  # of the largest amplitude of the same quantity: rounding
 
 
 def dead_channels(model: Model, spectrum: Spectrum) -> list[str]:
@@ -291,7 +264,7 @@ def dead_channels(model: Model, spectrum: Spectrum) -> list[str]:
     return [
         channel.name
         for channel, size in zip(spectrum.channels, sizes.tolist(), strict=True)
-        if size <= SILENT * largest[channel.quantity]
+        if size <= 1e-12 * largest[channel.quantity]  # rounding
         and channel.quantity is not Quantity.FORCE
         and not set(channel.of).isdisjoint(model.coordinates)
     ]
@@ -327,13 +300,15 @@ def prior_conflict(model: Model, theta: Real, noise_covariance: Real) -> list[No
     theta (m,), noise_covariance (m, m).
     """
     notices = []
+    # Share of a prior's variance in the posterior beyond which the data say too little to contradict it
+    most_told = 0.95
     for j in model.prior_precision.nonzero()[0]:
         stated, variance = 1 / model.prior_precision[j], noise_covariance[j, j]
-        spread = max(stated - variance, (1 - MOST_TOLD) * stated)
+        spread = max(stated - variance, (1 - most_told) * stated)
         apart = abs(theta[j] - model.prior_mean[j]) / np.sqrt(spread)
         if not apart > APART:
             continue
-        alone = (theta[j] - model.prior_mean[j] * variance / stated) / (1 - min(variance / stated, MOST_TOLD))
+        alone = (theta[j] - model.prior_mean[j] * variance / stated) / (1 - min(variance / stated, most_told))
         name, unit = model.unknowns[j].name, model.unknowns[j].unit
         text = (
             f"{name} is stated as {model.prior_mean[j]:.4g} ± {np.sqrt(stated):.2g} {unit}, but the data alone give "
@@ -355,9 +330,7 @@ def reversed_phase(model: Model, theta: Real, noise_covariance: Real) -> list[No
     beyond = theta < -APART * np.sqrt(np.diagonal(noise_covariance))
     if not dampers or not np.all(beyond[dampers]):
         return []
-    if np.all(beyond) and len(beyond) > len(
-        dampers
-    ):  # masses and springs as well: what drives them counts backwards
+    if np.all(beyond) and len(beyond) > len(dampers):  # what drives masses and springs counts backwards
         return []
     text = (
         "all unknown dampers are negative: the phases may have the opposite sign; dashpot reads amplitudes as "
@@ -371,47 +344,47 @@ def of_estimate(model: Model, theta: Real, covariance: Real, noise: Real, fit: F
 
     theta (m,), covariance and noise (m, m).
     """
-    return [
-        *_of_fit(fit),
-        *wrong_signs(model, theta, noise),
-        *_beyond_bounds(model, theta),
-        *reversed_phase(model, theta, noise),
-    ]
-
-
-def of_data(model: Model, spectrum: Spectrum) -> list[Notice]:
-    """What the data show, whatever was found in them."""
-    return [*_coloured(spectrum), *_inputs_left_out(model, spectrum), *duplicated_lines(spectrum)]
-
-
-def _of_fit(fit: Fit) -> list[Notice]:
+    notices = list[Notice]()
     if not fit.known_noise:
         text = (
             "the noise of the amplitudes is not given: equal relative noise is assumed and its size taken from the "
             "residuals"
         )
-        return [Notice("unknown_noise", text)]
-    if not bool(fit.rejected):
-        return []
-    text = (
-        f"the model does not fit: residuals are {float(fit.misfit):.3g} times the sensors' noise "
-        f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that "
-        "factor, further where parts of the band disagree more"
-    )
-    return [Notice("model_misfit", text)]
-
-
-def _beyond_bounds(model: Model, theta: Real) -> list[Notice]:
-    lower, upper = model.bounds
-    values = theta[: len(lower)]
-    (beyond,) = ((values < lower) | (values > upper)).nonzero()
-    names = [model.unknowns[j].name for j in beyond]
-    return [
-        Notice(
-            "beyond_bound", f"{name} lies beyond its bounds; of all methods only ml keeps to them", (name,)
+        notices.append(Notice("unknown_noise", text))
+    elif bool(fit.rejected):
+        text = (
+            f"the model does not fit: residuals are {float(fit.misfit):.3g} times the sensors' noise "
+            f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that "
+            "factor, further where parts of the band disagree more"
         )
-        for name in names
-    ]
+        notices.append(Notice("model_misfit", text))
+    notices += wrong_signs(model, theta, noise)
+    lower, upper = model.bounds
+    for name, value, low, high in zip(model.unknown_names, theta, lower, upper, strict=False):
+        if value < low or value > high:
+            text = f"{name} lies beyond its bounds; of all methods only ml keeps to them"
+            notices.append(Notice("beyond_bound", text, (name,)))
+    return notices + reversed_phase(model, theta, noise)
+
+
+def of_data(model: Model, spectrum: Spectrum) -> list[Notice]:
+    """What the data show, whatever was found in them."""
+    notices, coloured = list[Notice](), spectrum.noise.count("blocks")
+    # The tests of whiteness failed at more lines than the 5 % of white noise explain.
+    if coloured and not bdtrc(coloured - 1, spectrum.lines, 0.05) > 0.05 * (1 + 1e-9):
+        text = f"coloured noise at {coloured} of {spectrum.lines} frequencies; the intervals include it"
+        notices.append(Notice("coloured_noise", text))
+    # Inputs that some lines measure and others leave empty are unknown there, which costs precision.
+    for name in () if spectrum.complete else (*model.displacement_inputs, *model.force_inputs):
+        direct = [set(channel.of) == {name} and is_direct(model, channel) for channel in spectrum.channels]
+        at = np.any(spectrum.present[:, direct], axis=-1)
+        if np.any(at) and not np.all(at):
+            text = (
+                f"the input {name} is not measured at {np.sum(~at)} of {len(at)} lines and is unknown there, which "
+                "widens the intervals; if it was at rest, write 0"
+            )
+            notices.append(Notice("input_not_measured", text, (name,)))
+    return notices + duplicated_lines(spectrum)
 
 
 def nonlinear_names(model: Model) -> frozenset[str]:
@@ -436,13 +409,18 @@ def wrong_signs(model: Model, theta: Real, noise_covariance: Real) -> list[Notic
         return []
     any_sign = nonlinear_names(model)
     sd = standard_deviations(noise_covariance)
-    largest = largest_of_kind(model, model.parameters(theta[: len(model.unknowns)]))
+    largest: dict[Kind, float] = {}  # positive part of each kind
+    for element, value in zip(
+        model.elements, model.parameters(theta[: len(model.unknowns)]).tolist(), strict=True
+    ):
+        largest[element.kind] = max(largest.get(element.kind, 0.0), value)
+    of_kind = {element.name: largest[element.kind] for element in model.elements}
     notices = []
     for j, (unknown, value) in enumerate(zip(model.unknowns, theta, strict=False)):
         if value < 0 and unknown.name not in free and unknown.name not in any_sign:
             within = value > -ZERO * sd[j]
             why = "0 is within its interval" if within else "the model or the data are wrong somewhere"
-            if within and -value > largest.get(unknown.name, np.inf):
+            if within and -value > (of_kind.get(unknown.name) or np.inf):
                 why = f"the data say next to nothing about it (± {sd[j]:.2g} {unknown.unit})"
             text = f"{unknown.name} is negative ({value:.4g} {unknown.unit}): {why}"
             notices.append(Notice("negative_but_zero" if within else "negative", text, (unknown.name,)))
@@ -458,15 +436,6 @@ def wrong_signs(model: Model, theta: Real, noise_covariance: Real) -> list[Notic
             )
             notices.append(Notice("not_definite", text, (letter,)))
     return notices
-
-
-def largest_of_kind(model: Model, p: Real) -> dict[str, float]:
-    """The largest positive part of its kind for each element whose kind has one.  p (elements,)."""
-    largest: dict[Kind, float] = {}
-    for element, value in zip(model.elements, p.tolist(), strict=True):
-        if value > largest.get(element.kind, 0.0):
-            largest[element.kind] = value
-    return {element.name: largest[element.kind] for element in model.elements if element.kind in largest}
 
 
 def held(names: tuple[str, ...], theta: Real, bounds: HeldBounds) -> list[Notice]:
@@ -490,39 +459,13 @@ def bias(names: tuple[str, ...], theta: Real, best: Real, covariance: Real, meth
     with np.errstate(invalid="ignore", divide="ignore"):
         away = np.where(sd > 0, np.abs(theta - best) / sd, 0.0)
     worst = int(np.argmax(np.nan_to_num(away)))
-    if not away[worst] > BIASED:
+    if not away[worst] > 3.0:
         return []
     text = (
         f"{method.name} is biased by the noise of these data: {names[worst]} lies {away[worst]:.3g} standard "
         "deviations from the maximum-likelihood value, which oiv gives"
     )
     return [Notice("biased", text, (names[worst],))]
-
-
-def _coloured(spectrum: Spectrum) -> list[Notice]:
-    """What the tests of whiteness led to, where they failed at more lines than white noise explains."""
-    coloured = spectrum.noise.count("blocks")
-    if not coloured or bdtrc(coloured - 1, spectrum.lines, FALSE_ALARMS) > FALSE_ALARMS * (1 + 1e-9):
-        return []
-    text = f"coloured noise at {coloured} of {spectrum.lines} frequencies; the intervals include it"
-    return [Notice("coloured_noise", text)]
-
-
-def _inputs_left_out(model: Model, spectrum: Spectrum) -> list[Notice]:
-    """Inputs that some lines measure and others leave empty: there they are unknown, which costs precision."""
-    if spectrum.complete:
-        return []
-    measured, notices = spectrum.present, []
-    for name in (*model.displacement_inputs, *model.force_inputs):
-        direct = [set(channel.of) == {name} and is_direct(model, channel) for channel in spectrum.channels]
-        at = np.any(measured[:, direct], axis=-1)
-        if np.any(at) and not np.all(at):
-            text = (
-                f"the input {name} is not measured at {np.sum(~at)} of {len(at)} lines and is unknown there, which "
-                "widens the intervals; if it was at rest, write 0"
-            )
-            notices.append(Notice("input_not_measured", text, (name,)))
-    return notices
 
 
 def require_determined(
@@ -540,23 +483,19 @@ def require_determined(
     variance = covariance.diagonal()
     if np.isfinite(theta).all() and np.isfinite(variance).all() and (variance >= 0).all():
         return
-    dead = dead_channels()
+    dead, few = dead_channels(), few_lines()
     lost = [name for name, v in zip(names, variance, strict=True) if not np.isfinite(v)]
+    what = f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}"
     if dead:
         raise IdentifiabilityError(
-            f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}, for {', '.join(dead)} "
-            f"show{'s' if len(dead) == 1 else ''} no motion at any line",
+            f"{what}, for {', '.join(dead)} show{'s' if len(dead) == 1 else ''} no motion at any line",
             cure="check that the sensor is connected, or leave the channel out of the rig file",
         )
-    few = few_lines()
     if few is not None:
-        raise IdentifiabilityError(
-            f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}: {few}",
-            cure="widen the band, or record for longer",
-        )
+        raise IdentifiabilityError(f"{what}: {few}", cure="widen the band, or record for longer")
     traces()
     raise IdentifiabilityError(
-        f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}",
+        what,
         cure="give an unknown a value, add frequencies, or ask `dashpot check` which combinations can be found",
     )
 
@@ -566,49 +505,20 @@ def require_determined(
 
 
 UNSEEN_LAW = "law_not_seen"  # code of a notice
-CONSTANT_HARDLY_SEEN = "constant_hardly_seen"  # code of a notice
 ROUNDING = 1e-13  # of an information matrix with ones on its diagonal
-
-
-@dataclass(frozen=True)
-class Traceless:
-    """Unknowns without any effect, and the least group of those that can change together without one."""
-
-    silent: tuple[str, ...]
-    together: tuple[str, ...]
-
-
-def traceless(names: Sequence[str], information: Real, least: float = ROUNDING) -> Traceless:
-    """What an information matrix (M, M) of the unknowns `names`, the first of M, tells nothing about.
-
-    least: eigenvalue, of the matrix with ones on its diagonal, below which it tells nothing.
-    """
-    if not np.all(np.isfinite(information)):
-        return Traceless((), ())
-    diagonal = np.abs(np.diagonal(information))
-    silent = tuple(name for name, told in zip(names, diagonal, strict=False) if told == 0)
-    scale = np.where(diagonal > 0, np.sqrt(diagonal), 1.0)
-    scaled = information / np.outer(scale, scale) + np.diag(1.0 * (diagonal == 0))
-    values, vectors = np.linalg.eigh(scaled)
-    if not values[0] < least:
-        return Traceless(silent, ())
-    kept = list(range(len(scaled)))
-    for j in np.argsort(
-        np.abs(vectors[:, 0])
-    ).tolist():  # the rest of a group hangs together without an unknown of it
-        rest = [i for i in kept if i != j]
-        if rest and np.linalg.eigvalsh(scaled[np.ix_(rest, rest)])[0] < least:
-            kept = rest
-    return Traceless(silent, tuple(name for i, name in enumerate(names) if i in kept))
 
 
 def require_traces(model: Model, names: Sequence[str], information: Real, least: float = ROUNDING) -> None:
     """Raises IdentifiabilityError that names laws or combinations of unknowns that leave no trace.
 
-    names: the first unknowns of information (M, M).
+    names: the first unknowns of information (M, M); least: eigenvalue, of the matrix with ones on its diagonal, below
+    which it tells nothing.
     """
-    hidden = traceless(names, information, least)
-    silent = [name for name in hidden.silent if name in nonlinear_names(model)]
+    if not np.all(np.isfinite(information)):
+        return
+    diagonal = np.abs(np.diagonal(information))
+    nonlinear = nonlinear_names(model)
+    silent = [name for name, told in zip(names, diagonal, strict=False) if told == 0 and name in nonlinear]
     if silent:
         raise IdentifiabilityError(
             f"{joined(silent)} leave{'s' if len(silent) == 1 else ''} no trace: the element never moves far "
@@ -616,10 +526,21 @@ def require_traces(model: Model, names: Sequence[str], information: Real, least:
             cure=f"drive the rig further, give {'it' if len(silent) == 1 else 'them'} a value, or leave the "
             "element out",
         )
-    if len(hidden.together) > 1:
+    scale = np.where(diagonal > 0, np.sqrt(diagonal), 1.0)
+    scaled = information / np.outer(scale, scale) + np.diag(1.0 * (diagonal == 0))
+    values, vectors = np.linalg.eigh(scaled)
+    if not values[0] < least:
+        return
+    kept = list(range(len(scaled)))  # the least group of those that can change together without a trace
+    for j in np.argsort(np.abs(vectors[:, 0])).tolist():
+        rest = [i for i in kept if i != j]
+        if rest and np.linalg.eigvalsh(scaled[np.ix_(rest, rest)])[0] < least:
+            kept = rest
+    together = [name for i, name in enumerate(names) if i in kept]
+    if len(together) > 1:
         raise IdentifiabilityError(
-            f"the data do not tell {joined(hidden.together)} apart: they can change together without a trace",
-            cure=f"{with_values(hidden.together)}, or leave one out",
+            f"the data do not tell {joined(together)} apart: they can change together without a trace",
+            cure=f"{with_values(together)}, or leave one out",
         )
 
 
@@ -639,10 +560,15 @@ def unseen_laws(model: Model, theta: Real, covariance: Real) -> list[Notice]:
         if law is None:
             continue
         if name not in values or not abs(values[name]) <= ZERO * sd[name]:
-            rough = [
-                c for c in (f"{name}.{c}" for c in law.constant_names if c in law.positive) if c in values
-            ]
-            notices += _hardly_seen(name, [c for c in rough if abs(values[c]) <= ZERO * sd[c]])
+            constants = [f"{name}.{c}" for c in law.constant_names if c in law.positive]
+            rough = [c for c in constants if c in values and abs(values[c]) <= ZERO * sd[c]]
+            if rough:
+                its, are = ("its interval", "is") if len(rough) == 1 else ("their intervals", "are")
+                text = (
+                    f"the data hardly show {joined(rough)}: 0 is within {its}, which {are} rough then, as are those of "
+                    f"{name} and of what else its law holds; drive the rig further, or give a value"
+                )
+                notices.append(Notice("constant_hardly_seen", text, tuple(rough)))
             continue
         inner = [f"{name}.{constant.name}" for constant in law.constants if constant.unknown]
         then = f", and {joined(inner)} mean{'s' if len(inner) == 1 else ''} nothing then" if inner else ""
@@ -652,16 +578,3 @@ def unseen_laws(model: Model, theta: Real, covariance: Real) -> list[Notice]:
         )
         notices.append(Notice(UNSEEN_LAW, text, (name,)))
     return notices
-
-
-def _hardly_seen(name: str, rough: Sequence[str]) -> list[Notice]:
-    """A warning of constants `rough` in the law of an element that shows, 0 within their intervals."""
-    if not rough:
-        return []
-    single = len(rough) == 1
-    text = (
-        f"the data hardly show {joined(rough)}: 0 is within {'its interval' if single else 'their intervals'}, which "
-        f"{'is' if single else 'are'} rough then, as are those of {name} and of what else its law holds; drive the rig "
-        "further, or give a value"
-    )
-    return [Notice(CONSTANT_HARDLY_SEEN, text, tuple(rough))]

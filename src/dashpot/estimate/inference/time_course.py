@@ -392,8 +392,10 @@ def change_in_words(change: TimeChange, records: int) -> str:
 def change_notice(change: TimeChange, records: int, more: int = 0) -> Notice:
     """The change as a warning of the estimate; of how many records it is one, and in how many more it is alike."""
     again = f", and likewise in {more} more record{'s' if more > 1 else ''}" if more else ""
-    code = {"gain": GAIN_STEP, "clock": CLOCK_STEP}.get(change.kind, SPIKES if change.times > 1 else JUMP)
-    return Notice(code, change_in_words(change, records) + again, change.channels)
+    said = change_in_words(change, records) + again, change.channels
+    if change.kind in ("gain", "clock"):
+        return Notice(GAIN_STEP, *said) if change.kind == "gain" else Notice(CLOCK_STEP, *said)
+    return Notice(SPIKES, *said) if change.times > 1 else Notice(JUMP, *said)
 
 
 # Noise that is louder at some times of a whole record than at others, as where it grows with the motion.
