@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real
+from dashpot.arrays import Complex, Real
 from dashpot.channel import Quantity
 from dashpot.data.modal_data import ModalData, of_eigenvalues
 from dashpot.data.spectrum import Spectrum, WholeRecord
@@ -26,7 +26,6 @@ from dashpot.estimate.likelihood.objective import directly_driven, measured, pre
 from dashpot.estimate.linear.least_squares import starts as equation_starts
 from dashpot.estimate.linear.least_squares import where_finite
 from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import amplitudes, unit_forces
 from dashpot.model.elements import Kind
 from dashpot.model.matrix_elements import free_names
@@ -40,15 +39,12 @@ from dashpot.model.observation import (
 )
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult
-from dashpot.numerics.small_systems import scaled_inverse
 
 # Where searches of the likelihood ended: told apart, in order, and those that compete.
 
 
-MOST = 128  # ends of searches: dozens lie along a flat valley, and the right one must not be lost beside them
-COMPETING = (
-    60.0  # χ² by which a minimum may lie above the lowest one of one repeat and be the lowest of another
-)
+# χ² by which a minimum may lie above the lowest one of one repeat and be the lowest of another
+COMPETING = 60.0
 
 
 @dataclass(frozen=True)
@@ -79,7 +75,9 @@ class LocalMinima:
                 np.all(near, axis=-1) & np.all(sign[k] == sign[kept], axis=-1)
             ):
                 kept.append(int(k))
-            if len(kept) == MOST:
+            if (
+                len(kept) == 128
+            ):  # dozens lie along a flat valley, and the right one must not be lost beside them
                 break
         return self if not kept else LocalMinima(psi[kept], sign[kept], cost[kept])
 
@@ -260,9 +258,6 @@ def _likeness(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real]:
 # frequency response data", IEEE Transactions on Automatic Control 41 (1996).
 
 
-EACH, FEWER = 80, 12  # lines of each part of the band
-BLOCKS = 8  # powers of z for each coordinate, more where fewer channels than that see it
-OVERDAMPED = 0.7  # of critical damping, from which on a pole is noise
 # What is taken for the uncertainty of modes, which only ranks rigs before the likelihood does.
 SD_FREQUENCY, SD_DAMPING, SD_SHAPE = 1e-4, 0.05, 0.01
 
@@ -277,14 +272,12 @@ def moves_freely(model: Model, spectrum: Spectrum) -> bool:
 def decay_minima(data: Prepared, effort: Effort) -> LocalMinima:
     """Where rigs with the modes of free decays lead in one repeat, the lowest first; none of other data."""
     view = data.view
-    few = thinned(data, EACH)
+    few = thinned(data, 80)  # lines of each part of the band
     rigs = _rigs(few, effort)
     signs = np.ones((len(rigs), len(view.channels)))
     minima = LocalMinima.none(len(view.names), len(view.channels))
-    if not len(rigs):
-        return minima
     # Many rigs are one: a few lines tell which.
-    for each, limit in ((FEWER, PATIENCE), (EACH, ROUGH)):
+    for each, limit in ((12, PATIENCE), (80, ROUGH)) if len(rigs) else ():
         likelihood = Likelihood.of(thinned(few, each), effort)
         with np.errstate(all="ignore"):
             ends = likelihood.descend_in(likelihood.exact, rigs, signs, limit, near=NEAR_END)
@@ -298,8 +291,7 @@ def _rigs(data: Prepared, effort: Effort) -> Real:
     """Rigs with the modes that free decays show, (rigs, unknowns); none where channels tell too little of shapes."""
     view = data.view
     none = np.empty((0, len(view.names)))
-    calibrated = not view.gains and not view.delays and not np.any(view.flips)
-    if not (calibrated and moves_freely(view.model, data.spectrum)):
+    if view.gains or view.delays or np.any(view.flips) or not moves_freely(view.model, data.spectrum):
         return none
     from dashpot.estimate.modal.mode_search import rigs_with  # loads scipy.optimize
 
@@ -318,51 +310,44 @@ def free_modes(data: Prepared) -> tuple[Complex, Complex]:
     No more than the rig has; of the records that are sampled like the first one, in one repeat.
     """
     n, spectrum = data.model.n, data.spectrum
-    records = _alike(spectrum)
+    whole = np.all(np.isfinite(spectrum.amplitudes[0]), axis=-1)
+    stretches = list(enumerate(spectrum.stretches))
+    records = [
+        (value, np.flatnonzero((spectrum.stretch == number) & whole))
+        for number, value in stretches
+        if isinstance(value, WholeRecord)
+    ]
+    step = records[0][0].step_s
+    records = [(value, each) for value, each in records if abs(value.step_s / step - 1) < 1e-9]
     channels = len(spectrum.channels)
     lines = sum(len(each) for _, each in records)
-    blocks = min(max(BLOCKS * n * n // channels, BLOCKS * n), lines // channels)
+    # Powers of z: eight for each coordinate, more where fewer channels than that see it
+    blocks = min(max(8 * n * n // channels, 8 * n), lines // channels)
     if (blocks - 1) * channels < 2 * n:
         return np.empty(0, dtype=complex), np.empty((channels, 0), dtype=complex)
     noise = np.sqrt(np.median(np.diagonal(data.covariance[0], axis1=-2, axis2=-1).real, axis=0))
     size = np.sqrt(np.mean(np.abs(spectrum.amplitudes[0]) ** 2, axis=0))
     unit = np.where(noise > 0, noise, np.where(size > 0, size, 1.0))
-    step = records[0][0].step_s
-    left = [
-        _states_seen(spectrum.amplitudes[0, each] / unit, np.exp(1j * spectrum.omega[each] * step), blocks)
-        for _, each in records
-    ]
+    left = list[Real]()
+    for _, each in records:
+        # z^i X of one record, (2 lines, blocks · channels), without the polynomials that its ends add
+        powers = np.exp(1j * spectrum.omega[each] * step)[:, None] ** np.arange(blocks)
+        products = powers[:, :, None] * (spectrum.amplitudes[0, each] / unit)[:, None, :]
+        both = products.reshape(len(each), -1)
+        moved = np.concatenate([both.real, both.imag])
+        basis, _ = np.linalg.qr(np.concatenate([powers[:, 1:].real, powers[:, 1:].imag]))
+        left.append(moved - basis @ (basis.T @ moved))
     _, _, rows = np.linalg.svd(np.linalg.qr(np.concatenate(left), mode="r"))
     observability = rows[: 2 * n].T
     A = np.linalg.lstsq(observability[:-channels], observability[channels:], rcond=None)[0]
     z, states = np.linalg.eig(A)
     with np.errstate(all="ignore"):
         poles = np.log(z.astype(complex)) / step
-    swings = (poles.imag > 0) & np.isfinite(poles) & (np.abs(poles.real) < OVERDAMPED * np.abs(poles))
+    # A pole of more than 0.7 of critical damping is noise.
+    swings = (poles.imag > 0) & np.isfinite(poles) & (np.abs(poles.real) < 0.7 * np.abs(poles))
     poles, states = poles[swings], states[:, swings]
     order = np.argsort(np.abs(poles))
     return poles[order], (unit[:, None] * (observability[:channels] @ states))[:, order]
-
-
-def _alike(spectrum: Spectrum) -> list[tuple[WholeRecord, Ints]]:
-    """The records that are sampled like the first one, with the lines in which all channels are there."""
-    whole = np.all(np.isfinite(spectrum.amplitudes[0]), axis=-1)
-    records = [
-        (value, np.flatnonzero((spectrum.stretch == number) & whole))
-        for number, value in enumerate(spectrum.stretches)
-        if isinstance(value, WholeRecord)
-    ]
-    step = records[0][0].step_s
-    return [(value, lines) for value, lines in records if abs(value.step_s / step - 1) < 1e-9]
-
-
-def _states_seen(amplitudes: Complex, z: Complex, blocks: int) -> Real:
-    """z^i X of one record, (2 lines, blocks · channels), without the polynomials that its ends add."""
-    powers = z[:, None] ** np.arange(blocks)
-    products = (powers[:, :, None] * amplitudes[:, None, :]).reshape(len(z), -1)
-    moved = np.concatenate([products.real, products.imag])
-    basis, _ = np.linalg.qr(np.concatenate([powers[:, 1:].real, powers[:, 1:].imag]))
-    return moved - basis @ (basis.T @ moved)
 
 
 def _modal_data(view: ObservationModel, poles: Complex, shown: Complex) -> ModalData:
@@ -390,22 +375,9 @@ def _modal_data(view: ObservationModel, poles: Complex, shown: Complex) -> Modal
 
 
 POOR = 1e-6  # p-value below which a repeat is searched again from its own starts
-UNCERTAIN = 0.1  # p-value below which a search goes on where all is seen and starts are cheap
 SOFTNESS = 0.03  # relative noise added to every channel in the middle stage of a search from afar
-SOFTER = 0.3  # and in the first one, where logarithms cannot be had
-POLISH = 25  # iterations for the deepest ends of a round
-ENOUGH = 0.1  # share of the first starts that end in one minimum that fits: enough to end the search
-ENOUGH_MISFIT = 0.5  # and in one that does not fit
 FAR = 20.0  # times the χ² of a fit: no rig of this kind comes near the data
-ANOTHER = 0.1  # of χ², by which another minimum is lower there
-LEAST = 16  # starts of the largest rigs, and where all is seen
-SEEN = 0.25  # share of the usual starts and candidates where all is seen: the equation of motion starts near
-REACH = 1e4  # times the largest start: where all is seen, an end beyond it is on its way to infinity
-SMALL_PART = 0.1  # of the middle candidate, below which a start by the equation of motion is no part of a rig
-DRAWS = 8  # about an end whose parts noise leaves uncertain, where all is seen
-AROUND = 2.0  # of its standard deviations: minima whose parts differ in sign were found from half of them
 DEEPEST = 8  # minima that are followed to the bottom
-SAME = 1e-3  # of the largest relative change: what differs by less between two minima is not named
 TIE = 0.01  # of χ²: what fits alike
 DOUBT = 9.2  # χ² by which another minimum may lie above and be told to the user: odds of 100 to 1
 
@@ -438,9 +410,17 @@ def from_minima(
         sign = sign.copy()
         sign[rows[best.worse(rows, end)]] = flips
         best = best.improved(rows, end)
-    if repeats > 1:
-        return best, sign, _of_repeats(likelihood, best, sign, ends, DOUBT * scale)
-    return best, sign, _not_unique(likelihood, best, sign, competing, DOUBT * scale)
+    sd = likelihood.model_at(best.x, sign).sd
+    if repeats == 1:
+        others = zip(competing.psi, (competing.cost - best.cost[0]).tolist(), strict=True)
+        names, units = likelihood.view.names, likelihood.view.units
+        return best, sign, rival_notice(names, units, best.x[0], sd[0], others, DOUBT * scale)
+    rival = np.zeros(repeats, dtype=bool)
+    for rows, end in ends:
+        alike = end.converged & (end.cost - best.cost[rows] <= DOUBT * scale)
+        rival[rows] |= alike & np.any(np.abs(end.x - best.x[rows]) > 3 * sd[rows], axis=-1)
+    text = f"not unique in {np.sum(rival)} of {repeats} repeats: there another minimum fits nearly as well"
+    return best, sign, (Notice("not_unique", text),) if np.any(rival) else ()
 
 
 def _scale(likelihood: Likelihood, minima: LocalMinima) -> float:
@@ -472,54 +452,40 @@ def followed_minima(likelihood: Likelihood, minima: LocalMinima) -> LocalMinima:
     return deeper
 
 
-def _not_unique(
-    likelihood: Likelihood, best: OptimizeResult, sign: Real, competing: LocalMinima, doubt: float
-) -> tuple[Notice, ...]:
-    """A warning where another minimum of one repeat fits nearly as well as the one that the search ended in."""
-    view = likelihood.view
-    sd = likelihood.model_at(best.x, sign).sd[0]
-    for psi, cost in zip(competing.psi, competing.cost, strict=True):
-        above = float(cost - best.cost[0])
-        if above <= doubt and apart(best.x[0], psi, sd):
-            return (not_unique(view.names, view.units, best.x[0], psi, above),)
-    return ()
-
-
-def _of_repeats(
-    likelihood: Likelihood,
-    best: OptimizeResult,
-    sign: Real,
-    ends: Sequence[tuple[Ints, OptimizeResult]],
-    doubt: float,
-) -> tuple[Notice, ...]:
-    """A warning that says for how many repeats another of the `ends` fits nearly as well as the best one."""
-    information = likelihood.model_at(best.x, sign).symmetric
-    sd = np.sqrt(np.abs(np.diagonal(scaled_inverse(information), axis1=-2, axis2=-1)))
-    rival = np.zeros(likelihood.repeats, dtype=bool)
-    for rows, end in ends:
-        alike = end.converged & (end.cost - best.cost[rows] <= doubt)
-        rival[rows] |= alike & np.any(np.abs(end.x - best.x[rows]) > 3 * sd[rows], axis=-1)
-    if not np.any(rival):
-        return ()
-    text = f"not unique in {np.sum(rival)} of {len(rival)} repeats: there another minimum fits nearly as well"
-    return (Notice("not_unique", text),)
-
-
 def apart(psi: Real, other: Real, sd: Real) -> bool:
     """Whether two ends are different minima: within 3 sd they are the same flat one.  All arguments (unknowns,)."""
     return bool(np.any(np.abs(other - psi) > 3 * sd))
 
 
-def not_unique(names: Sequence[str], units: Sequence[str], psi: Real, other: Real, above: float) -> Notice:
-    """The notice that another minimum, whose χ² lies `above` that of `psi`, fits alike.  Both (M,)."""
+def rival_notice(
+    names: Sequence[str],
+    units: Sequence[str],
+    psi: Real,
+    sd: Real,
+    others: Iterable[tuple[Real, float]],
+    doubt: float,
+) -> tuple[Notice, ...]:
+    """A warning of the first of `others`, (ends (M,), χ² above that of ψ), that is another minimum and fits nearly as
+    well.  psi and sd (M,)."""
+    for other, above in others:
+        if above <= doubt and apart(psi, other, sd):
+            return (not_unique(names, units, psi, other, above),)
+    return ()
+
+
+def not_unique(
+    names: Sequence[str], units: Sequence[str], psi: Real, other: Real, above: float, more: int = 0,
+    cure: str = "add a sensor at another point, fix a parameter or give a guess",
+) -> Notice:  # fmt: skip
+    """The notice that another minimum, whose χ² lies `above` that of `psi`, fits alike, and so many more; both (M,)."""
     change = np.abs(other - psi) / np.maximum(np.maximum(np.abs(psi), np.abs(other)), 1e-300)
-    largest = [j for j in np.argsort(-change)[:4] if change[j] > SAME * np.max(change)]
+    # What differs by less than a thousandth of the largest change is not named.
+    largest = [j for j in np.argsort(-change)[:4] if change[j] > 1e-3 * np.max(change)]
     values = ", ".join(f"{names[j]} = {other[j]:.4g} {units[j]}" for j in largest)
     worse = f"almost as well (χ² is {above:.3g} larger)" if above > TIE else "equally well"
     worse = f"better (χ² is {-above:.3g} smaller)" if above < -TIE else worse
-    text = (
-        f"not unique: {values} fits {worse}; add a sensor at another point, fix a parameter or give a guess"
-    )
+    many = f" ({more} more set{'' if more == 1 else 's'} of values likewise)" if more else ""
+    text = f"not unique: {values} fits {worse}{many}; {cure}"
     return Notice("not_unique", text, tuple(names[j] for j in largest))
 
 
@@ -535,12 +501,8 @@ def searched_again(
     poor = ~found.converged | (found.cost > np.maximum(acceptable, others))
     if len(poor) == 1 and not seen_directly(likelihood.data):
         return found, sign, ()  # its start was its own already
-    x, cost, converged, iterations = (
-        found.x.copy(),
-        found.cost.copy(),
-        found.converged.copy(),
-        found.iterations.copy(),
-    )
+    x, cost, converged = found.x.copy(), found.cost.copy(), found.converged.copy()
+    iterations = found.iterations.copy()
     sign, notices, history = sign.copy(), tuple[Notice, ...](), found.history
     for repeat in np.flatnonzero(poor):
         minima = global_minima(likelihood, int(repeat))
@@ -559,7 +521,7 @@ def searched_again(
 
 
 def minima_around(likelihood: Likelihood, start: Real, sign: Real) -> LocalMinima:
-    """Where `start` (1, M) leads, and draws about that end, AROUND standard deviations wide; sign (1, channels)."""
+    """Where `start` (1, M) leads, and draws about that end, two standard deviations wide; sign (1, channels)."""
     end = likelihood.descend(start, sign)
     minima = LocalMinima.none(start.shape[1], sign.shape[1]).with_ends(end.x, sign, end.cost)
     around = likelihood.model_at(end.x, sign)
@@ -567,10 +529,11 @@ def minima_around(likelihood: Likelihood, start: Real, sign: Real) -> LocalMinim
     if not np.all(np.isfinite(sd)):
         return minima
     share, directions = np.linalg.eigh(covariance / np.outer(sd, sd))
-    drawn = np.random.default_rng(likelihood.effort.seed).standard_normal((DRAWS, len(sd)))
+    drawn = np.random.default_rng(likelihood.effort.seed).standard_normal((8, len(sd)))
     away = (drawn * np.sqrt(np.maximum(share, 0.0))) @ directions.T
-    signs = np.repeat(sign, DRAWS, axis=0)
-    others = likelihood.descend(end.x + AROUND * sd * away, signs)
+    signs = np.repeat(sign, len(drawn), axis=0)
+    # Minima whose parts differ in sign were found from half of them.
+    others = likelihood.descend(end.x + 2.0 * sd * away, signs)
     ended = others.converged
     return minima.with_ends(others.x[ended], signs[ended], others.cost[ended])
 
@@ -587,23 +550,25 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
     one = Likelihood.of(thinned(likelihood.data.only(repeat)), effort)
     rng = np.random.default_rng([effort.seed, repeat])
     stages = _stages(one)
-    level = UNCERTAIN if seen_directly(one.data) else POOR
-    acceptable = _acceptable(one.data, one.exact, len(one.view.names), level)
-    # Large rigs: fewer starts, and none where a guess leads to a fit.
+    seen = seen_directly(one.data)
+    # Where all is seen starts are cheap, and a search goes on from a p-value of 0.1.
+    acceptable = _acceptable(one.data, one.exact, len(one.view.names), 0.1 if seen else POOR)
+    # Large rigs: fewer starts, and none where a guess leads to a fit; where all is seen the equation starts near.
     ease = min(1.0, SPARSE_FROM / (one.view.model.n if on_basis is None else on_basis.size))
-    ease = min(ease, SEEN) if seen_directly(one.data) else ease
-    starts = max(int(effort.starts * ease), min(effort.starts, LEAST))
+    ease = min(ease, 0.25) if seen else ease
+    starts = max(int(effort.starts * ease), min(effort.starts, 16))
     minima = _from_guesses(one, stages, rng)
     if np.any(minima.cost <= acceptable):
         return minima
-    idle, last_sure = 0, int(seen_directly(one.data))
+    idle, last_sure = 0, int(seen)
     for turn in range(effort.rounds):
         psi, sign = _starts_of_round(one, stages, minima, int(effort.candidates * ease), starts, turn, rng)
-        reach = REACH * np.max(np.abs(psi), axis=0) if seen_directly(one.data) else np.inf
+        # Where all is seen, an end far beyond the starts is on its way to infinity.
+        reach = 1e4 * np.max(np.abs(psi), axis=0) if seen else np.inf
         psi, sign = _through(one, stages, psi, sign, straight=turn == 0)
         costs = np.where(np.all(np.abs(psi) <= reach, axis=-1), stages[-1].cost(psi, sign), np.inf)
         deep = np.argsort(costs)[:DEEPEST]
-        end = one.descend(psi[deep], sign[deep], limit=POLISH)
+        end = one.descend(psi[deep], sign[deep], limit=25)
         psi[deep], costs[deep] = end.x, np.where(np.isfinite(costs[deep]), end.cost, np.inf)
         before = minima.cost[0] if len(minima.cost) else np.inf
         minima = minima.with_ends(psi, sign, costs)
@@ -611,10 +576,10 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
             raise ConvergenceError("no start leads to a minimum", cure="give guesses of the unknowns")
         lowest = minima.cost[0]
         # Far from any fit a lower end counts only where it is another one, not the same creeping on.
-        least = ANOTHER * lowest if lowest > FAR * acceptable else 1e-3 * max(1.0, lowest / one.exact.rows)
+        least = 0.1 * lowest if lowest > FAR * acceptable else 1e-3 * max(1.0, lowest / one.exact.rows)
         idle = idle + 1 if lowest > before - least else 0
         share = np.mean(costs <= lowest * 1.01 + 1) if turn == last_sure else 0.0
-        if share >= (ENOUGH if lowest <= acceptable else ENOUGH_MISFIT) or idle > 1:
+        if share >= (0.1 if lowest <= acceptable else 0.5) or idle > 1:
             break
     return minima
 
@@ -642,7 +607,12 @@ def _starts_of_round(
         chosen = np.concatenate([chosen[: 1 + starts // 2], 1 + np.arange(starts)])
     middle, psi, sign = psi[0], psi[chosen], sign[chosen]
     if turn == 0 and one.data.states is not None and seen_directly(one.data):
-        near = _from_equation(one.data, one.data.states, middle)
+        # Least squares on the equation of motion. Noise of a fifth of the motion makes some parts negative, and what
+        # starts there stays there: these are small ones.
+        model = one.data.model
+        near = where_finite(np.concatenate(equation_starts(model, one.data.states)), middle)
+        part = np.array([name not in free_names(model) for name in model.unknown_names])
+        near = np.where(part & (near < 0.1 * middle), 0.1 * middle, near)
         psi, sign = np.concatenate([near, psi]), np.concatenate([np.ones((len(near), sign.shape[1])), sign])
     if turn > 0:
         near, near_sign = neighbours(minima.psi[:DEEPEST], minima.sign[:DEEPEST], one.view, starts, rng)
@@ -655,17 +625,6 @@ def seen_directly(data: Prepared) -> bool:
     return data.states is not None and bool(data.view.is_direct.all())
 
 
-def _from_equation(data: Prepared, states: States, middle: Real) -> Real:
-    """Least squares on the equation of motion, (3, M); parts that are negative there are small ones.
-
-    Noise of a fifth of the motion makes some parts negative, and what starts there stays there.
-    """
-    psi = where_finite(np.concatenate(equation_starts(data.model, states)), middle)
-    free = free_names(data.model)
-    part = np.array([unknown.name not in free for unknown in data.model.unknowns])
-    return np.where(part & (psi < SMALL_PART * middle), SMALL_PART * middle, psi)
-
-
 def _stages(one: Likelihood) -> tuple[Stage, ...]:
     """What is minimised one after the other from afar: logarithms, softened weights, and the likelihood itself.
 
@@ -674,9 +633,13 @@ def _stages(one: Likelihood) -> tuple[Stage, ...]:
     view = one.view
     by_channels = directly_driven(view, one.exact)
     if by_channels is None:
-        first = Stage(view, measured(one.data, SOFTER))
+        first = Stage(view, measured(one.data, 0.3))
     else:
-        first = Stage(view, by_channels, _reliability(one.data))
+        # Logarithms weigh 1 where a channel stands out of its noise, down to 0 below it.
+        power = np.abs(np.nan_to_num(one.data.spectrum.amplitudes[0])) ** 2
+        noise = np.diagonal(one.data.covariance[0], axis1=-2, axis2=-1).real if one.data.noise_known else 0.0
+        total = power + noise
+        first = Stage(view, by_channels, power / np.where(total > 0, total, 1.0))
     exact = Stage(view, one.exact)
     if seen_directly(one.data):
         return first, exact
@@ -697,15 +660,6 @@ def _through(
     for stage in stages[1:] if half else ():
         past = descend_all(stage, past, signs, lower=one.lower, upper=one.upper)
     return np.concatenate([psi, past]), np.concatenate([sign, signs])
-
-
-def _reliability(one: Prepared) -> Real:
-    """Weights of the logarithms, (lines, channels): 1 where a channel stands out of its noise, down to 0 below it."""
-    power = np.abs(np.nan_to_num(one.spectrum.amplitudes[0])) ** 2
-    if not one.noise_known:
-        return np.where(power > 0, 1.0, 0.0)
-    noise = np.diagonal(one.covariance[0], axis1=-2, axis2=-1).real
-    return power / np.where(power + noise > 0, power + noise, 1.0)
 
 
 def fits(likelihood: Likelihood, end: OptimizeResult) -> bool:

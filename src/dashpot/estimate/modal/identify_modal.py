@@ -15,7 +15,7 @@ from dashpot.data.modal_data import ModalData
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.inference.diagnostics import held, require_determined, wrong_signs
 from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL, mode_values
-from dashpot.estimate.likelihood.global_search import DOUBT, TIE
+from dashpot.estimate.likelihood.global_search import DOUBT, apart, not_unique
 from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.modal.mode_search import (
     STARTS,
@@ -132,21 +132,11 @@ def _rivals(model: Model, minima: OptimizeResult, ends: OptimizeResult, sd: Real
     others: list[Real] = []
     above: list[float] = []
     for k in np.argsort(ends.cost):
-        if near[k] and all(np.any(np.abs(ends.x[k] - other) > 3 * sd) for other in (best, *others)):
+        if near[k] and all(apart(other, ends.x[k], sd) for other in (best, *others)):
             others.append(ends.x[k])
             above.append(float(ends.cost[k] - minima.cost[0]))
     if not others:
         return ()
-    away = np.abs(others[0] - best)
-    largest = np.argsort(-away / np.maximum(np.abs(best), np.abs(others[0])))[:4]
-    values = ", ".join(
-        f"{model.unknowns[j].name} = {others[0][j]:.4g} {model.unknowns[j].unit}" for j in largest
-    )
-    more = len(others) - 1
-    many = f" ({more} more set{'' if more == 1 else 's'} of values likewise)" if more else ""
-    worse = f"almost as well (χ² is {above[0]:.3g} larger)" if above[0] > TIE else "equally well"
-    text = (
-        f"not unique: {values} fits {worse}{many}; measure shapes at more points, fix a parameter or give a guess "
-        "of every unknown"
-    )
-    return (Notice("not_unique", text, tuple(model.unknowns[j].name for j in largest)),)
+    cure = "measure shapes at more points, fix a parameter or give a guess of every unknown"
+    names, units = model.unknown_names, model.unknown_units
+    return (not_unique(names, units, best, others[0], above[0], len(others) - 1, cure),)

@@ -12,7 +12,7 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
 from dashpot.estimate.inference.diagnostics import require_traces
-from dashpot.estimate.likelihood.global_search import DOUBT, apart, not_unique
+from dashpot.estimate.likelihood.global_search import DOUBT, rival_notice
 from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.nonlinear.objective import (
     FEWEST,
@@ -399,10 +399,8 @@ def _rivals(
         return ()
     curvature = local(view, _fresh(first), best.x, np.ones((1, len(view.channels)))).symmetric[0]
     sd = np.sqrt(np.abs(np.diagonal(scaled_inverse(curvature))))
-    for above, psi in sorted(near, key=lambda other: other[0]):
-        if apart(best.x[0], psi, sd):
-            return (not_unique(view.names, view.units, best.x[0], psi, above),)
-    return ()
+    others = [(psi, above) for above, psi in sorted(near, key=lambda other: other[0])]
+    return rival_notice(view.names, view.units, best.x[0], sd, others, doubt)
 
 
 def _allowed(data: Prepared, misfit: float) -> float:
