@@ -19,37 +19,24 @@ from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum, WholeRecord, flattened, in_chunks
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.descent import thinned
+from dashpot.estimate.likelihood.descent import Likelihood, thinned
 from dashpot.estimate.likelihood.global_search import LocalMinima, decay_minima, seen_directly
 from dashpot.estimate.likelihood.input_noise import InputNoise, noise_counted, without_moved
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.likelihood.objective import bounds, local, measured, predict
+from dashpot.estimate.likelihood.objective import bounds, predict
 from dashpot.estimate.likelihood.record_sums import record_residuals
 from dashpot.estimate.method import Method
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import states_if_seen
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, calibrated_transfer, observation_model, small
-from dashpot.numerics.levenberg_marquardt import minimise
 from dashpot.numerics.variance_tests import equal_variances
 
 RESIDUAL = "residual"
 PIECE = 10_000  # lines at a time
-ROUNDS_OF_NO_FIT = 3  # for a fit that leaves most of the outputs' power over
 STEPS = 30  # of each descent: the next round goes on from its end, and a search to the end follows them
-LAST_STEPS = 60  # of that search: what has not settled after all rounds is no fit
-SETTLED = 3e-3  # change of a standard deviation at which the rounds end
 FIRST = 1e-2  # of a channel's size: its noise before the first fit, where nothing else is known
-SMALLEST = 1e-7  # of a channel's size: below it noise is rounding
-WHITE_LEVEL = 0.01  # of the test for coloured noise
-LITTLE = 4.0  # χ² over its degrees of freedom up to which it is none
-EACH_TO_START = 12  # lines of each part of the band that a first fit is made from
-EACH_IN_DOUBT = 80  # and where that fit may be a wrong valley
-TYPICAL = 8  # rigs of usual size whose noise is tried then, at most: each leads to the right one in half of the cases
 UNEXPLAINED_MOST = 0.5  # of the power of the channels: of a motion without input this is no free decay
-UNEXPLAINED = 0.2  # of a channel's power: what may be left over by a fit whose noise is not known yet
-TELLING = 8.0  # degrees of freedom of a record that has a noise of its own
-POOL_LEVEL = 1e-3  # of the test whether short records share the size of their noise
 
 
 def noise_is_sought(spectrum: Spectrum) -> bool:
@@ -81,7 +68,7 @@ def with_record_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple
         return known, method
     _, ends = each_repeat[0]
     (start, signs), *rivals = zip(map(tuple, ends.psi.tolist()), map(tuple, ends.sign.tolist()), strict=True)
-    steps = min(method.max_iterations, LAST_STEPS)
+    steps = min(method.max_iterations, 60)  # what has not settled after all rounds is no fit
     return known, replace(method, start=start, start_sign=signs, rivals=tuple(rivals), max_iterations=steps)
 
 
@@ -103,17 +90,33 @@ def noise_from_residuals(
     changes = sought[:, None] & (outputs | inputs.sought)
     begun: LocalMinima | None = None
     psi, sign = np.zeros((1, 0)), np.ones((1, len(spectrum.channels)))
-    used, dof, weaker = 0.0, np.array(spectrum.dof), _weaker(spectrum)
+    used, dof = 0.0, np.array(spectrum.dof)
+    # Times the variance that lines would have were all samples measured, (lines, channels)
+    weaker = np.ones((spectrum.lines, len(spectrum.channels)))
+    for number, value in enumerate(spectrum.stretches):
+        if isinstance(value, WholeRecord) and value.weaker:
+            each = dict(value.weaker)
+            weaker[spectrum.stretch == number] = [
+                each.get(channel.name, 1.0) for channel in spectrum.channels
+            ]
     for turn in range(12):  # at most
         data = Prepared(view, spectrum, V, None, True, np.ones(1, dtype=bool))
-        exact = measured(data)
+        likelihood = Likelihood.of(data, method.effort)
+        exact = likelihood.exact
         if begun is None:
-            begun = _begun(data, exact, method)
+            begun = _begun(likelihood, method)
             psi, sign = begun.psi[:1], begun.sign[:1]
         else:
-            psi, _ = _descended(view, exact, psi, sign, method)
+            psi = likelihood.descend_in(exact, psi, sign, STEPS, near=1e-3).x
         residual, columns = residuals_of_records(view, exact, psi, sign)
-        _require_decay(model, residual, exact)
+        share = float(np.median(_left(residual, exact)))
+        if not model.inputs and share > UNEXPLAINED_MOST:
+            raise DataError(
+                f"no free decay explains the motion ({100 * share:.0f} % of its power is left over): something drives "
+                "the rig that was not recorded",
+                cure="record what drives it, a force or the motion of the base, and name it as an input; a response "
+                "alone gives modes, not masses, dampers and springs",
+            )
         used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
         power, inputs = _own_power(view, spectrum, sought, exact, residual, inputs, psi, sign)
         left = max(1 - used, 0.1)
@@ -123,25 +126,16 @@ def noise_from_residuals(
         before = np.diagonal(V[0], axis1=-2, axis2=-1).real.copy()
         variance = np.where(changes, np.where(outputs, variance, of_inputs), before)
         V = diagonal_matrices(variance)[None]
-        if np.all(np.abs(variance - before) <= 2 * SETTLED * variance):
+        if np.all(np.abs(variance - before) <= 6e-3 * variance):  # 0.3 % of each standard deviation
             break
-        if turn + 1 == ROUNDS_OF_NO_FIT and np.mean(_left(residual, exact)[outputs]) > UNEXPLAINED_MOST:
+        # Three rounds for a fit that leaves most of the outputs' power over
+        if turn == 2 and np.mean(_left(residual, exact)[outputs]) > UNEXPLAINED_MOST:
             break
-        del data, exact, residual, power  # before the next: of many lines they are large
+        del data, likelihood, exact, residual, power  # before the next: of many lines they are large
     kinds = tuple(RESIDUAL if kind == FLOOR else kind for kind in spectrum.noise)
     weighted = replace(spectrum, covariance=V, noise=kinds, dof=dof * (1 - used))
     assert begun is not None
     return weighted, begun.led_by(psi, sign)
-
-
-def _weaker(spectrum: Spectrum) -> Real:
-    """Times the variance that lines would have were all samples measured, (lines, channels)."""
-    times = np.ones((spectrum.lines, len(spectrum.channels)))
-    for number, value in enumerate(spectrum.stretches):
-        if isinstance(value, WholeRecord) and value.weaker:
-            each = dict(value.weaker)
-            times[spectrum.stretch == number] = [each.get(channel.name, 1.0) for channel in spectrum.channels]
-    return times
 
 
 def _own_power(
@@ -176,76 +170,60 @@ def _own_power(
     return power, inputs
 
 
-def _require_decay(model: Model, residual: Complex, data: Measured) -> None:
-    """Raises DataError where nothing is said to drive the rig, and yet its motion is no free decay."""
-    if model.inputs:
-        return
-    share = float(np.median(_left(residual, data)))
-    if share > UNEXPLAINED_MOST:
-        raise DataError(
-            f"no free decay explains the motion ({100 * share:.0f} % of its power is left over): something drives the "
-            "rig that was not recorded",
-            cure="record what drives it, a force or the motion of the base, and name it as an input; a response alone "
-            "gives modes, not masses, dampers and springs",
-        )
-
-
-def _begun(data: Prepared, exact: Measured, method: MaximumLikelihood) -> LocalMinima:
+def _begun(likelihood: Likelihood, method: MaximumLikelihood) -> LocalMinima:
     """A first fit: of free decays from their modes, else from some of the lines; where that leaves much over or has
     parts below zero, the best of what many of them give as well.  What competes with it stands behind it.
 
     Even weights are far from the noise of the equation where lines of motion are few among those that hold noise only,
     or where displacements come from accelerations.
     """
-    view = data.view
+    data = likelihood.data
     decays = decay_minima(data, method.effort)
-    best, cost = _further(view, exact, decays, method)
-    if len(decays.cost) and _is_sound(view, exact, best.psi[:1], best.sign[:1], cost):
+    best, cost = _further(likelihood, decays)
+    if len(decays.cost) and _is_sound(likelihood, best, cost):
         return best
-    few = thinned(data, EACH_TO_START)
-    many = thinned(data, EACH_IN_DOUBT)
-    first = method.rough(_with_states(few), many)
-    best, cost = min((best, cost), _further(view, exact, first, method), key=lambda end: end[1])
-    if _is_sound(view, exact, best.psi[:1], best.sign[:1], cost):
+    # Lines of each part of the band that a first fit is made from, and where that may be a wrong valley
+    few, many = thinned(data, 12), thinned(data, 80)
+    first = _further(likelihood, method.rough(_with_states(few), many))
+    best, cost = min((best, cost), first, key=lambda end: end[1])
+    if _is_sound(likelihood, best, cost):
         return best
     many = _with_states(many)
     others = [] if few is data else [method.rough(many)]
-    # What is seen in part has been searched from many rigs by then.
-    rigs = TYPICAL if many.states is not None and seen_directly(many) else 0
+    # Rigs of usual size whose noise is tried: each leads to the right one in half of the cases. What is seen in part
+    # has been searched from many rigs by then.
+    rigs = 8 if many.states is not None and seen_directly(many) else 0
     for number in range(-len(others), rigs):
         again = method.rough(many, typical=number) if number >= 0 else others[number]
-        other = local(view, exact, again.psi[:1], again.sign[:1]).cost[0]
+        other = likelihood.model_at(again.psi[:1], again.sign[:1]).cost[0]
         if other < cost or not np.isfinite(cost):
             best, cost = again, other
-        if number >= 0 and _is_sound(view, exact, best.psi[:1], best.sign[:1], cost):
+        if number >= 0 and _is_sound(likelihood, best, cost):
             break
     return best
 
 
-def _further(
-    view: ObservationModel, data: Measured, minima: LocalMinima, method: MaximumLikelihood
-) -> tuple[LocalMinima, float]:
+def _further(likelihood: Likelihood, minima: LocalMinima) -> tuple[LocalMinima, float]:
     """Minima of some lines, the lowest one followed in all, and its cost; inf where there are none."""
     if not len(minima.cost):
         return minima, np.inf
-    psi, cost = _descended(view, data, minima.psi[:1], minima.sign[:1], method)
-    return minima.led_by(psi, minima.sign[:1]), cost
+    end = likelihood.descend_in(likelihood.exact, minima.psi[:1], minima.sign[:1], STEPS, near=1e-3)
+    return minima.led_by(end.x, minima.sign[:1]), float(end.cost[0])
 
 
-def _is_sound(view: ObservationModel, data: Measured, psi: Real, sign: Real, cost: float) -> bool:
+def _is_sound(likelihood: Likelihood, minima: LocalMinima, cost: float) -> bool:
     """Whether a first fit is worth going on from: possible parts, and little left over."""
-    possible = bool(np.all(psi[0] > bounds(view, positive=True)[0]))
-    return possible and (cost <= LITTLE * data.rows or _explains(view, data, psi, sign))
+    view, exact, psi = likelihood.view, likelihood.exact, minima.psi[:1]
+    if not np.all(psi[0] > bounds(view, positive=True)[0]):
+        return False
+    if cost <= 4.0 * exact.rows:
+        return True
+    residual, _ = residuals_of_records(view, exact, psi, minima.sign[:1])
+    return bool(np.all(_left(residual, exact) <= 0.2))  # the noise is not known yet
 
 
 def _with_states(data: Prepared) -> Prepared:
     return replace(data, states=states_if_seen(data.view, data.spectrum, data.covariance))
-
-
-def _explains(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> bool:
-    """Whether a fit leaves little of what each channel shows."""
-    residual, _ = residuals_of_records(view, data, psi, sign)
-    return bool(np.all(_left(residual, data) <= UNEXPLAINED))
 
 
 def _left(residual: Complex, data: Measured) -> Real:
@@ -282,18 +260,6 @@ def _first(spectrum: Spectrum, sought: Bools, outputs: Bools) -> Complex:
     return diagonal_matrices(variance)[None]
 
 
-def _descended(
-    view: ObservationModel, data: Measured, psi: Real, sign: Real, method: MaximumLikelihood
-) -> tuple[Real, float]:
-    """Where a descent from ψ ends, and its cost."""
-    lower, upper = bounds(view, method.positive)
-    minimum = minimise(
-        lambda x, rows: local(view, data, x, sign[rows]),
-        psi, limit=min(method.max_iterations, STEPS), tolerance=1e-3, lower=lower, upper=upper, patience=STEPS,
-    )  # fmt: skip
-    return minimum.x, float(minimum.cost[0])
-
-
 def _smoothed(
     spectrum: Spectrum, power: Real, sought: Bools, outputs: Bools, left: float = 1.0
 ) -> tuple[Real, Real]:
@@ -315,13 +281,18 @@ def _smoothed(
             continue
         local_mean = smoothed(power[lines].astype(np.complex128), HALF_WINDOW).real
         mean = np.mean(power[lines], axis=0)
-        white = np.array([_is_white(power[lines, c], width) for c in range(power.shape[1])])
+        # White where the mean powers of groups of lines differ by no more than chance
+        groups, white = len(lines) // width, np.ones(power.shape[1], dtype=bool)
+        if groups > 1:
+            of_groups = np.mean(power[lines[: groups * width]].reshape(groups, width, -1), axis=1)
+            p = [equal_variances(of_groups[:, c], 2.0 * width) for c in range(len(white))]
+            white = np.array(p) >= 0.01
         variance[lines] = np.where(white, mean, local_mean)
         dof[lines] = 2.0 * (len(lines) if np.all(white[outputs]) else width)
     size = np.nan_to_num(np.abs(spectrum.amplitudes[0])) ** 2
     if short:
         _pooled(short, power, size, spectrum.samples, outputs, variance, dof, left)
-    return np.maximum(variance, SMALLEST**2 * np.mean(size, axis=0)), dof
+    return np.maximum(variance, 1e-7**2 * np.mean(size, axis=0)), dof  # below, noise is rounding
 
 
 def _pooled(
@@ -349,20 +320,11 @@ def _pooled(
                 scatter = 2 * float(np.sum(lines_each * np.log(level * scale / shown)))
             choices.append((scatter, level * scale))
         scatter, common = min(choices, key=lambda choice: choice[0])
-        limit = float(chdtri(max(len(shown) - 1, 1), POOL_LEVEL))
-        alike = scatter < limit or 2 * left * float(np.min(lines_each)) < TELLING
+        limit = float(chdtri(max(len(shown) - 1, 1), 1e-3))
+        # With less than 8 degrees of freedom a record tells no noise of its own.
+        alike = scatter < limit or 2 * left * float(np.min(lines_each)) < 8.0
         together &= alike
         for number, value in zip(np.flatnonzero(there), common if alike else shown, strict=True):
             variance[records[number], c] = value
     for lines, each in zip(records, count, strict=True):
         dof[lines] = 2.0 * (np.sum(count) if together else each)
-
-
-def _is_white(power: Real, width: int) -> bool:
-    """Whether the mean powers of groups of lines differ by no more than chance: Bartlett's test on exponentials."""
-    groups = len(power) // width
-    if groups < 2:
-        return True
-    edges: Ints = np.arange(groups) * width
-    mean = np.add.reduceat(power[: groups * width], edges) / width
-    return equal_variances(mean, 2.0 * width) >= WHITE_LEVEL
