@@ -20,7 +20,6 @@ from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult, Quadr
 # A whole record has thousands of lines, and a valley of the likelihood is as wide in a few hundred of them.
 
 
-MANY = 200  # lines from which a search takes fewer
 PARTS = 30  # of the band, equal in the logarithm of frequency
 EACH = 3  # lines of a part
 
@@ -29,9 +28,13 @@ def thinned(data: Prepared, each: int = EACH) -> Prepared:
     """The same data with `each` lines of every part of the band where there are many; itself where there are few or all
     are settled."""
     spectrum = data.spectrum
-    if spectrum.lines <= MANY * each / EACH or not spectrum.records:
+    if spectrum.lines <= 200 * each / EACH or not spectrum.records:
         return data
-    lines = loudest(spectrum.frequency_hz, _loudness(data), each)
+    # Power of all channels over their noise, mean over repeats; (lines,)
+    power = np.abs(np.nan_to_num(spectrum.amplitudes)) ** 2
+    noise = np.diagonal(data.covariance, axis1=-2, axis2=-1).real
+    noise = np.maximum(np.maximum(noise, 1e-6 * np.mean(power, axis=-2, keepdims=True)), 1e-300)
+    lines = loudest(spectrum.frequency_hz, np.mean(np.sum(power / noise, axis=-1), axis=0), each)
     fewer = replace(
         spectrum.select(lines),
         amplitudes=spectrum.amplitudes[:, lines],
@@ -52,16 +55,6 @@ def loudest(frequency_hz: Real, loudness: Real, each: int = EACH) -> Ints:
     return np.sort(order[rank < each])
 
 
-def _loudness(data: Prepared) -> Real:
-    """Power of all channels over their noise, mean over repeats; (lines,)."""
-    power = np.abs(np.nan_to_num(data.spectrum.amplitudes)) ** 2
-    noise = np.diagonal(data.covariance, axis1=-2, axis2=-1).real
-    least = 1e-6 * np.mean(power, axis=-2, keepdims=True)
-    return np.mean(np.sum(power / np.maximum(np.maximum(noise, least), 1e-300), axis=-1), axis=0)
-
-
-RECORD_TOLERANCE = 1e-4  # standard deviations, of whole records
-HARMONIC_TOLERANCE = 1e-6  # standard deviations, of responses that are iterated themselves
 ROUGH = 60  # iterations of a descent that need not end
 NEAR_END = 1e-2  # standard deviations from the end of such a descent; the best are followed further
 
@@ -141,9 +134,9 @@ class Likelihood:
         # What depends on what among a record's columns is decided anew at each step: no nearer than that.
         tolerance = self.effort.tolerance if near is None else near
         if data.ends is not None:
-            tolerance = max(tolerance, RECORD_TOLERANCE)
-        if data.nonlinear is not None:
-            tolerance = max(tolerance, HARMONIC_TOLERANCE)
+            tolerance = max(tolerance, 1e-4)
+        if data.nonlinear is not None:  # responses that are iterated themselves
+            tolerance = max(tolerance, 1e-6)
         return descend_in_repeats(
             self.view, data, start, sign, rows, limit=most, tolerance=tolerance, lower=self.lower, upper=self.upper,
             patience=PATIENCE if near is None else most,

@@ -27,13 +27,10 @@ from dashpot.model.observation import ObservationModel, measures_input
 from dashpot.notices import Notice
 
 INPUT_NOISE = "input_noise"  # code of a notice
-EXACT = 1e-3  # of an input's size: noise that is no more counts for nothing beside that of outputs
 SHOWS = 4.0  # standard deviations of a variance, from which on it is one; few lines may tell it
 STAYS = 3.0  # and up to which it is given up again
-LEAST_LEFT = 0.5  # of the freedom of those lines that tell
 PIECE = 10_000  # lines at a time
 ROOM = 1 + STAYS / (2 * HALF_WINDOW + 1) ** 0.5  # the least of many means, over the mean
-SETTLED = 0.01  # change of a variance at which the turns end
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +90,7 @@ def noise_counted(model: Model, spectrum: Spectrum, covariance: Complex) -> tupl
         if not measures_input(model, channel) or size == 0:
             continue
         share = float(np.sum(variance[:, c]) / size) ** 0.5
-        if share < EXACT:
+        if share < 1e-3:  # noise that is no more counts for nothing beside that of outputs
             exact.append(channel.name)
         else:
             counted.append((channel.name, f"{channel.name} {100 * share:.2g} %"))
@@ -127,7 +124,7 @@ def without_moved(power: Real, moved: Real, smooth: Callable[[Real], Real]) -> R
         share = noise / np.maximum(noise + moved, np.finfo(float).tiny)
         alone = share**2 * power + share * moved
         before, noise = noise, smooth(alone)
-        if np.all(np.abs(noise - before) <= SETTLED * before):
+        if np.all(np.abs(noise - before) <= 0.01 * before):
             break
     return alone
 
@@ -152,7 +149,7 @@ def input_noise(
     telling = information / np.maximum(np.max((each * scale) ** 2, axis=0), 1e-300)
     fitted = len(view.names) + 2 * view.model.n * len(spectrum.records)
     least, most = ends
-    left = np.where(before > least, np.maximum(1 - fitted / (2 * telling), LEAST_LEFT), 1.0)
+    left = np.where(before > least, np.maximum(1 - fitted / (2 * telling), 0.5), 1.0)
     step = np.sum(each * (score / left - scale), axis=0) / information
     level = np.clip(before + step, least, most)
     more = np.where(before > least, STAYS, SHOWS) / np.sqrt(information)

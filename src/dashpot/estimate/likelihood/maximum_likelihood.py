@@ -46,19 +46,7 @@ from dashpot.numerics.small_systems import solve_scaled
 
 
 FROM = 400  # coordinates from which the search is on a basis
-MOST_UNKNOWNS = 100  # each has a projected matrix of its own
 LINES = 20  # at which motions are computed
-WIDEST = 260  # columns of the basis; beyond it only the last motions are kept
-STILL = 1e-4  # standard deviations within which the end of a search is where its motions were computed
-ROUNDING = 1e-9  # of a value
-NEAR = 0.05  # standard deviations that lines outside the basis may move the end by
-
-
-def is_reducible(likelihood: Likelihood) -> bool:
-    """Whether a rig is large enough for a basis to pay, and nothing stands in its way."""
-    model, exact = likelihood.view.model, likelihood.exact
-    plain = exact.ends is None and exact.nonlinear is None and likelihood.repeats == 1
-    return model.n >= FROM and plain and likelihood.view.m <= MOST_UNKNOWNS
 
 
 def reduced_search(
@@ -74,10 +62,7 @@ def reduced_search(
     psi, sign = candidates(likelihood.data, 1, random_generator(likelihood.effort.seed))
     # Lines for the basis: all of few, else LINES of them, spread evenly over the sorted frequencies
     order = np.argsort(view.omega, kind="stable")
-    if len(order) <= LINES:
-        lines = np.sort(order)
-    else:
-        lines = np.sort(order[np.unique(np.linspace(0, len(order) - 1, LINES).astype(int))])
+    lines = np.sort(order[np.unique(np.linspace(0, len(order) - 1, min(LINES, len(order))).astype(int))])
     V = np.zeros((view.model.n, 0))
     minima, notices, history, settled = None, tuple[Notice, ...](), [psi[0]], False
     iterations = np.zeros(1, dtype=np.int64)
@@ -86,7 +71,7 @@ def reduced_search(
         p = view.model.parameters(psi[0][: view.m])
         motions = np.concatenate([line_motions(view, p, int(line)) for line in lines], axis=1)
         wider = extended_basis(V, motions)
-        V = wider if wider.shape[1] <= WIDEST or not V.shape[1] else extended_basis(V[:, :0], motions)
+        V = wider if wider.shape[1] <= 260 or not V.shape[1] else extended_basis(V[:, :0], motions)
         on_basis = likelihood.on_basis(reduced(view, V))
         if minima is None:
             minima, sign, notices = from_minima(on_basis, global_minima(on_basis, 0))
@@ -94,9 +79,9 @@ def reduced_search(
             minima = on_basis.descend(psi, sign)
         iterations += minima.iterations
         history.append(minima.x[0])
-        still = _steps(minima.x - psi, on_basis, minima.x, sign) < STILL
+        still = _steps(minima.x - psi, on_basis, minima.x, sign) < 1e-4
         psi = minima.x
-        if still:
+        if still:  # where its motions were computed
             more = _left_out(likelihood, on_basis, lines, psi, sign)
             settled = not len(more)
             if settled:
@@ -111,7 +96,7 @@ def reduced_search(
 def _steps(step: Real, likelihood: Likelihood, psi: Real, sign: Real) -> float:
     """A step (1, M) in standard deviations, the largest; steps within rounding of the value count as none."""
     around = likelihood.model_at(psi, sign)
-    rounding = np.abs(step[0]) <= ROUNDING * np.abs(psi[0])
+    rounding = np.abs(step[0]) <= 1e-9 * np.abs(psi[0])
     with np.errstate(divide="ignore", invalid="ignore"):
         sizes = np.where(rounding, 0.0, np.abs(step[0]) / around.sd[0])
     return float(np.max(np.nan_to_num(sizes, nan=np.inf)))
@@ -125,7 +110,7 @@ def _left_out(likelihood: Likelihood, on_basis: Likelihood, lines: Ints, psi: Re
     _, near, near_cost = per_line(on_basis.view, on_basis.exact, psi, sign)
     change = np.sum(scores - near, axis=-2)
     step = solve_scaled(np.sum(information, axis=-3), change)
-    if _steps(step, on_basis, psi, sign) < NEAR:
+    if _steps(step, on_basis, psi, sign) < 0.05:
         return np.zeros(0, dtype=np.int64)
     worst = np.argsort(-np.abs(cost - near_cost)[0])
     fresh = worst[~np.isin(worst, lines)]
@@ -137,11 +122,6 @@ def _left_out(likelihood: Likelihood, on_basis: Likelihood, lines: Ints, psi: Re
 #
 # D X = R U + S f + a + jω b is linear in the unknowns and the loads. Weighted by the noise of the equation
 # at the last values, with the noise's own moments taken out at the end, as the starts of settled data are.
-
-
-STEADY = (
-    0.01  # change of all unknowns from pass to pass at which the passes end: a descent goes on from there
-)
 
 
 def record_starts(model: Model, data: States, ends: RecordEnds, rig: Real | None = None) -> Real:
@@ -175,7 +155,8 @@ def record_starts(model: Model, data: States, ends: RecordEnds, rig: Real | None
         starts.append(theta)
         theta = np.where(usable[..., None], where_finite(clean, theta), theta)
         starts.append(theta)
-        if len(starts) > 3 and np.all(np.abs(theta - starts[-3]) <= STEADY * np.abs(theta)):
+        # A descent goes on from where passes change all unknowns by no more than a hundredth.
+        if len(starts) > 3 and np.all(np.abs(theta - starts[-3]) <= 0.01 * np.abs(theta)):
             break
     return np.stack(starts)
 
@@ -188,11 +169,7 @@ def _loads(model: Model, data: States, ends: RecordEnds, p: Real | None = None) 
     if p is not None:
         H = stiffness(model, p, data.omega)
         read = data.reconstruction[..., : H.shape[-1], :] @ ends.polynomials()
-        polynomials = H @ read
-        if model.S.shape[1]:
-            polynomials = polynomials - model.S @ (
-                data.reconstruction[..., H.shape[-1] :, :] @ ends.polynomials()
-            )
+        polynomials = H @ read - model.S @ (data.reconstruction[..., H.shape[-1] :, :] @ ends.polynomials())
     return np.concatenate([each, ends.s[:, None, None] * each, polynomials], axis=-1)
 
 
@@ -264,7 +241,13 @@ class MaximumLikelihood(Method):
             start = _start(likelihood, data.states)
             sign = np.ones((likelihood.repeats, len(view.channels)))
             minimum = likelihood.descend(start, sign)
-        elif is_reducible(likelihood):
+        elif (
+            view.model.n >= FROM
+            and likelihood.exact.ends is None
+            and likelihood.repeats == 1
+            and view.m <= 100
+        ):
+            # Large enough for a basis to pay, with few unknowns, each of which has a projected matrix of its own
             likelihood, minimum, sign, warnings = reduced_search(likelihood)
         else:
             minimum, sign, warnings = from_minima(likelihood, global_minima(likelihood, 0))

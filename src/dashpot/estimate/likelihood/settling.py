@@ -24,7 +24,6 @@ from dashpot.model.network import Model
 from dashpot.model.observation import calibrated_transfer
 from dashpot.notices import Notice
 
-SLOPE_LEVEL = 1e-3  # of the test for slopes of the sensors beside transients, which are nearly alike
 LEVEL = 1e-3  # of the test: loads too many cost precision, loads too few the truth
 
 
@@ -38,7 +37,13 @@ def with_settling_decided(model: Model, spectrum: Spectrum, method: Method | Non
         return spectrum
     whole = spectrum.unsettled
     if whole is None:
-        return _with_needed_slopes(model, spectrum)
+        # Dwells used whole with the noise of their residuals have columns for slopes of the sensors only if needed.
+        if not _sloping(spectrum) or spectrum.batch or len(model.nonlinear) or not noise_is_sought(spectrum):
+            return spectrum
+        try:
+            return _slopes_decided(model, spectrum)[0]
+        except (DashpotError, np.linalg.LinAlgError):
+            return spectrum
     as_settled = replace(spectrum, unsettled=None)
     if spectrum.batch or len(model.nonlinear):
         return as_settled
@@ -120,16 +125,6 @@ def _sloping(spectrum: Spectrum) -> bool:
     return any(value.ramp for value in _dwells(spectrum))
 
 
-def _with_needed_slopes(model: Model, spectrum: Spectrum) -> Spectrum:
-    """Dwells used whole with the noise of their residuals, and columns for slopes of the sensors only if needed."""
-    if not _sloping(spectrum) or spectrum.batch or len(model.nonlinear) or not noise_is_sought(spectrum):
-        return spectrum
-    try:
-        return _slopes_decided(model, spectrum)[0]
-    except (DashpotError, np.linalg.LinAlgError):
-        return spectrum
-
-
 def _slopes_decided(model: Model, whole: Spectrum) -> tuple[Spectrum, _Fit, MaximumLikelihood]:
     """As `_with_noise`; slopes, which short transients look like, have columns only where loads do not explain them.
 
@@ -138,7 +133,7 @@ def _slopes_decided(model: Model, whole: Spectrum) -> tuple[Spectrum, _Fit, Maxi
     known, fit, method = _with_noise(model, _changed(whole, ramp=False))
     if _sloping(whole):
         sloping = _fitted(_from(method, fit), prepare(model, _changed(known, ramp=True), states=False))
-        if sloping.beside(fit) < SLOPE_LEVEL:
+        if sloping.beside(fit) < 1e-3:
             return _with_noise(model, whole)
     return known, fit, method
 
@@ -182,43 +177,32 @@ def _solved(method: MaximumLikelihood, data: Prepared) -> tuple[Real, Real]:
 
 def _beyond_steady_motion(model: Model, whole: Spectrum, psi: Real, sign: Real) -> Spectrum:
     """What is left of the lines of dwells when their steady motion at ψ is taken away: no loads."""
-    amplitudes = np.array(whole.amplitudes)
-    stretches = list(whole.stretches)
+    amplitudes, stretches = np.array(whole.amplitudes), list(whole.stretches)
     for number, value in enumerate(whole.stretches):
-        if isinstance(value, WholeRecord) and value.drive_hz is not None:
-            lines = np.flatnonzero(whole.stretch == number)
-            waves = _lines_of_waves(value, value.drive_hz, whole.frequency_hz[lines])
-            both = np.concatenate([waves.real, waves.imag])
-            measured_lines = whole.amplitudes[lines]
-            sides = np.concatenate([measured_lines.real, measured_lines.imag])
-            there = np.all(np.isfinite(sides), axis=0)
-            shown = np.linalg.lstsq(both, np.where(there, sides, 0.0), rcond=None)[0]
-            wave = np.where(there, shown[0] - 1j * shown[1], np.nan)
-            steady = _as_model(model, whole.select(lines[:1]), value.drive_hz, wave, psi, sign)
-            amplitudes[lines] -= waves @ np.stack([steady.real, -steady.imag])
-            # A slope aliases like the ends of a record do.
-            stretches[number] = replace(value, loads=False, polynomial=value.polynomial if value.ramp else 0)
+        if not isinstance(value, WholeRecord) or value.drive_hz is None:
+            continue
+        lines = np.flatnonzero(whole.stretch == number)
+        # The lines of a cosine and of a sine at the drive's frequency, (lines, 2)
+        phase = 2 * np.pi * value.drive_hz * value.step_s * np.arange(value.samples)
+        both_waves = np.fft.rfft(np.stack([np.cos(phase), np.sin(phase)], axis=1), axis=0)
+        waves: Complex = both_waves[value.orders(whole.frequency_hz[lines])] * (2 / value.samples)
+        shown_lines = whole.amplitudes[lines]
+        sides = np.concatenate([shown_lines.real, shown_lines.imag])
+        there = np.all(np.isfinite(sides), axis=0)
+        both = np.concatenate([waves.real, waves.imag])
+        shown = np.linalg.lstsq(both, np.where(there, sides, 0.0), rcond=None)[0]
+        # The steady motion (channels,) that the rig makes of the inputs in what the channels have shown
+        dwell = replace(
+            whole.select(lines[:1]),
+            frequency_hz=np.array([value.drive_hz]),
+            amplitudes=np.where(there, shown[0] - 1j * shown[1], np.nan)[None],
+            stretch=np.zeros(0, dtype=np.int64),
+            stretches=(SettledDwell(),),
+        )
+        data = prepare(model, dwell, states=False)
+        inputs = predict(data.view, measured(data), psi, sign).q
+        steady = calibrated_transfer(data.view, psi, sign).amplitudes(inputs)[0, 0]
+        amplitudes[lines] -= waves @ np.stack([steady.real, -steady.imag])
+        # A slope aliases like the ends of a record do.
+        stretches[number] = replace(value, loads=False, polynomial=value.polynomial if value.ramp else 0)
     return replace(whole, amplitudes=amplitudes, stretches=tuple(stretches))
-
-
-def _lines_of_waves(record: WholeRecord, drive_hz: float, frequency_hz: Real) -> Complex:
-    """The lines at `frequency_hz` of a cosine and of a sine at the drive's frequency, (lines, 2)."""
-    phase = 2 * np.pi * drive_hz * record.step_s * np.arange(record.samples)
-    waves: Complex = np.fft.rfft(np.stack([np.cos(phase), np.sin(phase)], axis=1), axis=0)
-    return waves[record.orders(frequency_hz)] * (2 / record.samples)
-
-
-def _as_model(
-    model: Model, line: Spectrum, drive_hz: float, shown: Complex, psi: Real, sign: Real
-) -> Complex:
-    """The steady motion (channels,) that the rig at ψ makes of the inputs in what the channels have shown."""
-    dwell = replace(
-        line,
-        frequency_hz=np.array([drive_hz]),
-        amplitudes=shown[None],
-        stretch=np.zeros(0, dtype=np.int64),
-        stretches=(SettledDwell(),),
-    )
-    data = prepare(model, dwell, states=False)
-    inputs = predict(data.view, measured(data), psi, sign).q
-    return calibrated_transfer(data.view, psi, sign).amplitudes(inputs)[0, 0]

@@ -29,18 +29,6 @@ from dashpot.model.observation import ObservationModel
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse
 
-LARGEST = 2_000_000  # slopes of amplitudes at once: rigs and tables beyond it keep even weights
-FOR_EACH = 5  # degrees of freedom for each part of the noise, below which all channels share them
-FEWEST = 6  # degrees of freedom, below which the weights stay even
-SHOWN = 20  # from which noise that is not even shows
-EXACT = 1e-18  # of the mean square of the motion: what is left over of exact data is rounding
-ROUNDS, STEPS = 30, 200
-TOLERANCE = 1e-4  # of the sizes of the noise's parts
-NEGLIGIBLE = 1e-6  # of the largest part
-BEGUN = 0.5  # of the constant part: the other one before the first step
-SETTLED = 0.05  # of the deviance
-ROUNDING = 1e-9  # of relative variances that are all the same
-RISE = 0.01  # of the deviance that rounding explains
 LEAST = 1e-9  # of the larger part of a channel's noise
 
 
@@ -54,7 +42,7 @@ def with_table_noise(model: Model, spectrum: Spectrum, method: Method) -> Spectr
         return spectrum
     if not (traits.weighted or traits.maximum_likelihood):
         return spectrum
-    if spectrum.lines * len(spectrum.channels) * (len(model.unknowns) + 1) > LARGEST:
+    if spectrum.lines * len(spectrum.channels) * (len(model.unknowns) + 1) > 2_000_000:  # slopes at once
         return spectrum
     try:
         exact = without_priors(model)  # which weigh only against noise that is known
@@ -93,7 +81,7 @@ def _doubt_of_weights(data: Prepared, psi: Real, sign: Real) -> tuple[Real, Real
     if not len(variance):  # numbers too large for any weight
         return np.zeros((psi.shape[-1],) * 2), np.ones(psi.shape[-1])
     relative = variance / left.parts[:, 0]
-    if np.ptp(relative) > ROUNDING * np.max(relative):
+    if np.ptp(relative) > 1e-9 * np.max(relative):  # more than rounding
         left = _Left.at(data.view, exact, psi, sign)
     fit = left.weighed(variance)
     of_parts = scaled_inverse((left.parts * (fit.unused / variance**2)[:, None]).T @ left.parts)
@@ -144,7 +132,7 @@ class _Left:
         channels = np.unique(channel)
         if even:
             parts = parts[:, :1]
-        elif 2 * len(line) - psi.shape[-1] >= FOR_EACH * 2 * len(channels):
+        elif 2 * len(line) - psi.shape[-1] >= 10 * len(channels):  # degrees of freedom, five for each part
             own = channel[:, None] == channels
             parts = (parts[:, :, None] * own[:, None, :]).reshape(len(line), -1)
         return _Left((line, channel), np.abs(residual) ** 2, slopes, parts, prior_precision(view))
@@ -165,7 +153,7 @@ class _Left:
             shown, expected = (self.power / variance**2) @ self.parts, (unused / variance) @ self.parts
             ratio = np.sqrt(shown / expected)
             sizes = np.maximum(sizes * ratio, LEAST * np.max(sizes))
-            if np.all((np.abs(ratio - 1) < TOLERANCE) | (sizes <= NEGLIGIBLE * np.max(sizes))):
+            if np.all((np.abs(ratio - 1) < 1e-4) | (sizes <= 1e-6 * np.max(sizes))):
                 break
         return sizes
 
@@ -191,17 +179,18 @@ def _of_repeat(model: Model, spectrum: Spectrum, method: Method) -> Complex | No
     psi, left = fitted(V, solution.theta)
     variance = np.diagonal(V[0], axis1=-2, axis2=-1).real[left.cells]
     freedom = 2 * len(variance) - psi.shape[-1]
-    if freedom < FEWEST:
+    if freedom < 6:  # too few degrees of freedom for weights
         return None
     level = 2 * float(np.sum(left.power / variance)) / freedom
-    if not np.all(solution.converged) or not level > EXACT:
+    if not np.all(solution.converged) or not level > 1e-18:  # of the mean square: exact data leave rounding
         return V
-    sizes = level * np.repeat([1.0, BEGUN], left.parts.shape[1] // 2)
+    sizes = level * np.repeat([1.0, 0.5], left.parts.shape[1] // 2)  # before the first step
     begun = _Fit(level * V, psi, left, sizes, left.weighed(level * variance))
     best = _descended(begun, fitted)
     if best is None:
         return None
-    if freedom >= SHOWN and begun.weighed.deviance - best.weighed.deviance < 2 * (len(sizes) - 1):  # Akaike
+    # Noise that is not even shows from 20 degrees of freedom on.
+    if freedom >= 20 and begun.weighed.deviance - best.weighed.deviance < 2 * (len(sizes) - 1):  # Akaike
         return begun.V
     return best.V
 
@@ -219,23 +208,21 @@ class _Fit:
 
 def _descended(fit: _Fit, fitted: Callable[[Complex, Real], tuple[Real, _Left]]) -> _Fit | None:
     """The noise and the rig fitted in turns, until the deviance falls no more; None where it leads nowhere."""
-    for turn in range(ROUNDS):
-        for steps in (STEPS, 1):
+    for turn in range(30):
+        for steps in (200, 1):
             sizes = fit.left.stepped(fit.sizes, fit.weighed.unused, steps)
             V = _covariance(fit.V, fit.left, fit.left.parts @ sizes)
             psi, left = fitted(V, fit.psi)
-            if len(left.power) < len(
-                fit.left.power
-            ):  # noise of no size, where the rig is no better than none
+            if len(left.power) < len(fit.left.power):  # noise of no size: the rig is no better than none
                 return None
             tried = _Fit(V, psi, left, sizes, left.weighed(left.parts @ sizes))
             gain = fit.weighed.deviance - tried.weighed.deviance
-            if gain >= -RISE:
+            if gain >= -0.01:  # a rise that rounding explains
                 break
-        if turn and not gain >= -RISE:
+        if turn and not gain >= -0.01:
             return fit
         fit = tried
-        if turn and gain < SETTLED:
+        if turn and gain < 0.05:
             return fit
     return fit
 
