@@ -17,8 +17,8 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.calibration import calibration, real_factor
 from dashpot.data.conditioning.used_dwells import UsedDwell
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.likelihood.ends_shown import shown_by_ends
 from dashpot.estimate.likelihood.objective import FLOOR, measured, predict
+from dashpot.estimate.likelihood.record_sums import shown_by_ends
 from dashpot.estimate.nonlinear.objective import predicted_lines
 from dashpot.estimate.preparation.prepared import Prepared, working_covariance
 from dashpot.estimate.result import Estimate
@@ -193,7 +193,7 @@ def _transients(
     if exact.ends is None:
         return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128)
     at_ends: Complex | None = (
-        shown_by_ends(exact, psi[None], sign[None])
+        shown_by_ends(exact.record_pieces, psi[None], sign[None])
         if small(model)
         else predict(view, exact, psi[None], sign[None]).at_ends
     )

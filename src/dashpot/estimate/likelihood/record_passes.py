@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -149,18 +149,6 @@ class RecordPieces:
         loads = np.repeat(ends.loads[:, None], 2 * n, axis=1)
         return np.concatenate([loads, ends.terms[:, self.of_inputs], ends.terms[:, self.fitted]], axis=1)
 
-    @cached_property
-    def apart_used(self) -> Bools:
-        """Which polynomials each channel has in each record, taken out of it alone: (records, channels, terms)."""
-        ends, channels = self.ends, len(self.ends.rig.channels)
-        used = np.zeros((len(ends.lines), channels, self.terms), dtype=bool)
-        if self.apart:
-            index = np.setdiff1d(np.arange(len(ends.channel)), self.of_inputs)
-            used[:, ends.channel[index], np.searchsorted(self.powers, ends.power[index])] = ends.terms[
-                :, index
-            ]
-        return used
-
     def __iter__(self) -> Iterator[RecordPiece]:
         for number in range(len(self._parts)):
             yield self._kept[number] if self._constant <= KEPT else self._piece(number)
@@ -169,11 +157,6 @@ class RecordPieces:
     def numbers(self) -> int:
         """Complex numbers that all lines take on the way to their slopes."""
         return len(self.ends.rig.omega) * self._each
-
-    @property
-    def apart_rank(self) -> Ints:
-        """How many polynomials are taken out of single channels, (K or 1,)."""
-        return self.orthogonal[1] if self.terms else np.zeros(1, dtype=np.int64)
 
     @cached_property
     def _kept(self) -> list[RecordPiece]:
@@ -238,40 +221,41 @@ class RecordPieces:
             if isinstance(lines, slice)
             else replace(ends.rig, omega=ends.rig.omega[lines])
         )
-        weights = Weights.of(self.W, self.root, lines)
+        weights, s = Weights.of(self.W, self.root, lines), ends.s[lines]
         y = np.ascontiguousarray(np.swapaxes(self.y[:, lines], -1, -2))
         loaded = np.zeros(len(view.omega), dtype=bool)
         for record, part in segments:
             loaded[part] = record != NO_RECORD and bool(ends.loads[record])
-        by_input = ends.by_input[lines][:, :, self.of_inputs] if len(self.of_inputs) else None
-        s = ends.s[lines]
+        by_input = columns = basis = None
+        if len(self.of_inputs):
+            by_input = np.moveaxis(ends.by_input[lines][:, :, self.of_inputs], 0, -1)
+        if len(self.fitted):  # polynomials with the loads
+            columns = np.zeros((1, len(view.channels), len(self.fitted), len(s)), dtype=np.complex128)
+            powers = _powers(s, ends.power[self.fitted])
+            columns[0, ends.channel[self.fitted], np.arange(len(self.fitted))] = powers
+            columns = weights.whitened(columns)
+        if self.terms:  # orthonormal polynomials of each channel in each record
+            assert weights.sd is not None
+            powers = _powers(s, self.powers) * weights.sd[:, :, None, :]
+            basis = np.zeros_like(powers)
+            for record, part in segments:
+                if record != NO_RECORD:
+                    basis[..., part] = np.swapaxes(self.orthogonal[0][:, record], -1, -2) @ powers[..., part]
         return RecordPiece(
-            view, lines, segments, s,
-            np.ascontiguousarray(view.rates.T), np.ascontiguousarray(view.model.factors(view.omega).T), weights,
+            view,
+            lines,
+            segments,
+            s,
+            np.ascontiguousarray(view.rates.T),
+            np.ascontiguousarray(view.model.factors(view.omega).T),
+            weights,
             weights.whitened(y[:, :, None, :])[:, :, 0],
             None if self.q is None else np.ascontiguousarray(np.swapaxes(self.q[:, lines], -1, -2)),
             loaded,
-            None if by_input is None else np.moveaxis(by_input, 0, -1),
-            self._columns(s, weights) if len(self.fitted) else None,
-            self._basis(s, weights, segments) if self.terms else None,
-        )  # fmt: skip
-
-    def _columns(self, s: Complex, weights: Weights) -> Complex:
-        """Polynomials that are fitted with the loads, whitened."""
-        channel, power = self.ends.channel[self.fitted], self.ends.power[self.fitted]
-        columns = np.zeros((1, len(self.ends.rig.channels), len(self.fitted), len(s)), dtype=np.complex128)
-        columns[0, channel, np.arange(len(self.fitted))] = _powers(s, power)
-        return weights.whitened(columns)
-
-    def _basis(self, s: Complex, weights: Weights, segments: tuple[tuple[int, slice], ...]) -> Complex:
-        """Orthonormal polynomials of each channel in each record."""
-        assert weights.sd is not None
-        powers = _powers(s, self.powers) * weights.sd[:, :, None, :]
-        basis = np.zeros_like(powers)
-        for record, part in segments:
-            if record != NO_RECORD:
-                basis[..., part] = np.swapaxes(self.orthogonal[0][:, record], -1, -2) @ powers[..., part]
-        return basis
+            by_input,
+            columns,
+            basis,
+        )
 
     @cached_property
     def orthogonal(self) -> tuple[Real, Ints]:
@@ -289,7 +273,10 @@ class RecordPieces:
                 weight = np.diagonal(self.W[:, few], axis1=-2, axis2=-1).real
                 moments = np.swapaxes(weight, -1, -2) @ ends.s[few, None].imag ** height
                 products[:, record] += turn * moments[..., of.reshape(turn.shape)]
-        used = self.apart_used[None]
+        # Which polynomials each channel has in each record: (records, channels, terms)
+        alone = np.setdiff1d(np.arange(len(ends.channel)), self.of_inputs)
+        used = np.zeros(products.shape[1:-1], dtype=bool)
+        used[:, ends.channel[alone], np.searchsorted(self.powers, ends.power[alone])] = ends.terms[:, alone]
         products = np.where(used[..., :, None] & used[..., None, :], products, 0.0)
         B, rank = independent(products)
         return B, np.sum(rank, axis=(1, 2))
@@ -609,30 +596,9 @@ class EndProducts:
         return z, self.basis - fit.shared @ z[:, :, None]
 
 
-class Passes(Protocol):
-    """Passes over all lines at ψ (K, M)."""
-
-    def of_columns(self) -> EndProducts:
-        """Products with the columns themselves and, last, the residual of the rig without its ends: w = f + 1."""
-        ...
-
-    def of_slopes(self, fit: EndsFitted) -> tuple[Real, EndProducts]:
-        """Products (K, w, w) of slopes and, last, residual under the whole motion; with the columns: w = M + 1."""
-        ...
-
-    def by_line(self, fit: EndsFitted, z: Real, t: Real) -> tuple[Real, Real, Real]:
-        """Information (K, lines, M, M), minus half the slope and cost of each line, of what the ends with coefficients
-        z (K, records, f, M + 1) and t (K, records, channels, terms, M + 1) leave of slopes and residual."""
-        ...
-
-    def residuals(self, fit: EndsFitted) -> Complex:
-        """Whitened residuals of the whole motion, (K, lines, channels)."""
-        ...
-
-
 @dataclass(frozen=True)
 class NumpyPasses:
-    """Those of NumPy, with signs (K, channels)."""
+    """Passes over all lines at ψ (K, M) with signs (K, channels)."""
 
     pieces: RecordPieces
     psi: Real
@@ -648,14 +614,14 @@ class NumpyPasses:
         return self._kept or evaluated(self.pieces, self.psi, self.sign)
 
     def of_columns(self) -> EndProducts:
-        """As `Passes` says."""
+        """Products with the columns themselves and, last, the residual of the rig without its ends: w = f + 1."""
         of = _nothing(self.pieces, len(self.psi), self.pieces.count + 1)
         for at in self._each():
             _add(of, at, np.concatenate([at.columns, at.residual[:, :, None]], axis=2))
         return of
 
     def of_slopes(self, fit: EndsFitted) -> tuple[Real, EndProducts]:
-        """As `Passes` says."""
+        """Products (K, w, w) of slopes and, last, residual under the whole motion; with the columns: w = M + 1."""
         K, M = self.psi.shape
         products, of = np.zeros((K, M + 1, M + 1)), _nothing(self.pieces, K, M + 1)
         for at in self._each():
@@ -666,7 +632,8 @@ class NumpyPasses:
         return products, of
 
     def by_line(self, fit: EndsFitted, z: Real, t: Real) -> tuple[Real, Real, Real]:
-        """As `Passes` says."""
+        """Information (K, lines, M, M), minus half the slope and cost of each line, of what the ends with coefficients
+        z (K, records, f, M + 1) and t (K, records, channels, terms, M + 1) leave of slopes and residual."""
         (K, M), lines = self.psi.shape, len(self.pieces.ends.rig.omega)
         information, scores, cost = np.empty((K, lines, M, M)), np.empty((K, lines, M)), np.empty((K, lines))
         for at, rows in self.rows(fit, z, t):
@@ -682,7 +649,7 @@ class NumpyPasses:
             yield at.piece.lines, _slopes_and_residual(at, fit) - _at_ends(at.piece, at.columns, z, t)
 
     def residuals(self, fit: EndsFitted) -> Complex:
-        """As `Passes` says."""
+        """Whitened residuals of the whole motion, (K, lines, channels)."""
         ends = self.pieces.ends
         residual = np.empty((len(self.psi), len(ends.rig.omega), len(ends.rig.channels)), dtype=np.complex128)
         for at in self._each():

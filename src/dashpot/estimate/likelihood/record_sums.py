@@ -7,7 +7,7 @@ same line by line.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -19,10 +19,10 @@ from dashpot.estimate.likelihood.record_passes import (
     EndProducts,
     EndsFitted,
     NumpyPasses,
-    Passes,
     RecordPieces,
 )
 from dashpot.model.dynamics import kernel_rig
+from dashpot.model.observation import calibrated_transfer
 from dashpot.numerics.kernel import kernel, threads
 from dashpot.numerics.small_systems import independent
 
@@ -54,24 +54,24 @@ class CompiledPasses:
     sign: Real
 
     def of_columns(self) -> EndProducts:
-        """As `Passes` says."""
+        """As of `NumpyPasses`."""
         columns, basis = self.records.columns(self.psi, self.sign, self._folded, threads())
         return self._products(columns[:, :, :-1], basis)
 
     def of_slopes(self, fit: EndsFitted) -> tuple[Real, EndProducts]:
-        """As `Passes` says."""
+        """As of `NumpyPasses`."""
         products, columns, basis = self.records.slopes(*self._under(fit), self._folded_slopes(fit), threads())
         return products, self._products(columns, basis)
 
     def by_line(self, fit: EndsFitted, z: Real, t: Real) -> tuple[Real, Real, Real]:
-        """As `Passes` says."""
+        """As of `NumpyPasses`."""
         information, scores, cost = self.records.by_line(
             *self._under(fit), self._folded_slopes(fit), _numbers(z), self._of_powers(t), threads()
         )
         return information, scores, cost
 
     def residuals(self, fit: EndsFitted) -> Complex:
-        """As `Passes` says."""
+        """As of `NumpyPasses`."""
         return self.records.residuals(*self._under(fit), threads())
 
     def _under(self, fit: EndsFitted) -> tuple[Real, Real, Real | None, Real, Real]:
@@ -153,7 +153,7 @@ def _numbers(values: Real | Ints) -> Real:
     return np.ascontiguousarray(values, dtype=np.float64)
 
 
-ROUNDING = 1e-6  # of the power of a residual, below 0, beyond which it is no number
+Passes = NumpyPasses | CompiledPasses
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def record_sums(pieces: RecordPieces, psi: Real, sign: Real) -> RecordSums:
     left = 2 * (products - of_ends.explained(fit))
     M = psi.shape[-1]
     # Where the ends explain more than there is, what is left is rounding of numbers that are far too large.
-    lost = left[:, M, M] < -ROUNDING * products[:, M, M]
+    lost = left[:, M, M] < -1e-6 * products[:, M, M]
     return RecordSums(np.where(lost, np.inf, left[:, M, M]), left[:, :M, M], left[:, :M, :M], fit.rank)
 
 
@@ -213,6 +213,42 @@ def ends_fitted(pieces: RecordPieces, psi: Real, sign: Real) -> EndsFitted:
     return _fit(pieces, _passes(pieces, psi, sign))
 
 
+def shown_by_ends(pieces: RecordPieces, psi: Real, sign: Real) -> Complex:
+    """Loads and polynomials as they fit best at ψ (K, M) with signs (K, channels), in the channels: (K, lines,
+    channels), 0 at settled lines.
+
+    What `objective.predict` calls `at_ends`; for rigs that are `small`.  Some lines at a time.
+    """
+    ends, n = pieces.ends, pieces.ends.n
+    fit, first_input = ends_fitted(pieces, psi, sign), 2 * n + len(pieces.of_inputs)
+    loads = np.zeros((*fit.z.shape[:2], ends.count))  # and polynomials, in the order of the ends
+    loads[..., : 2 * n] = fit.z[..., : 2 * n]
+    loads[..., 2 * n + pieces.of_inputs] = fit.z[..., 2 * n : first_input]
+    loads[..., 2 * n + pieces.fitted] = fit.z[..., first_input:]
+    if pieces.terms:
+        powers = (pieces.orthogonal[0] @ fit.t[..., None])[..., 0]
+        alone = np.setdiff1d(np.arange(len(ends.channel)), pieces.of_inputs)
+        order = np.searchsorted(pieces.powers, ends.power[alone])
+        loads[..., 2 * n + alone] = powers[:, :, ends.channel[alone], order]
+    folded = ends.sampled_loads(psi)
+    out = np.zeros((len(psi), len(ends.s), len(ends.rig.channels)), dtype=np.complex128)
+    for record, lines in enumerate(ends.lines):
+        of_record = loads[:, record]
+        for at in np.split(lines, range(20_000, len(lines), 20_000)):
+            s = ends.s[at]
+            view = replace(ends.view, omega=ends.view.omega[at])
+            G, by_load = np.split(calibrated_transfer(view, psi, sign).G, [ends.inputs], axis=-1)
+            load = of_record[:, None, :n] + s[:, None] * of_record[:, None, n : 2 * n]
+            shown = np.einsum("klcj,klj->klc", by_load, load)
+            shown += np.einsum("klcq,lqp,kp->klc", G, ends.by_input[at], of_record[:, 2 * n :], optimize=True)
+            for k, (channel, power) in enumerate(zip(ends.channel, ends.power, strict=True)):
+                shown[..., channel] += s**power * of_record[:, None, 2 * n + k]
+            if folded is not None and ends.loads[record]:
+                shown += np.einsum("kcjl,kj->klc", folded.at(record, s), of_record[:, : 2 * n])
+            out[:, at] = shown
+    return out
+
+
 def information_under(pieces: RecordPieces, psi: Real, sign: Real, ends: EndsFitted) -> Real:
     """Information (K, M, M) of all lines, were the motion that of such ends."""
     products, of_ends = _passes(pieces, psi, sign).of_slopes(ends)
@@ -221,8 +257,7 @@ def information_under(pieces: RecordPieces, psi: Real, sign: Real, ends: EndsFit
 
 
 def _passes(pieces: RecordPieces, psi: Real, sign: Real) -> Passes:
-    compiled = compiled_passes(pieces, psi, sign)
-    passes: Passes = NumpyPasses(pieces, psi, sign) if compiled is None else compiled
+    passes: Passes = compiled_passes(pieces, psi, sign) or NumpyPasses(pieces, psi, sign)
     # Where a search ends its sums are asked for again, and then its residuals: what the passes said there is kept.
     at = (type(passes), psi.tobytes(), sign.tobytes())
     if pieces.latest.get("at") != at:
@@ -241,7 +276,8 @@ def _fit(pieces: RecordPieces, passes: Passes) -> EndsFitted:
             B, rank = independent(left[..., :f], np.diagonal(of.columns[..., :f], axis1=-2, axis2=-1))
             z = (B @ (np.swapaxes(B, -1, -2) @ left[..., f, None]))[..., 0]
             t = of.basis[..., f] - (shared @ z[:, :, None, :, None])[..., 0]
-            pieces.latest["fit"] = EndsFitted(z, t, B, shared, np.sum(rank, axis=-1) + pieces.apart_rank)
+            total = np.sum(rank, axis=-1) + (pieces.orthogonal[1] if pieces.terms else 0)
+            pieces.latest["fit"] = EndsFitted(z, t, B, shared, total)
     return pieces.latest["fit"]
 
 

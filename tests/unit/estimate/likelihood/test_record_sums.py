@@ -14,9 +14,8 @@ from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.estimate.likelihood import record_passes, record_sums
 from dashpot.estimate.likelihood import record_passes as record_pieces
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.ends_shown import shown_by_ends
 from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, per_line, predict
-from dashpot.estimate.likelihood.record_sums import compiled_passes
+from dashpot.estimate.likelihood.record_sums import compiled_passes, shown_by_ends
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.numerics.kernel import using
@@ -148,7 +147,7 @@ def require_as_line_by_line(given: Case) -> None:
 
 def require_ends_as_line_by_line(given: Case, slow: Complex | None) -> None:
     assert slow is not None
-    shown = shown_by_ends(given.data, given.psi, given.sign)
+    shown = shown_by_ends(given.data.record_pieces, given.psi, given.sign)
     size = np.max(np.abs(slow), axis=(1, 2), keepdims=True)
     np.testing.assert_allclose(shown / size, slow / size, rtol=0, atol=1e-8)
 
