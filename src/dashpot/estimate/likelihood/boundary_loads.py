@@ -45,7 +45,6 @@ SUM_BEYOND_INTEGRAL = (
     (6, 5, -1 / 30240),
     (8, 7, 1 / 1209600),
 )
-DERIVATIVES = 3  # a motion, its velocity and its acceleration
 POWERS = 8  # of s, from 1 to s⁷
 LAST = 11  # of the Γ: a doublet's, in an acceleration, and its seventh derivative
 
@@ -78,10 +77,8 @@ class SampledLoads:
 def shows_sampled_loads(view: ObservationModel) -> Bools:
     """Channels of which it is known, (channels,): motions on the record's own clock, of a rig with mass everywhere."""
     model = view.model
-    if not small(model):
-        return np.zeros(len(view.channels), dtype=bool)
-    masses = matrices(model, np.ones(len(model.elements))).M
-    if np.linalg.matrix_rank(masses) < model.n:
+    ones = np.ones(len(model.elements))
+    if not small(model) or np.linalg.matrix_rank(matrices(model, ones).M) < model.n:
         return np.zeros(len(view.channels), dtype=bool)
     on_time = np.array([channel.delay == 0 for channel in view.channels], dtype=bool)
     known = on_time & (view.gain < 0) & ~view.flips & ~np.any(view.force, axis=-1)
@@ -109,7 +106,22 @@ def sampled_loads(view: ObservationModel, known: Bools, p: Real, step: Real, hig
         right += at.C[:, None] @ by_unknown[q - 1] + at.K[:, None] @ by_unknown[q - 2]
         by_unknown[q] = -inverse[:, None] @ right
     on_x = view.on_x * known[:, :, None]
-    weight = _beyond(step, highest)[:, view.derivative]  # (records, channels, 2, powers, Γ)
+    # What sums over samples exceed integrals by, as factors of the Γ, (records, derivatives, 2, powers, Γ), of channels
+    # that show the motion and its first two derivatives; without their impulses, which no sample shows
+    beyond = np.zeros((len(step), 3, 2, POWERS, LAST + 1))
+    for derivative in range(3):
+        for load in range(2):
+            order = derivative + load
+            for power in range(order - 1):
+                beyond[:, derivative, load, power, order - power] -= 1
+            for height, k, factor in SUM_BEYOND_INTEGRAL:
+                for power in range(k + 1):
+                    of_jump = factor * comb(k, power) * (-1) ** power * step**height
+                    beyond[:, derivative, load, power, order + 1 + k - power] += of_jump
+    # From powers of jω to those of s, and from a doublet jω to the column s
+    scale = highest[:, None, None] ** (np.arange(POWERS) - np.arange(2)[:, None])
+    # (records, channels, 2, powers, Γ)
+    weight = (beyond * scale[:, None, :, :, None])[:, view.derivative]
     terms = np.einsum("rclpq,rci,qkij->krlpcj", weight, on_x, gamma, optimize=True)
     slopes = np.einsum("rclpq,rci,qkmij->krlpcjm", weight, on_x, by_unknown, optimize=True)
     return SampledLoads(terms, slopes)
@@ -120,30 +132,7 @@ def _powers(s: Complex) -> Complex:
     return s ** np.arange(POWERS)[:, None]
 
 
-def _beyond(step: Real, highest: Real) -> Real:
-    """What sums over samples exceed integrals by, as factors of the Γ: (records, derivatives, 2, powers, Γ).
-
-    Of channels that show the motion and its first two derivatives; without their impulses, which no sample shows.
-    """
-    out = np.zeros((len(step), DERIVATIVES, 2, POWERS, LAST + 1))
-    for derivative in range(DERIVATIVES):
-        for load in range(2):
-            order = derivative + load
-            for power in range(order - 1):
-                out[:, derivative, load, power, order - power] -= 1
-            for height, k, factor in SUM_BEYOND_INTEGRAL:
-                for power in range(k + 1):
-                    of_jump = factor * comb(k, power) * (-1) ** power * step**height
-                    out[:, derivative, load, power, order + 1 + k - power] += of_jump
-    # From powers of jω to those of s, and from a doublet jω to the column s.
-    scale = highest[:, None, None] ** (np.arange(POWERS) - np.arange(2)[:, None])
-    return out * scale[:, None, :, :, None]
-
-
 RAMP = -1  # the power of jω that a linear drift has
-AT_ENDS = 8  # half periods of the band's highest line about the ends in which an input may move
-CHUNK = 10_000  # lines at a time, of a sum over all of them
-AT_REST = 0.02  # of its rms, up to which it rests there
 
 
 @dataclass(frozen=True)
@@ -197,11 +186,9 @@ class RecordEnds:
     def polynomials(self) -> Complex:
         """Columns of the polynomials in the channels that are data, (lines, channels, polynomials)."""
         columns = np.zeros((len(self.s), len(self.view.channels), len(self.channel)), dtype=np.complex128)
-        index = np.arange(len(self.channel))
         inside = (self.s != 0)[:, None]
-        columns[:, self.channel, index] = np.where(
-            inside, np.where(inside, self.s[:, None], 1.0) ** self.power, 0.0
-        )
+        powers = np.where(inside, np.where(inside, self.s[:, None], 1.0) ** self.power, 0.0)
+        columns[:, self.channel, np.arange(len(self.channel))] = powers
         return columns
 
     def used(self, record: int) -> Bools:
@@ -246,7 +233,13 @@ def record_ends(
     if not records:
         return None
     outputs = ~view.inputs_alone
-    of, height = _polynomial_columns(view, [value for value, _ in records])
+    # Channel and power of jω of every polynomial column that some record may have. A moved base measured as velocity
+    # or acceleration has end terms of its own; other inputs have none.
+    powers = [*range(max(value.polynomial for value, _ in records))]
+    powers += [RAMP] if any(value.ramp for value, _ in records) else []
+    own = [powers if output else [*range(int(view.derivative[c]))] for c, output in enumerate(outputs)]
+    of = np.repeat(np.arange(len(own)), [len(each) for each in own])
+    height = np.array([power for each in own for power in each], dtype=np.int64)
     s = np.zeros(spectrum.lines, dtype=np.complex128)
     highest = np.array([np.max(spectrum.omega[lines]) for _, lines in records])
     sampled = np.zeros((len(records), len(outputs)), dtype=bool)
@@ -261,7 +254,13 @@ def record_ends(
         wanted &= (height == RAMP) | ~sampled[number, of]
         terms_used[number] = (wanted | ~outputs[of]) & there[of]
     _require_lines(records, view, loads=2 * view.model.n, terms=terms_used)
-    by_input = _by_input(exact, s, of, height, view.on_q.shape[1])
+    # How inputs follow from the polynomials of channels that give them
+    shape = (len(s), view.on_q.shape[1], len(of))
+    given = np.flatnonzero(np.any(exact != 0, axis=(0, 1))[of]) if exact is not None else of[:0]
+    by_input = np.broadcast_to(np.complex128(0), shape)  # takes no memory, of which lines may be many
+    if exact is not None and len(given):
+        by_input = np.zeros(shape, dtype=np.complex128)
+        by_input[:, :, given] = -exact[:, :, of[given]] * (s[:, None] ** height[given])[:, None, :]
     return RecordEnds(
         view,
         with_loads(view),
@@ -279,30 +278,6 @@ def record_ends(
     )
 
 
-def _by_input(exact: Complex | None, s: Complex, of: Ints, height: Ints, inputs: int) -> Complex:
-    """How inputs follow from the polynomials of channels that give them, (lines, inputs, polynomials)."""
-    shape = (len(s), inputs, len(of))
-    given = np.flatnonzero(np.any(exact != 0, axis=(0, 1))[of]) if exact is not None else of[:0]
-    if exact is None or not len(given):
-        return np.broadcast_to(np.complex128(0), shape)  # takes no memory, of which lines may be many
-    by_input = np.zeros(shape, dtype=np.complex128)
-    by_input[:, :, given] = -exact[:, :, of[given]] * (s[:, None] ** height[given])[:, None, :]
-    return by_input
-
-
-def _polynomial_columns(view: ObservationModel, records: list[WholeRecord]) -> tuple[Ints, Ints]:
-    """Channel and power of jω of every polynomial column that some record may have, (polynomials,) each."""
-    most = max(value.polynomial for value in records)
-    drift = [RAMP] if any(value.ramp for value in records) else []
-    channel, power = [], []
-    for c, output in enumerate(~view.inputs_alone):
-        # A moved base measured as velocity or acceleration has end terms of its own; other inputs have none.
-        powers = [*range(most), *drift] if output else list(range(int(view.derivative[c])))
-        channel += [c] * len(powers)
-        power += powers
-    return np.array(channel, dtype=np.int64), np.array(power, dtype=np.int64)
-
-
 def _inputs_jump(view: ObservationModel, spectrum: Spectrum, lines: Ints) -> bool:
     """Whether inputs may be elsewhere at the end of a record than at its beginning, so that sampling folds them back.
 
@@ -316,13 +291,14 @@ def _inputs_jump(view: ObservationModel, spectrum: Spectrum, lines: Ints) -> boo
     if not np.any(view.inputs_alone) or not np.all(np.isfinite(inputs)):
         return True
     phase = spectrum.omega[lines] / np.max(spectrum.omega[lines]) * np.pi
-    times = np.linspace(-AT_ENDS, AT_ENDS, 4 * AT_ENDS + 1)[:, None]
+    # Within eight half periods of the band's highest line about the ends, 10,000 lines at a time
+    times = np.linspace(-8, 8, 33)[:, None]
     ends = np.zeros((*inputs.shape[:-2], len(times), inputs.shape[-1]))
-    for first in range(0, len(lines), CHUNK):
-        some = slice(first, first + CHUNK)
+    for first in range(0, len(lines), 10_000):
+        some = slice(first, first + 10_000)
         ends += (np.exp(1j * times * phase[some]) @ inputs[..., some, :]).real
     size = np.sqrt(np.sum(np.abs(inputs) ** 2, axis=-2, keepdims=True) / 2)
-    return bool(np.any(np.ptp(ends, axis=-2, keepdims=True) > AT_REST * size))
+    return bool(np.any(np.ptp(ends, axis=-2, keepdims=True) > 0.02 * size))
 
 
 def _require_lines(

@@ -7,7 +7,7 @@ line (variable projection).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -93,7 +93,6 @@ def estimated_inputs(G: Complex, W: Complex, y: Complex) -> tuple[Complex, Compl
 
 
 FLOOR = 1e-6  # relative noise that exact channels of coordinates are given, so that weights stay finite
-LOG_RESIDUAL = 0.5  # nepers beyond which a residual of logarithms counts no longer by its square
 
 
 def measured(data: Prepared, softness: float = 0.0) -> Measured:
@@ -198,11 +197,12 @@ def predict(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Pr
 
 
 def _prediction(
-    data: Measured, residual: Complex, J: Complex, PJ: Complex, q: Complex, columns: int = 0
-) -> Prediction:
+    data: Measured, residual: Complex, J: Complex, PJ: Complex, q: Complex, columns: int = 0,
+    at_ends: Complex | None = None,
+) -> Prediction:  # fmt: skip
     weighted = (data.W @ residual[..., None])[..., 0]
     cost: Real = 2 * np.sum((np.conj(residual) * weighted).real, axis=-1)
-    return Prediction(residual, weighted, J, PJ, q, cost, columns)
+    return Prediction(residual, weighted, J, PJ, q, cost, columns, at_ends)
 
 
 @dataclass(frozen=True)
@@ -284,8 +284,7 @@ def _predict_records(
     J = fit.left_of(J)
     at_ends = np.einsum("...cz,...z->...c", fit.columns, fit.loads)
     q = fit.motion[..., : ends.inputs]
-    prediction = _prediction(data, fit.r, J, data.W @ J, q, int(fit.of_ends.rank[0]))
-    return replace(prediction, at_ends=at_ends)
+    return _prediction(data, fit.r, J, data.W @ J, q, int(fit.of_ends.rank[0]), at_ends)
 
 
 def _inputs(G: Complex, data: Measured) -> tuple[Complex, Complex | None]:
@@ -413,13 +412,14 @@ def logarithmic(
 def _logarithmic_sums(piece: Piece, weight: Real, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
     data, at = piece.data, predict(piece.view, piece.data, psi, sign)
     rows, M = at.J.shape[-3] * at.J.shape[-2], psi.shape[-1]
+    large = 0.5  # nepers beyond which a residual of logarithms counts no longer by its square
     shown = data.y - at.r
     seen = (data.y != 0) & (weight > 0)
     with np.errstate(all="ignore"):
         rho = np.where(seen, np.log(np.where(seen, data.y, 1.0) / shown), 0.0)
         J = np.where(seen[..., None], at.J / shown[..., None], 0.0).reshape(len(psi), rows, M)
-    stretch = np.sqrt(1 + np.abs(rho) ** 2 / LOG_RESIDUAL**2)
-    cost = 4 * LOG_RESIDUAL**2 * np.sum(weight * (stretch - 1), axis=(-2, -1))
+    stretch = np.sqrt(1 + np.abs(rho) ** 2 / large**2)
+    cost = 4 * large**2 * np.sum(weight * (stretch - 1), axis=(-2, -1))
     weighted = hermitian(J) * (weight / stretch).reshape(len(psi), 1, rows)
     gradient = 2 * (weighted @ rho.reshape(len(psi), rows, 1)).real[..., 0]
     return cost, gradient, 2 * (weighted @ J).real
