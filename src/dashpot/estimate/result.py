@@ -31,90 +31,14 @@ if TYPE_CHECKING:
     from dashpot.model.rigfile import Rig
 
 
-# An Estimate in the terms of other libraries: a table, numbers that carry their uncertainty, labelled
-# arrays.
-
-
-EXTRA = "analysis"
-
-
-def dataframe(estimate: Estimate, level: float = 0.95) -> Any:
-    """A pandas DataFrame: a row for each parameter of the rig; value, sd, low, high, bound_sd, unit, known.
-
-    `low` and `high` are the ends of the intervals at `level`.  Raises UsageError without pandas, and for a batch.
-    """
-    _require_single(estimate)
-    pandas = optional_library("pandas", EXTRA, "to_dataframe")
-    ends = dict(zip(estimate.names, zip(*estimate.interval(level), strict=True), strict=True))
-    for name, root, times, _ in estimate.tied:
-        ends[name] = tuple(sorted(times * end for end in ends[root]))
-    rows = [
-        (value.name, value.value, value.sd, *ends.get(value.name, value.interval95), value.bound_sd, value.unit,
-         value.known)
-        for value in estimate.parameters().values()
-    ]  # fmt: skip
-    columns = ["parameter", "value", "sd", "low", "high", "bound_sd", "unit", "known"]
-    return pandas.DataFrame(rows, columns=columns).set_index("parameter")
-
-
-def correlated_numbers(estimate: Estimate) -> dict[str, Any]:
-    """Numbers of the package `uncertainties` by name, their correlations kept: unknown and tied parameters.
-
-    Those that are exactly known are plain numbers.  Raises UsageError without uncertainties, and for a batch.
-    """
-    _require_single(estimate)
-    library = optional_library("uncertainties", EXTRA, "to_uncertainties")
-    correlated = library.correlated_values(
-        estimate.values.tolist(), estimate.covariance.tolist(), estimate.names
-    )
-    numbers = dict(zip(estimate.names, correlated, strict=True))
-    numbers |= {name: times * numbers[root] for name, root, times, _ in estimate.tied}
-    return numbers | {name: value for name, value, _ in estimate.known}
-
-
-def dataset(estimate: Estimate) -> Any:
-    """An xarray Dataset: value, sd, bound_sd (…, parameter) and covariance (…, parameter, other); … repeats.
-
-    Raises UsageError without xarray.
-    """
-    xarray = optional_library("xarray", EXTRA, "to_xarray")
-    repeats = [f"repeat_{axis}" for axis in range(estimate.values.ndim - 1)]
-    names = list(estimate.names)
-    along = [*repeats, "parameter"]
-    return xarray.Dataset(
-        {
-            "value": (along, estimate.values),
-            "sd": (along, estimate.sd),
-            "bound_sd": (along, estimate.bound_sd),
-            "covariance": ([*along, "other"], estimate.covariance),
-            "converged": (repeats, estimate.converged),
-        },
-        coords={"parameter": names, "other": names, "unit": ("parameter", list(estimate.units))},
-        attrs={"model": estimate.model, "method": estimate.method, "intervals_count": estimate.basis},
-    )
-
-
-def _require_single(estimate: Estimate) -> None:
-    if estimate.values.ndim != 1:
-        raise UsageError("this is a batch of estimates", cure="use to_xarray, or take one of them")
+EXTRA = "analysis"  # what brings the libraries in whose terms an Estimate may be had
 
 
 # Whether an estimate that was read from a file can be one: what a hand or a fault may have changed in it.
 
 
-ASYMMETRY = 1e-9  # of an entry of a covariance, in standard deviations
-
-
-def require_sound(estimate: Estimate, where: str) -> None:
-    """Raises DataError, placed at `where`, with everything that no estimate can have."""
-    problems = [
-        Problem(what, where, "write it again with dashpot, or correct it") for what in _faults(estimate)
-    ]
-    if problems:
-        raise DataError(problems)
-
-
 def _faults(estimate: Estimate) -> Iterator[str]:
+    """Everything that no estimate can have."""
     names, count = estimate.names, len(estimate.names)
     texts = (*names, *estimate.units, estimate.model, estimate.method, estimate.basis)
     if not all(isinstance(text, str) for text in (*texts, "" if estimate.rig is None else estimate.rig)):
@@ -132,19 +56,18 @@ def _faults(estimate: Estimate) -> Iterator[str]:
             return
         yield from _matrix_faults(name, matrix, names)
     yield from _value_faults(estimate)
-    yield from _reference_faults(estimate)
 
 
 def _value_faults(estimate: Estimate) -> Iterator[str]:
-    """Values that are lost, sizes below 0 and bounds that leave no room."""
+    """Values that are lost or refer to nothing, sizes below 0 and bounds that leave no room."""
     names = estimate.names
-    for name, value in zip(names, estimate.values, strict=True):
+    values = list(zip(names, estimate.values, strict=True))
+    for name, value in values:
         if np.isfinite(value) and abs(value) > LARGEST:
             yield f"{name}: {value:g} is out of range"
-    if bool(estimate.converged):
-        lost = [name for name, value in zip(names, estimate.values, strict=True) if not np.isfinite(value)]
-        if lost:
-            yield f"{listed(lost)}: no value"
+    lost = [name for name, value in values if not np.isfinite(value)]
+    if lost and bool(estimate.converged):
+        yield f"{listed(lost)}: no value"
     for label, array in (("bound_sd", estimate.bound_sd), ("interval_dof", estimate.dof)):
         wrong = [name for name, value in zip(names, array, strict=True) if value < 0]
         if wrong:
@@ -152,12 +75,8 @@ def _value_faults(estimate: Estimate) -> Iterator[str]:
     for name, low, high in zip(names, estimate.lower, estimate.upper, strict=True):
         if not low <= high:
             yield f"{name}: min is above max"
-
-
-def _reference_faults(estimate: Estimate) -> Iterator[str]:
-    """Tied and known elements that refer to nothing or have no value."""
     for _, root, times, _ in estimate.tied:
-        if root not in estimate.names:
+        if root not in names:
             yield f"tied: {root} is not among the unknowns"
         if not np.isfinite(times):
             yield f"tied: {times} is not a finite number"
@@ -173,11 +92,11 @@ def _matrix_faults(label: str, matrix: np.ndarray, names: tuple[str, ...]) -> It
     if negative:
         yield f"{label}: the variance of {listed(negative)} is negative"
         return
-    sd = np.sqrt(variances)
-    size = np.outer(sd, sd)
+    size = np.outer(np.sqrt(variances), np.sqrt(variances))
+    rounding = 1e-9  # of an entry, in standard deviations
     with np.errstate(invalid="ignore", over="ignore"):
-        skew = np.abs(matrix - matrix.T) > ASYMMETRY * size
-        beyond = np.abs(matrix) > (1 + ASYMMETRY) * size
+        skew = np.abs(matrix - matrix.T) > rounding * size
+        beyond = np.abs(matrix) > (1 + rounding) * size
     if np.any(skew):
         yield f"{label}: not symmetric"
     elif np.any(beyond):
@@ -250,7 +169,6 @@ def truncated_reach(beyond: Real, dof: Real, level: float) -> Real:
 
 FORMAT = "0.1"
 SENSOR_NOISE, RESIDUALS, MISFIT = "sensor noise", "residuals", "model misfit"  # what intervals may rest on
-SHOWN = 8  # values in the one-line form
 REMEDY = "write one with dashpot identify"
 
 
@@ -408,8 +326,8 @@ class Estimate(Printable):
             shape = " × ".join(map(str, self.values.shape[:-1]))
             return f"<{shape} estimates by {self.method} of {', '.join(self.names)}: {self.status}>"
         each = zip(self.names, self.values.tolist(), self.sd.tolist(), self.units, strict=True)
-        values = ", ".join(_with_sd(*one) for one in list(each)[:SHOWN])
-        more = f", … ({len(self.names)} in all)" if len(self.names) > SHOWN else ""
+        values = ", ".join(_with_sd(*one) for one in list(each)[:8])
+        more = f", … ({len(self.names)} in all)" if len(self.names) > 8 else ""
         return f"<Estimate by {self.method}, {self.status}: {values}{more}>"
 
     @property
@@ -488,7 +406,6 @@ class Estimate(Printable):
         """The estimate as JSON (no batch axes); `from_json` loads it again.  Raises DataError for a batch."""
         if self.values.ndim != 1:
             raise DataError("a batch of estimates is not written as JSON", cure="save its arrays instead")
-
         return to_json(content_of(self))
 
     def to_dataframe(self, level: float = 0.95) -> Any:
@@ -496,21 +413,53 @@ class Estimate(Printable):
 
         Raises UsageError without pandas (extra "analysis"), and for a batch.
         """
-        return dataframe(self, level)
+        self._require_single()
+        pandas = optional_library("pandas", EXTRA, "to_dataframe")
+        ends = dict(zip(self.names, zip(*self.interval(level), strict=True), strict=True))
+        for name, root, times, _ in self.tied:
+            ends[name] = tuple(sorted(times * end for end in ends[root]))
+        rows = [
+            (v.name, v.value, v.sd, *ends.get(v.name, v.interval95), v.bound_sd, v.unit, v.known)
+            for v in self.parameters().values()
+        ]
+        columns = ["parameter", "value", "sd", "low", "high", "bound_sd", "unit", "known"]
+        return pandas.DataFrame(rows, columns=columns).set_index("parameter")
 
     def to_uncertainties(self) -> dict[str, Any]:
         """Numbers of the package uncertainties by name, SI units, correlations kept.
 
         Raises UsageError without it (extra "analysis"), and for a batch.
         """
-        return correlated_numbers(self)
+        self._require_single()
+        library = optional_library("uncertainties", EXTRA, "to_uncertainties")
+        values = library.correlated_values(self.values.tolist(), self.covariance.tolist(), self.names)
+        numbers = dict(zip(self.names, values, strict=True))
+        numbers |= {name: times * numbers[root] for name, root, times, _ in self.tied}
+        return numbers | {name: value for name, value, _ in self.known}
 
     def to_xarray(self) -> Any:
         """An xarray Dataset of values and covariance, SI units, batch axes kept.
 
         Raises UsageError without xarray (extra "analysis").
         """
-        return dataset(self)
+        xarray = optional_library("xarray", EXTRA, "to_xarray")
+        repeats = [f"repeat_{axis}" for axis in range(self.values.ndim - 1)]
+        names, along = list(self.names), [*repeats, "parameter"]
+        return xarray.Dataset(
+            {
+                "value": (along, self.values),
+                "sd": (along, self.sd),
+                "bound_sd": (along, self.bound_sd),
+                "covariance": ([*along, "other"], self.covariance),
+                "converged": (repeats, self.converged),
+            },
+            coords={"parameter": names, "other": names, "unit": ("parameter", list(self.units))},
+            attrs={"model": self.model, "method": self.method, "intervals_count": self.basis},
+        )
+
+    def _require_single(self) -> None:
+        if self.values.ndim != 1:
+            raise UsageError("this is a batch of estimates", cure="use to_xarray, or take one of them")
 
     def to_state_space(self, rig: Any = None, **options: Any) -> StateSpace:
         """The state space of its rig, the one given or that of the rig file it names: `dashpot.state_space`."""
@@ -569,7 +518,9 @@ class Estimate(Printable):
         except (TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
             cause = shown(str(error), 100)
             raise DataError(f"this is not a dashpot estimate ({cause})", where, REMEDY) from error
-        require_sound(estimate, where)
+        cure = "write it again with dashpot, or correct it"
+        if problems := [Problem(what, where, cure) for what in _faults(estimate)]:
+            raise DataError(problems)
         return estimate
 
     @staticmethod
@@ -653,8 +604,25 @@ MOST_COVARIANCE = 1000  # unknowns, above which the covariance is null
 
 
 def content_of(estimate: Estimate) -> dict[str, Any]:
-    """What `Estimate.to_json` writes (no batch axes)."""
+    """What `Estimate.to_json` writes (no batch axes): all parameters have values, the unknowns what belongs to their
+    intervals as well."""
     assessment = estimate.assessment
+    entries: dict[str, dict[str, Any]] = {
+        name: {
+            "value": v.value, "sd": v.sd, "interval95": list(v.interval95), "unit": v.unit, "known": v.known,
+            "bound_sd": v.bound_sd,
+        }
+        for name, v in estimate.parameters().items()
+    }  # fmt: skip
+    columns = (estimate.noise_sd, estimate.dof, estimate.lower, estimate.upper, estimate.free_values)
+    for j, name in enumerate(estimate.names):
+        noise, dof, low, high, free = (float(column[j]) for column in columns)
+        entries[name] |= {"noise_sd": noise, "interval_dof": dof}
+        if math.isfinite(low) or math.isfinite(high) or free != float(estimate.values[j]):
+            entries[name] |= {"min": low, "max": high, "without_limits": free}
+        if name in estimate.profiles:
+            at, roots = estimate.profiles[name]
+            entries[name]["profile"] = {"values": list(at), "roots": list(roots)}
     return {
         "dashpot": FORMAT,
         "model": estimate.model,
@@ -662,7 +630,7 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         "method": estimate.method,
         "status": estimate.status,
         "iterations": int(estimate.iterations),
-        "parameters": _parameters(estimate),
+        "parameters": entries,
         "order": list(estimate.names),
         "covariance": _covariance_rows(estimate.covariance),
         "noise_covariance": _covariance_rows(estimate.noise_covariance),
@@ -686,41 +654,18 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _parameters(estimate: Estimate) -> dict[str, dict[str, Any]]:
-    """An entry for each parameter: all have values, the unknowns what belongs to their intervals as well."""
-    entries: dict[str, dict[str, Any]] = {
-        name: {
-            "value": v.value, "sd": v.sd, "interval95": list(v.interval95), "unit": v.unit, "known": v.known,
-            "bound_sd": v.bound_sd,
-        }
-        for name, v in estimate.parameters().items()
-    }  # fmt: skip
-    columns = (estimate.noise_sd, estimate.dof, estimate.lower, estimate.upper, estimate.free_values)
-    for j, name in enumerate(estimate.names):
-        noise, dof, low, high, free = (float(column[j]) for column in columns)
-        entries[name] |= {"noise_sd": noise, "interval_dof": dof}
-        if math.isfinite(low) or math.isfinite(high) or free != float(estimate.values[j]):
-            entries[name] |= {"min": low, "max": high, "without_limits": free}
-        if name in estimate.profiles:
-            at, roots = estimate.profiles[name]
-            entries[name]["profile"] = {"values": list(at), "roots": list(roots)}
-    return entries
-
-
 def _mode_rows(modes: ModeValues) -> list[dict[str, Any]]:
-    rows = []
-    for k in range(len(modes.eigenvalues)):
-        rows.append(
-            {
-                "frequency_hz": float(modes.frequency_hz[k]),
-                "damping_ratio": float(modes.damping_ratio[k]),
-                "eigenvalue": [float(modes.eigenvalues[k].real), float(modes.eigenvalues[k].imag)],
-                "frequency_sd": float(modes.frequency_sd[k]),
-                "damping_sd": float(modes.damping_sd[k]),
-                "shape": [[float(z.real), float(z.imag)] for z in modes.shapes[k]],
-            }
-        )
-    return rows
+    return [
+        {
+            "frequency_hz": float(modes.frequency_hz[k]),
+            "damping_ratio": float(modes.damping_ratio[k]),
+            "eigenvalue": [float(value.real), float(value.imag)],
+            "frequency_sd": float(modes.frequency_sd[k]),
+            "damping_sd": float(modes.damping_sd[k]),
+            "shape": [[float(z.real), float(z.imag)] for z in modes.shapes[k]],
+        }
+        for k, value in enumerate(modes.eigenvalues)
+    ]
 
 
 def estimate_from(content: Mapping[str, Any]) -> Estimate:
@@ -746,7 +691,12 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         iterations=np.asarray(content["iterations"], dtype=np.int64),
         history=_rows(content["history"]),
         assessment=assessment_from(fit, content.get("diagnosis", [])),
-        fit=_fit(fit),
+        fit=Fit(
+            np.asarray(nullable(fit["chi2"])),
+            int(fit["dof"]),
+            np.asarray(nullable(fit["p"])),
+            bool(fit["known_noise"]),
+        ),
         known=tuple((n, float(e["value"]), str(e["unit"])) for n, e in parameters.items() if e["known"]),
         tied=tuple((str(a), str(b), float(c), str(d)) for a, b, c, d in content["tied"]),
         modes=_modes(content["modes"]),
@@ -791,11 +741,6 @@ def _covariance_rows(covariance: Real) -> list[list[float]] | None:
 def _covariance(rows: Sequence[Sequence[Any]] | None, sd: Sequence[Any]) -> Real:
     """A covariance of a file; where it was left out, the variances alone."""
     return np.diag(_numbers(sd) ** 2) if rows is None else _rows(rows)
-
-
-def _fit(fit: Mapping[str, Any]) -> Fit:
-    chi2, p = np.asarray(nullable(fit["chi2"])), np.asarray(nullable(fit["p"]))
-    return Fit(chi2, int(fit["dof"]), p, bool(fit["known_noise"]))
 
 
 def _modes(rows: Sequence[Mapping[str, Any]]) -> ModeValues | None:

@@ -172,6 +172,25 @@ class FittedRecords:
         if np.any((values <= lower) | (values >= upper)):
             free = without_bounds(free, problem.quadratic(free), *self.limits)
         bounds = HeldBounds(lower, upper, free[:, :inner])
+        warnings = list[Notice]()
+        wider = float(np.median(np.sqrt(np.diagonal(covariance) / np.diagonal(bound))))
+        if wider > 1.5:  # a smaller ratio is not worth a warning
+            text = (
+                f"the residuals are coloured: intervals are {wider:.2g} times those of white noise; "
+                "the model or the measured input lacks something"
+            )
+            warnings.append(Notice("coloured_residuals", text))
+        warnings += unseen_laws(model, values, covariance)
+        if self.held:
+            text = (
+                "the motion depends too much on its inputs for their noise to be counted: they count as exact, so "
+                "noise in them biases the values and is not in the intervals"
+            )
+            warnings.append(Notice("exact_inputs", text, tuple(source.name for source in model.inputs)))
+        warnings += of_bounds(names, values, bounds)
+        if problem.pieces > 1:
+            cut = "the motion depends too much on its start to be followed whole"
+            warnings.append(Notice(CUT_RECORD, f"{cut}: cut into {problem.pieces} pieces"))
         rms = ", ".join(f"{n} {s:.3g}" for n, s in zip(problem.records[0].names, problem.sd, strict=True))
         about = [] if self.held else counted_as_exact([source.name for source in model.inputs])
         return estimate_of(
@@ -190,13 +209,7 @@ class FittedRecords:
             iterations=np.array([self.iterations], dtype=np.int64),
             history=self.history,
             bounds=bounds,
-            warnings=[
-                *_coloured_notice(np.sqrt(np.diagonal(covariance) / np.diagonal(bound))),
-                *unseen_laws(model, values, covariance),
-                *(_held_inputs(model) if self.held else []),
-                *of_bounds(names, values, bounds),
-                *_cut_notices(problem),
-            ],
+            warnings=warnings,
             notes=[
                 Notice("record_residuals", f"residuals of the whole records, rms in SI units: {rms}"),
                 *(about if noise is None else _input_notes(problem, noise)),
@@ -283,34 +296,6 @@ def _meat(J: Real, power: Real) -> Real:
     if N % 2 == 0:
         weight[-1] = 1.0
     return ((np.conj(lines) * (weight * power)[:, None]).T @ lines).real / N
-
-
-def _coloured_notice(ratio: Real) -> list[Notice]:
-    """A warning where intervals are far wider than white residuals would make them, by the `ratio` of both."""
-    wider = float(np.median(ratio))
-    if wider <= 1.5:  # a smaller ratio is not worth a warning
-        return []
-    text = (
-        f"the residuals are coloured: intervals are {wider:.2g} times those of white noise; "
-        "the model or the measured input lacks something"
-    )
-    return [Notice("coloured_residuals", text)]
-
-
-def _cut_notices(problem: RecordProblem) -> list[Notice]:
-    if problem.pieces <= 1:
-        return []
-    cut = f"the motion depends too much on its start to be followed whole: cut into {problem.pieces} pieces"
-    return [Notice(CUT_RECORD, cut)]
-
-
-def _held_inputs(model: Model) -> list[Notice]:
-    """That the inputs count as exact because the motion hangs too much on them."""
-    text = (
-        "the motion depends too much on its inputs for their noise to be counted: they count as exact, so noise in "
-        "them biases the values and is not in the intervals"
-    )
-    return [Notice("exact_inputs", text, tuple(source.name for source in model.inputs))]
 
 
 def _input_notes(problem: RecordProblem, noise: InputSizes) -> list[Notice]:

@@ -475,16 +475,12 @@ class RecordProblem:
 
         (samples, channels) and (samples, channels, columns); inf and None where no motion follows.
         """
-        residual, along, _ = self._outputs(k, psi, slopes=slopes)
-        return residual, along
+        return self.with_covariance(k, psi, slopes=slopes, covariance=False)[:2]
 
-    def with_covariance(self, k: int, psi: Real) -> tuple[Real, Real | None, OutputCovariance | None]:
-        """The same, and what noise of the inputs does to the outputs."""
-        return self._outputs(k, psi, covariance=True)
-
-    def _outputs(
-        self, k: int, psi: Real, *, slopes: bool = True, covariance: bool = False
+    def with_covariance(
+        self, k: int, psi: Real, *, slopes: bool = True, covariance: bool = True
     ) -> tuple[Real, Real | None, OutputCovariance | None]:
+        """The same, and what noise of the inputs does to the outputs, where that is wanted and there is any."""
         m = len(self.model.unknowns)
         gain = psi[m : m + self.gains]
         data = self.data_at(k, psi)
@@ -641,44 +637,37 @@ def begun_problem(
     return problem, np.concatenate(own)
 
 
-STEP = 0.8  # of a step times the fastest rate of the linear rig
-MOST_SUBSTEPS = 1000  # between samples
-
-
 def enough_substeps(model: Model, theta: Real, step_s: float, motion: tuple[Real, Real] | None = None) -> int:
     """Steps between samples: enough for the fastest mode of the linear part, twice as many for kinks of the laws.
 
     theta (unknowns,); with a `motion`, coordinates (samples, n) and displacement inputs (samples, r), springs count as
-    stiff as they are anywhere in it.  Raises ConvergenceError where steps are more than MOST_SUBSTEPS.
+    stiff as they are anywhere in it.  Raises ConvergenceError where steps are more than 1000.
     """
     parts = matrices(model, model.parameters(theta))
     n, K, chosen = model.n, parts.K, model.nonlinear
     if motion is not None:
-        K = K + (model.B[chosen].T * _stiffest(model, theta, step_s, *motion)) @ model.B[chosen]
+        # The largest slope of each nonlinear element's force along its elongation, (e,); 0 of softening ones
+        x, u = motion
+        d = x @ model.B[chosen].T + u @ model.D[chosen].T
+        v, nothing = np.gradient(d, step_s, axis=0), np.zeros(len(d))
+        p, constants = model.parameters(theta)[chosen], model.inner_constants(theta)
+        stiffest = np.zeros(len(chosen))
+        for row, (law, inner) in enumerate(zip(model.laws, model.constant_slices, strict=True)):
+            along = law(d[:, row], v[:, row], nothing, constants[inner]).slopes.get("d", 0.0)
+            slopes = p[row] * np.broadcast_to(along, len(d))
+            stiffest[row] = np.max(slopes, initial=0.0, where=np.isfinite(slopes))
+        K = K + (model.B[chosen].T * stiffest) @ model.B[chosen]
     try:
         inverse = np.linalg.inv(parts.M)
     except np.linalg.LinAlgError:
         return 1
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ K, -inverse @ parts.C]])
     fastest = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)) if np.all(np.isfinite(A)) else np.inf
-    if not fastest * step_s <= MOST_SUBSTEPS * STEP:
+    steps = fastest * step_s / 0.8  # of a step times the fastest rate
+    if not steps <= 1000:
         raise ConvergenceError(
             f"the rig would move at {fastest:.3g} rad/s, far too fast for {1 / step_s:.3g} samples a second",
             cure="check its values, and give guesses of the unknowns",
         )
     rough = any(e.force_law is not None and not e.force_law.smooth for e in model.elements)
-    return max(1, int(np.ceil(fastest * step_s / STEP))) * (2 if rough else 1)
-
-
-def _stiffest(model: Model, theta: Real, step_s: float, x: Real, u: Real) -> Real:
-    """Largest slope of each nonlinear element's force along its elongation in a motion, (e,); 0 of softening ones."""
-    chosen = model.nonlinear
-    d = x @ model.B[chosen].T + u @ model.D[chosen].T
-    v = np.gradient(d, step_s, axis=0)
-    p, constants = model.parameters(theta)[chosen], model.inner_constants(theta)
-    stiffest = np.zeros(len(chosen))
-    for row, (law, inner) in enumerate(zip(model.laws, model.constant_slices, strict=True)):
-        at = law(d[:, row], v[:, row], np.zeros(len(d)), constants[inner])
-        slopes = p[row] * np.broadcast_to(at.slopes.get("d", 0.0), len(d))
-        stiffest[row] = np.max(slopes, initial=0.0, where=np.isfinite(slopes))
-    return stiffest
+    return max(1, int(np.ceil(steps))) * (2 if rough else 1)

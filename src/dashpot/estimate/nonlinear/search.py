@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -49,9 +49,6 @@ if TYPE_CHECKING:
 # Where the search for the parameters of a nonlinear rig begins.
 
 
-# Constants to try: shares of the largest elongation or speed, or pure numbers
-SHARES = (0.01, 0.03, 0.1, 0.2, 0.35, 0.6, 0.85)
-PURE = (0.3, 0.8, 1.3, 2.5)
 KEPT = 4  # starts that are followed
 NEXT = 1.05  # the smallest factor by which inner constants are moved from the best of a grid
 
@@ -99,9 +96,15 @@ def _by_regression(data: Prepared) -> Real:
     found = regression(motion, np.array(trials[:KEPT]), weight)[0]
     thetas = [theta_of(model, constants, p) for constants, p in zip(trials, found, strict=False)]
     thetas = [theta for theta in thetas if np.all(np.isfinite(theta))]
-    if not thetas:
-        _refuse(motion, trials[0], weight)
-    return np.array(thetas)
+    if thetas:
+        return np.array(thetas)
+    strengths = np.any(model.T, axis=0)
+    names = [name for name, there in zip(model.unknown_names, strengths, strict=True) if there]
+    require_traces(model, names, weighted_normal_equations(motion, trials[0][None], weight)[0][0])
+    raise IdentifiabilityError(
+        "the measured motion does not determine the unknowns",
+        cure="give guesses of the unknowns, or drive the rig at more frequencies and in more sizes",
+    )
 
 
 def theta_of(model: Model, constants: Real, p: Real) -> Real:
@@ -111,17 +114,6 @@ def theta_of(model: Model, constants: Real, p: Real) -> Real:
     theta[np.any(model.T, axis=0)] = p
     low, high = model.bounds
     return np.clip(np.where(model.prior_precision > 0, model.prior_mean, theta), low, high)
-
-
-def _refuse(motion: MeasuredMotion, constants: Real, weight: Real) -> NoReturn:
-    """Raises IdentifiabilityError: no trial of the inner constants, such as these (G,), determines the parameters."""
-    strengths = np.any(motion.model.T, axis=0)
-    names = [name for name, there in zip(motion.model.unknown_names, strengths, strict=True) if there]
-    require_traces(motion.model, names, weighted_normal_equations(motion, constants[None], weight)[0][0])
-    raise IdentifiabilityError(
-        "the measured motion does not determine the unknowns",
-        cure="give guesses of the unknowns, or drive the rig at more frequencies and in more sizes",
-    )
 
 
 def _residuals(motion: MeasuredMotion, trials: Sequence[Real], weight: Real) -> Real:
@@ -178,7 +170,9 @@ def constants_to_try(model: Model, elongation: Real, speed: Real) -> list[Real]:
             metre, second = law.exponents[1].get(constant.name, (0.0, 0.0))
             pure = not metre and not second
             scale = 1.0 if pure else largest ** (metre + second) * fastest**-second
-            shares = np.array(PURE if pure else SHARES)[:: 3 if unknown > 2 else 1]
+            # Pure numbers, or shares of the largest elongation or speed
+            sizes = (0.3, 0.8, 1.3, 2.5) if pure else (0.01, 0.03, 0.1, 0.2, 0.35, 0.6, 0.85)
+            shares = np.array(sizes)[:: 3 if unknown > 2 else 1]
             low = -np.inf if constant.lower is None else constant.lower
             high = np.inf if constant.upper is None else constant.upper
             choices.append(tuple(np.clip(scale * shares, low, high).tolist()))
@@ -201,8 +195,18 @@ def _by_linear_rig(data: Prepared, calibrations: Real) -> tuple[Real, Real]:
     near = np.where(np.isnan(theta), 0.0, theta)
     elongation, speed = _expected_motion(data, near)
     starts = []
+    omega, largest = np.array([np.median(data.spectrum.omega)]), float(np.max(elongation))
+    # What inertia and springs pull with, as hard as which each nonlinear element is to pull
+    forces = np.abs(model.parameters(near)) * np.abs(model.factors(omega))[0]
+    linear = float(np.max(forces * largest, initial=0.0))
+    q = np.zeros((1, len(model.nonlinear), 3))
+    q[0, :, 1] = elongation
     for constants in constants_to_try(model, elongation, speed)[:40]:
-        sizes = _typical_strength(data, near, constants, elongation)
+        shown = complex_of(alternate(model, constants[None], omega, q, 256, slopes=False).a)
+        sizes = np.ones(len(model.unknowns))
+        for index, unit in zip(model.nonlinear, np.abs(shown)[0].max(axis=-1), strict=True):
+            own = np.flatnonzero(model.T[index])
+            sizes[own] = (linear if linear > 0 else 1.0) / (unit if unit > 0 else 1.0)
         # Nonlinear force over the linear one, where nothing tells
         for ratio in (0.0, 0.03, 0.3, -0.1) if open_elements else (0.0,):
             trial = theta.copy()
@@ -275,28 +279,8 @@ def _expected_motion(data: Prepared, theta: Real) -> tuple[Real, Real]:
     return np.max(size, axis=0), np.max(size * drive.omega[:, None], axis=0)
 
 
-def _typical_strength(data: Prepared, theta: Real, constants: Real, elongation: Real) -> Real:
-    """Parameters at which each nonlinear element pulls as hard as inertia and springs do at θ, (unknowns,)."""
-    model = data.model
-    omega = np.array([np.median(data.spectrum.omega)])
-    forces = np.abs(model.parameters(theta)) * np.abs(model.factors(omega))[0]
-    linear = float(np.max(forces * float(np.max(elongation)), initial=0.0))
-    q = np.zeros((1, len(model.nonlinear), 3))
-    q[0, :, 1] = elongation
-    unit = np.abs(complex_of(alternate(model, constants[None], omega, q, 256, slopes=False).a))[0].max(
-        axis=-1
-    )
-    sizes = np.ones(len(model.unknowns))
-    for row, index in enumerate(model.nonlinear):
-        own = np.flatnonzero(model.T[index])
-        sizes[own] = (linear if linear > 0 else 1.0) / (unit[row] if unit[row] > 0 else 1.0)
-    return sizes
-
-
 FIRST, LONGEST = 30, 100  # iterations from each of the starts, and where the best of them led
 ROUGHLY = 0.03  # standard deviations within which descents end that others follow
-ALIKE = 0.02  # of the values and of the cost, by which ends of softened data differ that are one
-FINEST, COARSEST = 1e-10, 1e-3  # truncation errors of the elongations between which harmonics are enough
 MOST = 63  # harmonics
 
 
@@ -333,8 +317,13 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
         part = measured_part(exact)
         if data.noise_known and float(minimum.cost[0]) > 1e3 * first.rows:  # more do not help another rig
             return likelihood.descend_in(exact, minimum.x, sign, FIRST, near=near), exact, warnings
-        allowed = _allowed(data, float(minimum.cost[0]) / max(first.rows, 1))
-        if part.dwells.orders >= MOST or _missing(view, exact, minimum.x) <= allowed:
+        enough = part.dwells.orders >= MOST
+        if not enough:
+            at, p, constants, drive = _at_end(view, exact, minimum.x[:1], 0)
+            missing = np.where(at.converged, truncation(view.model, p, constants, drive, at), 0.0)
+            allowed = _allowed(data, float(minimum.cost[0]) / max(first.rows, 1))
+            enough = float(np.max(missing, initial=0.0)) <= allowed
+        if enough:
             return likelihood.descend_in(exact, minimum.x, sign, last), exact, warnings
         exact = replace(exact, nonlinear=part.widened(min(2 * part.dwells.orders + 1, MOST)))
         minimum = likelihood.descend_in(exact, minimum.x, sign, near=near)
@@ -409,9 +398,9 @@ def _allowed(data: Prepared, misfit: float) -> float:
     power = np.abs(np.nan_to_num(data.spectrum.amplitudes)) ** 2
     noisy = (variance > 0) & (power > 0)
     if not np.any(noisy):
-        return FINEST
+        return 1e-10
     best = float(np.min(np.sqrt(np.broadcast_to(variance, power.shape)[noisy] / power[noisy])))
-    return float(np.clip(0.1 * best, FINEST, COARSEST))
+    return float(np.clip(0.1 * best, 1e-10, 1e-3))
 
 
 def _fresh(exact: Measured) -> Measured:
@@ -449,9 +438,8 @@ def _valleys(likelihood: Likelihood, stage: Measured, points: Real) -> Real:
     ends = list[OptimizeResult]()
     for psi in points:
         end = likelihood.descend_in(_fresh(stage), psi[None], signs, FIRST, near=ROUGHLY)
-        again = any(_alike(end, other) for other in ends)
         ends.append(end)
-        if again:
+        if any(_alike(end, other) for other in ends[:-1]):
             break
     kept = list[OptimizeResult]()
     for end in sorted(ends, key=lambda end: float(end.cost[0])):
@@ -467,10 +455,10 @@ def _best_first(view: ObservationModel, data: Measured, points: Real) -> Real:
 
 def _alike(end: OptimizeResult, other: OptimizeResult) -> bool:
     """Whether two descents ended at the same place, as far as rough ones tell."""
-    far = np.abs(end.x - other.x) > ALIKE * np.maximum(np.abs(end.x), np.abs(other.x))
-    return not np.any(far) and bool(
-        np.abs(end.cost[0] - other.cost[0]) <= ALIKE * max(float(other.cost[0]), 1.0)
-    )
+    alike = 0.02  # of the values and of the cost of softened data
+    far = np.abs(end.x - other.x) > alike * np.maximum(np.abs(end.x), np.abs(other.x))
+    apart = np.abs(end.cost[0] - other.cost[0]) > alike * max(float(other.cost[0]), 1.0)
+    return not np.any(far) and not apart
 
 
 def _costs(view: ObservationModel, data: Measured, points: Real) -> Real:
@@ -540,10 +528,3 @@ def measured_branches_regained(view: ObservationModel, exact: Measured, psi: Rea
     for repeat in part.repeat[nearer].tolist():
         part.warm.take(measured_part(anew).warm, repeat)
     return bool(len(nearer))
-
-
-def _missing(view: ObservationModel, exact: Measured, psi: Real) -> float:
-    """Largest truncation error of the responses at ψ (K, M), of the first repeat."""
-    at, p, constants, drive = _at_end(view, exact, psi[:1], 0)
-    error = truncation(view.model, p, constants, drive, at)
-    return float(np.max(np.where(at.converged, error, 0.0), initial=0.0))

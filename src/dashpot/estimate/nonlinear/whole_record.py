@@ -46,7 +46,6 @@ from dashpot.numerics.small_systems import solve_scaled
 
 FIRST_NOISE = 0.01  # of a channel's rms: its noise before anything is known
 EXACT = 1e-6  # of a channel's rms: residuals below it count no less
-LIMIT, TOLERANCE = 60, 1e-4  # iterations of a search, and the standard deviations at which it ends
 HALVINGS = 6  # of the integration's steps, at most
 MOST_STEPS = 10**6  # of all records, which halving must not exceed
 
@@ -209,7 +208,6 @@ def _idle(element: Element, values: Mapping[str, float]) -> Element:
 # one wide valley, whose bottom moves to that of the free motion as they are weakened. Source: Vyasarayani, Uchida,
 # Carvalho and McPhee (2012), Multibody System Dynamics 26, 411.
 
-HOLDS = (3.0, 1.0, 0.3, 0.1, 0.03)  # natural frequency of a channel on its spring over that of its motion
 NEAR = 4.0  # misfit of the free motion over that of the held one at which it need be held no more
 
 
@@ -223,9 +221,17 @@ def _released(problem: RecordProblem, psi: Real) -> tuple[RecordProblem, Real]:
     shown = [c for c in displacement_channels(first) if np.ptp(first.outputs[:, c]) > 0]
     if not shown:
         return problem, psi
-    records = tuple(_with_measured_motion(problem.model, data, shown) for data in problem.records)
-    least = np.inf
-    for hold in HOLDS:
+    least, records = (
+        np.inf,
+        tuple(_with_measured_motion(problem.model, data, shown) for data in problem.records),
+    )
+    for hold in (
+        3.0,
+        1.0,
+        0.3,
+        0.1,
+        0.03,
+    ):  # natural frequency of a channel on its spring over that of its motion
         model = _held(problem, psi, shown, hold)
         held = replace(problem, model=model, records=records, trail=Trail(problem.motions()))
         if not np.isfinite(held.misfit(psi)):
@@ -390,8 +396,8 @@ def _descended(
     problem: RecordProblem,
     psi: Real,
     limits: tuple[Real, Real],
-    limit: int = LIMIT,
-    tolerance: float = TOLERANCE,
+    limit: int = 60,
+    tolerance: float = 1e-4,
 ) -> OptimizeResult:
     """The least misfit from ψ (M,) on, within bounds."""
     return minimise(
