@@ -70,7 +70,6 @@ from dashpot.model.modes import Modes as Modes
 from dashpot.model.modes import modes as modes
 from dashpot.model.network import Input as Input
 from dashpot.model.network import Model as Model
-from dashpot.model.network import Unknown as Unknown
 from dashpot.model.rigfile import Rig as Rig
 from dashpot.model.rigfile import default_channels as default_channels
 from dashpot.model.rigfile import parse_rig as parse_rig
@@ -81,5 +80,6 @@ from dashpot.study.simulate import Dwells as Dwells
 from dashpot.study.simulate import dwells as dwells
 from dashpot.study.simulate import simulate_records as simulate_records
 from dashpot.study.simulate import simulate_spectrum as simulate_spectrum
+from dashpot.unknowns import Unknown as Unknown
 
 __version__: str

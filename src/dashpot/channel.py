@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from types import MappingProxyType
 
 from dashpot.errors import UsageError
+from dashpot.unknowns import Unknown
 
 RESERVED_NAMES = ("time_s", "frequency_hz", "experiment")  # columns of data files that no channel can be
 
@@ -31,7 +32,9 @@ class Channel:
     """One channel, and how its raw numbers relate to the physical quantity in SI units.
 
     raw(t) · scale = sign · gain · quantity(t − delay).  Known calibrations are taken out when raw numbers
-    become a Spectrum; `gain`, `delay` or `sign` None means unknown, to be estimated with the rest.
+    become a Spectrum; `gain`, `delay` or `sign` None means unknown, to be estimated with the rest.  What is known of
+    such a gain or delay beforehand, and what results call it, is `gain_prior` or `delay_prior`; channels whose priors
+    have one name share it.
 
     `name` is that of its column in data files, `unit` what its raw numbers are written in, and `scale` that unit in SI.
     `of` maps points (coordinates, displacement inputs) to factors.  With quantity "force", `of` names one force
@@ -53,6 +56,8 @@ class Channel:
     relative_noise: float = 0.0
     rate: float | None = None
     same_gain_as: str | None = None
+    gain_prior: Unknown | None = None
+    delay_prior: Unknown | None = None
 
     def __post_init__(self) -> None:
         try:
@@ -65,6 +70,26 @@ class Channel:
     def factor(self) -> float:
         """Known sign · gain, 1 for what is unknown of them: raw · scale = factor · quantity."""
         return (1.0 if self.gain is None else self.gain) * (1.0 if self.sign is None else self.sign)
+
+    @property
+    def unknown_gain(self) -> Unknown | None:
+        """The gain that is estimated; None where it is known."""
+        if self.gain is not None and self.same_gain_as is None:
+            return None
+        return self.gain_prior or Unknown(f"{self.same_gain_as or self.name}.gain", "1")
+
+    @property
+    def unknown_delay(self) -> Unknown | None:
+        """The delay that is estimated, s; None where it is known."""
+        return None if self.delay is not None else self.delay_prior or Unknown(f"{self.name}.delay", "s")
+
+    def without_prior(self, name: str) -> Channel:
+        """The channel with nothing known beforehand of the calibration of this name."""
+        gain, delay = (
+            Unknown(prior.name, prior.unit) if prior is not None and prior.name == name else prior
+            for prior in (self.gain_prior, self.delay_prior)
+        )
+        return replace(self, gain_prior=gain, delay_prior=delay)
 
     def __reduce__(self) -> tuple[object, ...]:
         values = {each.name: getattr(self, each.name) for each in fields(self)}

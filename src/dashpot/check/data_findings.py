@@ -16,7 +16,6 @@ from dashpot.check.sensitivity import KnownErrors, known_errors
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
-from dashpot.estimate.likelihood.objective import prior_precision
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import listed
 from dashpot.model.network import Model
@@ -112,7 +111,7 @@ def collinearity(base: Surface, covariance: Real) -> Collinearity:
     Combinations count that inflate an interval tenfold or more over what it were with all other unknowns known.
     Raises IdentifiabilityError where nothing is known of an unknown, or the information is not a finite number.
     """
-    total = np.sum(base.information[0], axis=0) + np.diag(prior_precision(base.view))
+    total = np.sum(base.information[0], axis=0) + np.diag(base.view.prior_precision)
     known = np.all(np.isfinite(total), axis=-1) & (np.diagonal(total) > 0)
     if not np.all(known):
         lost = [name for name, fine in zip(base.view.names, known, strict=True) if not fine]
@@ -142,7 +141,7 @@ def _combinations(
     inflation = np.sum(parts, axis=1)
     portion = parts / inflation[:, None]
     spread = np.sqrt(np.diagonal(covariance) / (inflation / sd**2))  # what the noise basis multiplies
-    delays = np.array([name.endswith(".delay") for name in names])
+    delays = np.arange(len(names)) >= len(names) - base.view.delays
     size = np.where(delays | (base.psi[0] == 0), 1.0, np.abs(base.psi[0]))
     combinations = []
     for k in np.argsort(values):

@@ -217,16 +217,16 @@ def _draws(
 
 def _prior_dependent(model: Model, channels: Sequence[Channel], rng: np.random.Generator) -> tuple[str, ...]:
     """Unknowns with a prior whose loss would leave something undetermined."""
-    known = [unknown.name for unknown in model.unknowns if unknown.sd is not None]
+    known = [unknown.name for unknown in view_of(model, channels).unknowns if unknown.sd is not None]
     dependent = []
     for name in known:
         elements = tuple(
             replace(element, value=None, sd=None) if element.name == name else element
             for element in model.elements
         )
-        free = replace(model, elements=elements)
-        view = view_of(free, channels)
-        draw = exact(free, channels, _lines_enough(free, channels, len(view.names), rng), rng)
+        free, loose = replace(model, elements=elements), [channel.without_prior(name) for channel in channels]
+        view = view_of(free, loose)
+        draw = exact(free, loose, _lines_enough(free, loose, len(view.names), rng), rng)
         if field.rank(draw.rows) < len(view.names):
             dependent.append(name)
     return tuple(dependent)

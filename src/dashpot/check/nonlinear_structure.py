@@ -50,9 +50,8 @@ def nonlinear_structure(
     view = data.view
     part = nonlinear_part(data, np.nan_to_num(given.amplitudes)[None], None)
     with np.errstate(all="ignore"):  # laws may overflow, which is refused below
-        psi = _nominal(model, view.gains, view.delays, part)
+        psi = np.concatenate([_nominal(model, part), view.nominal_calibrations])
         J = _slopes(model, given, part, psi)
-    M = len(view.names)
     scale = np.where(psi == 0, 1.0, psi)
     rows = np.concatenate([J.real, J.imag]) * scale
     if not np.all(np.isfinite(rows)):
@@ -60,9 +59,7 @@ def nonlinear_structure(
             "a law is no finite number in the motion at the nominal values of the rig",
             cure="give the unknowns guesses, or write a law that is finite there",
         )
-    prior = np.sqrt(model.prior_precision)
-    known = np.zeros((model.T.shape[1], M))
-    known[range(model.T.shape[1]), range(model.T.shape[1])] = np.where(prior > 0, np.linalg.norm(rows), 0.0)
+    known = np.diag(np.where(view.prior_precision > 0, np.linalg.norm(rows), 0.0))
     _, s, Vh = np.linalg.svd(np.concatenate([rows, known]), full_matrices=False)
     rank = int(np.sum(s > BLIND * s[0])) if s[0] > 0 else 0
     deficiencies = tuple(_deficiency(view.names, vector, scale) for vector in Vh[rank:])
@@ -109,8 +106,8 @@ def _settled_test(model: Model, channels: Sequence[Channel]) -> Spectrum:
     )  # fmt: skip
 
 
-def _nominal(model: Model, gains: int, delays: int, part: NonlinearPart) -> Real:
-    """ψ near priors and guesses, elsewhere typical values, nonlinear forces a share of the linear ones."""
+def _nominal(model: Model, part: NonlinearPart) -> Real:
+    """θ near priors and guesses, elsewhere typical values, nonlinear forces a share of the linear ones."""
     sizes, rate = typical_sizes(model)
     elongation = float(np.max(np.abs(part.q)[..., : model.D.shape[1]], initial=0.0))
     elongation = elongation if elongation > 0 else NOMINAL
@@ -119,9 +116,8 @@ def _nominal(model: Model, gains: int, delays: int, part: NonlinearPart) -> Real
     constants = {f"{e.name}.{c.name}": (e, c) for e, c in model.constants}
     values = []
     for unknown in model.unknowns:
-        stated = next((v for v in (unknown.prior, unknown.guess) if v is not None and v != 0), None)
-        if stated is not None:
-            values.append(stated)
+        if unknown.nominal:
+            values.append(unknown.nominal)
         elif unknown.name in constants:
             element, constant = constants[unknown.name]
             assert element.force_law is not None
@@ -133,8 +129,7 @@ def _nominal(model: Model, gains: int, delays: int, part: NonlinearPart) -> Real
             values.append(sizes[kinds[unknown.name].kind])
     apart = 0.9 + 0.2 * np.modf(np.arange(1, len(values) + 1) * GOLDEN)[0]
     theta = np.array(values) * apart
-    theta = _with_strengths(model, theta, elongation, rate, STRENGTH * stiffness * elongation)
-    return np.concatenate([theta, np.ones(gains), np.zeros(delays)])
+    return _with_strengths(model, theta, elongation, rate, STRENGTH * stiffness * elongation)
 
 
 def _with_strengths(model: Model, theta: Real, elongation: float, rate: float, force: float) -> Real:

@@ -24,8 +24,6 @@ from dashpot.estimate.likelihood.objective import (
     local,
     measured,
     per_line,
-    prior_mean,
-    prior_precision,
 )
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.registry import AUTOMATIC  # those that end in the minimum of χ²
@@ -63,7 +61,7 @@ class Surface:
 
     def covariance(self) -> Real:
         """Inverse of information, curvature beside it and priors, (K, M, M); NaN where that is singular."""
-        held = self.lacking + np.diag(prior_precision(self.view))
+        held = self.lacking + np.diag(self.view.prior_precision)
         return scaled_inverse(np.sum(self.information, axis=-3) + held)
 
 
@@ -81,9 +79,9 @@ def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surfac
     psi = estimate.values.reshape(-1, len(view.names))
     sign = spectrum.signs(estimate.signs, len(psi))
     exact = measured(data)
-    if not data.noise_known and np.any(model.prior_precision):
+    if not data.noise_known and np.any(view.prior_precision):
         # Priors weigh against noise of the right size: that which makes χ² its degrees of freedom.
-        penalty = np.sum(prior_precision(view) * (psi - prior_mean(view)) ** 2, axis=-1)
+        penalty = np.sum(view.prior_precision * (psi - view.prior_mean) ** 2, axis=-1)
         cost = local(view, exact, psi, sign).cost - penalty
         size = cost / np.maximum(estimate.fit.dof - penalty, 1.0)
         exact = exact.with_noise(np.maximum(size, 1e-300))
@@ -570,6 +568,6 @@ def _profiled(model: Model, spectrum: Spectrum, estimate: Estimate) -> bool:
     small = len(estimate.names) <= 40 and spectrum.amplitudes.size <= MOST_AMPLITUDES
     sound = bool(estimate.converged) and estimate.basis != MISFIT
     free = np.array_equal(estimate.free_values, estimate.values)
-    unweighed = estimate.fit.known_noise or not np.any(model.prior_precision)
+    unweighed = estimate.fit.known_noise or not estimate.stated
     efficient = estimate.method in AUTOMATIC and not len(model.nonlinear)
     return plain and small and sound and free and unweighed and efficient

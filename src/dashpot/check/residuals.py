@@ -204,11 +204,11 @@ def _transients(
 def of_channels(view: ObservationModel, theta: Real, calibrations: Calibrations | None) -> tuple[Real, Real]:
     """ψ (unknowns and calibrations) and the signs of the channels, from θ and what an estimate found of the channels.
 
-    What of a calibration is not estimated is 1, 1 and 0.
+    What of a calibration is not estimated is as stated, else 1, 1 and 0.
     """
     given = {} if calibrations is None else calibrations
-    typical = [1.0] * view.gains + [0.0] * view.delays
-    values = [given.get(name, value) for name, value in zip(view.names[view.m :], typical, strict=True)]
+    named = zip(view.names[view.m :], view.nominal_calibrations.tolist(), strict=True)
+    values = [given.get(name, value) for name, value in named]
     sign = np.array([given.get(f"{channel.name}.sign", 1.0) for channel in view.channels])
     return np.concatenate([theta, values]), sign
 

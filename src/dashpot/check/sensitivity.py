@@ -20,6 +20,7 @@ from dashpot.estimate.method import Method
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
+from dashpot.model.observation import observation_model
 from dashpot.numerics.small_systems import solve_scaled
 
 STEP = 1e-4  # of a parameter, in differences of the slope and between identifications
@@ -61,7 +62,8 @@ def known_errors(
     identifications for each known parameter.  Raises UsageError where nothing is known.
     """
     exact = [e for e in model.elements if e.value is not None and e.sd is None and e.value != 0]
-    uncertain = [u for u in model.unknowns if u.sd is not None]
+    view = observation_model(model, spectrum.channels, spectrum.omega)
+    uncertain = [u for u in view.unknowns if u.sd is not None]
     if not exact and not uncertain:
         raise UsageError("no parameter of the rig is known", cure="there is nothing whose error could matter")
     rows: list[tuple[str, str, float | None, float | None]] = [
@@ -95,7 +97,7 @@ def _from_slopes(
     values = {e.name: e.value for e in model.elements} | dict(zip(base.view.names, base.psi[0], strict=True))
     psi = np.array([values[name] for name in view.names], dtype=float)
     size = np.where(psi == 0, 1.0, np.abs(psi))
-    delays = np.array([name.endswith(".delay") for name in view.names])
+    delays = np.arange(len(psi)) >= len(psi) - view.delays
     step = STEP * np.where(delays, 1 / np.max(view.omega), size)
     moved = np.concatenate([psi + np.diag(step), psi - np.diag(step)])
     sign = np.repeat(base.sign[:1], len(moved), axis=0)
@@ -109,7 +111,7 @@ def _from_slopes(
     for name in uncertain:
         j = base.view.names.index(name)
         side = np.zeros(len(columns))
-        side[j] = model.prior_precision[j]
+        side[j] = base.view.prior_precision[j]
         sides.append(side)
     return np.array([solve_scaled(H, side) for side in sides])
 

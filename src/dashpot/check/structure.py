@@ -258,7 +258,7 @@ def exact(model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np
     slopes = np.concatenate([by_theta, _calibration_slopes(view, psi, s, y)], axis=-1) * present[..., None]
     whole = np.concatenate([G * present[..., None], slopes], axis=-1)
     inputs = G.shape[-1]
-    rows = [_priors(model, M)]
+    rows = [_priors(view)]
     for line in whole:
         reduced, pivots = field.echelon(line, inputs)
         rows.append(reduced[len(pivots) :, inputs:])
@@ -404,11 +404,8 @@ def _proportions(along: Mapping[str, float]) -> dict[str, int]:
     }
 
 
-def _priors(model: Model, columns: int) -> Ints:
-    known = np.flatnonzero(model.prior_precision)
-    rows = np.zeros((len(known), columns), dtype=np.int64)
-    rows[np.arange(len(known)), known] = 1
-    return rows
+def _priors(view: ObservationModel) -> Ints:
+    return np.eye(len(view.names), dtype=np.int64)[view.prior_precision > 0]
 
 
 def _unheld(model: Model, D: Ints) -> IdentifiabilityError:
@@ -433,12 +430,11 @@ def nominal(model: Model, channels: Sequence[Channel]) -> tuple[Real, float]:
     values = []
     kinds = {element.name: element.kind for element in model.elements}
     for unknown in model.unknowns:
-        choices = (unknown.prior, unknown.guess)
-        given = next((v for v in choices if v is not None and v != 0), None)
-        values.append(size[kinds[unknown.name]] if given is None else given)
-    values += [1.0] * view.gains
+        values.append(unknown.nominal or size[kinds[unknown.name]])
+    calibrations = view.nominal_calibrations.tolist()
+    values += calibrations[: view.gains]
     apart = 0.8 + 0.45 * np.modf(np.arange(1, len(values) + 1) * GOLDEN)[0]
-    return np.array([*(np.array(values) * apart), *[0.0] * view.delays]), rate
+    return np.array([*(np.array(values) * apart), *calibrations[view.gains :]]), rate
 
 
 def floating(
@@ -464,11 +460,7 @@ def floating(
     level = np.maximum(np.abs(y), 1e-6 * np.max(np.abs(y), axis=0, initial=0.0))
     level = np.where(lines.present, np.where(level > 0, level, 1.0), np.inf)
     G, J = G / level[..., None], J / level[..., None]
-    rows = [
-        np.diag(np.where(psi == 0, 1.0, 1 / np.where(psi == 0, 1.0, psi)))[: len(model.unknowns)][
-            model.prior_precision > 0
-        ]
-    ]
+    rows = [np.diag(np.where(psi == 0, 1.0, 1 / np.where(psi == 0, 1.0, psi)))[view.prior_precision > 0]]
     for g, by_psi in zip(G, J, strict=True):
         size = np.linalg.norm(g, axis=0)
         g = g / np.where(size > 0, size, 1.0)

@@ -26,7 +26,6 @@ from dashpot.arrays import Ints, Real, freeze
 from dashpot.design.test_setup import FrequencyGrid, Schedule, TestSetup
 from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.model.network import Model
-from dashpot.model.observation import calibration_names
 
 Kind = Literal["A", "minimax", "D"]
 
@@ -560,8 +559,8 @@ def expected_precision(
     size = setup.sizes[0]
     C = at.C[0] * size[:, None] * size
     # Calibrations are errors of ln gain and of delay; their value is 1 and 0.
-    late = [name.endswith(".delay") for name in calibration_names(setup.channels)]
-    units = (*(u.unit for u in setup.model.unknowns), *("s" if delay else "1" for delay in late))
+    late = [unknown.unit == "s" for unknown in setup.calibrations]
+    units = tuple(unknown.unit for unknown in (*setup.model.unknowns, *setup.calibrations))
     values = np.concatenate([setup.theta[0], [0.0 if delay else 1.0 for delay in late]])
     return ExpectedPrecision(setup.names, units, values, np.sqrt(np.diagonal(C)), C, criterion.figure(at.F))
 

@@ -23,7 +23,6 @@ from dashpot.estimate.nonlinear.objective import FEWEST, DwellLines, NonlinearPa
 from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.model.observation import (
-    calibration_names,
     calibration_slopes,
     channel_unit,
     input_channels,
@@ -31,7 +30,9 @@ from dashpot.model.observation import (
     noise_sd,
     observation_model,
     transfer,
+    unknown_calibrations,
 )
+from dashpot.unknowns import Unknown, prior_precision
 
 CHUNK = 300_000  # complex numbers at once: they stay in the cache
 UNDAMPED = 1e-7  # damping ratio that is rounding
@@ -306,7 +307,12 @@ class TestSetup:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of ψ: the unknowns, then the calibrations that are estimated with them."""
-        return self.model.unknown_names + calibration_names(self.channels)
+        return (*self.model.unknown_names, *(unknown.name for unknown in self.calibrations))
+
+    @cached_property
+    def calibrations(self) -> tuple[Unknown, ...]:
+        """The calibrations that are estimated with the unknowns."""
+        return unknown_calibrations(self.channels)
 
     @cached_property
     def p(self) -> Real:
@@ -328,8 +334,10 @@ class TestSetup:
         """What is known before the test, in parts of the sizes, (scenarios, q, q)."""
         if self.earlier is not None:
             return self.relative(self.earlier)
-        extra = np.zeros(len(self.names) - len(self.model.unknowns))
-        precision = np.concatenate([self.model.prior_precision, extra])
+        # Of gains relative errors count.
+        size = [u.prior if u.unit == "1" and u.prior is not None else 1.0 for u in self.calibrations]
+        known = prior_precision(self.calibrations) * np.square(size)
+        precision = np.concatenate([self.model.prior_precision, known])
         return (precision * self.sizes**2)[..., None] * np.eye(len(precision))
 
     def drive(self, frequency_hz: Real, pattern: Ints) -> Complex:

@@ -21,7 +21,7 @@ from dashpot.design.allocation import Criterion, ExpectedPrecision, expected_pre
 from dashpot.design.plan import Plan
 from dashpot.design.test_setup import TestSetup
 from dashpot.errors import DashpotError
-from dashpot.estimate.likelihood.objective import local, measured, prior_precision
+from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Model
@@ -72,7 +72,7 @@ def unsettled_test(
         gains = np.ones(data.view.gains)
         psi = np.concatenate([setup.theta[0], gains, np.zeros(data.view.delays)])
         at = local(data.view, measured(data), psi[None], np.ones((1, len(lines.channels))))
-        information = at.symmetric[0] - np.diag(prior_precision(data.view))  # which the lines do not tell
+        information = at.symmetric[0] - np.diag(data.view.prior_precision)  # which the lines do not tell
         predicted = expected_precision(nominal, criterion, nominal.relative(information))
         settled = expected_precision(nominal, criterion, plan.schedule.information(nominal))
     except DashpotError:

@@ -181,7 +181,7 @@ def _identified(model: Model, spectrum: Spectrum, method: Method) -> Inference:
     begun = isinstance(method, MaximumLikelihood) and bool(method.start)
     data = prepare(model, spectrum, moments=bool(method.traits.moments), states=not begun)
     require_suited(method, data)
-    if not data.noise_known and np.any(model.prior_precision):
+    if not data.noise_known and np.any(data.view.prior_precision):
         data = with_noise_of_residuals(data, method)
     part = inference(data, method.solve(data), method)
     if not spectrum.records:
@@ -216,8 +216,7 @@ def _estimate(
     return estimate_of(
         model,
         method.name,
-        some.names,
-        some.units,
+        some.unknowns,
         theta,
         covariance,
         batch,
@@ -260,7 +259,8 @@ def notices(model: Model, spectrum: Spectrum, single: Inference | None, fit: Fit
 
 
 def _of_estimate(model: Model, spectrum: Spectrum, part: Inference, fit: Fit) -> list[Notice]:
-    names, bands, bounds = part.names, part.uncertainty.bands, part.solution.bounds
+    bands, bounds = part.uncertainty.bands, part.solution.bounds
+    names, units = tuple(u.name for u in part.unknowns), tuple(u.unit for u in part.unknowns)
     theta, covariance, noise = (
         part.solution.theta[0],
         part.uncertainty.covariance[0],
@@ -275,7 +275,7 @@ def _of_estimate(model: Model, spectrum: Spectrum, part: Inference, fit: Fit) ->
         theta[: len(model.unknowns)][diagnostics.of_one_sign(model)] < 0
     )
     if part.valley is not None and not bool(part.solution.converged[0]) and sound:
-        require_end(part.valley, names, part.units, theta)
+        require_end(part.valley, names, units, theta)
     shown = []
     if fit.known_noise and not part.method.traits.maximum_likelihood:
         shown += diagnostics.bias(names, theta, part.most_likely[0], covariance, part.method)
@@ -285,6 +285,6 @@ def _of_estimate(model: Model, spectrum: Spectrum, part: Inference, fit: Fit) ->
     shown += diagnostics.of_estimate(model, theta, covariance, noise, fit)
     shown += unseen_laws(model, theta, noise)
     if part.method.traits.maximum_likelihood:
-        shown += diagnostics.prior_conflict(model, theta, noise)
+        shown += diagnostics.prior_conflict(part.unknowns, theta, noise)
     shown += of_records(model, theta, noise, spectrum)
     return shown if bounds is None else shown + diagnostics.held(names, theta, bounds)

@@ -21,6 +21,7 @@ from dashpot.notices import Notice
 from dashpot.numerics.small_systems import standard_deviations
 from dashpot.quantities import LARGEST
 from dashpot.shorthand import Printable, call
+from dashpot.unknowns import Unknown
 
 if TYPE_CHECKING:
     from dashpot.data.record import Record
@@ -287,6 +288,7 @@ class Estimate(Printable):
     rig                 name of the rig file, where it came from one
     profiles            profiles (`profile_interval`) of the unknowns along which χ² is no parabola, by name
     origin              what it was made from, where that was a Rig; it is not saved
+    stated              (name, value, sd) of the unknowns that were known with a standard deviation
     """
 
     model: str
@@ -316,6 +318,7 @@ class Estimate(Printable):
     rig: str | None = None
     profiles: Mapping[str, tuple[tuple[float, ...], tuple[float, ...]]] = field(default_factory=dict)
     origin: Origin | None = field(default=None, repr=False, compare=False)
+    stated: tuple[tuple[str, float, float], ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -540,8 +543,7 @@ class Estimate(Printable):
 def estimate_of(
     model: Model,
     method: str,
-    names: tuple[str, ...],
-    units: tuple[str, ...],
+    unknowns: Sequence[Unknown],
     values: Real,
     covariance: Real,
     batch: tuple[int, ...] = (),
@@ -569,19 +571,19 @@ def estimate_of(
     def shaped(part: Any) -> Any:
         return part.reshape((*batch, *part.shape[1:]))
 
-    endless = np.full(len(names), np.inf)
+    endless = np.full(len(unknowns), np.inf)
     return Estimate(
         model=model.name,
         method=method,
-        names=names,
-        units=units,
+        names=tuple(unknown.name for unknown in unknowns),
+        units=tuple(unknown.unit for unknown in unknowns),
         values=shaped(values),
         covariance=shaped(covariance),
         noise_covariance=shaped(noise),
         bound_sd=shaped(standard_deviations(bound)),
         dof=shaped(dof),
-        lower=-endless if bounds is None else np.full(len(names), bounds.lower),
-        upper=endless if bounds is None else np.full(len(names), bounds.upper),
+        lower=-endless if bounds is None else np.full(len(unknowns), bounds.lower),
+        upper=endless if bounds is None else np.full(len(unknowns), bounds.upper),
         free_values=shaped(values if bounds is None else bounds.free),
         basis=basis,
         converged=shaped(converged),
@@ -590,6 +592,7 @@ def estimate_of(
         fit=fit,
         known=model.known_parameters,
         tied=model.tied_parameters,
+        stated=tuple((u.name, u.prior, u.sd) for u in unknowns if u.prior is not None and u.sd is not None),
         modes=modes,
         signs={name: shaped(sign) for name, sign in (signs or {}).items()},
         warnings=tuple(warnings),

@@ -22,27 +22,9 @@ from dashpot.io.words import counted, listed, shown
 from dashpot.model.elements import MATRICES, Element, Kind
 from dashpot.model.nonlinear.force_law import Constant, ForceLaw, unit_of
 from dashpot.quantities import LARGEST, SMALLEST
+from dashpot.unknowns import Unknown, bounds_of, prior_mean, prior_precision
 
-# The unknowns of a rig, and parameters that are tied to others.
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """One unknown of θ.
-
-    name, unit    of the parameter, SI
-    prior, sd     the stated value and its standard deviation, where it is known with one
-    guess         where iterations start
-    lower, upper  bounds, None where there are none
-    """
-
-    name: str
-    unit: str
-    prior: float | None = None
-    sd: float | None = None
-    guess: float | None = None
-    lower: float | None = None
-    upper: float | None = None
+# Parameters that are tied to others.
 
 
 @dataclass(frozen=True)
@@ -231,24 +213,26 @@ def _element_problems(element: Element, points: Collection[str], complete: bool)
         if not np.isfinite(number):
             yield Problem(f"{key} is {number:g}", name, "give a finite number")
     yield from _value_problems(element)
-    yield from _limit_problems(name, numbers)
+    yield from number_problems(name, numbers)
 
 
 def _value_problems(element: Element) -> Iterator[Problem]:
-    name, value, sd = element.name, element.value, element.sd
+    value = element.value
     if value is not None and value < 0 and element.force_law is None:
         what = f"a {element.kind} of {value:g} {element.law.unit()} is negative"
-        yield Problem(what, name, "give a value of 0 or more")
+        yield Problem(what, element.name, "give a value of 0 or more")
+
+
+def number_problems(name: str, numbers: Mapping[str, float]) -> Iterator[Problem]:
+    """What is wrong with the numbers of an unknown, by the keys of a rig file."""
+    value, sd = numbers.get("value"), numbers.get("sd")
     # Below 1e-150 the weight 1/sd² leaves the range of numbers.
     if sd is not None and sd < 1e-150:
         yield Problem(f"sd is {sd:g}", name, "give a positive sd, or leave it out where the value is exact")
     if sd is not None and value is None:
         yield Problem("sd without a value", name, "give the value that the sd belongs to")
-    if element.guess is not None and value is not None:
+    if "guess" in numbers and value is not None:
         yield Problem("both a value and a guess", name, "a known parameter needs no guess: remove one")
-
-
-def _limit_problems(name: str, numbers: Mapping[str, float]) -> Iterator[Problem]:
     lower, upper = numbers.get("min", -np.inf), numbers.get("max", np.inf)
     if lower >= upper:
         yield Problem(f"min {lower:g} is not below max {upper:g}", name, "exchange or change them")
@@ -635,8 +619,7 @@ class Model:
         """θ, (unknowns,), from values by name, else the model's values or guesses.  Raises ModelError where none is."""
         theta = np.empty(len(self.unknowns))
         for j, unknown in enumerate(self.unknowns):
-            choices = (values.get(unknown.name), unknown.prior, unknown.guess)
-            value = next((choice for choice in choices if choice is not None), None)
+            value = values.get(unknown.name, unknown.nominal)
             if value is None:
                 cure = f"give it one, such as {unknown.name}=1.0, or a guess"
                 raise ModelError(f"{unknown.name} has no value", cure=cure)
@@ -650,14 +633,12 @@ class Model:
     @cached_property
     def prior_precision(self) -> Real:
         """1/sd² of the unknowns that are known with an sd, else 0; (unknowns,)."""
-        return frozen([0.0 if u.sd is None else u.sd**-2.0 for u in self.unknowns], np.float64)
+        return prior_precision(self.unknowns)
 
     @cached_property
     def prior_mean(self) -> Real:
         """Values of the unknowns that are known with an sd, else 0; (unknowns,)."""
-        return frozen(
-            [0.0 if u.sd is None or u.prior is None else u.prior for u in self.unknowns], np.float64
-        )
+        return prior_mean(self.unknowns)
 
     def require_unknowns(self, where: str | None = None) -> None:
         """Raises UsageError, placed at the file `where`, if there is nothing to find."""
@@ -669,9 +650,7 @@ class Model:
     @cached_property
     def bounds(self) -> tuple[Real, Real]:
         """Least and largest values allowed to the unknowns, (unknowns,) each, SI units; ∓inf where none is."""
-        low = [-np.inf if u.lower is None else u.lower for u in self.unknowns]
-        high = [np.inf if u.upper is None else u.upper for u in self.unknowns]
-        return frozen(low, np.float64), frozen(high, np.float64)
+        return bounds_of(self.unknowns)
 
     def unit(self, element: Element) -> str:
         """SI unit of an element's parameter."""

@@ -24,6 +24,7 @@ from dashpot.model.dynamics import solve_stiffness, stiffness
 from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_small
 from dashpot.units import si_unit
+from dashpot.unknowns import Unknown, prior_mean, prior_precision
 
 if TYPE_CHECKING:
     from dashpot.model.reduced import ReducedRig, ReducedTransfer
@@ -63,27 +64,28 @@ def channel_incidence(model: Model, channels: Sequence[Channel]) -> tuple[Real, 
     return on_x, on_q, force
 
 
-def unknown_calibrations(channels: Sequence[Channel]) -> tuple[Ints, Ints]:
+def unknown_calibrations(channels: Sequence[Channel]) -> tuple[Unknown, ...]:
+    """The calibrations that are estimated with θ: gains, then delays; those of one name, which channels share, once."""
+    gains = [channel.unknown_gain for channel in channels if channel.same_gain_as is None]
+    delays = [channel.unknown_delay for channel in channels]
+    return tuple({u.name: u for u in (*gains, *delays) if u is not None}.values())
+
+
+def calibration_indices(channels: Sequence[Channel]) -> tuple[Ints, Ints]:
     """Index of each channel's unknown gain and delay, −1 where known; (channels,) each.
 
     Raises DataError where a channel shares a gain that is known.
     """
-    names = {channel.name: c for c, channel in enumerate(channels)}
-    gain, delay = np.full(len(channels), -1), np.full(len(channels), -1)
-    for c, channel in enumerate(channels):
-        if channel.gain is None and channel.same_gain_as is None:
-            gain[c] = int(np.max(gain)) + 1
-        if channel.delay is None:
-            delay[c] = int(np.max(delay)) + 1
-    for c, channel in enumerate(channels):
-        if channel.same_gain_as is not None:
-            owner = names.get(channel.same_gain_as)
-            if owner is None or gain[owner] < 0:
-                raise DataError(
-                    f"channel {channel.name} shares the gain of {channel.same_gain_as}, which has no unknown gain",
-                    cure='name a channel with gain = "unknown"',
-                )
-            gain[c] = gain[owner]
+    gains = dict.fromkeys(c.unknown_gain.name for c in channels if c.unknown_gain and c.same_gain_as is None)
+    delays = dict.fromkeys(c.unknown_delay.name for c in channels if c.unknown_delay)
+    for channel in channels:
+        if channel.unknown_gain is not None and channel.unknown_gain.name not in gains:
+            raise DataError(
+                f"channel {channel.name} shares the gain of {channel.same_gain_as}, which has no unknown gain",
+                cure='name a channel with gain = "unknown"',
+            )
+    gain = [-1 if c.unknown_gain is None else list(gains).index(c.unknown_gain.name) for c in channels]
+    delay = [-1 if c.unknown_delay is None else list(delays).index(c.unknown_delay.name) for c in channels]
     return frozen(gain, np.int64), frozen(delay, np.int64)
 
 
@@ -152,17 +154,37 @@ class ObservationModel:
     flips: Bools
     reduced: ReducedRig | None = None
 
-    @property
+    @cached_property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """What is known of ψ beforehand."""
+        return (*self.model.unknowns, *unknown_calibrations(self.channels))
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the unknowns ψ."""
-        theta = self.model.unknown_names
-        return (*theta, *calibration_names(self.channels))
+        return tuple(unknown.name for unknown in self.unknowns)
 
-    @property
+    @cached_property
     def units(self) -> tuple[str, ...]:
         """Units of ψ."""
-        theta = list(self.model.unknown_units)
-        return (*theta, *["1"] * self.gains, *["s"] * self.delays)
+        return tuple(unknown.unit for unknown in self.unknowns)
+
+    @cached_property
+    def prior_precision(self) -> Real:
+        """Precision of the priors over ψ, 0 where there is none; (M,)."""
+        return prior_precision(self.unknowns)
+
+    @cached_property
+    def prior_mean(self) -> Real:
+        """Means of the priors over ψ, 0 where there is none; (M,)."""
+        return prior_mean(self.unknowns)
+
+    @cached_property
+    def nominal_calibrations(self) -> Real:
+        """Gains and delays as they are stated or guessed, else 1 and 0; (gains + delays,)."""
+        usual = {"1": 1.0, "s": 0.0}
+        stated = self.unknowns[self.m :]
+        return frozen([usual[u.unit] if u.nominal is None else u.nominal for u in stated], np.float64)
 
     @cached_property
     def gains(self) -> int:
@@ -267,12 +289,8 @@ class ObservationModel:
 
 
 def calibration_names(channels: Sequence[Channel]) -> tuple[str, ...]:
-    """Names of the calibrations that are estimated with θ: NAME.gain, then NAME.delay.
-
-    A gain that several channels share is one unknown, named after its owner; an unknown sign is none, being ±1.
-    """
-    gains = tuple(f"{c.name}.gain" for c in channels if c.gain is None and c.same_gain_as is None)
-    return gains + tuple(f"{c.name}.delay" for c in channels if c.delay is None)
+    """Names of the calibrations that are estimated with θ; an unknown sign is none, being ±1."""
+    return tuple(unknown.name for unknown in unknown_calibrations(channels))
 
 
 def observation_model(model: Model, channels: Sequence[Channel], omega: Real) -> ObservationModel:
@@ -291,8 +309,9 @@ def observation_model(model: Model, channels: Sequence[Channel], omega: Real) ->
 def _observation_model(model: Model, channels: tuple[Channel, ...], omega: Real) -> ObservationModel:
     on_x, on_q, force = channel_incidence(model, channels)
     derivative = [0 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in channels]
-    gain, delay = unknown_calibrations(channels)
-    flips = [channel.sign is None and channel.gain is not None for channel in channels]
+    gain, delay = calibration_indices(channels)
+    # A gain of which nothing is known holds the sign, too.
+    flips = [c.sign is None and (c.gain is not None or c.gain_prior is not None) for c in channels]
     orders, signs = frozen(derivative, np.int64), frozen(flips, np.bool_)
     at = frozen(omega, np.float64)
     return ObservationModel(model, channels, at, on_x, on_q, orders, force, gain, delay, signs)

@@ -370,7 +370,8 @@ def _columns(
     """Names of all directions, their information and score, and χ², at the estimate."""
     view = data.view
     known = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
-    psi = np.array([known.get(name, 1.0 if name.endswith(".gain") else 0.0) for name in view.names])
+    usual = (*np.zeros(view.m), *view.nominal_calibrations)
+    psi = np.array([known.get(name, value) for name, value in zip(view.names, usual, strict=True)])
     with np.errstate(all="ignore"):
         at = local(view, measured(data), psi[None], spectrum.signs(estimate.signs))
     return view.names, at.symmetric[0], at.gradient[0], float(at.cost[0])

@@ -175,13 +175,8 @@ class LineProblem:
     def lifted(self, view: ObservationModel, psi: Real) -> Real:
         """The ψ of another view that means the same as ψ (M,) here."""
         known = dict(zip(self.view.names, psi.tolist(), strict=True))
-        begun = {unknown.name: unknown.guess for unknown in view.model.unknowns}
-        return np.array(
-            [
-                known.get(name, 1.0 if name.endswith(".gain") else begun.get(name) or 0.0)
-                for name in view.names
-            ]
-        )
+        usual = (*(unknown.guess or 0.0 for unknown in view.model.unknowns), *view.nominal_calibrations)
+        return np.array([known.get(name, value) for name, value in zip(view.names, usual, strict=True)])
 
     def at_frequencies(self, frequency_hz: Real) -> LineProblem:
         """With other frequencies (lines,) of the same lines."""

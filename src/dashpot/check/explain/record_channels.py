@@ -277,7 +277,8 @@ def _by_guesses(model: Model, data: RecordData) -> Real | None:
     if len(theta) < len(given):
         return None
     problem, own = begun_problem(model, (data,), theta, np.ones(len(data.names)))
-    psi = np.concatenate([theta, np.ones(problem.gains), np.zeros(len(problem.constants.offsets)), own])
+    gains = [1.0 if gain.nominal is None else gain.nominal for gain in data.gains]
+    psi = np.concatenate([theta, gains, np.zeros(len(problem.constants.offsets)), own])
     residual = problem.residual(0, psi, slopes=False)[0]
     zero = np.where(data.drift, np.mean(data.outputs, axis=0), 0.0)
     return data.outputs - zero - residual if np.all(np.isfinite(residual)) else None

@@ -16,7 +16,7 @@ from dashpot.channel import Quantity
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.likelihood.global_search import moves_freely
-from dashpot.estimate.likelihood.objective import measured, prior_precision
+from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_passes import EndsFitted, RecordPieces
 from dashpot.estimate.likelihood.record_sums import ends_fitted, information_under
 from dashpot.estimate.method import HeldBounds, Method, Solution
@@ -32,6 +32,7 @@ from dashpot.model.observation import is_direct, measures_input
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse, standard_deviations
 from dashpot.numerics.variance_tests import fishers_product
+from dashpot.unknowns import MOST_TOLD, Unknown, pull
 
 # What whole records lack: length, lines, or inputs that have anything to do with the motion.
 #
@@ -215,7 +216,7 @@ def modes_unseen(data: Prepared, solution: Solution) -> tuple[Notice, ...]:
     sd, sd_without = (
         standard_deviations(
             scaled_inverse(
-                information_under(pieces, solution.theta, sign, ends) + np.diag(prior_precision(view))
+                information_under(pieces, solution.theta, sign, ends) + np.diag(view.prior_precision)
             )
         )[0]
         for ends in (fit, replace(fit, z=z[None]))
@@ -252,7 +253,8 @@ def _free_modes(pieces: RecordPieces, fit: EndsFitted, theta: Real) -> list[_Fre
 
 
 ZERO = 1.96  # standard deviations within which a negative part may be none
-APART = 4.0  # standard deviations beyond which two statements contradict each other
+PULLED = 3.0  # standard deviations beyond which a statement and the data contradict each other
+APART = 4.0  # standard deviations beyond which a value is negative without doubt
 
 
 def dead_channels(model: Model, spectrum: Spectrum) -> list[str]:
@@ -293,26 +295,21 @@ def duplicated_lines(spectrum: Spectrum) -> list[Notice]:
     return [Notice("duplicated_lines", text)]
 
 
-def prior_conflict(model: Model, theta: Real, noise_covariance: Real) -> list[Notice]:
-    """Warnings of parameters stated with an sd that the data, left alone, put elsewhere; θ counts the statement.
+def prior_conflict(unknowns: Sequence[Unknown], values: Real, noise_covariance: Real) -> list[Notice]:
+    """Warnings of what is stated with an sd and put elsewhere by the data, left alone; the values count the statement.
 
-    An efficient estimate θ and the statement μ ± s it has used differ by s² − var θ in variance where both are right.
-    theta (m,), noise_covariance (m, m).
+    values (M,), noise_covariance (M, M).
     """
     notices = []
-    # Share of a prior's variance in the posterior beyond which the data say too little to contradict it
-    most_told = 0.95
-    for j in model.prior_precision.nonzero()[0]:
-        stated, variance = 1 / model.prior_precision[j], noise_covariance[j, j]
-        spread = max(stated - variance, (1 - most_told) * stated)
-        apart = abs(theta[j] - model.prior_mean[j]) / np.sqrt(spread)
-        if not apart > APART:
+    for unknown, value, variance in zip(unknowns, values, np.diagonal(noise_covariance), strict=True):
+        name, unit, stated, sd = unknown.name, unknown.unit, unknown.prior, unknown.sd
+        if stated is None or sd is None or not abs(apart := pull(value, variance, stated, sd)) > PULLED:
             continue
-        alone = (theta[j] - model.prior_mean[j] * variance / stated) / (1 - min(variance / stated, most_told))
-        name, unit = model.unknowns[j].name, model.unknowns[j].unit
+        told = variance / sd**2
+        alone = (value - stated * told) / (1 - min(told, MOST_TOLD))
         text = (
-            f"{name} is stated as {model.prior_mean[j]:.4g} ± {np.sqrt(stated):.2g} {unit}, but the data alone give "
-            f"{alone:.4g}, {apart:.2g} standard deviations away: the statement, the data or the model is wrong"
+            f"{name} is stated as {stated:.4g} ± {sd:.2g}{'' if unit == '1' else f' {unit}'}, but the data alone give "
+            f"{alone:.4g}, {abs(apart):.2g} standard deviations away: the statement, the data or the model is wrong"
         )
         notices.append(Notice("prior_conflict", text, (name,)))
     return notices

@@ -25,8 +25,6 @@ from dashpot.estimate.likelihood.objective import (
     measured,
     nuisance_columns,
     per_line,
-    prior_mean,
-    prior_precision,
 )
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.likelihood.table_noise import doubts_of_weights
@@ -39,7 +37,6 @@ from dashpot.estimate.preparation.prepared import (
     Prepared,
     interval_dof,
     noise_quality,
-    without_priors,
 )
 from dashpot.estimate.result import ModeValues
 from dashpot.model.modes import modes
@@ -47,6 +44,7 @@ from dashpot.model.network import Model
 from dashpot.numerics.kernel import kernel, kernel_function, threads
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
+from dashpot.unknowns import Unknown
 
 # The modes of an estimate with their uncertainty.
 
@@ -115,8 +113,7 @@ class Linearised:
     alone for chosen repeats.  rows: how many real equations the lines hold; precision (M,) of the priors.
     """
 
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    unknowns: tuple[Unknown, ...]
     sums: QuadraticModel
     by_line: Callable[[Ints], tuple[Real, Real, Real]]
     rows: int
@@ -146,7 +143,7 @@ class Linearised:
     @cached_property
     def dof(self) -> int:
         """Degrees of freedom of χ²."""
-        return self.rows - len(self.names) + int(np.count_nonzero(self.precision))
+        return self.rows - len(self.unknowns) + int(np.count_nonzero(self.precision))
 
 
 @dataclass(frozen=True)
@@ -174,7 +171,7 @@ class Inference:
     """A method's solution and how uncertain it is.
 
     most_likely   θ, (K, unknowns)
-    names, units  of all that is estimated
+    unknowns      all that is estimated
     dof           degrees of freedom of χ²
     information   of all lines and priors, (K, M, M)
     valley        along which χ² stays low, of one repeat where information lacks a direction
@@ -183,8 +180,7 @@ class Inference:
     method: Method
     solution: Solution
     most_likely: Real
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    unknowns: tuple[Unknown, ...]
     dof: int
     uncertainty: Uncertainty
     information: Real
@@ -216,8 +212,7 @@ def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
         method,
         solution,
         best.theta,
-        around.names,
-        around.units,
+        around.unknowns,
         around.dof,
         worth,
         around.sums.symmetric,
@@ -260,11 +255,10 @@ def _with_flat_valley(
 
 def with_noise_of_residuals(data: Prepared, method: Method) -> Prepared:
     """The noise scaled until χ² is its degrees of freedom: priors weigh against noise of the right size only."""
-    exact = without_priors(data.model)
-    for model in (exact, data.model, data.model):
-        if not model.unknowns:
+    for held in (True, False, False):
+        trial = data.without_priors() if held else data
+        if not trial.view.names:
             continue
-        trial = data.of_rig(model)
         best = most_likely(trial, method.solve(trial), method.traits)
         around = linearise(trial, best, method.traits)
         data = data.scaled(np.maximum(around.sums.cost, ROUNDING) / max(around.dof, 1))
@@ -298,8 +292,8 @@ def _of_channels(data: Prepared, solution: Solution) -> Linearised:
     sign = data.spectrum.signs(solution.signs, len(exact.y))
     lines = per_line(view, exact, solution.theta, sign)
     rows = exact.rows - nuisance_columns(view, exact, solution.theta, sign)
-    precision = prior_precision(view)
-    sums = sums_of_lines(*lines, solution.theta, precision, prior_mean(view))
+    precision = view.prior_precision
+    sums = sums_of_lines(*lines, solution.theta, precision, view.prior_mean)
 
     def by_line(repeats: Ints) -> tuple[Real, Real, Real]:
         if np.array_equal(repeats, np.arange(len(lines[0]))):
@@ -307,7 +301,7 @@ def _of_channels(data: Prepared, solution: Solution) -> Linearised:
         information, scores, cost = lines
         return information[repeats], scores[repeats], cost[repeats]
 
-    return Linearised(view.names, view.units, sums, by_line, rows, precision)
+    return Linearised(view.unknowns, sums, by_line, rows, precision)
 
 
 def _of_equation(data: Prepared, solution: Solution) -> Linearised:
@@ -318,7 +312,7 @@ def _of_equation(data: Prepared, solution: Solution) -> Linearised:
         return equation_by_line(model, chosen, theta[repeats])
 
     return Linearised(
-        model.unknown_names, model.unknown_units, equation_sums(model, states, theta), by_line,
+        model.unknowns, equation_sums(model, states, theta), by_line,
         2 * model.n * data.spectrum.lines, model.prior_precision,
     )  # fmt: skip
 

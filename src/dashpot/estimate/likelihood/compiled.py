@@ -47,10 +47,9 @@ def _output(core: Any, view: ObservationModel, data: Measured) -> Any | None:
 
 def kernel_channels(view: ObservationModel) -> tuple[Any, ...]:
     """What the channels show and the priors of ψ, in the kernel's order."""
-    extra = np.zeros(view.gains + view.delays)
     return (
         view.derivative, view.on_x, view.on_q, view.force, view.gain, view.delay, bool(np.any(view.flips)),
-        np.concatenate([view.model.prior_precision, extra]), np.concatenate([view.model.prior_mean, extra]),
+        view.prior_precision, view.prior_mean,
     )  # fmt: skip
 
 

@@ -132,7 +132,7 @@ def candidates(data: Prepared, count: int, rng: np.random.Generator) -> tuple[Re
         if unknown.lower is not None or unknown.upper is not None:
             psi[:, j] = np.clip(psi[:, j], unknown.lower, unknown.upper)
     if view.delays:
-        psi[:, view.m + view.gains :] = 0.0
+        psi[:, view.m + view.gains :] = view.nominal_calibrations[view.gains :]
     return _calibrated(data, psi, np.ones((count, len(view.channels))), rng)
 
 
@@ -197,14 +197,19 @@ def _calibrated(data: Prepared, psi: Real, sign: Real, rng: np.random.Generator)
     view = data.view
     if not view.gains and not np.any(view.flips):
         return psi, sign
-    soft = measured(data, 1.0)
+    soft, gains = measured(data, 1.0), slice(view.m, view.m + view.gains)
+    # Where nothing is known of a gain that is worth a start, the data tell one.
+    given = [(unknown.nominal, unknown.sd or 0.0) for unknown in view.unknowns[gains]]
+    free = np.array([value is None or sd > abs(value) for value, sd in given], dtype=bool)
     if view.gains:
-        psi[:, view.m : view.m + view.gains] = 10 ** (0.5 * rng.standard_normal((len(psi), view.gains)))
+        drawn = 10 ** (0.5 * rng.standard_normal((len(psi), view.gains)))
+        psi[:, gains] = np.where(free, drawn, view.nominal_calibrations[: view.gains])
     if np.any(view.flips):
         sign[:, view.flips] = rng.choice([-1.0, 1.0], size=(len(psi), int(np.sum(view.flips))))
     if soft.q is None:
         if view.gains:
-            psi[:, view.m : view.m + view.gains] *= rng.choice([-1.0, 1.0], size=(len(psi), view.gains))
+            turned = rng.choice([-1.0, 1.0], size=(len(psi), view.gains))
+            psi[:, gains] *= np.where(free, turned, 1.0)
         return psi, sign
     with np.errstate(all="ignore"):
         sums = Sums(len(psi))
@@ -213,7 +218,7 @@ def _calibrated(data: Prepared, psi: Real, sign: Real, rng: np.random.Generator)
         along, power = sums.totals
     flip = view.flips & (along < 0)
     sign = np.where(flip, -sign, sign)
-    for k in range(view.gains):
+    for k in np.flatnonzero(free):
         with_gain = view.gain == k
         ratio = np.sum(along[:, with_gain], axis=-1) / np.maximum(
             np.sum(power[:, with_gain], axis=-1), 1e-300

@@ -38,6 +38,7 @@ from dashpot.model.reduced import ReducedTransfer
 from dashpot.numerics.kernel import threads
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 from dashpot.numerics.small_systems import solve_small
+from dashpot.unknowns import bounds_of
 
 # Nuisance amplitudes of the likelihood: the inputs q = (U, f), which enter linearly and are solved for line
 # by line.
@@ -293,24 +294,13 @@ def _inputs(G: Complex, data: Measured) -> tuple[Complex, Complex | None]:
 
 
 def bounds(view: ObservationModel, positive: bool) -> tuple[Real, Real]:
-    """Lower and upper bounds of ψ, each (M,), from the model, and 0 for its parts where `positive`."""
-    model, endless = view.model, np.full(view.gains + view.delays, np.inf)
-    low, high = model.bounds
+    """Lower and upper bounds of ψ, each (M,), as stated, and 0 for the parts of the rig where `positive`."""
+    low, high = bounds_of(view.unknowns)
     if positive:
-        free = free_names(model)
-        parts = np.array([unknown.name not in free for unknown in model.unknowns])
+        free = free_names(view.model)
+        parts = np.array([k < view.m and name not in free for k, name in enumerate(view.names)])
         low = np.where(parts, np.maximum(low, 0.0), low)
-    return np.concatenate([low, -endless]), np.concatenate([high, endless])
-
-
-def prior_precision(view: ObservationModel) -> Real:
-    """Precision of the priors over ψ: the model's, and 0 for calibrations; (M,)."""
-    return np.concatenate([view.model.prior_precision, np.zeros(view.gains + view.delays)])
-
-
-def prior_mean(view: ObservationModel) -> Real:
-    """Means of the priors over ψ, 0 where there is none; (M,)."""
-    return np.concatenate([view.model.prior_mean, np.zeros(view.gains + view.delays)])
+    return low, high
 
 
 def local(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> QuadraticModel:
@@ -342,8 +332,8 @@ def _sums(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
 def _with_priors(
     view: ObservationModel, psi: Real, cost: Real, gradient: Real, information: Real
 ) -> QuadraticModel:
-    precision = prior_precision(view)
-    away = psi - prior_mean(view)
+    precision = view.prior_precision
+    away = psi - view.prior_mean
     information = information + np.diag(precision)
     cost = cost + np.sum(precision * away**2, axis=-1)
     return QuadraticModel(cost, gradient - precision * away, information, information)

@@ -20,10 +20,15 @@ from dashpot.errors import DashpotError
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.descent import Likelihood
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.likelihood.objective import measured, predict, prior_precision
+from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.likelihood.record_noise import with_record_noise
 from dashpot.estimate.method import Method, Solution
-from dashpot.estimate.preparation.prepared import Prepared, prepare, without_priors
+from dashpot.estimate.preparation.prepared import (
+    Prepared,
+    prepare,
+    with_exact_calibrations,
+    without_priors,
+)
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel
 from dashpot.notices import Notice
@@ -45,8 +50,9 @@ def with_table_noise(model: Model, spectrum: Spectrum, method: Method) -> Spectr
     if spectrum.lines * len(spectrum.channels) * (len(model.unknowns) + 1) > 2_000_000:  # slopes at once
         return spectrum
     try:
-        exact = without_priors(model)  # which weigh only against noise that is known
-        each = [_of_repeat(exact, repeat, method) for repeat in in_chunks(flattened(spectrum), 1)]
+        # Priors weigh only against noise that is known.
+        exact, flat = without_priors(model), flattened(with_exact_calibrations(spectrum))
+        each = [_of_repeat(exact, repeat, method) for repeat in in_chunks(flat, 1)]
     except (DashpotError, np.linalg.LinAlgError):  # `identify` says what is wrong
         return spectrum
     fitted = [V for V in each if V is not None]
@@ -135,7 +141,7 @@ class _Left:
         elif 2 * len(line) - psi.shape[-1] >= 10 * len(channels):  # degrees of freedom, five for each part
             own = channel[:, None] == channels
             parts = (parts[:, :, None] * own[:, None, :]).reshape(len(line), -1)
-        return _Left((line, channel), np.abs(residual) ** 2, slopes, parts, prior_precision(view))
+        return _Left((line, channel), np.abs(residual) ** 2, slopes, parts, view.prior_precision)
 
     def weighed(self, variance: Real) -> _Weighed:
         """With amplitudes of these variances, (rows,)."""

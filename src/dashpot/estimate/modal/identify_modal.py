@@ -89,8 +89,7 @@ def _estimate(
     return estimate_of(
         model,
         NAME,
-        model.unknown_names,
-        model.unknown_units,
+        model.unknowns,
         theta,
         widened,
         batch,

@@ -30,6 +30,7 @@ from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import without_bounds
 from dashpot.numerics.small_systems import scaled_inverse
+from dashpot.unknowns import Unknown, prior_precision
 
 # The motion that an estimate gives a record.
 
@@ -84,7 +85,7 @@ def followed_record(model: Model, estimate: Estimate, record: Record) -> Followe
     data = arranged(model, record)
     values = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
     theta = np.array([values[u.name] for u in model.unknowns])
-    gains = [values[f"{n}.gain"] for n, g in zip(data.names, data.gain, strict=True) if g >= 0]
+    gains = [values[gain.name] for gain in data.gains]
     problem, own = begun_problem(model, (data,), theta, np.ones(len(data.names)))
     offset = [values.get(f"{model.force_inputs[j]}.offset", 0.0) for j in problem.constants.offsets]
     psi = _likeliest_start(problem, np.concatenate([theta, gains, offset, own]))
@@ -159,7 +160,8 @@ class FittedRecords:
         problem, psi, noise = self.problem, self.psi, self.noise
         model, inner = problem.rig, problem.inner
         white, coloured, dof = record_covariances(problem, psi, noise)
-        names, units = _unknowns(problem)
+        unknowns = _unknowns(problem)
+        names = tuple(unknown.name for unknown in unknowns)
         values, bound, covariance = psi[:inner], white[:inner, :inner], coloured[:inner, :inner]
         require_determined(
             names,
@@ -196,8 +198,7 @@ class FittedRecords:
         return estimate_of(
             model,
             "ml",
-            names,
-            units,
+            unknowns,
             values[None],
             covariance[None],
             noise=covariance[None],
@@ -217,13 +218,11 @@ class FittedRecords:
         )
 
 
-def _unknowns(problem: RecordProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and SI units of what is reported: θ, gains, offsets."""
-    model, first = problem.rig, problem.records[0]
-    gains = [f"{first.names[first.gain.index(k)]}.gain" for k in range(problem.gains)]
-    offsets = [f"{model.force_inputs[j]}.offset" for j in problem.constants.offsets]
-    units = (*model.unknown_units, *["1"] * len(gains), *["N"] * len(offsets))
-    return (*model.unknown_names, *gains, *offsets), units
+def _unknowns(problem: RecordProblem) -> tuple[Unknown, ...]:
+    """What is reported: θ, gains, offsets."""
+    model = problem.rig
+    offsets = (Unknown(f"{model.force_inputs[j]}.offset", "N") for j in problem.constants.offsets)
+    return (*model.unknowns, *problem.records[0].gains, *offsets)
 
 
 def _fit(problem: RecordProblem, psi: Real, dof: int, noise: InputSizes | None) -> Fit:
@@ -232,7 +231,7 @@ def _fit(problem: RecordProblem, psi: Real, dof: int, noise: InputSizes | None) 
         return Fit(np.asarray(float(dof)), dof, np.asarray(np.nan), known_noise=False)
     chi2 = float(problem.quadratic(psi[None]).cost[0])
     means = sum(int(np.sum(data.drift)) for data in problem.records)
-    left = max(dof - means + int(np.sum(problem.model.prior_precision > 0)), 1)
+    left = max(dof - means + int(np.count_nonzero(prior_precision(_unknowns(problem)))), 1)
     return Fit(np.asarray(chi2), left, np.asarray(chdtrc(left, chi2)))
 
 

@@ -33,6 +33,7 @@ from dashpot.model.nonlinear.moving_base import does_nothing, moving_rig
 from dashpot.model.nonlinear.shooting import integrate, segment_length, segments_of
 from dashpot.model.nonlinear.tangent import ChainSolver, Tangent, tangent
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
+from dashpot.unknowns import prior_mean, prior_precision
 
 # Which constants of whole records can be found: states at their starts, and constants that sensors of inputs add.
 #
@@ -531,8 +532,8 @@ class RecordProblem:
         """
         M = self.inner + self.states * len(self.records)
         precision, mean = np.zeros(M), np.zeros(M)
-        m = len(self.model.unknowns)
-        precision[:m], mean[:m] = self.model.prior_precision, self.model.prior_mean
+        unknowns = (*self.model.unknowns, *self.records[0].gains)
+        precision[: len(unknowns)], mean[: len(unknowns)] = prior_precision(unknowns), prior_mean(unknowns)
         first = self.model.S.shape[1]  # the force inputs are the last ones
         for k, data in enumerate(self.records):
             stop = self.of_record(k).stop
@@ -629,7 +630,7 @@ def begun_problem(
     if free is None:
         free = record_constants(moving, records[0])
     begun = [start_of(rig, data, at) for data, at in pairs]
-    gains = max((g for data in records for g in data.gain), default=-1) + 1
+    gains = len(records[0].gains)
     states = tuple(state for state, _ in begun)
     held = np.max([largest_states(rig, theta, data, at) for data, at in pairs], axis=0)
     problem = RecordProblem(rig, moving, records, free, states, held, gains, sd, substeps)

@@ -19,6 +19,7 @@ from dashpot.model.nonlinear.force_law import ForceLaw
 from dashpot.model.nonlinear.integration import Integrator, Motion
 from dashpot.model.nonlinear.moving_base import NO_BASES, Bases, bases_of
 from dashpot.model.observation import measures_input, observation_model
+from dashpot.unknowns import Unknown
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class RecordData:
     bases: Bases = NO_BASES
     rated: tuple[bool, ...] = ()
     steady: int = 0
+    gains: tuple[Unknown, ...] = ()
 
     @property
     def samples(self) -> int:
@@ -91,6 +93,7 @@ def arranged(model: Model, record: Record) -> RecordData:
         derivative=orders,
         gain=tuple(int(view.gain[i]) for i in outputs),
         drift=tuple(order > 0 or not model.force_inputs for order in orders),
+        gains=view.unknowns[view.m : view.m + view.gains],
     )
     return beside_bases(model, data, shown.orders)
 

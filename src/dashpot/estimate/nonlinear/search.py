@@ -59,7 +59,7 @@ def starting_points(data: Prepared, *, afar: bool = False) -> Real:
     Where all is seen: least squares on the harmonics for trial values of the inner constants.  Elsewhere: the fit of
     a linear rig, with nonlinear elements of several strengths; so everywhere if `afar`.
     """
-    calibrations = np.concatenate([np.ones(data.view.gains), np.zeros(data.view.delays)])
+    calibrations = data.view.nominal_calibrations
     if data.states is not None and not afar:
         theta = _by_regression(data)
     else:

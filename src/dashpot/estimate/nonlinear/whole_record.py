@@ -43,6 +43,7 @@ from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.moving_base import moving_rig
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, minimise
 from dashpot.numerics.small_systems import solve_scaled
+from dashpot.unknowns import bounds_of
 
 FIRST_NOISE = 0.01  # of a channel's rms: its noise before anything is known
 EXACT = 1e-6  # of a channel's rms: residuals below it count no less
@@ -172,7 +173,8 @@ def _begun(
     sd = np.sqrt(np.mean(np.concatenate([record.outputs for record in records]) ** 2, axis=0))
     sd = np.where(sd > 0, FIRST_NOISE * sd, 1.0)
     problem, own = begun_problem(model, records, theta, sd, free)
-    gains, offsets = np.ones(problem.gains), np.zeros(len(problem.constants.offsets))
+    gains = [1.0 if gain.nominal is None else gain.nominal for gain in records[0].gains]
+    offsets = np.zeros(len(problem.constants.offsets))
     return problem, np.concatenate([theta, gains, offsets, own])
 
 
@@ -414,8 +416,8 @@ def _descended(
 def _bounds(problem: RecordProblem, psi: Real) -> tuple[Real, Real]:
     """The rig's for ψ (M,); lengths and speeds inside laws stay above 0, where laws would divide by them."""
     lower, upper = np.full(len(psi), -np.inf), np.full(len(psi), np.inf)
-    m = len(problem.model.unknowns)
-    lower[:m], upper[:m] = problem.model.bounds
+    m, unknowns = len(problem.model.unknowns), (*problem.model.unknowns, *problem.records[0].gains)
+    lower[: len(unknowns)], upper[: len(unknowns)] = bounds_of(unknowns)
     lengths = np.any(problem.model.constants_map[0][must_be_positive(problem.model)] > 0, axis=0)
     lower[:m] = np.where(lengths, np.maximum(lower[:m], 1e-6 * np.abs(psi[:m])), lower[:m])
     return lower, upper

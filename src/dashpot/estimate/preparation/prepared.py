@@ -173,6 +173,11 @@ class Prepared:
         """The same data of a rig with the same coordinates and inputs."""
         return replace(self, view=observation_model(model, self.spectrum.channels, self.spectrum.omega))
 
+    def without_priors(self) -> Prepared:
+        """With the uncertain known values of rig and channels taken as exact."""
+        model, spectrum = without_priors(self.model), with_exact_calibrations(self.spectrum)
+        return self.of_rig(model) if spectrum is self.spectrum else prepare(model, spectrum)
+
     def only(self, repeat: int) -> Prepared:
         """One of the repeats."""
         V = self.covariance if len(self.covariance) == 1 else self.covariance[repeat : repeat + 1]
@@ -222,3 +227,22 @@ def without_priors(model: Model) -> Model:
     if not np.any(model.prior_precision):
         return model
     return replace(model, elements=tuple(replace(element, sd=None) for element in model.elements))
+
+
+def with_exact_calibrations(spectrum: Spectrum) -> Spectrum:
+    """The amplitudes with uncertain known gains and delays taken as exact, and so taken out."""
+    channels, kappa = [], np.ones((spectrum.lines, len(spectrum.channels)), dtype=np.complex128)
+    for c, channel in enumerate(spectrum.channels):
+        gain, delay = channel.unknown_gain, channel.unknown_delay
+        if gain is not None and gain.sd is not None and gain.prior is not None:
+            channel = replace(channel, gain=gain.prior, same_gain_as=None, gain_prior=None)
+            kappa[:, c] *= gain.prior
+        if delay is not None and delay.sd is not None and delay.prior is not None:
+            channel = replace(channel, delay=delay.prior, delay_prior=None)
+            kappa[:, c] *= np.exp(-1j * spectrum.omega * delay.prior)
+        channels.append(channel)
+    if tuple(channels) == spectrum.channels:
+        return spectrum
+    V = spectrum.covariance / (kappa[:, :, None] * kappa.conj()[:, None, :])
+    amplitudes = spectrum.amplitudes / kappa
+    return replace(spectrum, channels=tuple(channels), amplitudes=amplitudes, covariance=V, moments=None)

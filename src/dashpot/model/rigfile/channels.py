@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from dashpot.channel import RESERVED_NAMES, Channel, Quantity
 from dashpot.errors import UsageError
-from dashpot.io.words import did_you_mean, listed, written
+from dashpot.io.toml_document import Place
+from dashpot.io.words import did_you_mean, listed, quoted, written
 from dashpot.model.rigfile.rig import all_angles, is_electrical, scale_of_points
 from dashpot.model.rigfile.schema import (
+    EXAMPLES,
     GROUND,
     TABLES,
     ChannelEntry,
@@ -19,6 +23,7 @@ from dashpot.model.rigfile.schema import (
 )
 from dashpot.quantities import Amount
 from dashpot.units import SHARE, scale, sensitivity, si_unit
+from dashpot.unknowns import Unknown
 
 # Channels recorded in counts, or in shares of the full scale, of a converter whose full scale is known.
 #
@@ -109,12 +114,115 @@ def read_channels(reading: RigReading) -> list[Channel] | None:
         if name in RESERVED_NAMES:
             reading.report.add(place, *reserved(name))
             continue
-        entry = reading.entry(ChannelEntry, "channels", name, raw)
+        plain, tables = split_calibrations(raw)
+        entry = reading.entry(ChannelEntry, "channels", name, plain)
         channel = None if entry is None else _channel(reading, name, entry, measurable)
+        if channel is not None:
+            channel = _with_calibrations(reading, channel, tables)
         if channel is not None and reading.problems == before:
             channels.append(channel)
+    for name, _ in reading.entries("calibrations"):
+        if name not in reading.calibrations:
+            cure = f"say in [channels] whose it is: gain = {{ of = {quoted(name)} }}"
+            reading.report.add(("calibrations", name), "no channel has this calibration", cure)
     _check_shared_gains(reading, channels)
-    return channels
+    owners = {channel.name: channel for channel in channels}
+    return [
+        replace(channel, gain_prior=owners[channel.same_gain_as].gain_prior)
+        if channel.same_gain_as in owners
+        else channel
+        for channel in channels
+    ]
+
+
+# Gains and delays that are known with an uncertainty, or shared.
+#
+#     acc = { of = "x1", quantity = "acceleration", gain = { value = 1, sd = "1 %" }, delay = { guess = "2 ms" } }
+#     [calibrations]
+#     calibrator = { value = 1, sd = "1 %" }        named by gain = { of = "calibrator" }
+
+
+def split_calibrations(raw: object) -> tuple[object, dict[str, dict[str, Any]]]:
+    """A channel's table with "unknown" in place of the tables of gain and delay, and these."""
+    if not isinstance(raw, dict):
+        return raw, {}
+    tables = {key: raw[key] for key in ("gain", "delay") if isinstance(raw.get(key), dict)}
+    return {**raw, **dict.fromkeys(tables, "unknown")}, tables
+
+
+def _with_calibrations(
+    reading: RigReading, channel: Channel, tables: Mapping[str, dict[str, Any]]
+) -> Channel:
+    """The channel with the gain and the delay that tables state; told where they make no sense."""
+    changes: dict[str, Any] = {}
+    for key, table in tables.items():
+        place = ("channels", channel.name, key)
+        if key == "gain" and channel.same_gain_as is not None:
+            reading.report.add(place, "the gain is given as well", "keep same_gain_as, or the gain")
+            return channel
+        found = (
+            _shared_calibration(reading, place, table, channel)
+            if "of" in table
+            else _calibration(reading, place, table, f"{channel.name}.{key}", key, channel)
+        )
+        if isinstance(found, Unknown):
+            changes[f"{key}_prior"] = found
+        elif found is not None:
+            changes[key] = found
+    return replace(channel, **changes)
+
+
+def _shared_calibration(
+    reading: RigReading, place: Place, table: Mapping[str, Any], channel: Channel
+) -> float | Unknown | None:
+    """The calibration that a table names."""
+    declared, name = dict(reading.entries("calibrations")), table["of"]
+    if len(table) > 1:
+        reading.report.add(place, "a shared calibration with numbers of its own", "keep `of`, or the numbers")
+    elif not isinstance(name, str) or name not in declared:
+        guess = did_you_mean(str(name), declared)
+        cure = f"{guess}there are {listed(declared)}" if declared else "declare it:"
+        cure += f" write {name} = {EXAMPLES['calibrations']} below [calibrations]" if not declared else ""
+        reading.report.add((*place, "of"), f"{written(name)} is not a calibration", cure)
+    else:
+        key, known = str(place[-1]), reading.calibrations.get(name)
+        if isinstance(known, Unknown) and known.unit != UNITS[key]:
+            reading.report.add((*place, "of"), f"{name} is a gain and a delay", "declare one for each")
+        elif name in reading.elements or name in reading.points:
+            reading.report.add(("calibrations", name), "an element or point has this name", "choose another")
+        if name not in reading.calibrations:
+            at = ("calibrations", name)
+            reading.calibrations[name] = _calibration(reading, at, declared[name], name, key, channel)
+        return reading.calibrations[name]
+    return None
+
+
+UNITS = {"gain": "1", "delay": "s"}
+
+
+def _calibration(
+    reading: RigReading, place: Place, raw: object, name: str, key: str, channel: Channel
+) -> float | Unknown | None:
+    """A gain or a delay as stated: known, or an unknown of this name; None, and told, where it cannot be read."""
+    before = reading.problems
+    entry = reading.constant_entry(place, raw, f"{written(raw)} is not a calibration")
+    if entry is None:
+        return None
+
+    def in_si(unit: str) -> float:
+        if key == "delay":
+            return scale(unit, "time")
+        return sensitivity(
+            f"1 {unit}", channel.unit, channel.quantity, all_angles(channel.of, reading.angles)
+        )
+
+    stated = reading.stated(place, entry, in_si)
+    value, guess = stated.pop("value", None), stated.get("guess")
+    if key == "gain" and 0 in (value, guess):
+        reading.report.add(place, "a gain of 0 measures nothing", 'give another one, or "unknown"')
+    if reading.problems > before:
+        return None
+    return value if value is not None and "sd" not in stated else Unknown(name, UNITS[key], value, **stated)
 
 
 def reserved(name: str) -> tuple[str, str]:

@@ -8,7 +8,6 @@ from typing import Any
 
 from dashpot.errors import ModelError, UsageError
 from dashpot.io.toml_document import Place
-from dashpot.io.toml_tables import validated
 from dashpot.io.words import quoted
 from dashpot.model.nonlinear.force_law import Constant, ForceLaw, force_law, unit_of
 from dashpot.model.rigfile.schema import NUMBERS, ConstantEntry, ElementEntry, RigReading
@@ -37,7 +36,12 @@ def read_law(
         cure = "leave it out; numbers are in SI units"
         reading.report.add((*place, "unit"), "the unit follows from the law", cure)
         return None
-    entries = {name: _constant_entry(reading, (*place, name), raw) for name, raw in constants.items()}
+    entries = {
+        name: reading.constant_entry(
+            (*place, name), raw, f"{name} is neither a key of elements nor a constant of the law"
+        )
+        for name, raw in constants.items()
+    }
     damper, before = place[0] == "dampers", reading.problems
     try:
         law = force_law(entry.law, [Constant(name) for name in entries], damper=damper)
@@ -53,37 +57,14 @@ def read_law(
         return None
 
 
-def _constant_entry(reading: RigReading, place: Place, raw: object) -> ConstantEntry | None:
-    """What is said of a constant: an amount, "unknown", or a table; None, and told, where it cannot be read."""
-    if raw == "unknown":
-        return ConstantEntry()
-    if isinstance(raw, str | int | float) and not isinstance(raw, bool):
-        raw = {"value": raw}
-    if isinstance(raw, dict):
-        return validated(ConstantEntry, raw, place, reading.report)
-    name = place[-1]
-    cure = f'write a number, {name} = "unknown", or {name} = {{ guess = 0.1 }}'
-    reading.report.add(place, f"{name} is neither a key of elements nor a constant of the law", cure)
-    return None
-
-
 def _constant(reading: RigReading, place: Place, entry: ConstantEntry, law: ForceLaw) -> Constant:
     """A constant in SI units; told where its numbers make no sense."""
     name, before = str(place[-1]), reading.problems
     exponents = law.exponents[1].get(name, (0.0, 0.0))
-    constant = Constant(name, **reading.numbers(place, entry, 1.0, partial(_scale, exponents=exponents)))
-    if reading.problems > before:
-        return constant
+    constant = Constant(name, **reading.stated(place, entry, partial(_scale, exponents=exponents)))
     stated = [number for number in (constant.value, constant.guess, constant.upper) if number is not None]
-    low, high = constant.lower, constant.upper
-    if constant.sd is not None and (constant.value is None or constant.sd <= 0):
-        cure = "give the value that a positive sd belongs to"
-        reading.report.add(place, "sd without a value, or not positive", cure)
-    elif name in law.positive and any(number <= 0 for number in stated):
+    if reading.problems == before and name in law.positive and any(number <= 0 for number in stated):
         reading.report.add(place, f"{name} of the law {law.text!r} must be positive", "change it")
-    elif low is not None and high is not None and low >= high:
-        what = f"min {low:g} is not below max {high:g}"
-        reading.report.add(place, what, "exchange or change them")
     return constant
 
 

@@ -32,14 +32,15 @@ from dashpot.io.toml_tables import (
 )
 from dashpot.io.words import did_you_mean, listed, quoted, written
 from dashpot.model.elements import Element, Kind
-from dashpot.model.network import Input
+from dashpot.model.network import Input, number_problems
 from dashpot.quantities import Amount
 from dashpot.units import scale
+from dashpot.unknowns import Unknown
 
 GROUND = "ground"
 SECTIONS: Mapping[str, Kind] = {kind.section: kind for kind in Kind}
 HEAD_KEYS = ("name", "coordinates", "angles")
-TABLES = ("inputs", "free", "blocks", *SECTIONS, "channels")
+TABLES = ("inputs", "free", "blocks", *SECTIONS, "calibrations", "channels")
 VERDICT = "verdict"
 
 FREE_EXAMPLE = 'free = "MCK", or [free] and below it K = "full", M = "diagonal"'
@@ -47,6 +48,7 @@ EXAMPLES: Mapping[str, str] = {
     "inputs": '{ kind = "displacement" }',
     "masses": '{ at = "x1" }',
     "blocks": '{ matrix = "K", file = "K1.mtx" }',
+    "calibrations": '{ value = 1, sd = "1 %" }',
     "channels": '{ of = "x1", unit = "mm" }',
 } | {section: '{ between = ["x1", "ground"] }' for section in SECTIONS if section != "masses"}
 
@@ -229,6 +231,7 @@ class RigReading:
     points       coordinates and moved points, faulty ones too: they exist, whatever is wrong with them
     attachable   these and the ground
     inputs, elements   by name
+    calibrations       those that channels share, by name: known, unknown, or faulty (None)
 
     What is wrong is reported, and reading goes on with a stand-in, so that all problems are told at once: an entry is
     sound where there are no more `problems` than before it.
@@ -245,6 +248,7 @@ class RigReading:
         self.points: dict[str, None] = dict.fromkeys(self.head.coordinates)
         self.attachable: dict[str, None] = {}
         self.inputs: dict[str, Input] = {}
+        self.calibrations: dict[str, float | Unknown | None] = {}
         self.elements: dict[str, Element] = {}
 
     @property
@@ -376,6 +380,32 @@ class RigReading:
             elif given is not None:
                 found[field] = self.in_si((*place, key), given, plain, scale_of)
         return found
+
+    def stated(
+        self, place: Place, entry: ConstantEntry, scale_of: Callable[[str], float]
+    ) -> dict[str, float]:
+        """The NUMBERS of what may be unknown, as `numbers`; told where they contradict each other."""
+        found = self.numbers(place, entry, 1.0, scale_of)
+        numbers = {key: found[field] for key, field in NUMBERS.items() if field in found}
+        for problem in number_problems(str(place[-1]), numbers):
+            self.report.add(place, problem.what, problem.cure)
+        return found
+
+    def constant_entry(self, place: Place, raw: object, otherwise: str) -> ConstantEntry | None:
+        """What is said of a number that may be unknown: an amount, "unknown", or a table.
+
+        None, and told, where it cannot be read; what is none of these is `otherwise`.
+        """
+        if raw == "unknown":
+            return ConstantEntry()
+        if isinstance(raw, str | int | float) and not isinstance(raw, bool):
+            raw = {"value": raw}
+        if isinstance(raw, dict):
+            return validated(ConstantEntry, raw, place, self.report)
+        name = place[-1]
+        cure = f'write a number, {name} = "unknown", or {name} = {{ guess = 0.1 }}'
+        self.report.add(place, otherwise, cure)
+        return None
 
     def _share_of_value(self, place: Place, share: Amount, value: float | None) -> float:
         """An sd in per cent of the value."""

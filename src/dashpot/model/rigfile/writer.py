@@ -14,9 +14,11 @@ from dashpot.io.words import quoted
 from dashpot.model.elements import Element, Kind
 from dashpot.model.matrix_elements import free_entries
 from dashpot.model.network import Input, Model
+from dashpot.model.observation import unknown_calibrations
 from dashpot.model.rigfile.force_laws import law_fields
 from dashpot.model.rigfile.rig import Rig, is_electrical
 from dashpot.model.rigfile.schema import GROUND, NUMBERS, VERDICT
+from dashpot.unknowns import Unknown
 
 LARGE = 1e7  # from which a number is written with a power of ten
 
@@ -49,6 +51,10 @@ def write_rig(rig: Rig) -> str:
     for kind in dict.fromkeys(element.kind for element in model.elements if not element.free):
         members = [element for element in model.elements if element.kind == kind and not element.free]
         lines += _section(kind.section, {element.name: _element_fields(element) for element in members})
+    own = {f"{channel.name}.{key}" for channel in rig.channels for key in ("gain", "delay")}
+    shared = [unknown for unknown in unknown_calibrations(rig.channels) if unknown.name not in own]
+    if shared:
+        lines += _section("calibrations", {unknown.name: _stated_fields(unknown) for unknown in shared})
     lines += _section("channels", {channel.name: _channel_fields(channel, model) for channel in rig.channels})
     if rig.within is not None:
         lines += ["", f"[{VERDICT}]", f"within = {rig.within!r}"]
@@ -138,7 +144,17 @@ def _channel_fields(channel: Channel, model: Model) -> dict[str, str]:
         fields["rate"] = _number(channel.rate)
     if channel.same_gain_as is not None:
         fields["same_gain_as"] = quoted(channel.same_gain_as)
+    for key, prior in (("gain", channel.gain_prior), ("delay", channel.delay_prior)):
+        if prior is not None and (key == "delay" or channel.same_gain_as is None):
+            own = prior.name == f"{channel.name}.{key}"
+            fields[key] = _inline(_stated_fields(prior) if own else {"of": quoted(prior.name)})
     return fields
+
+
+def _stated_fields(unknown: Unknown) -> dict[str, str]:
+    numbers = (unknown.prior, unknown.sd, unknown.guess, unknown.lower, unknown.upper)
+    named = zip(NUMBERS, numbers, strict=True)
+    return {key: _number(number) for key, number in named if number is not None}
 
 
 def _points_text(points: Mapping[str, float]) -> str:
