@@ -509,5 +509,5 @@ def _stopping(
         return so_far, None
     targets = question.criterion.targets_for(question.model, question.target)
     kind = "minimax" if len(targets) == 1 else question.criterion.kind
-    known = np.diag(question.model.prior_precision)
+    known = np.diag(np.nan_to_num(estimate.priors[1] ** -2.0))
     return so_far, enough(estimate, targets, int(np.sum(question.after.samples)), known, kind)

@@ -25,17 +25,20 @@ from dashpot.model.observation import measures_input, observation_model
 def after(setup: TestSetup, estimate: Estimate) -> TestSetup:
     """The setup with what an estimate tells: the inverse of its covariance is known before the next test.
 
-    Priors of the rig were in the estimate already.  Calibrations that are unknown are taken as unknown again.
+    Priors were in the estimate already.  Calibrations of which nothing was known are taken as unknown again.
     Raises UsageError where the estimate is of other unknowns.
     """
-    C = _covariance_of_unknowns(setup.model, estimate)
+    stated = [u.name for u in setup.calibrations if u.sd is not None and u.name in estimate.names]
+    names = (*setup.model.unknown_names, *stated)
+    at = np.ix_(*[[setup.names.index(name) for name in names]] * 2)
+    C = _covariance_of(estimate, names) / np.outer(setup.gains, setup.gains)[at]
     size = np.sqrt(np.diagonal(C))
-    known, q = len(C), len(setup.names)
+    q = len(setup.names)
     information = np.zeros((q, q))
     # Rounding may make tiny eigenvalues negative; a little less information than there is does no harm.
     values, vectors = np.linalg.eigh(C / np.outer(size, size))
     root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) / size[:, None]
-    information[:known, :known] = root @ root.T
+    information[at] = root @ root.T
     return replace(setup, earlier=information)
 
 
@@ -44,11 +47,10 @@ def gaussian_prior_of(model: Model, estimate: Estimate) -> GaussianPrior:
 
     Raises UsageError where it is of other unknowns, or has no finite covariance.
     """
-    return GaussianPrior(_covariance_of_unknowns(model, estimate))
+    return GaussianPrior(_covariance_of(estimate, model.unknown_names))
 
 
-def _covariance_of_unknowns(model: Model, estimate: Estimate) -> Real:
-    names = model.unknown_names
+def _covariance_of(estimate: Estimate, names: Sequence[str]) -> Real:
     missing = [name for name in names if name not in estimate.names]
     if missing:
         raise UsageError(
@@ -223,7 +225,7 @@ def enough(
     """The stopping rule: sd ∝ 1/√samples for more of the same (paper §3.3), from the estimate so far.
 
     `targets` are relative standard deviations by name, to be reached as the criterion of that kind is read.  `known`
-    is information (unknowns, unknowns), SI, that did not come from these samples (priors); it does not grow with them.
+    is information (q, q), SI, on the first q unknowns that did not come from these samples (priors) and does not grow.
     Where the model does not fit, the intervals count its misfit, which no number of samples lowers.  Raises
     IdentifiabilityError where an unknown is not determined.
     """
@@ -264,7 +266,7 @@ def _with_more_samples(estimate: Estimate, known: Real | None, size: Real) -> Ca
     scale = np.outer(size, size)
     total = np.linalg.inv(estimate.covariance / scale)
     fixed = np.zeros_like(total)
-    if known is not None:  # calibrations follow the unknowns; nothing was known of them
+    if known is not None:
         fixed[: len(known), : len(known)] = known * scale[: len(known), : len(known)]
     widened = np.maximum(np.sqrt(np.diagonal(estimate.covariance)) / estimate.bound_sd, 1.0) ** 2
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar, Literal
 
@@ -23,11 +23,13 @@ from dashpot.estimate.nonlinear.objective import FEWEST, DwellLines, NonlinearPa
 from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.model.observation import (
+    calibration_factors,
     calibration_slopes,
     channel_unit,
     input_channels,
     measures_input,
     noise_sd,
+    nominal_calibrations,
     observation_model,
     transfer,
     unknown_calibrations,
@@ -80,14 +82,16 @@ def dwell_information(
     view = observation_model(model, channels, np.outer(omega, orders).ravel())
     q = np.zeros((K, R * ORDERS, drive.shape[-1]), dtype=np.complex128)
     q[:, ::ORDERS] = drive
-    psi = np.concatenate([theta, np.ones((K, view.gains)), np.zeros((K, view.delays))], axis=1)
+    psi = np.concatenate([theta, np.tile(view.nominal_calibrations, (K, 1))], axis=1)
     part = NonlinearPart(lines, None, q, np.arange(K), WarmStart())
     at = evaluate(view, part, psi, np.ones((K, len(channels))), q, None, noisy_inputs)
     Y = at.predicted.reshape(K, R, ORDERS, -1)
     sd = noise_sd(channels, Y[:, :, 0])[:, :, None]
     # Beside noisy inputs, those without noise have next to none.
     sd = np.maximum(sd, 1e-9 * np.max(np.abs(Y), axis=(1, 2), keepdims=True))
-    A = _rows(at.J.reshape(*Y.shape, -1), sd)
+    gains = view.nominal_calibrations[: view.gains]
+    J = at.J * np.concatenate([np.ones(view.m), gains, np.ones(view.delays)])  # gains as ∂/∂ ln gain
+    A = _rows(J.reshape(*Y.shape, -1), sd)
     B = _rows(at.G.reshape(*Y.shape, -1), sd) if noisy_inputs else A[..., :0]
     finite = np.all(np.isfinite(A), axis=(2, 3)) & np.all(np.isfinite(B), axis=(2, 3))  # not so on a fold
     settled = (finite & at.converged.reshape(K, R))[..., None, None]
@@ -133,10 +137,13 @@ def outputs(model: Model, p: Real, channels: Sequence[Channel], omega: Real, dri
     r = len(model.displacement_inputs)
     view = observation_model(model, channels, omega)
     rig = transfer(view, p)
+    nominal = np.concatenate([np.zeros(view.m), view.nominal_calibrations])
+    kappa = calibration_factors(view, nominal, np.ones(len(channels)))
+    rig = replace(rig.calibrated(kappa[..., None], nominal), psi=None)
     q = np.broadcast_to(drive, (*np.broadcast_shapes(rig.X.shape[:-2], drive.shape[:-1]), drive.shape[-1]))
     Y = rig.amplitudes(q)
-    nominal = np.array([*[0.0] * view.m, *[1.0] * view.gains, *[0.0] * view.delays])
-    by_parameter = np.concatenate([rig.slopes(q), calibration_slopes(view, nominal, Y)], axis=-1)
+    relative = np.ones(view.m + view.gains + view.delays)
+    by_parameter = np.concatenate([rig.slopes(q), calibration_slopes(view, relative, Y)], axis=-1)
     X, U, f = np.einsum("...nq,...q->...n", rig.X, q), q[..., :r], q[..., r:]
     reactions = (p[..., None, :] * rig.unit_forces(q)) @ model.D
     return Outputs(
@@ -334,11 +341,17 @@ class TestSetup:
         """What is known before the test, in parts of the sizes, (scenarios, q, q)."""
         if self.earlier is not None:
             return self.relative(self.earlier)
-        # Of gains relative errors count.
-        size = [u.prior if u.unit == "1" and u.prior is not None else 1.0 for u in self.calibrations]
-        known = prior_precision(self.calibrations) * np.square(size)
-        precision = np.concatenate([self.model.prior_precision, known])
-        return (precision * self.sizes**2)[..., None] * np.eye(len(precision))
+        known = prior_precision((*self.model.unknowns, *self.calibrations)) * self.gains**2
+        return (known * self.sizes**2)[..., None] * np.eye(len(known))
+
+    @cached_property
+    def gains(self) -> Real:
+        """Nominal gains, (q,), of which relative errors count; 1 for all else."""
+        nominal = nominal_calibrations(self.calibrations)
+        relative = [
+            value if u.unit == "1" else 1.0 for u, value in zip(self.calibrations, nominal, strict=True)
+        ]
+        return frozen([*np.ones(len(self.model.unknowns)), *relative], np.float64)
 
     def drive(self, frequency_hz: Real, pattern: Ints) -> Complex:
         """Amplitudes (U, f) of each line, (lines, r + s), SI units: at the first limit met in any scenario.

@@ -50,10 +50,12 @@ def unsettled_test(
     """The test of a plan, used whole at the nominal values, beside what is known before.
 
     None where nothing can be said: no sampling rate, a rig with nonlinear elements, hysteretic dampers or coordinates
-    without mass, a test too long to compute, a large rig (its 2 n loads at the ends of a record cost lines × channels ×
-    n²: the plan itself takes less).
+    without mass, delays that are stated, a test too long to compute, a large rig (its 2 n loads at the ends of a record
+    cost lines × channels × n²: the plan itself takes less).
     """
     if rate is None or len(setup.model.nonlinear) or not plan.dwells or not small(setup.model):
+        return None
+    if any(unknown.unit == "s" and unknown.nominal for unknown in setup.calibrations):
         return None
     counts = [round((dwell.settle_s + (dwell.time_s or 0.0)) * rate) for dwell in plan.dwells]
     if sum(counts) * len(setup.channels) * (2 * setup.model.n + len(setup.channels)) > 50_000_000:
@@ -69,10 +71,10 @@ def unsettled_test(
         lines = lines_of_dwells(records, setup.channels, joined=joined)
         # Information of lines without noise at the true θ, (q, q) in SI units of ψ, loads projected out
         data = prepare(setup.model, lines, states=False)
-        gains = np.ones(data.view.gains)
-        psi = np.concatenate([setup.theta[0], gains, np.zeros(data.view.delays)])
+        psi = np.concatenate([setup.theta[0], data.view.nominal_calibrations])
         at = local(data.view, measured(data), psi[None], np.ones((1, len(lines.channels))))
         information = at.symmetric[0] - np.diag(data.view.prior_precision)  # which the lines do not tell
+        information = information * np.outer(setup.gains, setup.gains)
         predicted = expected_precision(nominal, criterion, nominal.relative(information))
         settled = expected_precision(nominal, criterion, plan.schedule.information(nominal))
     except DashpotError:
@@ -93,10 +95,11 @@ def unsettled_dwells(
     """A stepped sine from rest without noise, a record for each dwell, each beginning as the last one ended.
 
     p (elements,); drive (dwells, r + s) amplitudes of the inputs, which pass over from dwell to dwell within a period;
-    calibrations are left out.  Raises ModelError as `integrator`.
+    known calibrations are left out.  Raises ModelError as `integrator`.
     """
     calibrated = tuple(_calibrated(channel) for channel in channels)
     view = observation_model(model, calibrated, np.ones(1))
+    gain = np.append(view.nominal_calibrations[: view.gains], 1.0)[view.gain]
     state, begin, records = np.zeros(2 * model.n), 0.0, []
     before = (0.0, np.zeros(drive.shape[1], dtype=complex))
     for f, q, count, step in zip(frequency_hz.tolist(), drive, samples, step_s, strict=True):
@@ -105,7 +108,7 @@ def unsettled_dwells(
         share = (1 - np.cos(np.pi * np.minimum(time * f, 1.0)))[:, None] / 2
         inputs = share * _waves(time, f, q) + (1 - share) * _waves(time, *before)
         motion = integrator(model, p, step / finer).motion(inputs, state)
-        values = channel_samples(view, p, motion)[:-1:finer]
+        values = gain * channel_samples(view, p, motion)[:-1:finer]
         stamps = np.arange(count, dtype=float) * step + begin
         records.append(Record(calibrated, stamps, values, f, source=f"dwell at {f:g} Hz"))
         state = np.concatenate([motion.x[-1], motion.v[-1]])

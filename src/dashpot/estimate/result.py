@@ -21,7 +21,7 @@ from dashpot.notices import Notice
 from dashpot.numerics.small_systems import standard_deviations
 from dashpot.quantities import LARGEST
 from dashpot.shorthand import Printable, call
-from dashpot.unknowns import Unknown
+from dashpot.unknowns import Unknown, pull
 
 if TYPE_CHECKING:
     from dashpot.data.record import Record
@@ -349,6 +349,30 @@ class Estimate(Printable):
     def noise_sd(self) -> Real:
         """Standard deviations from the sensors' noise alone, (..., m), SI units."""
         return frozen(np.sqrt(np.diagonal(self.noise_covariance, axis1=-2, axis2=-1)), np.float64)
+
+    @property
+    def priors(self) -> tuple[Real, Real]:
+        """Values and standard deviations that were stated of the unknowns, (m,) each, SI units; NaN where none were."""
+        stated = {name: (value, sd) for name, value, sd in self.stated}
+        values, sd = np.array([stated.get(name, (np.nan, np.nan)) for name in self.names]).reshape(-1, 2).T
+        return frozen(values, np.float64), frozen(sd, np.float64)
+
+    @property
+    def pulls(self) -> Real:
+        """How far each estimate was drawn from what was stated, in standard deviations of that (`unknowns.pull`).
+
+        (..., m), NaN where nothing was stated.
+        """
+        return frozen(pull(self.values, self.noise_sd**2, *self.priors), np.float64)
+
+    @property
+    def impacts(self) -> Real:
+        """What a standard deviation of each unknown moves the others by, C_ij/√C_jj, (..., m of, m by), SI units.
+
+        Of an unknown j that was stated with an sd it is what its uncertainty costs the interval of i: 1 − (C_ij)²/(C_ii
+        C_jj) of the variance would be left were j exact.
+        """
+        return frozen(self.covariance / self.sd[..., None, :], np.float64)
 
     def interval(self, level: float = 0.95) -> tuple[Real, Real]:
         """Lower and upper ends of the intervals at `level`, each (..., m); cut off at bounds (`bounded_interval`).

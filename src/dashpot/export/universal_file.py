@@ -106,9 +106,11 @@ def measured_responses(rig: IdentifiedRig, data: Spectrum) -> list[NodalFunction
                 continue
             frequency = data.frequency_hz[there]
             ratio = compared.measured[there, c] / compared.inputs[there, j]
-            gain = calibrations.get(f"{name}.gain", 1.0) * calibrations.get(f"{name}.sign", 1.0)
-            late = calibrations.get(f"{name}.delay", 0.0)
-            ratio = ratio / (gain * np.exp(-2j * np.pi * frequency * late))
+            gain, delay = outputs[name].unknown_gain, outputs[name].unknown_delay
+            sign = calibrations.get(f"{name}.sign", 1.0)
+            by = sign * (1.0 if gain is None else calibrations[gain.name])
+            late = 0.0 if delay is None else calibrations[delay.name]
+            ratio = ratio / (by * np.exp(-2j * np.pi * frequency * late))
             functions.append(_function(rig, outputs[name], j, frequency, ratio, "measured"))
     if not functions:
         raise DataError(

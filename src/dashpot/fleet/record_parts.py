@@ -79,8 +79,8 @@ def merge_estimates(model: Model, parts: Sequence[Estimate]) -> Merged:
     _require_alike(parts)
     scale = parts[0].noise_sd
     free = np.array([part.free_values for part in parts]) / scale
-    prior = np.concatenate([model.prior_precision, np.zeros(len(scale) - len(model.unknowns))]) * scale**2
-    mean = np.concatenate([model.prior_mean, np.zeros(len(scale) - len(model.unknowns))]) / scale
+    stated, sd = parts[0].priors
+    prior, mean = np.nan_to_num((scale / sd) ** 2), np.nan_to_num(stated / scale)
     precision = np.array([_inverse(part.noise_covariance / np.outer(scale, scale)) for part in parts])
     told = precision - np.diag(prior)  # by the data alone
     total = np.sum(told, axis=0) + np.diag(prior)

@@ -181,10 +181,8 @@ class ObservationModel:
 
     @cached_property
     def nominal_calibrations(self) -> Real:
-        """Gains and delays as they are stated or guessed, else 1 and 0; (gains + delays,)."""
-        usual = {"1": 1.0, "s": 0.0}
-        stated = self.unknowns[self.m :]
-        return frozen([usual[u.unit] if u.nominal is None else u.nominal for u in stated], np.float64)
+        """Gains and delays as they are stated or guessed, else 1 and 0, (gains + delays,)."""
+        return nominal_calibrations(self.unknowns[self.m :])
 
     @cached_property
     def gains(self) -> int:
@@ -286,6 +284,12 @@ class ObservationModel:
     def direct_q(self) -> Complex:
         """C_q, (lines, channels, r + s)."""
         return frozen(self.rates[..., None] * self.on_q, np.complex128)
+
+
+def nominal_calibrations(unknowns: Sequence[Unknown]) -> Real:
+    """Gains and delays as they are stated or guessed, else 1 and 0, (unknowns,)."""
+    usual = {"1": 1.0, "s": 0.0}  # by unit
+    return frozen([usual[u.unit] if u.nominal is None else u.nominal for u in unknowns], np.float64)
 
 
 def calibration_names(channels: Sequence[Channel]) -> tuple[str, ...]:

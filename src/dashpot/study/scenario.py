@@ -23,7 +23,7 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.registry import method_class
 from dashpot.io.words import listed
 from dashpot.model.network import Model
-from dashpot.model.observation import with_relative_noise
+from dashpot.model.observation import unknown_calibrations, with_relative_noise
 from dashpot.study.blocks import fields_of, fingerprint_of
 from dashpot.study.simulate import (
     Dwells,
@@ -147,6 +147,9 @@ class Scenario:
                 "studies with transients know linear rigs, noise that is given, and no drift",
                 cure='write covariance = "given" and no drift, or leave transients out',
             )
+        if any(unknown.unit == "s" and unknown.nominal for unknown in unknown_calibrations(self.channels)):
+            what = "studies with transients know no delays that are stated with an sd"
+            raise UsageError(what, cure="give their values alone")
         test = self.test
         drive = np.concatenate([test.U, test.f], axis=-1)
         samples, steps = test.samples.tolist(), (test.periods / test.frequency_hz / test.samples).tolist()

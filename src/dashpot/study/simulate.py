@@ -43,11 +43,14 @@ from dashpot.model.nonlinear.moving_base import moving_rig
 from dashpot.model.nonlinear.shooting import integrate
 from dashpot.model.observation import (
     ObservationModel,
+    calibration_indices,
     channel_amplitudes,
     input_channels,
     measures_input,
     noise_sd,
+    nominal_calibrations,
     observation_model,
+    unknown_calibrations,
 )
 
 # The motion of a rig under a record of its inputs, as its channels would show it.
@@ -84,14 +87,44 @@ def driven_record(
         number = given.get((tuple(channel.of.items()), channel.quantity))
         if number is not None and measures_input(model, channel):
             values[:, c] = drive.values[:, number] / drive.channels[number].factor
+    gain, late = true_calibrations(channels, rng)
+    values = values * gain
     sd = noise_sd(channels, np.max(np.abs(values), axis=0)[None].astype(complex))[0]
-    values = _later(values, _delays(channels) / step) + sd * rng.standard_normal(values.shape)
+    values = _later(values, (_delays(channels) + late) / step) + sd * rng.standard_normal(values.shape)
     factor = np.array([channel.factor for channel in channels])
     return Record(channels, drive.time, factor * values, source="simulation")
 
 
+def true_calibrations(
+    channels: Sequence[Channel], rng: np.random.Generator | None = None, draws: int | None = None
+) -> tuple[Real, Real]:
+    """Gain and delay (s) that each channel has beside what is known of them exactly, (channels,) or (draws, channels).
+
+    Drawn by `rng` from what is stated with an sd; else as stated or guessed, else 1 and 0.
+    """
+    unknowns, (gain, delay) = unknown_calibrations(channels), calibration_indices(channels)
+    values: Real = np.tile(nominal_calibrations(unknowns), (*(() if draws is None else (draws,)), 1))
+    sd = np.array([unknown.sd or 0.0 for unknown in unknowns])
+    if rng is not None and np.any(sd > 0):
+        values = values + sd * rng.standard_normal(values.shape)
+    values = np.concatenate([values, np.ones((*values.shape[:-1], 1)), np.zeros((*values.shape[:-1], 1))], -1)
+    gains = int(np.max(gain, initial=-1)) + 1
+    return values[..., np.where(gain < 0, -2, gain)], values[..., np.where(delay < 0, -1, gains + delay)]
+
+
+def _factors(
+    channels: Sequence[Channel],
+    omega: Real,
+    rng: np.random.Generator | None = None,
+    draws: int | None = None,
+) -> Complex:
+    """What such calibrations make of amplitudes at ω (lines,), rad/s: (lines, channels) or (draws, lines, channels)."""
+    gain, delay = true_calibrations(channels, rng, draws)
+    return gain[..., None, :] * np.exp(-1j * omega[:, None] * delay[..., None, :])
+
+
 def _delays(channels: Sequence[Channel]) -> Real:
-    """Delays of the channels, (channels,) s, 0 where they are unknown."""
+    """Known delays of the channels, (channels,) s, else 0."""
     return np.array([0.0 if channel.delay is None else channel.delay for channel in channels])
 
 
@@ -202,11 +235,13 @@ def response_band(
 
 def _calibrated(channel: Channel, values: Mapping[str, float], signs: Mapping[str, Real]) -> Channel:
     """A channel without noise, with the gain, delay and sign that an estimate found."""
-    owner = channel.name if channel.same_gain_as is None else channel.same_gain_as
-    gain = values.get(f"{owner}.gain") if channel.gain is None else channel.gain
-    delay = values.get(f"{channel.name}.delay") if channel.delay is None else channel.delay
+    unknown, late = channel.unknown_gain, channel.unknown_delay
+    gain = channel.gain if unknown is None else values.get(unknown.name)
+    delay = channel.delay if late is None else values.get(late.name)
     sign = float(signs[channel.name]) if channel.sign is None and channel.name in signs else channel.sign
-    return replace(channel, noise=0.0, relative_noise=0.0, gain=gain, delay=delay, sign=sign)
+    return replace(
+        channel, noise=0.0, relative_noise=0.0, gain=gain, delay=delay, sign=sign, same_gain_as=None
+    )
 
 
 NoiseBasis = Literal["given", "estimated"]
@@ -317,7 +352,7 @@ def with_constant_noise(
 
     p (elements,).
     """
-    Y = clean_amplitudes(model, p, channels, reference)
+    Y = clean_amplitudes(model, p, channels, reference) * _factors(channels, reference.omega)
     size = np.sqrt(np.mean(np.abs(Y) ** 2, axis=-2))
     return tuple(
         channel
@@ -356,7 +391,8 @@ def simulate_records(
     """One steady record for each dwell, noise and calibrations of the channels included.
 
     p (elements,), SI units; `draws` repeats make a leading axis of the values; `offset` (channels,) is added, SI units.
-    Unknown gains, delays and signs are simulated as 1, 0 and 1.  Raises ModelError where the rig has no steady
+    Gains and delays that are stated with an sd are drawn, one for all records; unknown ones, and signs, are as guessed,
+    else 1, 0 and 1.  Raises ModelError where the rig has no steady
     response, DataError where a channel measures what the rig has not.
     """
     Y = clean_amplitudes(model, p, channels, test)
@@ -373,7 +409,9 @@ def _steady_records(
 ) -> list[Record]:
     """Of motion given by its harmonics, (lines, H + 1, channels), SI units."""
     channels, count = tuple(channels), len(channels)
-    sd, delay = noise_sd(channels, harmonics[:, 1]), _delays(channels)
+    gain, late = true_calibrations(channels, rng)
+    harmonics = harmonics * gain
+    sd, delay = noise_sd(channels, harmonics[:, 1]), _delays(channels) + late
     factor = np.array([channel.factor for channel in channels])
     level = np.zeros(count) if offset is None else np.asarray(offset, dtype=float)
     batch = () if draws is None else (draws,)
@@ -407,6 +445,7 @@ def simulate_spectrum(
 ) -> Spectrum:
     """The Spectrum of simulated records, drawn from its exact distribution without their samples.
 
+    Gains and delays that are stated with an sd are drawn for each repeat, about which the noise has the same size.
     `noise` "given" states the true covariance, "estimated" the one that white residuals of the records would give,
     with its degrees of freedom.  `drift` is the degree of the trend solved for (None: not even an offset), `moments`
     adds the second moments for the methods that work on samples.  The amplitudes depend on neither.
@@ -418,12 +457,15 @@ def simulate_spectrum(
         if count is not None and count < 0:
             raise UsageError(f"{name} is {count}", cure="give a whole number from 0 on, or leave it out")
     channels = tuple(channels)
-    Y = clean_amplitudes(model, p, channels, test)
+    clean, nominal = clean_amplitudes(model, p, channels, test), _factors(channels, test.omega)
+    Y = clean * nominal
     sd = noise_sd(channels, Y)
     gram = _grams(test, drift)
     P = np.linalg.inv(gram)
     K = 1 if draws is None else draws
     A = _with_errors(Y, np.linalg.cholesky(P), sd, rng, K)
+    if any(unknown.sd for unknown in unknown_calibrations(channels)):
+        A += clean * (_factors(channels, test.omega, rng, K) - nominal)
     free = test.samples - 2 - (0 if drift is None else drift + 1)
     spread = np.trace(P, axis1=-2, axis2=-1)
     residual = None
@@ -488,7 +530,7 @@ def clean_spectrum(
     p (elements,).
     """
     channels = tuple(channels)
-    Y = clean_amplitudes(model, p, channels, test)
+    Y = clean_amplitudes(model, p, channels, test) * _factors(channels, test.omega)
     spread = np.trace(np.linalg.inv(_grams(test, drift)), axis1=-2, axis2=-1)
     return _lines(channels, test, Y, _covariance(spread, noise_sd(channels, Y)))
 
@@ -498,7 +540,11 @@ def with_noise_drawn(clean: Spectrum, rng: np.random.Generator, draws: int) -> S
     sd = np.sqrt(np.diagonal(clean.covariance, axis1=-2, axis2=-1).real / 2)
     shape = (draws, *clean.amplitudes.shape)
     error = sd * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
-    return replace(clean, amplitudes=clean.amplitudes + error)
+    motion = clean.amplitudes
+    if any(unknown.sd for unknown in unknown_calibrations(clean.channels)):
+        nominal = _factors(clean.channels, clean.omega)
+        motion = motion * (_factors(clean.channels, clean.omega, rng, draws) / nominal)
+    return replace(clean, amplitudes=motion + error)
 
 
 def _covariance(spread: Real, sd: Real) -> Complex:
@@ -614,7 +660,7 @@ def _followed(model: Model, theta: Real, drive: Drive, at: Periodic) -> Periodic
 
 
 def settled_records(motion: SettledMotion, test: Dwells, rng: np.random.Generator) -> list[Record]:
-    """One steady record for each dwell, noise and known calibrations of the channels included."""
+    """One steady record for each dwell, noise and calibrations of the channels included."""
     return _steady_records(motion.channels, motion.harmonics, test, rng)
 
 
@@ -627,17 +673,18 @@ def settled_spectrum(
     """
     channels, dwells = motion.channels, len(test.frequency_hz)
     count = min(SEEN, motion.harmonics.shape[1] - 1)
-    sd = noise_sd(channels, motion.harmonics[:, 1]) * np.sqrt(2 / test.samples)[:, None]  # of Re and Im, each
+    frequency_hz = np.outer(test.frequency_hz, np.arange(1, count + 1)).ravel()
     Y = motion.harmonics[:, 1 : count + 1].reshape(dwells * count, -1)
+    shown = Y * _factors(channels, 2 * np.pi * frequency_hz)
+    sd = noise_sd(channels, shown[::count]) * np.sqrt(2 / test.samples)[:, None]  # of Re and Im, each
     spread = np.repeat(sd, count, axis=0)
     shape = (2, *(() if draws is None else (draws,)), *Y.shape)
     error = np.zeros(shape) if rng is None else rng.standard_normal(shape)
     V = ((2 * spread[..., None] ** 2) * np.eye(len(channels))).astype(np.complex128)
-    frequency_hz = np.outer(test.frequency_hz, np.arange(1, count + 1)).ravel()
     samples, dof = np.repeat(test.samples, count), np.full(len(Y), np.inf)
     given, experiment = ("given",) * len(Y), np.zeros(len(Y), dtype=np.int64)
     dwell, settled = np.repeat(np.arange(dwells), count), tuple(map(SettledDwell, test.frequency_hz.tolist()))
-    A = Y + spread * (error[0] + 1j * error[1])
+    A = Y * _factors(channels, 2 * np.pi * frequency_hz, rng, draws) + spread * (error[0] + 1j * error[1])
     return Spectrum(
         channels, frequency_hz, A, V, samples, dof, given, experiment, stretch=dwell, stretches=settled
     )

@@ -159,7 +159,8 @@ def _calibrations(channels: Sequence[Channel], estimate: Estimate | None) -> dic
                 values[f"{channel.name}.{what}"] = "?"
     if estimate is not None:
         rows = {row.name: row for row in parameter_rows(estimate)}
-        shared = {f"{c.name}.gain": f"{c.same_gain_as}.gain" for c in channels if c.same_gain_as is not None}
+        shared = {f"{c.name}.gain": c.unknown_gain.name for c in channels if c.unknown_gain is not None}
+        shared |= {f"{c.name}.delay": c.unknown_delay.name for c in channels if c.unknown_delay is not None}
         for name in list(values):
             row = rows.get(name, rows.get(shared.get(name, "")))
             if row is not None:
