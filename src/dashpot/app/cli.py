@@ -140,7 +140,12 @@ def run(args: Sequence[str] | None = None) -> int:
         return BROKEN_PIPE
     except Exception as error:
         if not isinstance(error, click.ClickException | DashpotError):
-            asked_by = _stop_behind(error) or request_lost()
+            # The request to end that an error was raised from. One that comes while a module makes a class is
+            # wrapped in a RuntimeError by Python 3.11, and libraries may do alike
+            behind = error.__cause__ or error.__context__
+            while behind is not None and not isinstance(behind, Ended | KeyboardInterrupt):
+                behind = behind.__cause__ or behind.__context__
+            asked_by = behind or request_lost()
             if asked_by is not None:
                 return _stopped(asked_by)
             if os.environ.get(TRACEBACK) and not lacked(error):
@@ -159,17 +164,6 @@ def _stopped(asked: BaseException) -> int:
         return 128 + asked.number
     _tell(["interrupted; no file is left half-written"])
     return INTERRUPTED
-
-
-def _stop_behind(error: BaseException) -> BaseException | None:
-    """The request to end that an error was raised from.
-
-    One that comes while a module makes a class is wrapped in a RuntimeError by Python 3.11, and libraries may do alike.
-    """
-    behind = error.__cause__ or error.__context__
-    while behind is not None and not isinstance(behind, Ended | KeyboardInterrupt):
-        behind = behind.__cause__ or behind.__context__
-    return behind
 
 
 def _account(error: Exception) -> tuple[list[str], int]:

@@ -65,7 +65,18 @@ class Report:
         context = click.get_current_context()
         command = shlex.join(["dashpot", *context.meta.get(ARGUMENTS, ())])
         labels = tuple(line for label in self.label if (line := " ".join(label.split())))
-        return provenance_of(command, tuple(_settings(context)), labels)
+        # Options with their values, and whether they were given; what is not set is left out
+        settings = []
+        for parameter in context.command.params:
+            value = context.params.get(parameter.name or "")
+            unset = value is None or value is False or value == ()
+            if not isinstance(parameter, click.Option) or unset or parameter.name == "label":
+                continue
+            source = context.get_parameter_source(parameter.name or "")
+            given = source is not click.core.ParameterSource.DEFAULT
+            name = next((name for name in parameter.opts if name.startswith("--")), parameter.opts[0])
+            settings.append((name, "" if value is True else _shown(value), given))
+        return provenance_of(command, tuple(settings), labels)
 
     def write(self, html: str) -> None:
         """Write the page, where a report is asked for.  Raises DataError."""
@@ -141,21 +152,6 @@ def _printed(html: str) -> bytes:
                 command[0],
                 "name the report .html and print that",
             ) from error
-
-
-def _settings(context: click.Context) -> list[tuple[str, str, bool]]:
-    """Options with their values, and whether they were given; what is not set is left out."""
-    settings = []
-    for parameter in context.command.params:
-        value = context.params.get(parameter.name or "")
-        unset = value is None or value is False or value == ()
-        if not isinstance(parameter, click.Option) or unset or parameter.name == "label":
-            continue
-        source = context.get_parameter_source(parameter.name or "")
-        given = source is not click.core.ParameterSource.DEFAULT
-        name = next((name for name in parameter.opts if name.startswith("--")), parameter.opts[0])
-        settings.append((name, "" if value is True else _shown(value), given))
-    return settings
 
 
 def _shown(value: Any) -> str:

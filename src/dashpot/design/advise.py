@@ -398,26 +398,7 @@ def _start(question: Question, notes: list[str]) -> tuple[TestSetup, Estimate | 
             "the frequencies do not depend on its size"
         )
         channels = with_relative_noise(model, channels, 0.01)
-    setup = nominal_setup(
-        model,
-        channels,
-        _nominal(question, estimate),
-        limits=question.limits,
-        amplitude=_amplitude(question, channels, notes),
-        drives=question.drives,
-    )
-    if estimate is None:
-        return setup, None
-    if bool(np.any(estimate.fit.rejected)):
-        notes.append(
-            "the model does not fit the earlier data: expected intervals count the sensors' noise alone, and what the "
-            "model lacks will make the true ones wider"
-        )
-    return after(setup, estimate), estimate
-
-
-def _nominal(question: Question, estimate: Estimate | None) -> dict[str, float]:
-    """Values of the unknowns by name: as stated, else as estimated."""
+    # Values of the unknowns by name: as stated, else as estimated
     values = {} if estimate is None else values_after(question.model, estimate)
     values |= question.values
     missing = [
@@ -430,7 +411,22 @@ def _nominal(question: Question, estimate: Estimate | None) -> dict[str, float]:
             f"{', '.join(missing)}: no value to design the test for",
             cure=f"state a rough value of {missing[0]}, put guess = … into the rig file, or give an estimate",
         )
-    return values
+    setup = nominal_setup(
+        model,
+        channels,
+        values,
+        limits=question.limits,
+        amplitude=_amplitude(question, channels, notes),
+        drives=question.drives,
+    )
+    if estimate is None:
+        return setup, None
+    if bool(np.any(estimate.fit.rejected)):
+        notes.append(
+            "the model does not fit the earlier data: expected intervals count the sensors' noise alone, and what the "
+            "model lacks will make the true ones wider"
+        )
+    return after(setup, estimate), estimate
 
 
 def _amplitude(question: Question, channels: tuple[Channel, ...], notes: list[str]) -> float:

@@ -339,7 +339,16 @@ def identify_file(task: FileTask) -> FileParts:
         notes = reading.notes
         for name, part in parts_of(task, reading):
             try:
-                estimates.append(_identified(task, part, name))
+                model, treatment = task.rig.model, task.treatment
+                estimate, spectrum = identify_with_noise(
+                    model, part, treatment.method, seed=treatment.seed, positive=treatment.positive
+                )
+                if not bool(estimate.converged):
+                    what = f"{estimate.method} did not converge in {int(estimate.iterations)} iterations"
+                    raise ConvergenceError(what, name, "leave it out")
+                estimates.append(
+                    examined(model, spectrum, estimate, seed=treatment.seed, within=task.rig.within)
+                )
                 names.append(name)
             except DashpotError as error:
                 failures.append(error)
@@ -372,15 +381,3 @@ def parts_of(task: FileTask, reading: Reading) -> Iterator[tuple[str, Spectrum]]
         for k in range(count):
             piece = replace(reading, records=(cut(record, k / count, (k + 1) / count),))
             yield f"{name} ({k + 1} of {count})", task.treatment.spectrum(task.rig, piece)
-
-
-def _identified(task: FileTask, spectrum: Spectrum, name: str) -> Estimate:
-    """The estimate of a part, examined.  Raises ConvergenceError where the iteration does not come to an end."""
-    model, treatment = task.rig.model, task.treatment
-    estimate, spectrum = identify_with_noise(
-        model, spectrum, treatment.method, seed=treatment.seed, positive=treatment.positive
-    )
-    if not bool(estimate.converged):
-        what = f"{estimate.method} did not converge in {int(estimate.iterations)} iterations"
-        raise ConvergenceError(what, name, "leave it out")
-    return examined(model, spectrum, estimate, seed=treatment.seed, within=task.rig.within)

@@ -246,7 +246,25 @@ def write_bytes(path: ledger.AnyPath, content: bytes | Iterable[bytes | memoryvi
         elif _is_stream(target):
             _fill(os.open(target, os.O_WRONLY | _BINARY | _NO_TERMINAL), parts)
         else:
-            _replace(target, parts)
+            # Write a temporary file beside the target, and let it take the target's place
+            before = os.stat(target) if os.path.exists(target) else None
+            temporary = os.path.join(os.path.dirname(target), secrets.token_hex(8).join(PART))
+            _temporary[temporary] = os.getpid()
+            try:
+                flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY | _NO_LINK
+                size = _fill(
+                    os.open(temporary, flags, 0o666), parts, sync=True
+                )  # the system takes its umask off
+                if os.stat(temporary).st_size != size:
+                    raise OSError(errno.EIO, "the disk did not keep what was written")
+                if before is not None:
+                    if hasattr(os, "chown"):
+                        with suppress(PermissionError):
+                            os.chown(temporary, before.st_uid, before.st_gid)
+                    os.chmod(temporary, stat.S_IMODE(before.st_mode))
+                os.replace(temporary, target)
+            finally:
+                _let_go(temporary)
     except (OSError, ValueError) as error:  # a ValueError is a path with a null character
         reason = getattr(error, "strerror", None) or str(error)
         raise DataError(f"cannot be written ({reason})", name, "check the path and the space left") from None
@@ -288,26 +306,6 @@ def _is_stream(path: str) -> bool:
     if stat.S_ISREG(mode) and not os.access(path, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     return not stat.S_ISREG(mode)
-
-
-def _replace(target: str, parts: Iterable[bytes | memoryview]) -> None:
-    """Write a temporary file beside the target, and let it take the target's place."""
-    before = os.stat(target) if os.path.exists(target) else None
-    temporary = os.path.join(os.path.dirname(target), secrets.token_hex(8).join(PART))
-    _temporary[temporary] = os.getpid()
-    try:
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY | _NO_LINK
-        size = _fill(os.open(temporary, flags, 0o666), parts, sync=True)  # the system takes its umask off
-        if os.stat(temporary).st_size != size:
-            raise OSError(errno.EIO, "the disk did not keep what was written")
-        if before is not None:
-            if hasattr(os, "chown"):
-                with suppress(PermissionError):
-                    os.chown(temporary, before.st_uid, before.st_gid)
-            os.chmod(temporary, stat.S_IMODE(before.st_mode))
-        os.replace(temporary, target)
-    finally:
-        _let_go(temporary)
 
 
 def _fill(descriptor: int, parts: Iterable[bytes | memoryview], sync: bool = False) -> int:

@@ -63,19 +63,15 @@ def _column_of(values: Sequence[Any] | np.ndarray) -> Any:
             return pa.Array.from_buffers(pa.bool_(), len(values), [None, _buffer(bits)])
     words = values.tolist() if isinstance(values, np.ndarray) else values
     if len(words) and all(type(word) is str for word in words):
-        return _texts(words)
+        import pyarrow as pa
+
+        encoded = [value.encode() for value in words]
+        ends = np.cumsum([0, *map(len, encoded)])
+        if ends[-1] > np.iinfo(np.int32).max:
+            return pa.array(words)
+        data = pa.py_buffer(b"".join(encoded))
+        return pa.Array.from_buffers(pa.string(), len(words), [None, _buffer(ends.astype(np.int32)), data])
     return pa.array(values)
-
-
-def _texts(values: Sequence[str]) -> Any:
-    import pyarrow as pa
-
-    encoded = [value.encode() for value in values]
-    ends = np.cumsum([0, *map(len, encoded)])
-    if ends[-1] > np.iinfo(np.int32).max:
-        return pa.array(values)
-    data = pa.py_buffer(b"".join(encoded))
-    return pa.Array.from_buffers(pa.string(), len(values), [None, _buffer(ends.astype(np.int32)), data])
 
 
 def _buffer(values: np.ndarray) -> Any:

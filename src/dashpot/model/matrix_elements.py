@@ -40,7 +40,26 @@ def block_elements(
     is given: the model as it was drawn.
     Raises ModelError where the matrix is not square, finite and symmetric, or of another size than `points`.
     """
-    upper = _upper_half(name, matrix, len(points))
+    # The upper half of a symmetric matrix with its diagonal, sparse, without stored zeros
+    size = len(points)
+    whole = sparse.csr_array(matrix)
+    if whole.shape != (size, size):
+        shape = " × ".join(map(str, whole.shape))
+        raise ModelError(
+            f"the matrix of {name} is {shape}, for {size} points", cure="name the points of its rows in order"
+        )
+    if np.iscomplexobj(whole.data) or not np.all(np.isfinite(whole.data)):
+        raise ModelError(f"the matrix of {name} has entries that are not real and finite")
+    largest = float(np.max(np.abs(whole.data), initial=0.0))
+    if largest == 0:
+        raise ModelError(f"the matrix of {name} is 0", cure="leave the block out")
+    away = float(np.max(np.abs((whole - whole.T).data), initial=0.0))
+    if away > 1e-9 * largest:  # what files round off
+        raise ModelError(
+            f"the matrix of {name} is not symmetric", cure="give all of it, or save it as a symmetric one"
+        )
+    upper: Any = sparse.csr_array(sparse.triu((whole + whole.T) / 2))
+    upper.eliminate_zeros()
     if known.get("value") is None and known.get("guess") is None:
         known = {**known, "guess": 1.0}
     alone, joint = KINDS[letter]
@@ -62,29 +81,6 @@ def block_elements(
     for i in np.flatnonzero(np.abs(rest) > 1e-14 * reach).tolist():
         add(alone, {points[i]: 1.0}, float(rest[i]))
     return tuple(parts)
-
-
-def _upper_half(name: str, matrix: Any, size: int) -> Any:
-    """The upper half of a symmetric matrix with its diagonal, sparse, without stored zeros."""
-    whole = sparse.csr_array(matrix)
-    if whole.shape != (size, size):
-        shape = " × ".join(map(str, whole.shape))
-        raise ModelError(
-            f"the matrix of {name} is {shape}, for {size} points", cure="name the points of its rows in order"
-        )
-    if np.iscomplexobj(whole.data) or not np.all(np.isfinite(whole.data)):
-        raise ModelError(f"the matrix of {name} has entries that are not real and finite")
-    largest = float(np.max(np.abs(whole.data), initial=0.0))
-    if largest == 0:
-        raise ModelError(f"the matrix of {name} is 0", cure="leave the block out")
-    away = float(np.max(np.abs((whole - whole.T).data), initial=0.0))
-    if away > 1e-9 * largest:  # what files round off
-        raise ModelError(
-            f"the matrix of {name} is not symmetric", cure="give all of it, or save it as a symmetric one"
-        )
-    upper: Any = sparse.csr_array(sparse.triu((whole + whole.T) / 2))
-    upper.eliminate_zeros()
-    return upper
 
 
 def free_model(

@@ -128,25 +128,20 @@ def problems(
         yield from _element_problems(element, points, complete)
     yield from _tie_problems(elements, frozenset(angles), complete)
     if complete:
-        yield from _loose_ends(coordinates, moved, elements, set(angles) - set(points))
-
-
-def _loose_ends(
-    coordinates: Sequence[str], moved: Sequence[str], elements: Sequence[Element], strangers: Collection[str]
-) -> Iterator[Problem]:
-    """Points that nothing is attached to, and angles that are no points."""
-    attached = {point for element in elements for point in element.along}
-    for name in moved:
-        if name not in attached:
-            what = f"no element is attached to the input {name}"
-            yield Problem(what, name, "attach one or remove the input")
-    for name in sorted(strangers):
-        what = f"{name} is neither a coordinate nor a displacement input"
-        yield Problem(what, "angles", f"there are {listed((*coordinates, *moved))}")
-    for name in dict.fromkeys(coordinates):
-        if name not in attached:
-            what = f"nothing is attached to the coordinate {name}"
-            yield Problem(what, name, "attach an element or remove it")
+        # Points that nothing is attached to, and angles that are no points
+        strangers = set(angles) - set(points)
+        attached = {point for element in elements for point in element.along}
+        for name in moved:
+            if name not in attached:
+                what = f"no element is attached to the input {name}"
+                yield Problem(what, name, "attach one or remove the input")
+        for name in sorted(strangers):
+            what = f"{name} is neither a coordinate nor a displacement input"
+            yield Problem(what, "angles", f"there are {listed((*coordinates, *moved))}")
+        for name in dict.fromkeys(coordinates):
+            if name not in attached:
+                what = f"nothing is attached to the coordinate {name}"
+                yield Problem(what, name, "attach an element or remove it")
 
 
 def _name_problems(
@@ -257,7 +252,20 @@ def _numbers(element: Element) -> dict[str, float]:
 
 def _tie_problems(elements: Sequence[Element], angles: frozenset[str], complete: bool) -> Iterator[Problem]:
     by_name = {element.name: element for element in elements}
-    ends = _tie_ends(by_name)
+    # Where the chain of ties of each element ends, None where it runs into a circle; each tie is followed
+    # once
+    ends: dict[str, str | None] = {}
+    for name in by_name:
+        chain: dict[str, None] = {}
+        at: str = name
+        while at in by_name and at not in ends and at not in chain:
+            chain[at] = None
+            target = by_name[at].same_as
+            if target is None:
+                break
+            at = target
+        end = None if at in chain and by_name[at].same_as is not None else ends.get(at, at)
+        ends.update(dict.fromkeys(chain, end))
     for element in elements:
         if element.same_as is not None:
             yield from _tied_problems(element, by_name, ends, angles, complete)
@@ -292,23 +300,6 @@ def _tied_problems(
     elif end == element.same_as and complete:
         cure = f"there are {listed(by_name)}"
         yield Problem(f"same_as names {end}, which is not an element", element.name, cure)
-
-
-def _tie_ends(by_name: Mapping[str, Element]) -> dict[str, str | None]:
-    """Where the chain of ties of each element ends, None where it runs into a circle; each tie is followed once."""
-    ends: dict[str, str | None] = {}
-    for name in by_name:
-        chain: dict[str, None] = {}
-        at: str = name
-        while at in by_name and at not in ends and at not in chain:
-            chain[at] = None
-            target = by_name[at].same_as
-            if target is None:
-                break
-            at = target
-        end = None if at in chain and by_name[at].same_as is not None else ends.get(at, at)
-        ends.update(dict.fromkeys(chain, end))
-    return ends
 
 
 def _circle(element: Element, by_name: Mapping[str, Element]) -> str | None:

@@ -281,25 +281,22 @@ def html_of(document: Document) -> str:
     parts, caption = [], f"<caption>{_html(document.title)}</caption>" if document.title else ""
     for block in (block for each in document.sections for block in each.blocks):
         if isinstance(block, Table):
-            parts.append(_html_table(block.columns, caption))
+            columns = block.columns
+            head = "".join(f"<th>{_html(column.title)}</th>" for column in columns)
+            rows = "".join(
+                "<tr>"
+                + "".join(
+                    f'<td style="text-align:{column.justify}">{_html(cell)}</td>'
+                    for column, cell in zip(columns, cells, strict=True)
+                )
+                + "</tr>"
+                for cells in zip(*(column.cells for column in columns), strict=True)
+            )
+            parts.append(f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>")
             caption = ""
         elif isinstance(block, Paragraph):
             parts.append(f"<p>{_html(block.text)}</p>")
     return "".join(parts)
-
-
-def _html_table(columns: Sequence[TableColumn], caption: str) -> str:
-    head = "".join(f"<th>{_html(column.title)}</th>" for column in columns)
-    rows = "".join(
-        "<tr>"
-        + "".join(
-            f'<td style="text-align:{column.justify}">{_html(cell)}</td>'
-            for column, cell in zip(columns, cells, strict=True)
-        )
-        + "</tr>"
-        for cells in zip(*(column.cells for column in columns), strict=True)
-    )
-    return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 
 def _html(text: str) -> str:

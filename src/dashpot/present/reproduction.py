@@ -308,6 +308,15 @@ def images(reproduction: Reproduction) -> dict[str, tuple[str, bytes]]:
     """Captions and PNG files by name."""
     drawn = "mean and middle 95 % of the draws."
     single = "as a picture: where the paper's single draw falls among all draws."
+    cases = list(dict.fromkeys(rank.case for rank in reproduction.ranking))
+    panels, bounds = [], []
+    for kind in KINDS:
+        ranks = [rank for rank in reproduction.ranking if rank.kind == kind]
+        sizes = {
+            n: np.array([getattr(r, n) for r in ranks]) for n in ("iv", "iv_se", "oiv", "oiv_se", "bound")
+        }
+        panels.append([draw.Series(n, method_colour(n), sizes[n], sizes[f"{n}_se"]) for n in ("iv", "oiv")])
+        bounds.append(sizes["bound"])
     figures = {
         "figure2": (
             f"Figure 2. Relative error against noise level (CASE-3, 1,400 samples): {drawn}",
@@ -324,7 +333,7 @@ def images(reproduction: Reproduction) -> dict[str, tuple[str, bytes]]:
         "table4": (f"Table 4 {single}", _spreads(reproduction.table4, ("iv", "oiv"))),
         "ranking": (
             "The four cases under two kinds of noise; the error bars are 95 % intervals of the Monte Carlo.",
-            _ranking(reproduction),
+            draw.bar_panels([capitalised(words) for words in KINDS.values()], cases, panels, bounds),
         ),
     }
     return {name: (caption, png(figure)) for name, (caption, figure) in figures.items()}
@@ -370,19 +379,6 @@ def _spreads(columns: Sequence[PrintedColumn], methods: Sequence[str], prefix: s
 def _spread(column: PrintedColumn) -> draw.Spread:
     values = [[getattr(e, name) for e in column.entries] for name in ("mean", "low", "high", "printed")]
     return draw.Spread(column.method, method_colour(column.method), *np.array(values, dtype=float))
-
-
-def _ranking(reproduction: Reproduction) -> Figure:
-    cases = list(dict.fromkeys(rank.case for rank in reproduction.ranking))
-    panels, bounds = [], []
-    for kind in KINDS:
-        ranks = [rank for rank in reproduction.ranking if rank.kind == kind]
-        sizes = {
-            n: np.array([getattr(r, n) for r in ranks]) for n in ("iv", "iv_se", "oiv", "oiv_se", "bound")
-        }
-        panels.append([draw.Series(n, method_colour(n), sizes[n], sizes[f"{n}_se"]) for n in ("iv", "oiv")])
-        bounds.append(sizes["bound"])
-    return draw.bar_panels([capitalised(words) for words in KINDS.values()], cases, panels, bounds)
 
 
 # What it shows, in words, from the numbers of `reproduce.yamane1989.findings`.

@@ -72,7 +72,10 @@ def response_curves(
         axes.set_title(name)
         axes.set_ylabel(f"half peak-to-peak, {unit}")
         axes.set_ylim(bottom=0)
-        limit_axis(axes.set_xlim, *_range([curve.x for curve in curves if not curve.thin]))
+        values = [curve.x for curve in curves if not curve.thin]
+        low, high = min(float(np.min(x)) for x in values), max(float(np.max(x)) for x in values)
+        margin = 0.02 * (high - low)
+        limit_axis(axes.set_xlim, *(low - margin, high + margin))
     rows[-1].set_xlabel(x_label)
     if any(curve.stable is not None and not np.all(curve.stable) for curve in curves):
         rows[0].plot([], [], color=MUTED, lw=1.2, ls=(0, (3, 2)), label="unstable")
@@ -94,12 +97,6 @@ def _draw(axes: Axes, curve: DrawnCurve, channel: int, colour: str) -> None:
     if not np.all(stable):
         axes.plot(*_pieces(curve.x, y, ~through), color=colour, lw=1.2, ls=(0, (3, 2)), zorder=2)
     axes.plot(curve.x[curve.folds], y[curve.folds], "o", color=BAD, mfc="white", ms=4, zorder=4)
-
-
-def _range(values: Sequence[Real]) -> tuple[float, float]:
-    low, high = min(float(np.min(x)) for x in values), max(float(np.max(x)) for x in values)
-    margin = 0.02 * (high - low)
-    return low - margin, high + margin
 
 
 def _pieces(x: Real, y: Real, chosen: Bools) -> tuple[Real, Real]:

@@ -102,19 +102,20 @@ def study_columns(rows: Sequence[SummaryRow]) -> list[TableColumn]:
             factors = [fill(", ".join(text for text in factors if text != NOTHING), LABEL)]
         if k and rows[k - 1].scenario is row.scenario:
             factors = [""] * len(factors)
-        cells.append((*factors, row.method, *_results(row.summary)))
+        summary = row.summary
+        cells.append(
+            (
+                *factors,
+                row.method,
+                f"{summary.rms_bias:.2f}",
+                f"{summary.rms_spread:.2f}",
+                f"{summary.rms_bound:.2f}",
+                f"{summary.rms_spread / summary.rms_bound:.2f}" if summary.rms_bound > 0 else NOTHING,
+                f"{min(summary.coverage):.1f}–{max(summary.coverage):.1f}",
+                f"{summary.failed}/{summary.draws}" if summary.failed else NOTHING,
+            )
+        )
     return columns_of([*heads, "method", *RESULTS], cells)
-
-
-def _results(summary: Summary) -> tuple[str, ...]:
-    return (
-        f"{summary.rms_bias:.2f}",
-        f"{summary.rms_spread:.2f}",
-        f"{summary.rms_bound:.2f}",
-        f"{summary.rms_spread / summary.rms_bound:.2f}" if summary.rms_bound > 0 else NOTHING,
-        f"{min(summary.coverage):.1f}–{max(summary.coverage):.1f}",
-        f"{summary.failed}/{summary.draws}" if summary.failed else NOTHING,
-    )
 
 
 # Factors and accuracies in words.

@@ -439,7 +439,29 @@ def run_study(
         )
     manifest = folder / "study.json"
     with opened_store(folder, lambda _: manifest.exists(), "name a new folder for the study") as store:
-        _claim(study, points, manifest, block)
+        # Write down whose folder it is, or see that it is this study's
+        own: dict[str, Any] = {"format": FORMAT, "name": study.name, "seed": study.seed, "block": block}
+        new = {
+            point.key: {"factors": dict(point.factors), "fingerprint": point.fingerprint} for point in points
+        }
+        old: dict[str, Any] = {}
+        if manifest.exists():
+            another = "name another folder, or delete this one"
+            try:
+                other = from_json(manifest.read_text(encoding="utf-8"))
+                old = dict(other["scenarios"])
+                fingerprints = {key: str(entry["fingerprint"]) for key, entry in old.items()}
+            except (OSError, ValueError, KeyError, TypeError):
+                raise UsageError("this is not a study of dashpot", str(manifest), another) from None
+            for key in ("format", "seed", "block"):
+                if other.get(key) != own[key]:
+                    what = f"the folder holds a study with {key} {other.get(key)}, not {own[key]}"
+                    raise UsageError(what, str(manifest), another)
+            for point in points:
+                if fingerprints.get(point.key, point.fingerprint) != point.fingerprint:
+                    what = f"the folder holds another study: {point.name} is different"
+                    raise UsageError(what, str(manifest), another)
+        write_text(manifest, to_json({**own, "scenarios": old | new}))
         outcome = _outcome(
             study,
             run_scenarios(points, study.seed, store=store, block=block, mapper=mapper, progress=progress),
@@ -475,27 +497,3 @@ def rehearse(points: Sequence[Scenario]) -> None:
             first = error.problems[0]
             raise type(error)(first.what, point.name, first.cure) from error
         run_task(Task(point, 0, 2, 0))
-
-
-def _claim(study: Study, points: Sequence[Scenario], manifest: Path, block: int) -> None:
-    """Write down whose folder it is, or see that it is this study's.  Raises UsageError."""
-    own: dict[str, Any] = {"format": FORMAT, "name": study.name, "seed": study.seed, "block": block}
-    new = {point.key: {"factors": dict(point.factors), "fingerprint": point.fingerprint} for point in points}
-    old: dict[str, Any] = {}
-    if manifest.exists():
-        another = "name another folder, or delete this one"
-        try:
-            other = from_json(manifest.read_text(encoding="utf-8"))
-            old = dict(other["scenarios"])
-            fingerprints = {key: str(entry["fingerprint"]) for key, entry in old.items()}
-        except (OSError, ValueError, KeyError, TypeError):
-            raise UsageError("this is not a study of dashpot", str(manifest), another) from None
-        for key in ("format", "seed", "block"):
-            if other.get(key) != own[key]:
-                what = f"the folder holds a study with {key} {other.get(key)}, not {own[key]}"
-                raise UsageError(what, str(manifest), another)
-        for point in points:
-            if fingerprints.get(point.key, point.fingerprint) != point.fingerprint:
-                what = f"the folder holds another study: {point.name} is different"
-                raise UsageError(what, str(manifest), another)
-    write_text(manifest, to_json({**own, "scenarios": old | new}))

@@ -298,7 +298,19 @@ def read_amplitudes(
     frequency = values[layout.frequency] * frequency_scale(columns, layout.frequency)
     check_frequency(columns, layout.frequency, frequency)
     lines = len(frequency)
-    experiments, samples, dof = _counts(columns, layout, values, lines, experiment)
+    # Experiment, samples and degrees of freedom of each line
+    experiments, samples = np.full(lines, experiment, dtype=np.int64), np.ones(lines, dtype=np.int64)
+    dof = np.full(lines, np.inf)
+    if EXPERIMENT in layout.more:
+        at = layout.more[EXPERIMENT]
+        experiments = whole_numbers(columns, at, values[at])
+    if SAMPLES in layout.more:
+        at = layout.more[SAMPLES]
+        samples = whole_numbers(columns, at, values[at])
+        columns.refuse(at, samples <= 0, "{:g}", "it must be positive", values[at])
+    if DOF in layout.more:
+        dof = values[layout.more[DOF]]
+        columns.refuse(layout.more[DOF], ~(dof > 0), "{:g}", "it must be positive", dof)
     noise = _kinds_of_noise(columns, layout, lines)
     unknown = np.array([kind == "unknown" for kind in noise], dtype=bool)
     X = np.stack([pair.of(values) for pair in layout.amplitudes], axis=-1) * layout.scales
@@ -353,25 +365,6 @@ def _layout(columns: Columns, found: Mapping[str, AmplitudeColumns], channels: S
         names += [RECORD, FUNDAMENTAL, *OF_RECORDS]
     more = {name: at for name in names if (at := columns.find(name)) is not None}
     return _Layout(frequency_at, amplitudes, sd, np.array(scales), pairs, more)
-
-
-def _counts(
-    columns: Columns, layout: _Layout, values: dict[int, Real], lines: int, experiment: int
-) -> tuple[Ints, Ints, Real]:
-    """Experiment, samples and degrees of freedom of each line."""
-    experiments, samples = np.full(lines, experiment, dtype=np.int64), np.ones(lines, dtype=np.int64)
-    dof = np.full(lines, np.inf)
-    if EXPERIMENT in layout.more:
-        at = layout.more[EXPERIMENT]
-        experiments = whole_numbers(columns, at, values[at])
-    if SAMPLES in layout.more:
-        at = layout.more[SAMPLES]
-        samples = whole_numbers(columns, at, values[at])
-        columns.refuse(at, samples <= 0, "{:g}", "it must be positive", values[at])
-    if DOF in layout.more:
-        dof = values[layout.more[DOF]]
-        columns.refuse(layout.more[DOF], ~(dof > 0), "{:g}", "it must be positive", dof)
-    return experiments, samples, dof
 
 
 def _kinds_of_noise(columns: Columns, layout: _Layout, lines: int) -> tuple[str, ...]:

@@ -150,7 +150,19 @@ def _variables(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | 
     module = type(data).__module__.partition(".")[0]
     frame = type(data).__name__ == "DataFrame"
     if module == "xarray":
-        return _of_xarray(data, source)
+        # Variables and coordinates of a Dataset; of a DataArray those along its other dimension
+        if not hasattr(data, "data_vars"):
+            others = [dim for dim in data.dims if dim not in ("time", TIME)]
+            if len(others) > 1 or (not others and data.name is None):
+                raise DataError("the array has no names for its columns", source, "give a Dataset")
+            data = data.to_dataset(dim=others[0]) if others else data.to_dataset()
+        variables = {
+            str(name): np.asarray(item.values) for name, item in {**data.coords, **data.data_vars}.items()
+        }
+        units = {
+            str(name): item.attrs.get("units") for name, item in {**data.coords, **data.data_vars}.items()
+        }
+        return variables, units
     if module == "pandas" and frame:
         return _of_pandas(data, source)
     if module == "polars" and frame:
@@ -185,17 +197,3 @@ def _naive(series: Any) -> Any:
     """Its values; moments with a time zone in universal time."""
     zoned = getattr(series.dtype, "tz", None) is not None
     return (series.dt.tz_convert("UTC").dt.tz_localize(None) if zoned else series).to_numpy()
-
-
-def _of_xarray(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | None]]:
-    """Variables and coordinates of a Dataset; of a DataArray those along its other dimension."""
-    if not hasattr(data, "data_vars"):
-        others = [dim for dim in data.dims if dim not in ("time", TIME)]
-        if len(others) > 1 or (not others and data.name is None):
-            raise DataError("the array has no names for its columns", source, "give a Dataset")
-        data = data.to_dataset(dim=others[0]) if others else data.to_dataset()
-    variables = {
-        str(name): np.asarray(item.values) for name, item in {**data.coords, **data.data_vars}.items()
-    }
-    units = {str(name): item.attrs.get("units") for name, item in {**data.coords, **data.data_vars}.items()}
-    return variables, units

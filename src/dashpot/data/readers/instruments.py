@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real
+from dashpot.arrays import Real
 from dashpot.data.readers.arrays import ArrayColumns, Streamed
 from dashpot.data.readers.datafile import SUBSTITUTED, DataFile, whole_lines
 from dashpot.data.readers.text import LOOKED_AT, Table, Text, open_table, text_of
@@ -142,25 +142,7 @@ def is_xsens(file: DataFile) -> bool:
 def read_xsens(file: DataFile) -> Iterator[ArrayColumns]:
     """What the sensor measured: `time_s` is its own clock, which synchronised sensors share."""
     table = open_table(file, COUNTER)
-    ticks, first, notes = _ticks(table)
-    rows = len(ticks) - first
-    columns: list[Any] = [ticks[first:] * 1e-6]
-    names, units = [TIME], ["s"]
-    for i, name in enumerate(table.header):
-        unit = next((unit for prefix, unit in UNITS.items() if name.startswith(prefix)), None)
-        if unit is not None:
-            names.append(name)
-            units.append(unit)
-            columns.append(Streamed(rows, partial(_from, table, i, first)))
-    yield ArrayColumns(file.name, tuple(names), tuple(units), tuple(notes), rows, tuple(columns))
-
-
-def _from(table: Table, column: int, first: int) -> Iterator[Real]:
-    yield table.numbers([column])[column][first:]
-
-
-def _ticks(table: Table) -> tuple[Ints, int, list[Notice]]:
-    """Clock in µs of all rows, the first row that is a measurement, notes."""
+    # Clock in µs of all rows, the first row that is a measurement, notes
     counter_at, clock_at = table.need(COUNTER), table.need(CLOCK)
     axes = [table.need(name) for name in AXES]
     numbers = table.numbers(list(dict.fromkeys([counter_at, clock_at, *axes])))
@@ -180,4 +162,17 @@ def _ticks(table: Table) -> tuple[Ints, int, list[Notice]]:
     if lost > 0:
         text = f"{table.source}: {lost} packets are missing; the others keep their true times"
         notes.append(Notice("packets_lost", text, (table.source,)))
-    return ticks, first, notes
+    rows = len(ticks) - first
+    columns: list[Any] = [ticks[first:] * 1e-6]
+    names, units = [TIME], ["s"]
+    for i, name in enumerate(table.header):
+        unit = next((unit for prefix, unit in UNITS.items() if name.startswith(prefix)), None)
+        if unit is not None:
+            names.append(name)
+            units.append(unit)
+            columns.append(Streamed(rows, partial(_from, table, i, first)))
+    yield ArrayColumns(file.name, tuple(names), tuple(units), tuple(notes), rows, tuple(columns))
+
+
+def _from(table: Table, column: int, first: int) -> Iterator[Real]:
+    yield table.numbers([column])[column][first:]

@@ -43,18 +43,14 @@ def interpret_parts(
     total, first = Interpreted(), None
     for part in parts:
         first = part if first is None else first
-        if _names_any(part, channels):
+        # Whether a column belongs to one of the channels
+        names = {name for column in part.header for name in (column, bare(column)[0])}
+        stems = {name.rpartition("_")[0].split("/")[0] for name in names}
+        if any(channel.name in names | stems for channel in channels):
             total += interpret(part, channels, circumstances)
     if not (total.records or total.spectra) and first is not None:
         return interpret(first, channels, circumstances)
     return total
-
-
-def _names_any(columns: Columns, channels: Sequence[Channel]) -> bool:
-    """Whether a column belongs to one of the channels."""
-    names = {name for column in columns.header for name in (column, bare(column)[0])}
-    stems = {name.rpartition("_")[0].split("/")[0] for name in names}
-    return any(channel.name in names | stems for channel in channels)
 
 
 def interpret(columns: Columns, channels: Sequence[Channel], circumstances: Circumstances) -> Interpreted:

@@ -320,18 +320,6 @@ def resolved(entry: FilesEntry, folder: Path, place: str, number: int) -> list[F
     return sorted(groups.values(), key=lambda g: (g.experiment, g.frequency_hz or 0.0))
 
 
-def _fields(name: str, place: str) -> list[str]:
-    """The fields of a pattern.  Raises DataError where there is no such field, or one occurs twice."""
-    fields = [field for field, *_ in _PLACE.findall(name) if field]
-    unknown = [field for field in fields if field not in _FIELDS]
-    if unknown:
-        cure = f"{did_you_mean(unknown[0], _FIELDS)}there are {listed(_FIELDS)}; * stands for anything else"
-        raise DataError(f'unknown field {{{shown(unknown[0])}}} in "{shown(name, 100)}"', place, cure)
-    if len(set(fields)) < len(fields):
-        raise DataError(f'a field occurs twice in "{shown(name, 100)}"', place, "name each one once")
-    return fields
-
-
 def _regex(name: str) -> str:
     """A pattern as a regular expression with its fields as groups."""
     regex, position = "", 0
@@ -358,7 +346,14 @@ def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[s
     if not _PLACE.search(name):
         yield _inside(folder, name, place), {}, name
         return
-    fields = _fields(name, place)
+    # The fields of a pattern
+    fields = [field for field, *_ in _PLACE.findall(name) if field]
+    unknown = [field for field in fields if field not in _FIELDS]
+    if unknown:
+        cure = f"{did_you_mean(unknown[0], _FIELDS)}there are {listed(_FIELDS)}; * stands for anything else"
+        raise DataError(f'unknown field {{{shown(unknown[0])}}} in "{shown(name, 100)}"', place, cure)
+    if len(set(fields)) < len(fields):
+        raise DataError(f'a field occurs twice in "{shown(name, 100)}"', place, "name each one once")
     regex = _regex(name)
     count = 0
     for relative in sorted(_below(folder, name, place)):

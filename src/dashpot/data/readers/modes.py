@@ -64,7 +64,26 @@ def modes_and_notes(
 ) -> tuple[ModalData, list[Notice]]:
     """The same, and what was assumed."""
     if os.fspath(path).lower().endswith(".json"):
-        return _modes_of(_columns_of_json(path, coordinates), coordinates), []
+        # Modes as a table would have them: one a row, NaN where something is not given
+        source, rows = shown(os.fspath(path), 200), []
+        for number, mode in enumerate(_modes_of_json(path, source), start=1):
+            where = f"{source}: mode {number}"
+            for key in mode:
+                if key not in (*PLAIN, "shape", "shape_sd"):
+                    known = f"there are {', '.join(PLAIN)}, shape, shape_sd"
+                    raise DataError(f"{shown(str(key))}: unknown key", where, known)
+            row = {key: _number(mode[key], key, where) for key in PLAIN if key in mode}
+            spread = _shape(mode, "shape_sd", where)
+            for name, value in _shape(mode, "shape", where).items():
+                if name not in coordinates:
+                    what = f"shape: {shown(name)} is not a coordinate of the rig"
+                    raise DataError(what, where, f"there are {listed(coordinates)}")
+                sd = spread[name].real if name in spread else np.nan
+                row |= {f"{name}_re": value.real, f"{name}_im": value.imag, f"{name}_sd": sd}
+            rows.append(row)
+        header = tuple(dict.fromkeys(name for row in rows for name in row))
+        columns = tuple(np.array([row.get(name, np.nan) for row in rows]) for name in header)
+        return _modes_of(ArrayColumns(source, header, (), (), len(rows), columns, "mode"), coordinates), []
     file = open_file(path)
     if is_universal(file):
         return read_uff_modes(file, coordinates, channels, relative_sd)
@@ -84,24 +103,20 @@ def holds_modes(path: AnyPath) -> bool:
     try:
         file = open_file(path)
         if is_universal(file):
-            return _datasets(file) == {55}
+            # Numbers of the datasets in a universal file that are read; up to the first function
+            numbers = set()
+            with file.reading() as raw:
+                stream = UffStream(raw, file)
+                for start in dataset_starts(stream):
+                    numbers.add(start.number)
+                    if start.number == 58:
+                        break
+                    skip_dataset(stream)
+            return (numbers & {55, 58}) == {55}
         text = name.removesuffix(".gz").endswith((".csv", ".txt"))
         return text and {FREQUENCY, FREQUENCY_SD} <= {bare(column)[0] for column in _first_row(file)}
     except DashpotError:
         return False
-
-
-def _datasets(file: DataFile) -> set[int]:
-    """Numbers of the datasets in a universal file that are read; up to the first function."""
-    numbers = set()
-    with file.reading() as raw:
-        stream = UffStream(raw, file)
-        for start in dataset_starts(stream):
-            numbers.add(start.number)
-            if start.number == 58:
-                break
-            skip_dataset(stream)
-    return numbers & {55, 58}
 
 
 def _first_row(file: DataFile) -> list[str]:
@@ -128,21 +143,7 @@ class _Layout:
 
 
 def _modes_of(table: Columns, coordinates: Sequence[str]) -> ModalData:
-    layout = _layout(table, coordinates)
-    gaps = [at for at in layout.columns if at not in (layout.frequency, layout.frequency_sd)]
-    values = table.numbers(layout.columns, gaps)
-    absent = np.full(len(values[layout.frequency]), np.nan)
-    zeta = absent if layout.damping is None else values[layout.damping]
-    zeta_sd = absent if layout.damping_sd is None else values[layout.damping_sd]
-    shapes, sd = _shapes(table, layout, values)
-    _check_modes(table, layout, values, zeta, zeta_sd)
-    _check_shapes(table, layout, sd)
-    frequency = values[layout.frequency], values[layout.frequency_sd]
-    return independent_modes(tuple(layout.points), frequency, (zeta, zeta_sd), (shapes, sd))
-
-
-def _layout(table: Columns, coordinates: Sequence[str]) -> _Layout:
-    """Where everything stands.  Raises DataError for what is missing, twice, or of no coordinate."""
+    # Where everything stands
     f_at, f_sd_at = table.need(FREQUENCY), table.need(FREQUENCY_SD, " (a mode without it cannot be weighed)")
     z_at = table.find(DAMPING)
     z_sd_at = None if z_at is None else table.need(DAMPING_SD, f" (it belongs to {DAMPING})")
@@ -164,7 +165,16 @@ def _layout(table: Columns, coordinates: Sequence[str]) -> _Layout:
             table.heading,
             f"shapes are read as NAME_re, NAME_im, NAME_sd at {listed(coordinates)}; remove the others",
         )
-    return layout
+    gaps = [at for at in layout.columns if at not in (layout.frequency, layout.frequency_sd)]
+    values = table.numbers(layout.columns, gaps)
+    absent = np.full(len(values[layout.frequency]), np.nan)
+    zeta = absent if layout.damping is None else values[layout.damping]
+    zeta_sd = absent if layout.damping_sd is None else values[layout.damping_sd]
+    shapes, sd = _shapes(table, layout, values)
+    _check_modes(table, layout, values, zeta, zeta_sd)
+    _check_shapes(table, layout, sd)
+    frequency = values[layout.frequency], values[layout.frequency_sd]
+    return independent_modes(tuple(layout.points), frequency, (zeta, zeta_sd), (shapes, sd))
 
 
 def _shapes(table: Columns, layout: _Layout, values: Mapping[int, Real]) -> tuple[Complex, Real]:
@@ -210,32 +220,6 @@ def _check_shapes(table: Columns, layout: _Layout, sd: Real) -> None:
         cause = "no point of the shape has a standard deviation above 0"
         cure = "give the uncertain points theirs; only the one that the shape is scaled by is exact"
         table.refuse(at[0], exact, cause, cure)
-
-
-def _columns_of_json(path: AnyPath, coordinates: Sequence[str]) -> ArrayColumns:
-    """Modes as a table would have them: one a row, NaN where something is not given.
-
-    Raises DataError, with the mode, for what is unknown or no number.
-    """
-    source, rows = shown(os.fspath(path), 200), []
-    for number, mode in enumerate(_modes_of_json(path, source), start=1):
-        where = f"{source}: mode {number}"
-        for key in mode:
-            if key not in (*PLAIN, "shape", "shape_sd"):
-                known = f"there are {', '.join(PLAIN)}, shape, shape_sd"
-                raise DataError(f"{shown(str(key))}: unknown key", where, known)
-        row = {key: _number(mode[key], key, where) for key in PLAIN if key in mode}
-        spread = _shape(mode, "shape_sd", where)
-        for name, value in _shape(mode, "shape", where).items():
-            if name not in coordinates:
-                what = f"shape: {shown(name)} is not a coordinate of the rig"
-                raise DataError(what, where, f"there are {listed(coordinates)}")
-            sd = spread[name].real if name in spread else np.nan
-            row |= {f"{name}_re": value.real, f"{name}_im": value.imag, f"{name}_sd": sd}
-        rows.append(row)
-    header = tuple(dict.fromkeys(name for row in rows for name in row))
-    columns = tuple(np.array([row.get(name, np.nan) for row in rows]) for name in header)
-    return ArrayColumns(source, header, (), (), len(rows), columns, "mode")
 
 
 def _modes_of_json(path: AnyPath, source: str) -> list[dict[str, Any]]:

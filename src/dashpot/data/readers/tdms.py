@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -108,7 +108,20 @@ UNFINISHED = 2**64 - 1
 def read_tdms(file: DataFile, nptdms: Any) -> Iterator[ArrayColumns]:
     """The groups, split by the lengths of their channels, which are read when they are asked for."""
     with file.reading() as stream:
-        _refuse_cut_off(stream, file.name)
+        # Each segment says where the next one begins; nptdms leaves out one whose description is cut off
+        start = 0
+        while True:
+            stream.seek(start)
+            lead = stream.read(LEAD)
+            big = int.from_bytes(lead[4:8], "little") & BIG_ENDIAN
+            length = int.from_bytes(lead[12:20], "big" if big else "little")
+            if not lead or length == UNFINISHED:
+                break
+            start += LEAD + length
+            stream.seek(start - 1)
+            if len(lead) < LEAD or not stream.read(1):
+                raise DataError("the file is cut off", file.name, "copy it again")
+        stream.seek(0)
         content = nptdms.TdmsFile(stream, read_metadata_only=True, keep_open=True)
         if getattr(content, "_incomplete_channel_properties", None):
             raise DataError("the file is cut off", file.name, "copy it again")
@@ -126,26 +139,6 @@ def read_tdms(file: DataFile, nptdms: Any) -> Iterator[ArrayColumns]:
                 yield _part(place, file, content, channels, scalars)
         if not count:
             raise DataError("there are no channels with samples", file.name, "record something")
-
-
-def _refuse_cut_off(stream: BinaryIO, source: str) -> None:
-    """Each segment says where the next one begins; nptdms leaves out one whose description is cut off.
-
-    A segment without end (all bits set) was being written when the recorder stopped; what there is of it counts.
-    """
-    start = 0
-    while True:
-        stream.seek(start)
-        lead = stream.read(LEAD)
-        big = int.from_bytes(lead[4:8], "little") & BIG_ENDIAN
-        length = int.from_bytes(lead[12:20], "big" if big else "little")
-        if not lead or length == UNFINISHED:
-            break
-        start += LEAD + length
-        stream.seek(start - 1)
-        if len(lead) < LEAD or not stream.read(1):
-            raise DataError("the file is cut off", source, "copy it again")
-    stream.seek(0)
 
 
 def _part(

@@ -367,30 +367,6 @@ def _numbers_of(array: Any) -> tuple[Real, Bools]:
     return np.array(np.from_dlpack(array)), empty
 
 
-def _with_checked_end(table: Table) -> Table:
-    """The table, whose last row, where it has no line end, may have been cut off within its last number.
-
-    Raises DataError where that shows.
-    """
-    data = table.file.contents
-    if data[-1:] == b"\n":
-        return table
-    begin = max(table.start, len(data) - (1 << 16))
-    tail = data[begin:].decode("utf-8", errors="replace").splitlines()[begin > table.start :]
-    rows = [line for line in tail if line.strip()][-50:]
-    if len(rows) < 2:
-        return table
-    *before, last = (line.rpartition(table.delimiter)[2].strip() for line in rows)
-    if rows[-1].count(table.delimiter) == len(table.header) - 1 and _looks_cut(last, before):
-        raise DataError(
-            f'the last number, "{shown(last)}", is shorter than those above and has no line end: the file was cut off',
-            f"{table.source}:{table.row(sum(1 for _ in table.rows()) - 1)}",
-            "copy it again, or take the last row out",
-        )
-    text = f"{table.source}: the last row has no line end; if the file was cut off, its last number is wrong"
-    return replace(table, notes=(*table.notes, Notice("no_line_end", text, (table.source,))))
-
-
 def _looks_cut(last: str, before: list[str]) -> bool:
     """Shorter than numbers of one width, or by four digits than any; or without the exponent of the others."""
     shortest = min(len(cell) for cell in before)
@@ -459,7 +435,25 @@ def open_table(
     sample = data[start : start + 4096].decode("utf-8", errors="replace")
     decimal, thousands = _decimal(sample, delimiter, source)
     notes = (*thousands, *notes)
-    return _with_checked_end(Table(source, names, units, notes, file, start, first_row, delimiter, decimal))
+    # The table, whose last row, where it has no line end, may have been cut off within its last number
+    table = Table(source, names, units, notes, file, start, first_row, delimiter, decimal)
+    data = table.file.contents
+    if data[-1:] == b"\n":
+        return table
+    begin = max(table.start, len(data) - (1 << 16))
+    tail = data[begin:].decode("utf-8", errors="replace").splitlines()[begin > table.start :]
+    rows = [line for line in tail if line.strip()][-50:]
+    if len(rows) < 2:
+        return table
+    *before, last = (line.rpartition(table.delimiter)[2].strip() for line in rows)
+    if rows[-1].count(table.delimiter) == len(table.header) - 1 and _looks_cut(last, before):
+        raise DataError(
+            f'the last number, "{shown(last)}", is shorter than those above and has no line end: the file was cut off',
+            f"{table.source}:{table.row(sum(1 for _ in table.rows()) - 1)}",
+            "copy it again, or take the last row out",
+        )
+    text = f"{table.source}: the last row has no line end; if the file was cut off, its last number is wrong"
+    return replace(table, notes=(*table.notes, Notice("no_line_end", text, (table.source,))))
 
 
 def _header(data: Text, source: str, first_column: str | None) -> tuple[_Row, str]:

@@ -83,16 +83,13 @@ def read_time(
         cause = f'"{shown(first)}" is neither a number nor a date and time'
         raise columns.error(0, time_at, cause, "write it as 2025-03-06 12:21:16.125")
     numbers = columns.numbers(list(dict.fromkeys([time_at, *others])), together=together)
-    scale = _time_scale(columns, time_at)
+    # Seconds per unit of the column
+    match = _NAMED_UNIT.fullmatch(bare(columns.header[time_at])[0].lower())
+    named = match["unit"] if match and match["name"] in TIME_NAMES else None
+    scale = _unit_scale(columns, time_at, "time", "give the time in s, ms, µs, min or h", named)
     time = numbers[time_at] if time_at in others else numbers.pop(time_at)
     time = time if scale == 1.0 else time * scale
     check_range(columns, time_at, time, LONGEST, "s")
-    _check_steps(columns, time)
-    return time, numbers
-
-
-def _check_steps(columns: Columns, time: Real) -> None:
-    """Raises DataError at the first sample that follows the one before it sooner than any clock can tell."""
     at_once = 1 << 18
     for at in range(0, len(time) - 1, at_once):
         steps = np.diff(time[at : at + at_once + 1])
@@ -101,13 +98,7 @@ def _check_steps(columns: Columns, time: Real) -> None:
             row = at + int(np.argmax(short)) + 1
             what = f"a sampling step of {steps[row - at - 1]:g} s"
             raise DataError(what, columns.place(row), "correct the times, or the step in the header")
-
-
-def _time_scale(columns: Columns, column: int) -> float:
-    """Seconds per unit of the column.  Raises DataError where the unit is none of time."""
-    match = _NAMED_UNIT.fullmatch(bare(columns.header[column])[0].lower())
-    named = match["unit"] if match and match["name"] in TIME_NAMES else None
-    return _unit_scale(columns, column, "time", "give the time in s, ms, µs, min or h", named)
+    return time, numbers
 
 
 def _unit_scale(columns: Columns, column: int, quantity: str, cure: str, named: str | None = None) -> float:
@@ -206,7 +197,14 @@ def _seconds(texts: Sequence[str], month_first: bool) -> tuple[Real, int | None]
         if match is None:
             return seconds, i
         parts = match.groupdict()
-        of_day = _of_day(parts)
+        # Seconds since midnight
+        hours = int(parts.get("h") or 0)
+        half = parts.get("half")
+        if half is not None:
+            hours = hours % 12 + 12 * (half in "Pp")
+        of_day = (
+            hours * 3600 + int(parts["min"] or 0) * 60 + int(parts["s"] or 0) + float(f"0.{parts['f'] or 0}")
+        )
         date = _date(parts, month_first)
         if date is None:
             days += of_day < before - 43200
@@ -220,15 +218,6 @@ def _seconds(texts: Sequence[str], month_first: bool) -> tuple[Real, int | None]
         origin = day if origin is None else origin
         seconds[i] = float((day - origin).astype(int)) * 86400 + of_day
     return seconds - (seconds[0] if len(seconds) else 0.0), None
-
-
-def _of_day(parts: dict[str, str | None]) -> float:
-    """Seconds since midnight."""
-    hours = int(parts.get("h") or 0)
-    half = parts.get("half")
-    if half is not None:
-        hours = hours % 12 + 12 * (half in "Pp")
-    return hours * 3600 + int(parts["min"] or 0) * 60 + int(parts["s"] or 0) + float(f"0.{parts['f'] or 0}")
 
 
 def _date(parts: dict[str, str | None], month_first: bool) -> str | None:

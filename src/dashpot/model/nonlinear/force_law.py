@@ -165,7 +165,15 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
     constants = tuple(given.get(name, Constant(name)) for name in wanted)
     law = ForceLaw(text, expression, constants, rate, "" if usual is None else usual.operator)
     law.exponents  # noqa: B018  # raises where no units make sense
-    _require_finite_at_rest(law)
+    middle = np.array([_typical(constant) for constant in law.constants])
+    zero = np.zeros(1)
+    at = law(zero, zero, zero, middle)
+    numbers = [at.value, *(slope for name, slope in at.slopes.items() if name in ("d", "v"))]
+    if not all(np.all(np.isfinite(number)) for number in numbers):
+        raise ModelError(
+            f"the law {law.text!r} divides by zero, overflows or has no finite slope at rest",
+            cure="write it so that force and slope are finite at d = 0, v = 0",
+        )
     if not state:
         _require_steady(law)
     return law
@@ -187,19 +195,6 @@ def _require_named(text: str, wanted: Sequence[str], given: Sequence[str], *, co
         raise ModelError(
             f"the law {text!r} has no constant {', '.join(excess)}",
             cure=f"its constants are {', '.join(wanted)}" if wanted else "it has none: remove it",
-        )
-
-
-def _require_finite_at_rest(law: ForceLaw) -> None:
-    """Raises ModelError where the force or its slope is infinite at d = v = 0."""
-    middle = np.array([_typical(constant) for constant in law.constants])
-    zero = np.zeros(1)
-    at = law(zero, zero, zero, middle)
-    numbers = [at.value, *(slope for name, slope in at.slopes.items() if name in ("d", "v"))]
-    if not all(np.all(np.isfinite(number)) for number in numbers):
-        raise ModelError(
-            f"the law {law.text!r} divides by zero, overflows or has no finite slope at rest",
-            cure="write it so that force and slope are finite at d = 0, v = 0",
         )
 
 

@@ -16,7 +16,6 @@ Rows N are dwells: any mixture of frequencies, inputs and parameters.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -212,7 +211,13 @@ def balanced(
     """
     rig = compiled_rig(model, times)
     if rig is not None:
-        return _compiled(model, p, compiled_balance(rig, model, p, constants, drive, q, times, hopeless))
+        # What the kernel's arrays are
+        ends = compiled_balance(rig, model, p, constants, drive, q, times, hopeless)
+        *linear, free, q, a, slope, by_constant, error = ends
+        equations = Balance(LinearPart(*linear), free, p[:, model.nonlinear, None])
+        parts = tuple(by_constant[..., inner] for inner in model.constant_slices)
+        stateless = tuple(np.zeros((len(q), 0)) for _ in parts)
+        return Balanced(equations, q, Alternated(a, slope, parts, stateless), error)
     forces = alternate(model, constants, drive.omega, q, times)
     equations = balance(model, p, drive, secant_of(p[:, model.nonlinear], forces.a, q))
     if not equations.feeds_back:
@@ -229,15 +234,6 @@ def balanced(
         search.step()
     search.leave(np.ones(len(search.rows), dtype=bool))
     return search.ends
-
-
-def _compiled(model: Model, p: Real, ends: tuple[Any, ...]) -> Balanced:
-    """What the kernel's arrays are."""
-    *linear, free, q, a, slope, by_constant, error = ends
-    equations = Balance(LinearPart(*linear), free, p[:, model.nonlinear, None])
-    parts = tuple(by_constant[..., inner] for inner in model.constant_slices)
-    stateless = tuple(np.zeros((len(q), 0)) for _ in parts)
-    return Balanced(equations, q, Alternated(a, slope, parts, stateless), error)
 
 
 class _Newton:

@@ -193,7 +193,37 @@ def held_states(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: 
     forces bring both to their end.  d, v (S, nodes), z0 (S,) at the start, g the constants of the law, h in s.
     """
     if law.operator:
-        return _operated_nodes(law, d, z0, g)
+        # Stop and play from node to node; a z0 that they cannot have at the first elongation is moved to
+        # where they can
+        S, K = d.shape
+        tangent, nothing = (
+            np.zeros((S, K + 2)),
+            np.zeros((S, K + 2)),
+        )  # along d at the nodes, z0 and the width
+        tangent[:, K] = 1.0
+        z, states, tangents = z0, [], []
+        width = g[:, 0]
+        for k in range(K):
+            change = nothing.copy()
+            change[:, k] = 1.0
+            if law.operator == "play":
+                z, tangent = clipped(z, tangent, d[:, k], change, width, K + 1)
+            else:
+                if k:
+                    change[:, k - 1] = -1.0
+                    z, tangent = z + d[:, k] - d[:, k - 1], tangent + change
+                z, tangent = clipped(z, tangent, np.zeros(S), nothing, width, K + 1)
+            states.append(z)
+            tangents.append(tangent)
+        total = np.stack(tangents, axis=1)
+        return HeldStates(
+            np.stack(states, axis=1),
+            0.0,
+            total[..., :K],
+            np.zeros((S, K, K)),
+            total[..., K],
+            total[..., K + 1 :],
+        )
     assert law.rate is not None
     S, K = d.shape
     Q = h * WITHIN
@@ -209,34 +239,6 @@ def held_states(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: 
     by_g = inverse @ np.stack(columns, axis=-1) if columns else np.zeros((S, K, 0))
     step = float(np.max(np.abs(change)) / (np.max(np.abs(z)) + 1e-300))
     return HeldStates(z, step, by_d, by_v, inverse.sum(axis=-1), by_g)
-
-
-def _operated_nodes(law: ForceLaw, d: Real, z0: Real, g: Real) -> HeldStates:
-    """Stop and play from node to node; a z0 that they cannot have at the first elongation is moved to where they can.
-
-    What a record is said to begin with may be out of reach: a play is carried along at once.
-    """
-    S, K = d.shape
-    tangent, nothing = np.zeros((S, K + 2)), np.zeros((S, K + 2))  # along d at the nodes, z0 and the width
-    tangent[:, K] = 1.0
-    z, states, tangents = z0, [], []
-    width = g[:, 0]
-    for k in range(K):
-        change = nothing.copy()
-        change[:, k] = 1.0
-        if law.operator == "play":
-            z, tangent = clipped(z, tangent, d[:, k], change, width, K + 1)
-        else:
-            if k:
-                change[:, k - 1] = -1.0
-                z, tangent = z + d[:, k] - d[:, k - 1], tangent + change
-            z, tangent = clipped(z, tangent, np.zeros(S), nothing, width, K + 1)
-        states.append(z)
-        tangents.append(tangent)
-    total = np.stack(tangents, axis=1)
-    return HeldStates(
-        np.stack(states, axis=1), 0.0, total[..., :K], np.zeros((S, K, K)), total[..., K], total[..., K + 1 :]
-    )
 
 
 def clipped(

@@ -124,7 +124,25 @@ def plan_figure(
     deep = max(1.4, (0.12 + 0.11 * len(tests)) * len(bars) + 0.6)
     figure = Figure(figsize=(7.4, 2.6 + rows + deep))
     top, middle, bottom = figure.subplots(3, 1, gridspec_kw={"height_ratios": [2.3, rows, deep]})
-    over = _dwells(top, frequency_hz, curves, dwells_hz, dwells, dwell_unit)
+    # The curves, and over them, in axes of their own, which are given back, the dwells
+    for i, (label, curve) in enumerate(curves):
+        top.plot(frequency_hz, curve, color=COLOURS[i % len(COLOURS)], lw=1.4, label=label, zorder=3)
+    top.axhline(1, color=MUTED, lw=0.8, ls=(0, (3, 2)), zorder=2)
+    _axis(top, frequency_hz)
+    top.set_ylim(0, 1.08)
+    top.set_ylabel("worth of a sample")
+    if len(curves) > 1:
+        top.legend(loc="best", **FRAME)
+    over = top.twinx()
+    over.grid(False)
+    over.spines["right"].set_visible(True)
+    most = float(np.max(dwells, initial=0.0))
+    over.vlines(dwells_hz, 0, dwells, color=OTHER, lw=2.2, zorder=4)
+    over.plot(dwells_hz, dwells, "o", color=OTHER, ms=5, zorder=5, clip_on=False)
+    limit_axis(over.set_ylim, 0, 1.3 * most if most > 0 else 1)
+    over.set_ylabel(f"dwell, {dwell_unit}", color=OTHER)
+    over.yaxis.set_major_locator(MaxNLocator(5, integer=dwell_unit == "samples"))
+    over.tick_params(axis="y", colors=OTHER)
     top.set_title(title)
     _heat(middle, frequency_hz, names, shares, dwells_hz)
     _intervals(bottom, bars, tests)
@@ -141,31 +159,6 @@ def _axis(axes: Axes, f: Real) -> None:
         axes.set_xscale("log")
         plain_log(axes.xaxis, (1.0, 2.0, 5.0) if high > 8 * low else range(1, 10))
         axes.xaxis.set_minor_locator(NullLocator())
-
-
-def _dwells(
-    axes: Axes, f: Real, curves: Sequence[tuple[str, Real]], dwells_hz: Real, dwells: Real, unit: str
-) -> Axes:
-    """The curves, and over them, in axes of their own, which are given back, the dwells."""
-    for i, (label, curve) in enumerate(curves):
-        axes.plot(f, curve, color=COLOURS[i % len(COLOURS)], lw=1.4, label=label, zorder=3)
-    axes.axhline(1, color=MUTED, lw=0.8, ls=(0, (3, 2)), zorder=2)
-    _axis(axes, f)
-    axes.set_ylim(0, 1.08)
-    axes.set_ylabel("worth of a sample")
-    if len(curves) > 1:
-        axes.legend(loc="best", **FRAME)
-    twin = axes.twinx()
-    twin.grid(False)
-    twin.spines["right"].set_visible(True)
-    most = float(np.max(dwells, initial=0.0))
-    twin.vlines(dwells_hz, 0, dwells, color=OTHER, lw=2.2, zorder=4)
-    twin.plot(dwells_hz, dwells, "o", color=OTHER, ms=5, zorder=5, clip_on=False)
-    limit_axis(twin.set_ylim, 0, 1.3 * most if most > 0 else 1)
-    twin.set_ylabel(f"dwell, {unit}", color=OTHER)
-    twin.yaxis.set_major_locator(MaxNLocator(5, integer=unit == "samples"))
-    twin.tick_params(axis="y", colors=OTHER)
-    return twin
 
 
 def _name_dwells(axes: Axes, dwells_hz: Real, dwells: Real) -> None:

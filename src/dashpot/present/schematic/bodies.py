@@ -83,7 +83,18 @@ def connections(model: Model, channels: Sequence[Channel] = ()) -> Connections:
             levers.append(Body("lever", (), (i,), tuple(ends.items())))
         else:
             links.append(_link(i, ends, count, levers))
-    bodies = [*_bodies(model, body_of, masses), *levers]
+    # Rigid bodies with their points and masses; those of moved points alone are bases
+    points: list[list[str]] = [[] for _ in masses]
+    for point, index in body_of.items():
+        points[index].append(point)
+    moved = set(model.displacement_inputs)
+    bodies = [
+        *[
+            Body("base" if set(names) <= moved else "body", tuple(names), tuple(carried))
+            for names, carried in zip(points, masses, strict=True)
+        ],
+        *levers,
+    ]
     for k, lever in enumerate(levers):
         links += [Link("rigid", body, count + k, factor=factor) for body, factor in lever.along]
     links += _relative(channels, body_of, links)
@@ -93,18 +104,6 @@ def connections(model: Model, channels: Sequence[Channel] = ()) -> Connections:
         tuple(_pushes(model, body_of)),
         any(e.free or e.block for e in model.elements),
     )
-
-
-def _bodies(model: Model, body_of: Mapping[str, int], masses: Sequence[Sequence[int]]) -> list[Body]:
-    """Rigid bodies with their points and masses; those of moved points alone are bases."""
-    points: list[list[str]] = [[] for _ in masses]
-    for point, index in body_of.items():
-        points[index].append(point)
-    moved = set(model.displacement_inputs)
-    return [
-        Body("base" if set(names) <= moved else "body", tuple(names), tuple(carried))
-        for names, carried in zip(points, masses, strict=True)
-    ]
 
 
 def _ends(element: Element, body_of: Mapping[str, int], angles: Collection[str]) -> dict[int, float]:

@@ -411,22 +411,6 @@ def _legend(
     shapes: list[Shape] = []
     texts: list[Text] = []
     x, y = MARGIN, top + 12.0
-    for sample, line in _entries(labels, estimated, level, note):
-        need = (SAMPLE + 6 if sample else 0.0) + block_width([line])
-        if x > MARGIN and x + need > width - MARGIN:
-            x, y = MARGIN, y + 17.0
-        if sample is not None:
-            weight = 1.2 if sample == "known" else 2.0
-            ends = (x, y - 3.5), (x + SAMPLE, y - 3.5)
-            shapes.append(stroke(ends, sample, weight, dashed=sample == "doubtful"))
-            texts.append(Text(line, Point(x + SAMPLE + 6, y)))
-        else:
-            texts.append(Text(line, Point(x, y)))
-        x += need + 18.0
-    return Part("legend", tuple(shapes), tuple(texts)), y + MARGIN
-
-
-def _entries(labels: Labels, estimated: bool, level: float, note: str) -> list[tuple[Tone | None, Line]]:
     present = {known for known, _, _ in labels.values.values()}
     entries: list[tuple[Tone | None, Line]] = []
     knowledge: Knowledge
@@ -439,4 +423,16 @@ def _entries(labels: Labels, estimated: bool, level: float, note: str) -> list[t
             entries.append((None, Line(f"{quantity} sensor", "muted", SMALL, badge=badge)))
     if note:
         entries.append((None, Line(note, "muted", SMALL)))
-    return entries
+    for sample, line in entries:
+        need = (SAMPLE + 6 if sample else 0.0) + block_width([line])
+        if x > MARGIN and x + need > width - MARGIN:
+            x, y = MARGIN, y + 17.0
+        if sample is not None:
+            weight = 1.2 if sample == "known" else 2.0
+            ends = (x, y - 3.5), (x + SAMPLE, y - 3.5)
+            shapes.append(stroke(ends, sample, weight, dashed=sample == "doubtful"))
+            texts.append(Text(line, Point(x + SAMPLE + 6, y)))
+        else:
+            texts.append(Text(line, Point(x, y)))
+        x += need + 18.0
+    return Part("legend", tuple(shapes), tuple(texts)), y + MARGIN

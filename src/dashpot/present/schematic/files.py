@@ -146,7 +146,20 @@ def raster(
     axes.axis("off")
     for part in parts:
         for shape in part.shapes:
-            axes.add_patch(_polygon(shape))
+            fill = _fill(shape)
+            axes.add_patch(
+                Polygon(
+                    [point[:2] for point in shape.points],
+                    closed=shape.closed,
+                    facecolor=fill,
+                    edgecolor=COLOURS[shape.tone],
+                    linewidth=shape.weight,
+                    linestyle=(0, (5 / shape.weight, 3 / shape.weight)) if shape.dashed else "-",
+                    joinstyle="round",
+                    capstyle="round",
+                    fill=fill != "none",
+                )
+            )
         for text in part.texts:
             line, x, y = text.line, text.at.x, text.at.y
             side = {"start": "left", "middle": "center", "end": "right"}[text.anchor]
@@ -162,18 +175,3 @@ def raster(
     about = {"Title": title, "CreationDate": None} if kind == "pdf" else {"Software": None}
     figure.savefig(out, format=kind, dpi=DPI, metadata=about, facecolor="white")
     return out.getvalue()
-
-
-def _polygon(shape: Shape) -> Polygon:
-    fill = _fill(shape)
-    return Polygon(
-        [point[:2] for point in shape.points],
-        closed=shape.closed,
-        facecolor=fill,
-        edgecolor=COLOURS[shape.tone],
-        linewidth=shape.weight,
-        linestyle=(0, (5 / shape.weight, 3 / shape.weight)) if shape.dashed else "-",
-        joinstyle="round",
-        capstyle="round",
-        fill=fill != "none",
-    )

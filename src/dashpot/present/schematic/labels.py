@@ -120,19 +120,7 @@ def labels(
 
     `between` are indices of channels that are drawn as links; without `numbers` only names stand there.
     """
-    values = _stated(model)
-    for row in () if estimate is None else parameter_rows(estimate, level):
-        interval = f"{row.low} … {row.high}" if row.low else row.tie
-        values[row.name] = ("known" if row.known else "unknown", _with_unit(row.value, row.unit), interval)
-    for name in doubtful:
-        if name in values:
-            values[name] = ("doubtful", *values[name][1:])
-    calibrations = _calibrations(channels, estimate)
-    return Labels(model, tuple(channels), values, calibrations, frozenset(between), numbers)
-
-
-def _stated(model: Model) -> dict[str, tuple[Knowledge, str, str]]:
-    """What the rig file says of each parameter."""
+    # What the rig file says of each parameter
     values: dict[str, tuple[Knowledge, str, str]] = {}
     for element, tie in zip(model.elements, model.ties, strict=True):
         root = model.elements[tie.root]
@@ -147,7 +135,14 @@ def _stated(model: Model) -> dict[str, tuple[Knowledge, str, str]]:
     for owner, constant in model.constants:
         text = "?" if constant.value is None else plain(constant.value)
         values[f"{owner.name}.{constant.name}"] = ("unknown" if constant.unknown else "known", text, "")
-    return values
+    for row in () if estimate is None else parameter_rows(estimate, level):
+        interval = f"{row.low} … {row.high}" if row.low else row.tie
+        values[row.name] = ("known" if row.known else "unknown", _with_unit(row.value, row.unit), interval)
+    for name in doubtful:
+        if name in values:
+            values[name] = ("doubtful", *values[name][1:])
+    calibrations = _calibrations(channels, estimate)
+    return Labels(model, tuple(channels), values, calibrations, frozenset(between), numbers)
 
 
 def _calibrations(channels: Sequence[Channel], estimate: Estimate | None) -> dict[str, str]:

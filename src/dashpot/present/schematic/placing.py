@@ -68,7 +68,31 @@ class Placed:
     @property
     def parts(self) -> list[Part]:
         """Everything that is drawn."""
-        lines = Part("", tuple(_hopping(self.wires)))
+        # The strokes of wires: upright parts hop over the level parts of others that they cross
+        level = [
+            (a, b, k) for k, wire in enumerate(self.wires) for a, b in pairwise(wire.points) if a.y == b.y
+        ]
+        shapes = []
+        for k, wire in enumerate(self.wires):
+            points = [wire.points[0]]
+            for a, b in pairwise(wire.points):
+                crossed = [
+                    c.y
+                    for c, d, other in level
+                    if a.x == b.x and other != k
+                    if min(c.x, d.x) < a.x < max(c.x, d.x) and min(a.y, b.y) < c.y < max(a.y, b.y)
+                ]
+                down = 1.0 if b.y > a.y else -1.0
+                for y in sorted(crossed, reverse=down < 0):
+                    turns = [math.pi * n / 8 for n in range(9)]
+                    points += [
+                        b._replace(x=b.x + HOP * math.sin(turn), y=y - down * HOP * math.cos(turn))
+                        for turn in turns
+                    ]
+                points.append(b)
+            tone, weight = ("sensor", 1.0) if wire.sensor else ("ink", 1.2)
+            shapes.append(Shape(tuple(points), tone, weight, dashed=wire.sensor))  # type: ignore[arg-type]
+        lines = Part("", tuple(shapes))
         return [lines, *self.links, *self.walls, *self.bodies, *self.forces]
 
 
@@ -368,7 +392,18 @@ class Placer:
             texts_top = top + (SYMBOL - block_height(lines)) / 2
             texts = stacked(lines, axis + HALF + 5, texts_top, FIXED, "start")
             covered = Box(axis - HALF, start.y, axis + HALF, end.y)
-            self._symbol(k, start, end, covered, texts, _ground(axis, ground))
+            # A level line with hatching below, its middle at (x, y)
+            half, count = 15.0, 5
+            ends = [axis - half + (k + 1) * 2 * half / count for k in range(count)]
+            hatching = [stroke(((at, ground), (at - 6, ground + 7)), "ink", 0.8) for at in ends]
+            self._symbol(
+                k,
+                start,
+                end,
+                covered,
+                texts,
+                [stroke(((axis - half, ground), (axis + half, ground)), "ink", 1.6), *hatching],
+            )
             self._wire(Point(axis, box.bottom, node.body), start)
             self._wire(end, Point(axis, ground))
             x += self._slot(k)
@@ -393,40 +428,6 @@ class Placer:
 def _written(texts: Sequence[Text]) -> tuple[Text, ...]:
     """Texts without the room for an arrow."""
     return tuple(text for text in texts if text.line.text)
-
-
-def _hopping(wires: Sequence[Wire]) -> list[Shape]:
-    """The strokes of wires: upright parts hop over the level parts of others that they cross."""
-    level = [(a, b, k) for k, wire in enumerate(wires) for a, b in pairwise(wire.points) if a.y == b.y]
-    shapes = []
-    for k, wire in enumerate(wires):
-        points = [wire.points[0]]
-        for a, b in pairwise(wire.points):
-            crossed = [
-                c.y
-                for c, d, other in level
-                if a.x == b.x and other != k
-                if min(c.x, d.x) < a.x < max(c.x, d.x) and min(a.y, b.y) < c.y < max(a.y, b.y)
-            ]
-            down = 1.0 if b.y > a.y else -1.0
-            for y in sorted(crossed, reverse=down < 0):
-                turns = [math.pi * n / 8 for n in range(9)]
-                points += [
-                    b._replace(x=b.x + HOP * math.sin(turn), y=y - down * HOP * math.cos(turn))
-                    for turn in turns
-                ]
-            points.append(b)
-        tone, weight = ("sensor", 1.0) if wire.sensor else ("ink", 1.2)
-        shapes.append(Shape(tuple(points), tone, weight, dashed=wire.sensor))  # type: ignore[arg-type]
-    return shapes
-
-
-def _ground(x: float, y: float) -> list[Shape]:
-    """A level line with hatching below, its middle at (x, y)."""
-    half, count = 15.0, 5
-    ends = [x - half + (k + 1) * 2 * half / count for k in range(count)]
-    hatching = [stroke(((at, y), (at - 6, y + 7)), "ink", 0.8) for at in ends]
-    return [stroke(((x - half, y), (x + half, y)), "ink", 1.6), *hatching]
 
 
 def _wall(box: Box, body: int, at_left: bool) -> list[Shape]:

@@ -101,7 +101,27 @@ def _functions(
 ) -> Iterator[bytes]:
     for function in functions:
         even = function.even and _is_even(function.abscissa)
-        lines = _header(function, double, even)
+        # All lines in front of the numbers
+        data_type = (6 if double else 5) if np.iscomplexobj(function.ordinate) else (4 if double else 2)
+        count = len(function.ordinate)
+        start = float(function.abscissa[0]) if even else 0.0
+        step = float(function.abscissa[-1] - start) / (count - 1) if even else 0.0
+        points = ""
+        for point in (function.response, function.reference):
+            points += f" {(point.entity or 'NONE')[:10]:<10}{point.node:10d}{point.direction:4d}"
+        ids = [*function.ids, *[""] * 5][:4]
+        ids.append(f"{EXACT} {start!r} {step!r}" if even else "")
+        lines = [
+            "    -1",
+            "    58",
+            *(f"{(text or 'NONE')[:80]:<80}" for text in ids),
+            f"{function.kind:5d}{0:10d}{0:5d}{0:10d}{points}",
+            f"{data_type:10d}{count:10d}{int(even):10d}{_short(start)}{_short(step)}{_short(function.z_value)}",
+            _axis(OF_TIME if function.kind == TIME_RESPONSE else OF_FREQUENCY, ""),
+            _axis(1, function.unit),
+            _axis(1 if function.kind == FRF else 0, function.reference_unit),
+            _axis(function.z_kind, ""),
+        ]
         end = END
         if binary:
             numbers = (
@@ -113,34 +133,25 @@ def _functions(
                 f"b{1 if little else 2:6d}{2:6d}{LINES:12d}{len(numbers):12d}{0:6d}{0:6d}{0:12d}{0:12d}"
             )
         else:
-            numbers = _rows(function, double, even)
+            table = _columns(function, even)
+            width = "{:20.12e}" if double else "{:13.5e}"
+            formats = [width] * table.shape[1]
+            if not even:
+                formats[0] = "{:13.5e}"
+            # Values of a line: as many numbers as the format has in one.
+            per_line = (
+                6 // table.shape[1]
+                if not double
+                else (4 // table.shape[1] if even else 2 if table.shape[1] == 2 else 1)
+            )
+            out = []
+            for first in range(0, len(table), per_line):
+                rows = table[first : first + per_line].tolist()
+                out.append("".join(f.format(x) for row in rows for f, x in zip(formats, row, strict=True)))
+            numbers = ("\n".join(out) + "\n").encode() if out else b""
         yield ("\n".join(lines) + "\n").encode("utf-8", errors="replace")
         yield numbers
         yield end
-
-
-def _header(function: NodalFunction, double: bool, even: bool) -> list[str]:
-    """All lines in front of the numbers."""
-    data_type = (6 if double else 5) if np.iscomplexobj(function.ordinate) else (4 if double else 2)
-    count = len(function.ordinate)
-    start = float(function.abscissa[0]) if even else 0.0
-    step = float(function.abscissa[-1] - start) / (count - 1) if even else 0.0
-    points = ""
-    for point in (function.response, function.reference):
-        points += f" {(point.entity or 'NONE')[:10]:<10}{point.node:10d}{point.direction:4d}"
-    ids = [*function.ids, *[""] * 5][:4]
-    ids.append(f"{EXACT} {start!r} {step!r}" if even else "")
-    return [
-        "    -1",
-        "    58",
-        *(f"{(text or 'NONE')[:80]:<80}" for text in ids),
-        f"{function.kind:5d}{0:10d}{0:5d}{0:10d}{points}",
-        f"{data_type:10d}{count:10d}{int(even):10d}{_short(start)}{_short(step)}{_short(function.z_value)}",
-        _axis(OF_TIME if function.kind == TIME_RESPONSE else OF_FREQUENCY, ""),
-        _axis(1, function.unit),
-        _axis(1 if function.kind == FRF else 0, function.reference_unit),
-        _axis(function.z_kind, ""),
-    ]
 
 
 def _axis(kind: int, unit: str) -> str:
@@ -161,25 +172,6 @@ def _columns(function: NodalFunction, even: bool) -> np.ndarray:
     y = function.ordinate
     parts = [y.real, y.imag] if np.iscomplexobj(y) else [y]
     return np.stack([*([] if even else [function.abscissa]), *parts], axis=-1)
-
-
-def _rows(function: NodalFunction, double: bool, even: bool) -> bytes:
-    table = _columns(function, even)
-    width = "{:20.12e}" if double else "{:13.5e}"
-    formats = [width] * table.shape[1]
-    if not even:
-        formats[0] = "{:13.5e}"
-    # Values of a line: as many numbers as the format has in one.
-    per_line = (
-        6 // table.shape[1]
-        if not double
-        else (4 // table.shape[1] if even else 2 if table.shape[1] == 2 else 1)
-    )
-    out = []
-    for first in range(0, len(table), per_line):
-        rows = table[first : first + per_line].tolist()
-        out.append("".join(f.format(x) for row in rows for f, x in zip(formats, row, strict=True)))
-    return ("\n".join(out) + "\n").encode() if out else b""
 
 
 def _modes(modes: Sequence[NodalMode]) -> Iterator[bytes]:
