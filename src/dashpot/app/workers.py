@@ -28,7 +28,6 @@ LOCAL = "local"  # in place of a scheduler's address: one is begun on this machi
 PATIENCE = 20.0  # s, for a scheduler to answer
 PATIENCE_WORKERS = 3.0  # s, for a process that was told to end
 AHEAD = 3  # tasks that wait for each process
-MOST_KILLED = 3  # times in a row that processes may be killed before anything is finished
 _NOTHING = object()
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
@@ -158,7 +157,7 @@ class Processes(Workers):
 
     def renew(self, killed: int) -> None:
         """As Workers says.  Raises UsageError after MOST_KILLED times."""
-        if killed > MOST_KILLED:
+        if killed > 3:  # times in a row that processes may be killed before anything is finished
             what = f"worker processes were killed {killed} times in a row, before they had finished anything"
             raise UsageError(what, cure="the memory may be too small: give fewer processes")
         self.end()

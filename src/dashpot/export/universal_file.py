@@ -32,13 +32,14 @@ def write_rig_universal_file(rig: IdentifiedRig, path: str, options: ExportOptio
         functions += measured_responses(rig, options.data)
         frequency_hz = np.unique(options.data.frequency_hz) if frequency_hz is None else frequency_hz
     if frequency_hz is not None:
-        functions += fitted_responses(rig, frequency_hz)
-    write_universal_file(path, functions, nodal_modes(rig))
-    return Written((path,))
-
-
-def nodal_modes(rig: IdentifiedRig) -> list[NodalMode]:
-    """Modes at the coordinates' nodes: X, Y, Z (and rotations about them); eigenvalues in rad/s.  Raises ModelError."""
+        # The rig's own frequency responses in the channels' units
+        H, _ = frequency_responses(rig, frequency_hz)
+        functions += [
+            _function(rig, channel, j, frequency_hz, H[:, i, j], "fitted")
+            for i, channel in enumerate(rig.outputs)
+            for j in range(H.shape[2])
+        ]
+    # Modes at the coordinates' nodes: X, Y, Z (and rotations about them); eigenvalues in rad/s
     rig.require_linear("a mode")
     model = rig.model
     of_rig = modes(model, rig.p)
@@ -54,7 +55,8 @@ def nodal_modes(rig: IdentifiedRig) -> list[NodalMode]:
         frequency = abs(eigenvalue) / (2 * np.pi)
         ids = (model.name[:80], f"Mode at {frequency:.6g} Hz by dashpot", *names)
         out.append(NodalMode(complex(eigenvalue), nodes, table, ids))
-    return out
+    write_universal_file(path, functions, out)
+    return Written((path,))
 
 
 def _lines_of_names(names: tuple[str, ...]) -> list[str]:
@@ -70,16 +72,6 @@ def _lines_of_names(names: tuple[str, ...]) -> list[str]:
         else:
             break
     return lines
-
-
-def fitted_responses(rig: IdentifiedRig, frequency_hz: Real) -> list[NodalFunction]:
-    """The rig's own frequency responses in the channels' units.  frequency_hz (lines,)."""
-    H, _ = frequency_responses(rig, frequency_hz)
-    return [
-        _function(rig, channel, j, frequency_hz, H[:, i, j], "fitted")
-        for i, channel in enumerate(rig.outputs)
-        for j in range(H.shape[2])
-    ]
 
 
 def measured_responses(rig: IdentifiedRig, data: Spectrum) -> list[NodalFunction]:

@@ -22,7 +22,6 @@ from dashpot.model.observation import ObservationModel, calibration_slopes
 from dashpot.numerics.small_systems import solve_small
 
 # Squared share of a unit column that lies outside the span, below which it adds rounding only
-DEPENDENT = 1e-14
 STRIP = 64  # columns of the basis that are worked on at once
 
 
@@ -147,7 +146,7 @@ def extended_basis(V: Real, motions: Complex) -> Real:
         if V.shape[1]:
             columns -= V @ (V.T @ columns)
         values, vectors = np.linalg.eigh(columns.T @ columns)
-        kept = values > (DEPENDENT if turn == 0 else 0.5)
+        kept = values > (1e-14 if turn == 0 else 0.5)
         columns = columns @ (vectors[:, kept] / np.sqrt(values[kept]))
     return np.concatenate([V, columns], axis=1)
 

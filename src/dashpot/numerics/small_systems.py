@@ -60,9 +60,6 @@ def independent(products: Real, squares: Real | None = None) -> tuple[Real, Ints
     return unit[..., :, None] * vectors * scale[..., None, :], np.sum(kept, axis=-1)
 
 
-COMPILED_TO = 24  # rows up to which the kernel's inverse takes less time than LAPACK's
-
-
 def solve_small(matrix: Complex, right: Complex) -> Complex:
     """matrix⁻¹ right for stacks of small matrices (..., n, n) and right sides (..., n, k); NaN where singular.
 
@@ -106,7 +103,8 @@ def solve_scaled(matrix: Real, right: Real) -> Real:
 
 def scaled_inverse(matrix: Real) -> Real:
     """matrix⁻¹ of stacks of information matrices, scaled first; NaN where singular to rounding.  (..., m, m)."""
-    compiled = kernel_function("scaled_inverse") if matrix.shape[-1] <= COMPILED_TO else None
+    # Rows up to which the kernel's inverse takes less time than LAPACK's
+    compiled = kernel_function("scaled_inverse") if matrix.shape[-1] <= 24 else None
     if compiled is not None:
         return cast("Real", compiled(matrix))
     scale = _scale(matrix)

@@ -101,7 +101,20 @@ def _evidence(found: DataFindings, spectrum: Spectrum) -> list[Section]:
 
 def _hardly_separated(found: DataFindings, spectrum: Spectrum) -> Section:
     units = dict(zip(found.estimate.names, found.estimate.units, strict=True))
-    said = collinearity_in_words(found.collinearity, spectrum, units)
+    # Strong collinearities and frequencies without information, one paragraph each
+    said = [combination_in_words(combination, units) for combination in found.collinearity.combinations]
+    if not said:
+        said.append("No strong collinearity: no interval is inflated tenfold.")
+    every = spectrum.frequency_hz.tolist()
+    idle = [every[line] for line in found.collinearity.idle]
+    if len(idle) > 20:  # fewer are listed one by one
+        telling = sorted(set(every) - set(idle))
+        where = f"; the most informative lie from {telling[0]:.4g} to {telling[-1]:.4g} Hz" if telling else ""
+        text = f"{len(idle)} of the {len(every)} frequencies add almost no information on any unknown{where}."
+        said.append(text)
+    elif idle:
+        named = joined(f"{f:.4g}" for f in idle)
+        said.append(f"Frequencies that add almost no information on any unknown: {named} Hz.")
     return section("What the data hardly separate", *said, whole=True)
 
 
@@ -160,24 +173,6 @@ def combination_in_words(combination: Combination, units: dict[str, str]) -> str
         f"wider for it. If {combination.best} were known, the intervals of the others would shrink to "
         f"{short(100 * combination.narrowing, 2)} %."
     )
-
-
-def collinearity_in_words(collinearity: Collinearity, spectrum: Spectrum, units: dict[str, str]) -> list[str]:
-    """Strong collinearities and frequencies without information, one paragraph each."""
-    paragraphs = [combination_in_words(combination, units) for combination in collinearity.combinations]
-    if not paragraphs:
-        paragraphs.append("No strong collinearity: no interval is inflated tenfold.")
-    every = spectrum.frequency_hz.tolist()
-    idle = [every[line] for line in collinearity.idle]
-    if len(idle) > 20:  # fewer are listed one by one
-        telling = sorted(set(every) - set(idle))
-        where = f"; the most informative lie from {telling[0]:.4g} to {telling[-1]:.4g} Hz" if telling else ""
-        text = f"{len(idle)} of the {len(every)} frequencies add almost no information on any unknown{where}."
-        paragraphs.append(text)
-    elif idle:
-        named = joined(f"{f:.4g}" for f in idle)
-        paragraphs.append(f"Frequencies that add almost no information on any unknown: {named} Hz.")
-    return paragraphs
 
 
 def profile_in_words(profile: Profile) -> str:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from dashpot.check.data_findings import ChannelSummary, channel_summaries, span_of
+from dashpot.check.data_findings import channel_summaries, span_of
 from dashpot.data.inspection import InspectedColumn, InspectedPart, Inspection
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import printable
 from dashpot.io.words import counted, joined
 from dashpot.model.rigfile import Rig
-from dashpot.present.document import Block, Document, Paragraph, Table, TableColumn, columns_of, section
+from dashpot.present.document import Block, Document, Paragraph, Table, columns_of, section
 from dashpot.present.words import percent, plain, short
 from dashpot.units import si_unit
 
@@ -33,7 +33,26 @@ def inspection_document(inspection: Inspection) -> Document:
     """What is printed of one file: its format, and a table for each part."""
     blocks: list[Block] = [Paragraph(f"{inspection.source}: {inspection.format}")]
     for part in inspection.parts:
-        blocks += [Paragraph(f"  {part_in_words(part, inspection.source)}"), Table(part_columns(part))]
+        # A row for each column of a file
+        content = "content" if part.rates_hz is None else f"0 to {part.rates_hz[1] / 2:.4g} Hz"
+        rows = [
+            (
+                printable(c.name),
+                printable(c.unit or ""),
+                *(f"{x:.3g}" for x in (c.rms, c.least, c.greatest)),
+                # Numbers of more bits are no readings of a converter.
+                f"{c.bits:.0f}" if c.bits <= 24 else "",
+                picture(c),
+                column_remarks(c),
+            )
+            for c in part.columns
+        ]
+        heads = ["column", "unit", "rms>", "least>", "greatest>", "bits>", content, "remarks"]
+        table = columns_of(heads, rows)
+        blocks += [
+            Paragraph(f"  {part_in_words(part, inspection.source)}"),
+            Table(table if any(table[-1].cells) else table[:-1]),
+        ]
         said = [f"Note: {note.text}" for note in part.notes]
         said += [f"Damaged: {error}" for error in part.damaged[:5]]
         if part.others:
@@ -75,25 +94,6 @@ def part_in_words(part: InspectedPart, source: str) -> str:
     return (f"{name}: " if name else "") + ", ".join(words)
 
 
-def part_columns(part: InspectedPart) -> list[TableColumn]:
-    """A row for each column of a file."""
-    content = "content" if part.rates_hz is None else f"0 to {part.rates_hz[1] / 2:.4g} Hz"
-    rows = [
-        (
-            printable(c.name),
-            printable(c.unit or ""),
-            *(f"{x:.3g}" for x in (c.rms, c.least, c.greatest)),
-            f"{c.bits:.0f}" if c.bits <= 24 else "",  # numbers of more bits are no readings of a converter
-            picture(c),
-            column_remarks(c),
-        )
-        for c in part.columns
-    ]
-    heads = ["column", "unit", "rms>", "least>", "greatest>", "bits>", content, "remarks"]
-    table = columns_of(heads, rows)
-    return table if any(table[-1].cells) else table[:-1]
-
-
 def picture(column: InspectedColumn) -> str:
     """Power over frequency as bars of eighths, 80 dB high."""
     levels = column.level_db.tolist()
@@ -125,17 +125,8 @@ def spectrum_document(spectrum: Spectrum, units: Sequence[str], where: str = "")
     lines = "no frequencies"
     if spectrum.lines:
         lines = f"{spectrum.lines} frequencies from {short(float(min(f)))} to {short(float(max(f)))} Hz"
-    table = section("", spectrum_columns(channel_summaries(spectrum, units)))
-    noise = section("", noise_in_words(spectrum))
-    return (
-        Document("", (section("", f"{where}: {lines}"), table, noise))
-        if where
-        else Document(lines, (table, noise))
-    )
-
-
-def spectrum_columns(summaries: Sequence[ChannelSummary]) -> list[TableColumn]:
-    """Range of the amplitudes of each channel, and how large the noise is."""
+    # Range of the amplitudes of each channel, and how large the noise is
+    summaries = channel_summaries(spectrum, units)
     rows = []
     for one in summaries:
         sizes = ["not measured", "", ""]
@@ -143,13 +134,15 @@ def spectrum_columns(summaries: Sequence[ChannelSummary]) -> list[TableColumn]:
             relative = f"{percent(one.noise, one.typical)} %"
             sizes = [f"{short(one.low)} … {short(one.high)}", short(one.noise, 2), relative]
         rows.append((one.name, *sizes, one.unit))
-    return columns_of(["channel", "amplitude>", "noise sd>", "relative>", "unit"], rows)
-
-
-def noise_in_words(spectrum: Spectrum) -> str:
-    """Where the noise of the amplitudes is known from."""
+    table = section("", columns_of(["channel", "amplitude>", "noise sd>", "relative>", "unit"], rows))
+    # Where the noise of the amplitudes is known from
     kinds = [NOISE_FROM[kind] for kind in dict.fromkeys(spectrum.noise) if kind in NOISE_FROM]
-    return f"The noise is estimated from {joined(kinds)}." if kinds else "The noise is unknown."
+    noise = section("", f"The noise is estimated from {joined(kinds)}." if kinds else "The noise is unknown.")
+    return (
+        Document("", (section("", f"{where}: {lines}"), table, noise))
+        if where
+        else Document(lines, (table, noise))
+    )
 
 
 def notebook_document(value: Rig | Record | Spectrum) -> Document:

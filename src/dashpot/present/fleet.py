@@ -29,21 +29,7 @@ def fleet_document(outcome: FleetOutcome) -> Document:
     """What is printed: the summary, and what stands out."""
     title = shown(outcome.rig) if outcome.rig else "Fleet"
     answered = outcome.count - len(outcome.failed)
-    parts = [
-        section("", usual_columns(outcome.usual)),
-        section("", Paragraph(LEGEND, "dim")),
-    ]
-    if outcome.populations:
-        parts.append(section("", population_columns(outcome.populations)))
-        parts.append(section("", Paragraph(POPULATION_LEGEND, "dim")))
-    return Document(
-        f"{title}: {counted(outcome.count, 'data set')}, {answered} identified",
-        (section(""), *parts, *(section("", line) for line in fleet_remarks(outcome))),
-    )
-
-
-def usual_columns(parameters: Sequence[Usual]) -> list[TableColumn]:
-    """Median, spread, noise, drift and the number of outliers of every parameter."""
+    # Median, spread, noise, drift and the number of outliers of every parameter
     rows = (
         (
             shown(row.name),
@@ -54,9 +40,21 @@ def usual_columns(parameters: Sequence[Usual]) -> list[TableColumn]:
             _drift(row),
             str(int(np.sum(row.outlier))) if np.any(row.outlier) else NOTHING,
         )
-        for row in parameters
+        for row in outcome.usual
     )
-    return columns_of(["parameter", "unit", "median>", "spread>", "noise>", "drift>", "outliers>"], rows)
+    parts = [
+        section(
+            "", columns_of(["parameter", "unit", "median>", "spread>", "noise>", "drift>", "outliers>"], rows)
+        ),
+        section("", Paragraph(LEGEND, "dim")),
+    ]
+    if outcome.populations:
+        parts.append(section("", population_columns(outcome.populations)))
+        parts.append(section("", Paragraph(POPULATION_LEGEND, "dim")))
+    return Document(
+        f"{title}: {counted(outcome.count, 'data set')}, {answered} identified",
+        (section(""), *parts, *(section("", line) for line in fleet_remarks(outcome))),
+    )
 
 
 def population_columns(populations: Sequence[Population]) -> list[TableColumn]:

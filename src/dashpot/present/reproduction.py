@@ -399,6 +399,13 @@ def findings_in_words(reproduction: Reproduction) -> dict[str, str]:
     ranges = joined(
         f"{low:.1f} to {high:.1f} % with {name}" for name, (low, high) in coverage.by_method.items()
     )
+    fewer = reproduction.findings.fewer_unknowns
+    spread, bound = (
+        ", ".join(f"{name} {six:.2f} → {four:.2f} %" for name, (six, four) in numbers.items())
+        for numbers in (fewer.spread, fewer.bound)
+    )
+    count, worse = len(fewer.spread), fewer.worse
+    on_average = f", the draws on average are for {joined(worse)}" if worse else ""
     return {
         "The paper's rig is found again": (
             f"{among.inside} of the {among.total} printed errors lie within the middle 95 % of the draws (independent "
@@ -433,30 +440,17 @@ def findings_in_words(reproduction: Reproduction) -> dict[str, str]:
             f"95 % intervals hold the true value, over the four cases and six parameters, in {ranges} of "
             f"{coverage.draws:,} draws (standard error of each figure {coverage.standard_error:.1f} points)."
         ),
-        **_fewer_unknowns(reproduction),
+        f"With c1 and c2 known, iv gains on {count - len(worse)} of {count} parameters": (
+            f"Spread of iv, 6 unknowns → 4: {spread}. Bound: {bound}. Table 3 finds the accuracy better on "
+            f"the whole; its single draw was worse for {joined(fewer.worse_printed) or 'none'}{on_average}. "
+            "Knowing more cannot raise the bound, but it can spoil an estimator that does not weigh its equations."
+        ),
         **_order(reproduction),
         f"{samples.samples:,} samples are {'' if samples.enough else 'not '}enough for 1 %": (
             f"That all six parameters are within about 1 % at {samples.samples:,} samples (section 3.3) happens in "
             f"{samples.within:.1f} % of the draws with iv. An rms spread of 1 % takes about "
             f"{samples.needed['iv']:,.0f} samples with iv and {samples.needed['oiv']:,.0f} with oiv."
         ),
-    }
-
-
-def _fewer_unknowns(reproduction: Reproduction) -> dict[str, str]:
-    fewer = reproduction.findings.fewer_unknowns
-    spread, bound = (
-        ", ".join(f"{name} {six:.2f} → {four:.2f} %" for name, (six, four) in numbers.items())
-        for numbers in (fewer.spread, fewer.bound)
-    )
-    count, worse = len(fewer.spread), fewer.worse
-    on_average = f", the draws on average are for {joined(worse)}" if worse else ""
-    return {
-        f"With c1 and c2 known, iv gains on {count - len(worse)} of {count} parameters": (
-            f"Spread of iv, 6 unknowns → 4: {spread}. Bound: {bound}. Table 3 finds the accuracy better on the whole; "
-            f"its single draw was worse for {joined(fewer.worse_printed) or 'none'}{on_average}. Knowing more cannot "
-            "raise the bound, but it can spoil an estimator that does not weigh its equations."
-        )
     }
 
 

@@ -71,7 +71,19 @@ def fit_paragraphs(estimate: Estimate) -> list[Paragraph]:
         style = ("red" if bool(fit.rejected) else "green") if is_tested(fit) else ""
         return [Paragraph(fit_in_words(fit), style)]
     said = Paragraph(verdict_in_words(fit, assessment), VERDICTS[assessment.verdict][2])
-    motion = Paragraph(motion_in_words(assessment))
+    # How far measured and predicted amplitudes differ, what of it is noise, and where most
+    parts = [f"{short(100 * part, 2)} % at {name}" for name, part in assessment.relative_residual.items()]
+    sentences = (
+        [f"Measured and predicted motion differ by {joined(parts)}{_noise(assessment)}."] if parts else []
+    )
+    sentences += _described(assessment)
+    if assessment.worst:
+        worst = [
+            f"{one.channel} at {short(one.frequency_hz, 4)} Hz ({short(one.sd, 2)} sd)"
+            for one in assessment.worst
+        ]
+        sentences.append(f"Largest residuals: {joined(worst)}.")
+    motion = Paragraph(" ".join(sentences))
     causes = [Paragraph(line, "cyan") for line in diagnosis_in_words(assessment.findings)]
     return [said, *([motion] if motion.text else []), *causes]
 
@@ -102,22 +114,6 @@ def page_verdict(estimate: Estimate) -> Verdict:
     if not is_tested(estimate.fit):
         return "open"
     return "bad" if bool(estimate.fit.rejected) else "good"
-
-
-def motion_in_words(assessment: Assessment) -> str:
-    """How far measured and predicted amplitudes differ, in per cent of the motion, what of it is noise, where most."""
-    parts = [f"{short(100 * part, 2)} % at {name}" for name, part in assessment.relative_residual.items()]
-    sentences = (
-        [f"Measured and predicted motion differ by {joined(parts)}{_noise(assessment)}."] if parts else []
-    )
-    sentences += _described(assessment)
-    if assessment.worst:
-        worst = [
-            f"{one.channel} at {short(one.frequency_hz, 4)} Hz ({short(one.sd, 2)} sd)"
-            for one in assessment.worst
-        ]
-        sentences.append(f"Largest residuals: {joined(worst)}.")
-    return " ".join(sentences)
 
 
 def _described(assessment: Assessment) -> list[str]:

@@ -18,7 +18,6 @@ from dashpot.model.nonlinear.harmonics import Drive, complex_of
 
 ORDERS = {True: 7, False: 21}  # harmonics to begin with, of laws that are smooth and that are not
 MOST = 63
-FINEST = 1e-4  # truncation error of the elongations on a curve
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ def enough_orders(
             # Where no response is found at once, none is looked for again: folds leave such places.
             error = truncation(model, p, constants, drive, at)[0] if at.converged[0] else 0.0
             errors.append(float(error))
-        coarse = coarse[np.array(errors) > FINEST]
+        coarse = coarse[np.array(errors) > 1e-4]  # truncation error of the elongations on a curve
         if len(coarse):
             orders = min(2 * orders + 1, MOST)
     return orders

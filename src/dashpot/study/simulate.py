@@ -56,9 +56,6 @@ from dashpot.model.observation import (
 # The motion of a rig under a record of its inputs, as its channels would show it.
 
 
-DEGREE = 7  # of the splines that shift late channels: exact to 1e-3 at four samples a cycle
-
-
 def driven_record(
     model: Model, theta: Real, channels: Sequence[Channel], drive: Record, rng: np.random.Generator
 ) -> Record:
@@ -157,7 +154,8 @@ def _later(values: Real, steps: Real) -> Real:
 
     out = np.array(values, dtype=np.float64)
     index = np.arange(len(values), dtype=np.float64)
-    degree = min(DEGREE, (len(values) - 1) // 2 * 2 - 1)
+    # Of the splines that shift late channels: exact to 1e-3 at four samples a cycle
+    degree = min(7, (len(values) - 1) // 2 * 2 - 1)
     for c in np.flatnonzero(steps) if degree > 0 else ():
         at = np.clip(index - steps[c], 0.0, index[-1])
         out[:, c] = make_interp_spline(index, values[:, c], k=degree)(at)
@@ -245,7 +243,6 @@ def _calibrated(channel: Channel, values: Mapping[str, float], signs: Mapping[st
 
 
 NoiseBasis = Literal["given", "estimated"]
-CACHED = 2**14  # random numbers at a time, which stay in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -511,7 +508,8 @@ def _with_errors(Y: Complex, root: Real, sd: Real, rng: np.random.Generator, dra
     lines, channels = Y.shape
     of_cosine, crossed, of_sine = (root[:, i, j, None] * sd for i, j in ((0, 0), (1, 0), (1, 1)))
     A = np.empty((draws, lines, channels), dtype=np.complex128)
-    piece = max(1, CACHED // max(1, 2 * Y.size))
+    # Random numbers at a time, which stay in the processor's cache
+    piece = max(1, 2**14 // max(1, 2 * Y.size))
     noise = np.empty((min(piece, draws), lines, 2, channels))
     for first in range(0, draws, piece):
         part = A[first : first + piece]
@@ -610,8 +608,6 @@ def _moments(A: Complex, gram: Real, residual: Real) -> Real:
 # integration.
 
 
-ORDERS = 7  # harmonics to begin with
-FINEST = 1e-6  # truncation error of the elongations
 SEEN = 5  # harmonics in tables of amplitudes
 
 
@@ -630,13 +626,15 @@ def settled_motion(model: Model, theta: Real, channels: Sequence[Channel], test:
     Raises ConvergenceError, which names the frequency, where none is found.
     """
     rows = len(test.frequency_hz)
-    U, f = (np.zeros((rows, ORDERS + 1, part.shape[1]), dtype=np.complex128) for part in (test.U, test.f))
+    # Harmonics to begin with
+    U, f = (np.zeros((rows, 7 + 1, part.shape[1]), dtype=np.complex128) for part in (test.U, test.f))
     U[:, 1], f[:, 1] = test.U, test.f
     p, constants = (np.tile(of(theta), (rows, 1)) for of in (model.parameters, model.inner_constants))
     drive = Drive(test.omega, U, f)
     # With few harmonics first, which costs little
     at = _followed(model, theta, drive, periodic_response(model, p, constants, drive))
-    at, drive = settled_orders(model, p, constants, drive, at.delta, tolerance=FINEST)
+    # Truncation error of the elongations
+    at, drive = settled_orders(model, p, constants, drive, at.delta, tolerance=1e-6)
     at = _followed(model, theta, drive, at)
     return SettledMotion(tuple(channels), channel_harmonics(model, p, channels, drive, at))
 

@@ -15,7 +15,6 @@ from dashpot.app.progress import progress
 from dashpot.errors import printable
 
 FLEET = "The fleet"
-FEW = 40  # data sets below which starting processes costs more than they save
 
 
 @opt.dashpot_command(
@@ -95,7 +94,8 @@ def command(
     kept = f"{out}.blocks"  # the folder of finished blocks
     with (
         resumable(ctx, f"finished data sets are kept in {kept}"),
-        shared_out(dask, workers, source.count < FEW) as mapper,
+        # Data sets below which starting processes costs more than they save
+        shared_out(dask, workers, source.count < 40) as mapper,
         progress("fleet", quiet) as moved,
     ):
         outcome = run_fleet(read, source, Path(kept), treatment, pool=pool, mapper=mapper, progress=moved)

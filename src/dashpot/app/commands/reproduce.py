@@ -11,8 +11,6 @@ from dashpot.app.progress import progress
 from dashpot.app.report_files import Report, write_report
 from dashpot.errors import printable
 
-FEW = 200  # draws below which starting processes costs more than they save
-
 
 @opt.dashpot_command("dashpot reproduce yamane1989 --draws 200 --report yamane1989.html")
 def command(
@@ -43,7 +41,8 @@ def command(
     from dashpot.present.reproduction import reproduction_document, write_reproduction
     from dashpot.reproduce.yamane1989.reproduction import reproduce
 
-    count = workers if workers is not None else 1 if draws < FEW else cores()
+    # Draws below which starting processes costs more than they save
+    count = workers if workers is not None else 1 if draws < 200 else cores()
     with mapping(count) as mapper, progress(paper, quiet) as moved:
         reproduction = reproduce(draws, seed, moved, mapper=mapper)
     how = report.provenance if report else None

@@ -15,8 +15,6 @@ from dashpot.app.progress import progress
 from dashpot.app.report_files import Report
 from dashpot.errors import printable
 
-FEW = 2000  # identifications below which starting processes costs more than they save
-
 
 @opt.dashpot_command("dashpot study study.toml", "dashpot study study.toml --draws 200 --out quick")
 def command(
@@ -59,7 +57,8 @@ def command(
     work = sum(point.draws * len(point.methods) for point in scenarios(description))
     with (
         resumable(ctx, f"finished draws are kept in {folder}"),
-        shared_out(dask, workers, work < FEW) as mapper,
+        # Identifications below which starting processes costs more than they save
+        shared_out(dask, workers, work < 2000) as mapper,
         progress(description.name, quiet) as moved,
     ):
         outcome = run_study(description, Path(folder), mapper=mapper, progress=moved)

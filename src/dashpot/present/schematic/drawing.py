@@ -54,7 +54,20 @@ class Drawing:
 
     def svg(self) -> str:
         """As SVG, whose texts can be searched."""
-        return svg_document([self.parts], self.width, self.height, self.title, drawing_description(self))
+        # The drawing in words: every element with what it joins and its value
+        model, said = self.model, self.labels
+        texts = []
+        for element in model.elements:
+            if element.free or element.block is not None:
+                continue
+            points = [
+                *element.along,
+                *(["ground"] if len(element.along) == 1 and element.kind != "mass" else []),
+            ]
+            known, value, interval = said.values[element.name]
+            of = f"{element.name}, {element.kind} of {' and '.join(points)}: {known}"
+            texts.append(of + (f", {value}" if value != "?" else "") + (f" ({interval})" if interval else ""))
+        return svg_document([self.parts], self.width, self.height, self.title, "; ".join(texts))
 
     def _repr_svg_(self) -> str:
         """The same, for a notebook."""
@@ -127,20 +140,6 @@ def true_rig_picture(model: Model, theta: Real, channels: Sequence[Channel]) -> 
     true = {unknown.name: float(value) for unknown, value in zip(model.unknowns, theta, strict=True)}
     elements = tuple(replace(each, value=true.get(each.name, each.value), sd=None) for each in model.elements)
     return rig_picture(replace(model, elements=elements), channels)
-
-
-def drawing_description(drawing: Drawing) -> str:
-    """The drawing in words: every element with what it joins and its value."""
-    model, said = drawing.model, drawing.labels
-    texts = []
-    for element in model.elements:
-        if element.free or element.block is not None:
-            continue
-        points = [*element.along, *(["ground"] if len(element.along) == 1 and element.kind != "mass" else [])]
-        known, value, interval = said.values[element.name]
-        of = f"{element.name}, {element.kind} of {' and '.join(points)}: {known}"
-        texts.append(of + (f", {value}" if value != "?" else "") + (f" ({interval})" if interval else ""))
-    return "; ".join(texts)
 
 
 # Modes on the drawing of a rig: bodies move sideways as the mode has them.
