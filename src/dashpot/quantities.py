@@ -51,7 +51,7 @@ def amount(text: str) -> Amount:
     return Amount(within_range(float(match[1]), text), match[2])
 
 
-def share(text: str) -> float:
+def fraction(text: str) -> float:
     """A share of something as a number: "5 %" and "0.05" are 0.05.  Raises UsageError."""
     bare = text.strip().removesuffix("%")
     per_cent = bare != text.strip()

@@ -48,8 +48,17 @@ class Symbol:
 
 
 PREFIXES = {
-    "p": 1e-12, "n": 1e-9, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9,
-}  # fmt: skip
+    "p": 1e-12,
+    "n": 1e-9,
+    "µ": 1e-6,
+    "m": 1e-3,
+    "c": 1e-2,
+    "d": 1e-1,
+    "h": 1e2,
+    "k": 1e3,
+    "M": 1e6,
+    "G": 1e9,
+}
 PREFIX_WORDS = {"pico": "p", "nano": "n", "micro": "µ", "milli": "m", "centi": "c", "kilo": "k", "mega": "M"}
 
 _GRAVITY_IN = frozenset({"acceleration"})
@@ -106,9 +115,17 @@ _TABLE: tuple[tuple[str, Symbol], ...] = (
     (SHARE, Symbol(1.0, COUNT)),
 )
 WORDS = {
-    "metre": "m", "meter": "m", "gram": "g", "second": "s", "radian": "rad", "degree": "deg", "hertz": "Hz",
-    "newton": "N", "volt": "V", "pound": "lb",
-}  # fmt: skip
+    "metre": "m",
+    "meter": "m",
+    "gram": "g",
+    "second": "s",
+    "radian": "rad",
+    "degree": "deg",
+    "hertz": "Hz",
+    "newton": "N",
+    "volt": "V",
+    "pound": "lb",
+}
 
 SYMBOLS: dict[str, list[Symbol]] = {}
 for _names, _meaning in _TABLE:

@@ -192,7 +192,7 @@ def _channels() -> tuple[Channel, ...]:
 
 
 def _quantity(text: str) -> None:
-    for parse in (quantities.share, quantities.frequency, quantities.band, quantities.frequencies):
+    for parse in (quantities.fraction, quantities.frequency, quantities.band, quantities.frequencies):
         with contextlib.suppress(DashpotError):
             parse(text)
     for kind in ("displacement", "force", "mass"):

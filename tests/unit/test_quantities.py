@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dashpot.errors import UsageError
-from dashpot.quantities import amount, band, frequencies, quantity, quantity_of_unit, share
+from dashpot.quantities import amount, band, fraction, frequencies, quantity, quantity_of_unit
 
 
 @pytest.mark.parametrize(
@@ -82,10 +82,10 @@ def test_what_is_no_quantity_is_refused(text: str) -> None:
 
 
 def test_shares() -> None:
-    assert share("5%") == share("5 %") == share("0.05") == 0.05
+    assert fraction("5%") == fraction("5 %") == fraction("0.05") == 0.05
     for text in ("", "%", "nan", "inf%", "1e308", "five", "5 mm"):
         with pytest.raises(UsageError):
-            share(text)
+            fraction(text)
 
 
 def test_bands() -> None:

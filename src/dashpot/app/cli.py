@@ -18,7 +18,15 @@ import click
 from click.shell_completion import CompletionItem
 
 from dashpot.app.commands import COMMANDS
-from dashpot.app.memory import CURE, EXIT_CODE, NotEnoughMemoryError, lacked, limited, one_thread, secure_room
+from dashpot.app.memory import (
+    CURE,
+    EXIT_CODE,
+    NotEnoughMemoryError,
+    lacked,
+    memory_is_limited,
+    one_thread,
+    secure_room,
+)
 from dashpot.app.report_files import ARGUMENTS
 from dashpot.app.signals import Ended, answered, end_on_signals, leave_signals, request_lost
 from dashpot.errors import DashpotError, printable
@@ -177,7 +185,7 @@ def _account(error: Exception) -> tuple[list[str], int]:
         path = context.command_path if context is not None else "dashpot"
         # A cure follows a semicolon; where the message has none, the command's own help is it.
         return [f"{text} (see {path} --help)" if "; " in text else f"{text}; see {path} --help"], USAGE
-    if (limited() or not isinstance(error, DashpotError)) and lacked(error):
+    if (memory_is_limited() or not isinstance(error, DashpotError)) and lacked(error):
         # It blames no file: what a lack of memory stops first is no more than the next in line.
         short = str(error) if isinstance(error, NotEnoughMemoryError) else f"not enough memory: {CURE}"
         return [short], EXIT_CODE

@@ -30,7 +30,7 @@ class NotEnoughMemoryError(DashpotError):
     exit_code = EXIT_CODE
 
 
-def limited() -> bool:
+def memory_is_limited() -> bool:
     """Whether the caller limits the address space or the data of this process; false where no such limit exists."""
     try:
         import resource
@@ -49,7 +49,7 @@ def one_thread() -> None:
     Where memory is limited nobody says otherwise, for each thread takes buffers of its own; Arrow, which ends the
     process where its own pool finds no room, takes the system's.
     """
-    if limited():
+    if memory_is_limited():
         os.environ.update(
             dict.fromkeys((*THREADS, "ARROW_IO_THREADS"), "1"), ARROW_DEFAULT_MEMORY_POOL="system"
         )
@@ -63,7 +63,7 @@ def secure_room() -> None:
     OpenBLAS asks for ever for a buffer that it does not get, within C, where no signal is answered.  Raises
     NotEnoughMemoryError where the limit leaves too little for the libraries.
     """
-    if not limited():
+    if not memory_is_limited():
         return
     try:
         mmap.mmap(-1, ROOM, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS).close()
@@ -90,7 +90,7 @@ def lacked(error: BaseException) -> bool:
             or getattr(behind, "errno", None) == errno.ENOMEM
         ):
             return True
-        if not isinstance(behind, DashpotError) and limited() and _LACK.search(str(behind)):
+        if not isinstance(behind, DashpotError) and memory_is_limited() and _LACK.search(str(behind)):
             return True
         before = behind
         behind = behind.__cause__ or behind.__context__

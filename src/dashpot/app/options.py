@@ -204,7 +204,7 @@ def _from_zero(parse: Callable[[str], float], zero: str, text: str) -> float:
 
 
 def _part(text: str) -> float:
-    value: float = _positive(quantities.share, text)
+    value: float = _positive(quantities.fraction, text)
     if value >= 1:
         raise UsageError(f"{text.strip()!r} is out of range", cure="give less than 100%")
     return value
@@ -219,7 +219,7 @@ def _number(text: str) -> float:
 
 def _level(text: str) -> float:
     """95, 95% and 0.95 are all 0.95: an interval of less than 1 % is nobody's wish."""
-    value = quantities.share(text)
+    value = quantities.fraction(text)
     value = value / 100 if not text.strip().endswith("%") and value >= 1 else value
     if not 0 < value < 1:
         raise UsageError(f"{text.strip()!r} is out of range", cure="write a level such as 95% or 0.95")
@@ -259,7 +259,7 @@ def _amplitude(text: str) -> Amount | dict[str, Amount]:
 
 
 def _target(text: str) -> float | dict[str, float]:
-    share = partial(_positive, quantities.share)
+    share = partial(_positive, quantities.fraction)
     return _pairs(share, text) if "=" in text else share(text)
 
 
@@ -272,7 +272,7 @@ def _sensors(text: str) -> tuple[int, tuple[str, ...]]:
 
 
 def _three_shares(text: str) -> tuple[float, float, float]:
-    shares = [_positive(quantities.share, part) for part in text.split(",")]
+    shares = [_positive(quantities.fraction, part) for part in text.split(",")]
     if len(shares) != 3:
         raise UsageError(f"{text!r} is not three shares", cure="write them as 1%,20%,5%")
     return shares[0], shares[1], shares[2]
@@ -295,8 +295,8 @@ SETTLING = TextType("time", partial(_from_zero, _time, "0"), words=("auto", "non
 AMOUNT = TextType("quantity", partial(_positive, quantities.amount))  # in SI only where the rig is known
 AMOUNTS = TextType("name=value", partial(_pairs, quantities.amount))
 AMPLITUDE = TextType("quantity", _amplitude)
-SHARE = TextType("share", partial(_positive, quantities.share))
-SHARE_OR_ZERO = TextType("share", partial(_from_zero, quantities.share, "0%"))
+SHARE = TextType("share", partial(_positive, quantities.fraction))
+SHARE_OR_ZERO = TextType("share", partial(_from_zero, quantities.fraction, "0%"))
 PART = TextType("share", _part)
 NUMBER = TextType("number", _number)
 LEVEL = TextType("level", _level)

@@ -20,13 +20,20 @@ if TYPE_CHECKING:
 ARGUMENTS = "dashpot.arguments"  # what was typed, in the context's meta
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
 QUIET = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-pdf-header-footer",
-)  # fmt: skip
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-pdf-header-footer",
+)
 
 
 @dataclass(frozen=True)
-class Report:
+class ReportFile:
     """The report that a command is to write, if any, and the lines at its head.
 
     A browser for PDF is looked for once all parameters have been checked, before the work.  Raises UsageError.

@@ -7,7 +7,7 @@ import numpy as np
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.check.residuals import calibrations_of, residuals
-from dashpot.data.readers.uff.function import FRF, NodalFunction, Point
+from dashpot.data.readers.uff.function import FRF, NodalFunction, NodePoint
 from dashpot.data.readers.uff.modes import NodalMode
 from dashpot.data.readers.uff.writer import write_universal_file
 from dashpot.data.spectrum import Spectrum
@@ -125,7 +125,7 @@ def _function(
     )
 
 
-def _point(rig: IdentifiedRig, channel: Channel) -> Point:
+def _point(rig: IdentifiedRig, channel: Channel) -> NodePoint:
     """Node and direction of what a channel measures or an input moves."""
     model = rig.model
     moved = [*model.coordinates, *model.displacement_inputs]
@@ -134,10 +134,10 @@ def _point(rig: IdentifiedRig, channel: Channel) -> Point:
     for name in channel.of:
         at += forces[name] if channel.quantity is Quantity.FORCE and name in forces else [name]
     if len(at) == 1 and at[0] in moved:
-        return Point(channel.name[:10], moved.index(at[0]) + 1, _direction(rig, at[0]))
+        return NodePoint(channel.name[:10], moved.index(at[0]) + 1, _direction(rig, at[0]))
     names = [known.name for known in rig.channels] + list(forces)
     number = names.index(channel.name) if channel.name in names else len(names)
-    return Point(channel.name[:10], len(moved) + 1 + number, 1)
+    return NodePoint(channel.name[:10], len(moved) + 1 + number, 1)
 
 
 def _direction(rig: IdentifiedRig, point: str) -> int:

@@ -128,9 +128,15 @@ class _Search:
     """Where the repeats are, and which of them still move: `x`, `around`, `damping` are of the `active` ones."""
 
     def __init__(
-        self, evaluate: Callable[[Real, Ints], QuadraticModel], start: Real, low: Real, high: Real,
-        longest: Real | float, tolerance: float, patience: int,
-    ) -> None:  # fmt: skip
+        self,
+        evaluate: Callable[[Real, Ints], QuadraticModel],
+        start: Real,
+        low: Real,
+        high: Real,
+        longest: Real | float,
+        tolerance: float,
+        patience: int,
+    ) -> None:
         repeats = len(start)
         self.evaluate, self.low, self.high, self.longest = evaluate, low, high, longest
         self.tolerance, self.patience = tolerance, patience

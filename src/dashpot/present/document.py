@@ -229,7 +229,7 @@ def say(document: Document, *, apart: bool = False) -> None:
     show(out, document)
 
 
-def blocks_of(columns: Sequence[TableColumn], width: int, keys: int = 1) -> list[list[TableColumn]]:
+def column_blocks(columns: Sequence[TableColumn], width: int, keys: int = 1) -> list[list[TableColumn]]:
     """The columns in blocks no wider than `width`, each beginning with the first `keys` columns, which name the rows.
 
     A column that does not fit beside those has a block to itself; there its texts are folded.
@@ -250,7 +250,7 @@ def blocks_of(columns: Sequence[TableColumn], width: int, keys: int = 1) -> list
 
 def show_table(out: Console, table: Table) -> None:
     """Print a table in as many blocks as the width needs."""
-    for number, block in enumerate(blocks_of(table.columns, out.width, table.keys)):
+    for number, block in enumerate(column_blocks(table.columns, out.width, table.keys)):
         if number:
             out.print()
         made = TerminalTable(box=box.SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False)

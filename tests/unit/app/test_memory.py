@@ -79,7 +79,7 @@ def test_lack_is_seen_behind_what_it_was_taken_for(monkeypatch: pytest.MonkeyPat
         except DataError as error:
             return error
 
-    monkeypatch.setattr(memory, "limited", lambda: True)
+    monkeypatch.setattr(memory, "memory_is_limited", lambda: True)
     assert memory.lacked(behind(MemoryError()))
     assert memory.lacked(behind(ImportError("libarrow.so: failed to map segment from shared object")))
     assert memory.lacked(behind(OSError(errno.ENOMEM, "x")))

@@ -7,7 +7,7 @@ from typing import Annotated
 from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions
 from dashpot.app.progress import progress
-from dashpot.app.report_files import Report
+from dashpot.app.report_files import ReportFile
 from dashpot.errors import UsageError
 
 WITH_DATA = "With DATA"
@@ -31,7 +31,7 @@ def command(
         "How much an error of each known parameter moves each estimate.",
     ],
     json_out: Annotated[str | None, opt.JSON, "the findings"],
-    report: Report,
+    report: ReportFile,
     level: opt.Level,
     records: RecordOptions,
     seed: Annotated[int, opt.SEED, "the random numbers"],

@@ -11,7 +11,7 @@ from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions, tell_notes
 from dashpot.app.parameters import true_values
 from dashpot.app.progress import progress
-from dashpot.app.report_files import Report
+from dashpot.app.report_files import ReportFile
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.registry import METHODS, methods_for
 from dashpot.quantities import Amount
@@ -53,7 +53,7 @@ def command(
         "Compare nonlinear elements that the rig might have, ranked by evidence, instead of methods.",
     ],
     figure: Annotated[str | None, opt.FIGURE, "Draw the intervals."],
-    report: Report,
+    report: ReportFile,
     json_out: Annotated[str | None, opt.JSON, "all estimates"],
     level: opt.Level,
     records: RecordOptions,

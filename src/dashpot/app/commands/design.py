@@ -13,7 +13,7 @@ from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions
 from dashpot.app.parameters import drive_amplitude, input_is_angular, parameter_values
 from dashpot.app.progress import progress
-from dashpot.app.report_files import Report
+from dashpot.app.report_files import ReportFile
 from dashpot.errors import UsageError
 from dashpot.io.words import PICTURES
 from dashpot.quantities import Amount, frequencies
@@ -32,7 +32,7 @@ TEST, SHAKER, ROBUST = "The test", "The shaker", "Robustness"
 
 
 @dataclass(frozen=True)
-class Wanted:
+class DesignOptions:
     """What is to be designed, from what, and within which limits."""
 
     samples: Annotated[
@@ -150,7 +150,7 @@ class Wanted:
 )
 def command(
     rig: opt.RigFile,
-    wanted: Wanted,
+    wanted: DesignOptions,
     json_out: Annotated[str | None, opt.JSON, "the plan"],
     csv: Annotated[
         str | None,
@@ -163,7 +163,7 @@ def command(
         opt.Option("--progress FILE.svg|png|pdf", opt.OutputFile(formats=PICTURES), opt.OUTPUT),
         "Draw how the intervals shrank as the data of --after came in.",
     ],
-    report: Report,
+    report: ReportFile,
     records: RecordOptions,
     workers: Annotated[
         int | None,
@@ -217,7 +217,7 @@ def command(
     return 0
 
 
-def _question(rig: Rig, wanted: Wanted, records: RecordOptions) -> Question:
+def _question(rig: Rig, wanted: DesignOptions, records: RecordOptions) -> Question:
     """What the options ask for, in SI units.  Raises UsageError where they contradict each other."""
     from dashpot.design.advise import Question
     from dashpot.design.test_setup import ShakerLimits
@@ -311,7 +311,7 @@ def _criterion(wanted: str, target: float | Mapping[str, float] | None) -> tuple
 
 
 def _uncertainty(
-    rig: Rig, wanted: Wanted, estimate: Estimate | None
+    rig: Rig, wanted: DesignOptions, estimate: Estimate | None
 ) -> float | GaussianPrior | Literal["estimate"] | None:
     """A share of every value, or the covariance of --estimate, or of what --after says."""
     from dashpot.design.stopping import gaussian_prior_of

@@ -19,7 +19,7 @@ from dashpot.app.data_files import (
     tell_notes,
 )
 from dashpot.app.progress import progress
-from dashpot.app.report_files import Report
+from dashpot.app.report_files import ReportFile
 from dashpot.errors import DashpotError, DataError, Problem, UsageError
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def command(
         opt.FIGURE,
         "Draw the fit: responses, measured and model; of whole records of nonlinear rigs, histories.",
     ],
-    report: Report,
+    report: ReportFile,
     matrices: Annotated[bool, opt.Option("--matrices", None, opt.OUTPUT), "Print M, C and K as well."],
     level: opt.Level,
     records: RecordOptions,

@@ -8,7 +8,7 @@ import click
 
 from dashpot.app import options as opt
 from dashpot.app.progress import progress
-from dashpot.app.report_files import Report, write_report
+from dashpot.app.report_files import ReportFile, write_report
 from dashpot.errors import printable
 
 
@@ -20,7 +20,7 @@ def command(
         opt.Option("--draws N", opt.Count(2, 1_000_000), "Monte Carlo", default=1000),
         "Draws of the noise in each scenario.",
     ],
-    report: Report,
+    report: ReportFile,
     figures: Annotated[
         str | None, opt.Option("--figures FOLDER", opt.FOLDER, opt.OUTPUT), "Write the figures there, as PNG."
     ],

@@ -12,7 +12,7 @@ from dashpot.app import options as opt
 from dashpot.app.cli import resumable
 from dashpot.app.data_files import tell_notes
 from dashpot.app.progress import progress
-from dashpot.app.report_files import Report
+from dashpot.app.report_files import ReportFile
 from dashpot.errors import printable
 
 
@@ -30,7 +30,7 @@ def command(
         opt.Option("--draws N", opt.Count(2), "The study"),
         "Draws of each scenario, in place of those in the file.",
     ],
-    report: Report,
+    report: ReportFile,
     workers: opt.Workers,
     dask: opt.Dask,
     quiet: opt.Quiet,

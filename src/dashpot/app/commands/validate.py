@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions, estimate_and_rig
 from dashpot.app.progress import progress
-from dashpot.app.report_files import Report
+from dashpot.app.report_files import ReportFile
 from dashpot.errors import UsageError
 from dashpot.io.words import PICTURES
 
@@ -40,7 +40,7 @@ def command(
         opt.Option("--figure --picture FILE.svg|png|pdf", opt.OutputFile(formats=PICTURES), opt.OUTPUT),
         "Draw the first record, or the settled lines, measured and predicted.",
     ],
-    report: Report,
+    report: ReportFile,
     records: RecordOptions,
     quiet: opt.Quiet,
 ) -> None:
@@ -53,7 +53,7 @@ def command(
     if len(files) < 2:
         raise UsageError("there is no record to predict", cure="name data files after the estimate")
     estimate, read = estimate_and_rig(files[0], rig)
-    predictions, findings = validated(read, estimate, records.reading(read, files[1:]), records)
+    predictions, findings = predictions_and_causes(read, estimate, records.reading(read, files[1:]), records)
     if figure is not None:
         from dashpot.present.figures.spectra import drawn_of, prediction_figure
         from dashpot.present.figures.style import write_figure
@@ -95,10 +95,10 @@ def predictions_of(
     rig: Rig, estimate: Estimate, reading: Reading, options: RecordOptions
 ) -> tuple[RecordPrediction, ...]:
     """What an estimate predicts of data; raises DataError."""
-    return validated(rig, estimate, reading, options, diagnosed=False)[0]
+    return predictions_and_causes(rig, estimate, reading, options, diagnosed=False)[0]
 
 
-def validated(
+def predictions_and_causes(
     rig: Rig, estimate: Estimate, reading: Reading, options: RecordOptions, *, diagnosed: bool = True
 ) -> tuple[tuple[RecordPrediction, ...], tuple[Finding, ...]]:
     """The predictions of data, and what may be wrong with them where they are bad; raises DataError."""

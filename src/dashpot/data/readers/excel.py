@@ -9,7 +9,7 @@ from zipfile import ZipFile
 from dashpot.data.readers.columns import MOST_COLUMNS
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.guarded import damaged, guarded
-from dashpot.data.readers.text import Table, open_table
+from dashpot.data.readers.text import TextTable, open_table
 from dashpot.errors import DataError
 
 ZIP = b"PK\x03\x04"
@@ -27,7 +27,7 @@ def is_excel(file: DataFile) -> bool:
     )
 
 
-def read_excel(file: DataFile, fastexcel: Any) -> Iterator[Table]:
+def read_excel(file: DataFile, fastexcel: Any) -> Iterator[TextTable]:
     """The sheets with a header row; empty ones are left out.  Raises DataError where the file cannot be read."""
     if file.head.startswith(ZIP):
         with damaged(file.name, "Excel"), file.reading() as stream, ZipFile(stream) as archive:

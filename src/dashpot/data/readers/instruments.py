@@ -26,7 +26,7 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.data.readers.arrays import ArrayColumns, Streamed
 from dashpot.data.readers.datafile import SUBSTITUTED, DataFile, whole_lines
-from dashpot.data.readers.text import LOOKED_AT, Table, Text, open_table, text_of
+from dashpot.data.readers.text import LOOKED_AT, Text, TextTable, open_table, text_of
 from dashpot.data.readers.time_columns import LONGEST, TIME
 from dashpot.errors import DataError
 from dashpot.notices import Notice
@@ -42,7 +42,7 @@ def is_labview(file: DataFile) -> bool:
     return file.head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"LabVIEW Measurement")
 
 
-def read_labview(file: DataFile) -> Iterator[Table]:
+def read_labview(file: DataFile) -> Iterator[TextTable]:
     """The segments.  Times are those written where they are, not multiples of the rounded Delta_X of the header.
 
     Raises DataError where there is no column of time, or another one for each channel, or another step.
@@ -174,5 +174,5 @@ def read_xsens(file: DataFile) -> Iterator[ArrayColumns]:
     yield ArrayColumns(file.name, tuple(names), tuple(units), tuple(notes), rows, tuple(columns))
 
 
-def _from(table: Table, column: int, first: int) -> Iterator[Real]:
+def _from(table: TextTable, column: int, first: int) -> Iterator[Real]:
     yield table.numbers([column])[column][first:]

@@ -167,7 +167,7 @@ COUNTED = 1 << 24  # bytes whose line ends are counted at a time
 
 
 @dataclass(frozen=True)
-class Table(Columns):
+class TextTable(Columns):
     """The text of a file behind its header row.
 
     start      byte at which the rows begin
@@ -401,7 +401,7 @@ class _Row:
 
 def open_table(
     path: str | os.PathLike[str] | DataFile, first_column: str | None = None, source: str | None = None
-) -> Table:
+) -> TextTable:
     """Read a file, plain or .gz, and its header row: after blank rows, rows that begin with #, `sep=`, and others.
 
     The header row is the one in front of the numbers, or in front of a row of units.  With `first_column` it is the
@@ -436,7 +436,7 @@ def open_table(
     decimal, thousands = _decimal(sample, delimiter, source)
     notes = (*thousands, *notes)
     # The table, whose last row, where it has no line end, may have been cut off within its last number
-    table = Table(source, names, units, notes, file, start, first_row, delimiter, decimal)
+    table = TextTable(source, names, units, notes, file, start, first_row, delimiter, decimal)
     data = table.file.contents
     if data[-1:] == b"\n":
         return table
@@ -661,7 +661,7 @@ def _is_number(text: str) -> bool:
 _JSON = re.compile(rb'\s*\{\s*["}]')
 
 
-def read_text(file: DataFile) -> Iterator[Table]:
+def read_text(file: DataFile) -> Iterator[TextTable]:
     """The table.  Raises DataError where the text is none, but JSON."""
     if _JSON.match(file.head):
         cure = "name a data file; an estimate is what validate and export take first"

@@ -84,7 +84,7 @@ def box(length: float) -> Symbol:
     return [_line((0, 0), (left, 0)), _line((right, 0), (length, 0)), _box(left, right)]
 
 
-def hysteretic(length: float) -> Symbol:
+def hysteretic_symbol(length: float) -> Symbol:
     """A box with a hysteresis loop."""
     middle = length / 2
     loop = []
@@ -155,7 +155,7 @@ def sensor(length: float) -> Symbol:
     return [_line((0, 0), (length, 0))]
 
 
-def nonlinear(symbol: Symbol, length: float) -> Symbol:
+def nonlinear_symbol(symbol: Symbol, length: float) -> Symbol:
     """The symbol with the slanting arrow of what is not constant."""
     a, b = (0.3 * length, H + 3), (0.72 * length, -H - 3)
     slope = math.atan2(b[1] - a[1], b[0] - a[0])
@@ -180,7 +180,7 @@ _LINEAR: Mapping[Kind, Callable[[float], Symbol]] = {
     Kind.SPRING: spring,
     Kind.DAMPER: damper,
     Kind.INERTER: inerter,
-    Kind.HYSTERETIC: hysteretic,
+    Kind.HYSTERETIC: hysteretic_symbol,
     Kind.MASS: inerter,
 }
 _NAMED: Mapping[str, Callable[[float], Symbol]] = {
@@ -200,4 +200,4 @@ def symbol_of(element: Element, length: float) -> Symbol:
     if element.force_law is None:
         return linear
     named = _NAMED.get(element.force_law.text.strip().lower())
-    return nonlinear(linear, length) if named is None else named(length)
+    return nonlinear_symbol(linear, length) if named is None else named(length)

@@ -9,7 +9,7 @@ import pytest
 
 from dashpot.channel import Channel
 from dashpot.data.readers.modes import holds_modes, modes_and_notes, read_modes
-from dashpot.data.readers.uff.function import FRF, NodalFunction, Point
+from dashpot.data.readers.uff.function import FRF, NodalFunction, NodePoint
 from dashpot.data.readers.uff.modes import NodalMode
 from dashpot.data.readers.uff.writer import write_universal_file
 from dashpot.errors import DataError
@@ -59,7 +59,7 @@ def test_what_has_no_node_is_refused(tmp_path: Path) -> None:
 def test_which_files_hold_modes_alone(tmp_path: Path) -> None:
     modes, both, table, amplitudes = (tmp_path / name for name in ("m.uff", "b.uff", "m.csv", "a.csv"))
     two_modes(modes)
-    response = NodalFunction(FRF, Point("", 1, 1), Point("", 2, 1), np.arange(3.0), np.ones(3) + 0j)
+    response = NodalFunction(FRF, NodePoint("", 1, 1), NodePoint("", 2, 1), np.arange(3.0), np.ones(3) + 0j)
     write_universal_file(both, [response], [NodalMode(-1 + 5j, (1,), np.ones((1, 3)))])
     table.write_text("frequency_hz,frequency_sd\n3,0.1\n")
     amplitudes.write_text("frequency_hz,x_re,x_im\n3,0.1,0\n")

@@ -6,7 +6,7 @@ import pytest
 from dashpot.channel import Channel, Quantity
 from dashpot.data.readers import read
 from dashpot.data.readers.datafile import open_file
-from dashpot.data.readers.uff.function import FRF, TIME_RESPONSE, NodalFunction, Point, from_ibm, from_vax
+from dashpot.data.readers.uff.function import FRF, TIME_RESPONSE, NodalFunction, NodePoint, from_ibm, from_vax
 from dashpot.data.readers.uff.modes import NodalMode, modes_of
 from dashpot.data.readers.uff.reader import functions_of
 from dashpot.data.readers.uff.writer import write_functions, write_modes, write_uff_records
@@ -24,9 +24,20 @@ def functions(even=True, seed=1, count=37):
     t = 0.5 + np.arange(count) / 3 if even else np.sort(rng.uniform(0, 1, count))
     H = rng.normal(size=count) + 1j * rng.normal(size=count)
     return [
-        NodalFunction(TIME_RESPONSE, Point("", 3, 3), Point(), t, rng.normal(size=count), "m", ids=("one",), even=even),
-        NodalFunction(FRF, Point("", 3, -1), Point("", 1, 3), t, H, "m/s2", "N", ids=("two",), even=even),
-    ]  # fmt: skip
+        NodalFunction(
+            TIME_RESPONSE,
+            NodePoint("", 3, 3),
+            NodePoint(),
+            t,
+            rng.normal(size=count),
+            "m",
+            ids=("one",),
+            even=even,
+        ),
+        NodalFunction(
+            FRF, NodePoint("", 3, -1), NodePoint("", 1, 3), t, H, "m/s2", "N", ids=("two",), even=even
+        ),
+    ]
 
 
 def same(got, wanted, rel, rel_abscissa=None):
@@ -98,13 +109,13 @@ def test_frequency_responses_are_named_by_nodes_or_entities(tmp_path):
         Channel("x2", {"x2": 1}, Quantity.ACCELERATION),
         Channel("F", {"F": 1}, Quantity.FORCE),
     )
-    named = [NodalFunction(FRF, Point(f"x{i + 1}"), Point("F"), f, H[i]) for i in range(2)]
+    named = [NodalFunction(FRF, NodePoint(f"x{i + 1}"), NodePoint("F"), f, H[i]) for i in range(2)]
     write_functions(named, tmp_path / "named.uff")
     lines = read(tmp_path / "named.uff", channels).spectrum()
     assert lines.amplitudes[:, 0] == pytest.approx(H[0])
     assert lines.amplitudes[:, 1] == pytest.approx(H[1])
     assert lines.amplitudes[:, 2] == pytest.approx(np.ones(5))
-    numbered = [NodalFunction(FRF, Point("", i + 1, 3), Point("", 1, -3), f, H[i]) for i in range(2)]
+    numbered = [NodalFunction(FRF, NodePoint("", i + 1, 3), NodePoint("", 1, -3), f, H[i]) for i in range(2)]
     write_functions(numbered, tmp_path / "numbered.uff")
     (tmp_path / "test.toml").write_text(
         '[[files]]\nname = "numbered.uff"\ncolumns = { x1 = "1+Z", x2 = "2+Z", F = "1-Z" }\n'

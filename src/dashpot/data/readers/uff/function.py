@@ -157,7 +157,7 @@ Block = tuple[Real | None, Real]  # abscissas, None where they are even; numbers
 
 
 @dataclass(frozen=True)
-class Point:
+class NodePoint:
     """Where a function is measured: entity name, node and direction; units of its axis."""
 
     entity: str = ""
@@ -193,8 +193,8 @@ class NodalFunction:
     """
 
     kind: int
-    response: Point
-    reference: Point
+    response: NodePoint
+    reference: NodePoint
     abscissa: Real
     ordinate: Real | Complex
     unit: str = ""
@@ -294,11 +294,11 @@ def _label(line: bytes) -> str:
     return _words(line, 46, 67)
 
 
-def _points(line: bytes) -> tuple[int, Point, Point]:
+def _points(line: bytes) -> tuple[int, NodePoint, NodePoint]:
     """Kind of the function, response and reference."""
     kind = int(line[0:5])
-    response = Point(_words(line, 30, 41), int(line[41:51]), int(line[51:55]))
-    reference = Point(_words(line, 55, 66), int(line[66:76] or b"0"), int(line[76:80] or b"0"))
+    response = NodePoint(_words(line, 30, 41), int(line[41:51]), int(line[51:55]))
+    reference = NodePoint(_words(line, 55, 66), int(line[66:76] or b"0"), int(line[76:80] or b"0"))
     return kind, response, reference
 
 

@@ -19,7 +19,7 @@ from dashpot.data.readers.uff.function import (
     TIME_RESPONSE,
     TRANSMISSIBILITY,
     NodalFunction,
-    Point,
+    NodePoint,
     UffStream,
     dataset_starts,
     read_function,
@@ -102,7 +102,7 @@ def _together(held: Sequence[NodalFunction], function: NodalFunction) -> bool:
     )
 
 
-def _measured(function: NodalFunction) -> tuple[Point, Point, tuple[str, ...]]:
+def _measured(function: NodalFunction) -> tuple[NodePoint, NodePoint, tuple[str, ...]]:
     return function.response, function.reference, function.ids[:1]
 
 
@@ -143,7 +143,7 @@ def _column_names(functions: Sequence[NodalFunction]) -> list[str]:
     return names
 
 
-def _names(points: Sequence[Point]) -> list[str]:
+def _names(points: Sequence[NodePoint]) -> list[str]:
     """Names of points: the entities where they tell the points apart, else nodes and directions."""
     entities = {point.entity for point in points}
     if "" not in entities and len(entities) == len(set(points)):

@@ -16,7 +16,7 @@ from dashpot.data.readers.uff.function import (
     OF_TIME,
     TIME_RESPONSE,
     NodalFunction,
-    Point,
+    NodePoint,
 )
 from dashpot.data.readers.uff.modes import NodalMode
 from dashpot.data.record import Record
@@ -68,8 +68,8 @@ def write_uff_records(
             functions.append(
                 NodalFunction(
                     TIME_RESPONSE,
-                    Point(channel.name[:10], i + 1),
-                    Point(),
+                    NodePoint(channel.name[:10], i + 1),
+                    NodePoint(),
                     record.time,
                     record.values[:, i] / channel.scale,
                     channel.unit,

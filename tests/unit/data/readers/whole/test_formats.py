@@ -11,7 +11,7 @@ from dashpot.data.readers import read, write_records
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.guarded import library
 from dashpot.data.readers.registry import reader_of
-from dashpot.data.readers.uff.function import FRF, NodalFunction, Point
+from dashpot.data.readers.uff.function import FRF, NodalFunction, NodePoint
 from dashpot.data.readers.uff.writer import write_functions
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError
@@ -168,7 +168,7 @@ def responses_in_a_universal_file(path: Path, columns: dict[str, np.ndarray]) ->
     write_functions(
         [
             NodalFunction(
-                FRF, Point(name, k + 1, 1), Point("u", 3, 1), columns["frequency_hz"],
+                FRF, NodePoint(name, k + 1, 1), NodePoint("u", 3, 1), columns["frequency_hz"],
                 columns[f"{name}/u_re"] + 1j * columns[f"{name}/u_im"], "m", "m", even=False,
             )
             for k, name in enumerate(("x1", "x2"))

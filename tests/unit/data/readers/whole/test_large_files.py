@@ -19,7 +19,7 @@ from dashpot.channel import Channel
 from dashpot.data.readers import arrays, arrow_files, datafile, hdf5, mdf, numpy_files, read, tdms, text, wav
 from dashpot.data.readers import matlab as matlab_vectors
 from dashpot.data.readers.uff import function
-from dashpot.data.readers.uff.function import TIME_RESPONSE, NodalFunction, Point
+from dashpot.data.readers.uff.function import TIME_RESPONSE, NodalFunction, NodePoint
 from dashpot.data.readers.uff.reader import functions_of
 from dashpot.data.readers.uff.writer import write_functions
 from dashpot.errors import DataError
@@ -132,7 +132,13 @@ def test_long_functions_of_universal_files_are_not_held(
     times = np.arange(count) / 100 if even else (np.arange(count) / 100 + 0.003 * (np.arange(count) % 2))
     written = [
         NodalFunction(
-            TIME_RESPONSE, Point("", k, 1), Point(), times, rng.normal(size=count), ids=(name,), even=even
+            TIME_RESPONSE,
+            NodePoint("", k, 1),
+            NodePoint(),
+            times,
+            rng.normal(size=count),
+            ids=(name,),
+            even=even,
         )
         for k, name in enumerate(("x1", "x2", "u"))
     ]

@@ -13,7 +13,7 @@ import pytest
 from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.readers import read, write_amplitudes, write_records
-from dashpot.data.readers.uff.function import FRF, NodalFunction, Point
+from dashpot.data.readers.uff.function import FRF, NodalFunction, NodePoint
 from dashpot.data.readers.uff.writer import write_functions
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -132,7 +132,7 @@ def test_frequency_responses(tmp_path: Path, suffix: str) -> None:
 @pytest.mark.parametrize("little", [True, False])
 def test_frequency_responses_of_universal_files(tmp_path: Path, little: bool) -> None:
     response = NodalFunction(
-        FRF, Point("x", 1, 1), Point("u", 2, 1), LINES, AMPLITUDES[:, 0], "m", "m", even=False
+        FRF, NodePoint("x", 1, 1), NodePoint("u", 2, 1), LINES, AMPLITUDES[:, 0], "m", "m", even=False
     )
     write_functions([response], tmp_path / "a.uff", little=little)
     same_response(tmp_path / "a.uff")
