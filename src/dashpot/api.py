@@ -458,6 +458,7 @@ def with_exact_values(estimate: Estimate, changes: Mapping[str, float]) -> Estim
         noise_covariance=np.where(beside, 0.0, estimate.noise_covariance),
         known=tuple((name, given.get(name, value), unit) for name, (value, unit) in known.items()),
         profiles={name: curve for name, curve in estimate.profiles.items() if name not in given},
+        stated=tuple(statement for statement in estimate.stated if statement[0] not in given),
         modes=None,
         assessment=None,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -261,6 +261,21 @@ class Origin:
 
 
 @dataclass(frozen=True)
+class Cost:
+    """What the uncertainty of a statement costs an interval.
+
+    of, on  names of what was stated with an sd, and of the unknown whose interval it is
+    impact  by which `on` moves with one standard deviation of `of` that the data leave, SI units
+    share   of the variance of `on` that would go were `of` exact
+    """
+
+    of: str
+    on: str
+    impact: float
+    share: float
+
+
+@dataclass(frozen=True)
 class Estimate(Printable):
     """Values of the unknowns with their full covariance; every array may have leading batch axes.
 
@@ -367,12 +382,24 @@ class Estimate(Printable):
 
     @property
     def impacts(self) -> Real:
-        """What a standard deviation of each unknown moves the others by, C_ij/√C_jj, (..., m of, m by), SI units.
+        """What a standard deviation of each unknown moves the others by, C_ij/√C_jj, (..., m of, m by), SI units."""
+        with np.errstate(divide="ignore", invalid="ignore"):  # of what is exact
+            return frozen(np.nan_to_num(self.covariance / self.sd[..., None, :]), np.float64)
 
-        Of an unknown j that was stated with an sd it is what its uncertainty costs the interval of i: 1 − (C_ij)²/(C_ii
-        C_jj) of the variance would be left were j exact.
-        """
-        return frozen(self.covariance / self.sd[..., None, :], np.float64)
+    @property
+    def costs(self) -> tuple[Cost, ...]:
+        """What each statement with an sd costs each unknown that was not stated, the largest first (no batch axes)."""
+        stated = [name for name, _, _ in self.stated]
+        index = {name: j for j, name in enumerate(self.names)}
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.nan_to_num(self.impacts / self.sd[:, None])
+        each = [
+            Cost(of, on, float(self.impacts[index[on], index[of]]), float(shares[index[on], index[of]] ** 2))
+            for of in stated
+            for on in self.names
+            if on not in stated
+        ]
+        return tuple(sorted(each, key=lambda cost: -cost.share))
 
     def interval(self, level: float = 0.95) -> tuple[Real, Real]:
         """Lower and upper ends of the intervals at `level`, each (..., m); cut off at bounds (`bounded_interval`).
@@ -663,6 +690,7 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         "noise_covariance": _covariance_rows(estimate.noise_covariance),
         "intervals_count": estimate.basis,
         "tied": [list(tie) for tie in estimate.tied],
+        **_statements(estimate),
         "signs": {name: float(sign) for name, sign in estimate.signs.items()},
         "modes": [] if estimate.modes is None else _mode_rows(estimate.modes),
         "fit": {
@@ -679,6 +707,18 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         "note_codes": [notice.code for notice in estimate.notes],
         "note_concerns": [list(notice.of) for notice in estimate.notes],
     }  # fmt: skip
+
+
+def _statements(estimate: Estimate) -> dict[str, Any]:
+    """What became of what was stated with an sd, and what its uncertainty costs; nothing where nothing was."""
+    if not estimate.stated:
+        return {}
+    pulls = dict(zip(estimate.names, estimate.pulls.tolist(), strict=True))
+    return {
+        "stated": [list(statement) for statement in estimate.stated],
+        "pulls": {name: pulls[name] for name, _, _ in estimate.stated},
+        "impacts": [asdict(cost) for cost in estimate.costs],
+    }
 
 
 def _mode_rows(modes: ModeValues) -> list[dict[str, Any]]:
@@ -731,6 +771,7 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         warnings=_notices(content, "warnings", "codes", "concerns"),
         notes=_notices(content, "notes", "note_codes", "note_concerns"),
         rig=content.get("rig"),
+        stated=tuple((str(a), float(b), float(c)) for a, b, c in content.get("stated", ())),
         profiles={
             name: _profile(entry["profile"])
             for name, entry in zip(names, unknowns, strict=True)

@@ -14,7 +14,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.io.words import joined, listed
 from dashpot.model.network import Model
 from dashpot.present.document import Document, Provenance, Section, TableColumn, columns_of, section
-from dashpot.present.estimate import parameter_columns
+from dashpot.present.estimate import STATED, STATED_TEXT, parameter_columns, stated_columns
 from dashpot.present.figures.spectra import profile_figure, shares_figure
 from dashpot.present.page import figure_picture, page_html
 from dashpot.present.schematic.drawing import rig_picture
@@ -33,6 +33,8 @@ def check_document(
         if found.known_errors is not None:
             said = "How far an error of 1 % of each known parameter moves the estimates:"
             sections.append(section("", said, known_columns(found.known_errors)))
+            if found.estimate.stated:
+                sections.append(section(STATED, STATED_TEXT, stated_columns(found.estimate)))
     return Document("", tuple(each for each in sections if each.blocks))
 
 
@@ -96,6 +98,8 @@ def _evidence(found: DataFindings, spectrum: Spectrum) -> list[Section]:
         text = "Change of each estimate, per cent, for an error of one per cent of each known parameter."
         columns = known_columns(found.known_errors)
         sections.append(section("Errors of known parameters", text, columns, whole=True))
+        if found.estimate.stated:
+            sections.append(section(STATED, STATED_TEXT, stated_columns(found.estimate), whole=True))
     return sections
 
 

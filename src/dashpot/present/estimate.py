@@ -217,6 +217,29 @@ def parameter_columns(estimate: Estimate, level: float = 0.95) -> list[TableColu
     return columns_of([*heads, *(head for head, there in optional.items() if there)], texts)
 
 
+STATED = "What was stated"
+STATED_TEXT = (
+    "The pull is how far the data draw a statement, in standard deviations of that: beyond 3, the two contradict each "
+    "other. 'costs' is the share of a variance that would go were the statement exact."
+)
+MOST_COSTS = 3  # unknowns named beside a statement, where it costs them at least LEAST_COST of their variance
+LEAST_COST = 0.05
+
+
+def stated_columns(estimate: Estimate) -> list[TableColumn]:
+    """Each statement with an sd, what the data made of it, its pull, and the unknowns that it costs most."""
+    rows = []
+    for (name, value, sd), pull in zip(
+        estimate.stated, estimate.pulls[~np.isnan(estimate.pulls)].tolist(), strict=True
+    ):
+        found = estimate[name]
+        costs = [cost for cost in estimate.costs if cost.of == name and cost.share > LEAST_COST][:MOST_COSTS]
+        unit = "" if found.unit == "1" else found.unit
+        told = joined([f"{100 * cost.share:.0f} % of {cost.on}" for cost in costs])
+        rows.append((name, *rounded(value, sd), *rounded(found.value, found.sd), unit, f"{pull:+.1f}", told))
+    return columns_of(["stated", "value>", "±>", "estimate>", "±>", "unit", "pull>", "costs"], rows)
+
+
 def has_modes(estimate: Estimate) -> bool:
     """Whether there are modes to show."""
     return estimate.modes is not None and len(estimate.modes.eigenvalues) > 0

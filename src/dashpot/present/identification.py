@@ -21,16 +21,19 @@ from dashpot.model.network import Model
 from dashpot.present.check import profile_in_words, shares_section
 from dashpot.present.document import Document, Items, Picture, Provenance, Section, section
 from dashpot.present.estimate import (
+    STATED,
+    STATED_TEXT,
     convergence_in_words,
     has_modes,
     mode_columns,
     parameter_columns,
     remarks,
     signs_in_words,
+    stated_columns,
     warnings_in_words,
 )
 from dashpot.present.figures import spectra as figures
-from dashpot.present.figures.comparison import estimate_figure
+from dashpot.present.figures.comparison import cost_figure, estimate_figure
 from dashpot.present.figures.spectra import rows_of_pictures
 from dashpot.present.page import figure_picture, page_html
 from dashpot.present.schematic.drawing import mode_drawing, numbered_mode, rig_picture
@@ -205,10 +208,16 @@ def _evidence(
         sections += _residuals(found.residuals)
     if len(estimate.names) <= 40:  # more unknowns do not fit in one picture
         text = "Each unknown with its 95 % interval; shaded, the interval at the Cramér-Rao bound."
-        if any(unknown.sd is not None for unknown in model.unknowns):
+        if estimate.stated:
             text += " 'stated' is what the rig file says of it."
-        picture = figure_picture(estimate_figure(estimate, model=model), "Parameters with their intervals")
+        picture = figure_picture(estimate_figure(estimate), "Parameters with their intervals")
         sections.append(section("Intervals", text, picture))
+        if estimate.costs:
+            figure = cost_figure(estimate.costs)
+            picture = figure_picture(
+                figure, "Share of each variance that goes with what was stated", wide=False
+            )
+            sections.append(section(STATED, STATED_TEXT, stated_columns(estimate), picture))
         if len(estimate.names) > 1:
             text = "Near ±1, two unknowns are hard to separate: their sum or difference is known better than either."
             figure = figures.correlation_plot(estimate.names, correlation(estimate.covariance))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -225,3 +226,25 @@ def test_whole_records_and_dwells_of_samples_know_the_prior() -> None:
         assert 0 < found["x.gain"].sd < 0.0102
         assert abs(found["k"].value - 800) < 4 * found["k"].sd
         assert found.stated == (("x.gain", 1.02, pytest.approx(0.0102)),)
+
+
+def test_costs_are_what_exact_statements_would_save_and_go_to_json_and_back() -> None:
+    of = rig('gain = { value = 1.02, sd = "1 %" }, delay = { value = "2 ms", sd = "0.5 ms" }')
+    found = identify(of.model, seen(of, 1.03, 2e-3))
+    assert [cost.share for cost in found.costs] == sorted((cost.share for cost in found.costs), reverse=True)
+    for cost in found.costs:
+        exact = np.linalg.inv(found.covariance)
+        kept = [name != cost.of for name in found.names]  # rows of the information but that of the statement
+        left = np.linalg.inv(exact[np.ix_(kept, kept)])
+        j = [name for name in found.names if name != cost.of].index(cost.on)
+        assert 1 - left[j, j] / found[cost.on].sd ** 2 == pytest.approx(cost.share, abs=1e-6)
+        assert abs(cost.impact) == pytest.approx(np.sqrt(cost.share) * found[cost.on].sd)
+    content = json.loads(found.to_json())
+    assert set(content["pulls"]) == {"x.gain", "x.delay"}
+    assert content["impacts"][0].keys() == {"of", "on", "impact", "share"}
+    again = dashpot.Estimate.from_json(found.to_json())
+    np.testing.assert_allclose(again.pulls, found.pulls)
+    assert again.stated == found.stated
+    sharper = found.with_values(**{"x.gain": 1.02})
+    assert [name for name, _, _ in sharper.stated] == ["x.delay"]
+    assert {cost.of for cost in sharper.costs} == {"x.delay"}

@@ -14,8 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from dashpot.arrays import Real
 from dashpot.estimate.comparison import Comparison
-from dashpot.estimate.result import Estimate
-from dashpot.model.network import Model
+from dashpot.estimate.result import Cost, Estimate
 from dashpot.present.figures.style import (
     BAD,
     COLOURS,
@@ -53,19 +52,17 @@ def comparison_figure(comparison: Comparison, level: float = 0.95) -> Figure:
     )
 
 
-def estimate_figure(estimate: Estimate, level: float = 0.95, model: Model | None = None) -> Figure:
+def estimate_figure(estimate: Estimate, level: float = 0.95) -> Figure:
     """One panel for each unknown with its interval, and that of the bound behind it.
 
-    With `model`, what the rig states of an unknown, with an sd, stands below as a row of its own.
+    What was stated of an unknown with an sd stands below as a row of its own.
     """
     low, high = estimate.interval(level)
     numbers = zip(estimate.names, estimate.values.tolist(), estimate.bound_sd.tolist(), strict=True)
     bands = {name: (value, sd) for name, value, sd in numbers if np.isfinite(sd)}
     rows, values, lows, highs = [estimate.method], [estimate.values], [low], [high]
-    stated = {} if model is None else {u.name: (u.prior, u.sd) for u in model.unknowns if u.sd is not None}
-    if stated:
-        nothing = (np.nan, np.nan)
-        prior, sd = np.array([stated.get(name, nothing) for name in estimate.names], dtype=float).T
+    if estimate.stated:
+        prior, sd = estimate.priors
         reach = _reach(level)
         rows, values = [*rows, "stated"], [*values, prior]
         lows, highs = [*lows, prior - reach * sd], [*highs, prior + reach * sd]
@@ -81,6 +78,27 @@ def estimate_figure(estimate: Estimate, level: float = 0.95, model: Model | None
         level,
         (HALF_PAGE - 0.6) / 3,
     )
+
+
+MOST_COSTS = 12  # bars of a picture
+
+
+@style()
+def cost_figure(costs: Sequence[Cost]) -> Figure:
+    """The largest shares of variance that what was stated costs the unknowns, per cent, as bars."""
+    shown = costs[:MOST_COSTS]
+    places = np.arange(len(shown))
+    figure = ShownFigure(figsize=(HALF_PAGE, 0.8 + ROW * len(shown)))
+    axes = figure.subplots()
+    names = list(dict.fromkeys(cost.of for cost in costs))
+    colours = [COLOURS[names.index(cost.of) % len(COLOURS)] for cost in shown]
+    axes.barh(places, [100 * cost.share for cost in shown], height=0.7, color=colours)
+    row_names(axes, places.tolist(), [f"{cost.of} → {cost.on}" for cost in shown])
+    axes.set_ylim(len(shown) - 0.4, -0.6)
+    axes.set_xlim(0, 100)
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel("% of the variance")
+    return figure
 
 
 @style()
