@@ -51,15 +51,16 @@ def bounds_of(unknowns: Sequence[Unknown]) -> tuple[Real, Real]:
     return frozen(low, np.float64), frozen(high, np.float64)
 
 
-# Share of a prior's variance in the posterior beyond which the data say too little to contradict it.
-MOST_TOLD = 0.95
+# The least part of a prior's variance that data count as taking from it: where the noise is known, beyond rounding;
+# where residuals tell it, covariances are right to some per cent only.
+LEAST_TOLD = {True: 1e-8, False: 0.05}
 
 
-def pull(value: Real, variance: Real, stated: Real | float, sd: Real | float) -> Real:
+def pull(value: Real, variance: Real, stated: Real | float, sd: Real | float, known_noise: bool) -> Real:
     """(estimate − stated) / √(sd² − variance) of estimates that have used the statement stated ± sd, all of one shape.
 
     An efficient estimate and a statement that it has used differ by sd² − variance in variance where both are right:
     the pull is then a draw of the standard normal.  Demortier and Lyons, CDF note 5776 (2002).
     """
-    spread = np.sqrt(np.maximum(sd**2 - variance, (1 - MOST_TOLD) * sd**2))
+    spread = np.sqrt(np.maximum(sd**2 - variance, LEAST_TOLD[known_noise] * sd**2))
     return np.asarray((value - stated) / spread)

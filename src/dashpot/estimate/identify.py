@@ -285,6 +285,6 @@ def _of_estimate(model: Model, spectrum: Spectrum, part: Inference, fit: Fit) ->
     shown += diagnostics.of_estimate(model, theta, covariance, noise, fit)
     shown += unseen_laws(model, theta, noise)
     if part.method.traits.maximum_likelihood:
-        shown += diagnostics.prior_conflict(part.unknowns, theta, noise)
+        shown += diagnostics.prior_conflict(part.unknowns, theta, noise, fit)
     shown += of_records(model, theta, noise, spectrum)
     return shown if bounds is None else shown + diagnostics.held(names, theta, bounds)

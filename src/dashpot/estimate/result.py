@@ -246,6 +246,11 @@ class Fit:
         return np.asarray(self.p < 1e-3)
 
     @property
+    def tested(self) -> bool:
+        """Whether the noise was known apart from the residuals of the fit."""
+        return bool(np.any(np.isfinite(self.p)))
+
+    @property
     def misfit(self) -> Real:
         """√(χ²/dof), (...,): how many times larger than the noise the residuals are."""
         return np.sqrt(self.chi2 / max(self.dof, 1))
@@ -378,7 +383,7 @@ class Estimate(Printable):
 
         (..., m), NaN where nothing was stated.
         """
-        return frozen(pull(self.values, self.noise_sd**2, *self.priors), np.float64)
+        return frozen(pull(self.values, self.noise_sd**2, *self.priors, self.fit.tested), np.float64)
 
     @property
     def impacts(self) -> Real:

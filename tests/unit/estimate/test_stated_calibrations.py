@@ -166,6 +166,16 @@ def test_coverage_where_true_gains_and_delays_are_drawn_from_their_priors() -> N
     assert np.all(np.abs(np.std(pulls, axis=0) - 1) < 4 / np.sqrt(2 * draws))
 
 
+def test_pulls_of_tight_statements_are_standard_normal_where_the_noise_is_known() -> None:
+    of = rig("gain = { value = 1, sd = 2e-5 }")
+    p = of.model.parameters(np.array([TRUE["k"], TRUE["c"]]))
+    draws = 1000
+    data = simulate_spectrum(of.model, p, of.channels, test_of(of), np.random.default_rng(6), draws=draws)
+    found = identify(of.model, data)
+    assert np.all(found.noise_sd[:, 2] > 0.99 * 2e-5)  # which the data can hardly move
+    assert abs(np.std(found.pulls[:, 2]) - 1) < 4 / np.sqrt(2 * draws)
+
+
 SHARED = """
 coordinates = ["x1", "x2"]
 [inputs]

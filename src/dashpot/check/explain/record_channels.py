@@ -165,7 +165,7 @@ def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:
     """
     bench = _Bench(model, {})
     as_is = bench.contradiction(record)
-    if as_is is None or not np.max(as_is.shares) > CONTRADICTED:
+    if as_is is None or not np.max(as_is.shares, initial=0.0) > CONTRADICTED:
         return ()
     tried = []
     for mistake, mended in _mistakes(model, record, as_is.guessed):

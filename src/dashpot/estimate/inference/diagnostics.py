@@ -32,7 +32,7 @@ from dashpot.model.observation import is_direct, measures_input
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse, standard_deviations
 from dashpot.numerics.variance_tests import fishers_product
-from dashpot.unknowns import MOST_TOLD, Unknown, pull
+from dashpot.unknowns import Unknown, pull
 
 # What whole records lack: length, lines, or inputs that have anything to do with the motion.
 #
@@ -295,7 +295,9 @@ def duplicated_lines(spectrum: Spectrum) -> list[Notice]:
     return [Notice("duplicated_lines", text)]
 
 
-def prior_conflict(unknowns: Sequence[Unknown], values: Real, noise_covariance: Real) -> list[Notice]:
+def prior_conflict(
+    unknowns: Sequence[Unknown], values: Real, noise_covariance: Real, fit: Fit
+) -> list[Notice]:
     """Warnings of what is stated with an sd and put elsewhere by the data, left alone; the values count the statement.
 
     values (M,), noise_covariance (M, M).
@@ -303,10 +305,12 @@ def prior_conflict(unknowns: Sequence[Unknown], values: Real, noise_covariance: 
     notices = []
     for unknown, value, variance in zip(unknowns, values, np.diagonal(noise_covariance), strict=True):
         name, unit, stated, sd = unknown.name, unknown.unit, unknown.prior, unknown.sd
-        if stated is None or sd is None or not abs(apart := pull(value, variance, stated, sd)) > PULLED:
+        if stated is None or sd is None:
             continue
-        told = variance / sd**2
-        alone = (value - stated * told) / (1 - min(told, MOST_TOLD))
+        apart = float(pull(value, variance, stated, sd, fit.tested))
+        if not abs(apart) > PULLED:
+            continue
+        alone = stated + apart**2 * sd**2 / (value - stated)
         text = (
             f"{name} is stated as {stated:.4g} ± {sd:.2g}{'' if unit == '1' else f' {unit}'}, but the data alone give "
             f"{alone:.4g}, {abs(apart):.2g} standard deviations away: the statement, the data or the model is wrong"
