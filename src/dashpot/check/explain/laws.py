@@ -84,7 +84,8 @@ FURTHER = (
 ONE_SIDED = "one-sided"  # a law that may act either way
 WORDS = {"d**4": "quartic", "d**2*v": "growing"}  # in names of elements
 FEW = 4  # coordinates up to which any two points are tried, and not only those that an element joins
-SCALES = (1.0, 0.4, 0.2, 1.6)  # times the usual clearance: others that are tried
+# Times the usual size of a constant inside a law: others that are tried, so close that a step changes a force by little.
+SCALES = tuple(float(4.0 ** (k / 2.5)) for k in (0, -1, 1, -2, 2, -3, -4, -5))
 
 
 @dataclass(frozen=True)
@@ -167,12 +168,12 @@ def with_open_constants(element: Element) -> Element:
 
 
 def at_each_scale(elements: Sequence[Element]) -> list[Element]:
-    """The elements, springs with a clearance at several values of it."""
+    """The elements, those with a constant inside their law at several values of it."""
     scaled = []
     for element in elements:
         law = element.force_law
         assert law is not None
-        for scale in SCALES if has_clearance(element) else (1.0,):
+        for scale in SCALES if law.constants else (1.0,):
             constants = [replace(c, value=scale * c.value) for c in law.constants if c.value is not None]
             scaled.append(replace(element, force_law=law.with_constants(constants)))
     return scaled
