@@ -280,8 +280,7 @@ def fitted(problems: Sequence[LineProblem], kept: int = KEPT) -> list[Fit]:
     begun = [
         each.from_starts((*each.starts, *own)) for each, own in zip(problems, _own(problems), strict=True)
     ]
-    first = _ended(begun, 0)
-    glance = _ended([each.from_starts([x]) for each, (x, _) in zip(begun, first, strict=True)], GLANCE)
+    glance = _ended(begun, GLANCE)
     fits = _fits(problems, glance)
     hopeful = np.argsort([-fit.roughly for fit in fits])[:kept].tolist()
     long = _ended([problems[k].from_starts([glance[k][0]]) for k in hopeful], LONG)
