@@ -8,7 +8,7 @@ nothing of the list is the matter: the rig as it is, with the discrepancy that i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import log
 
@@ -189,7 +189,10 @@ def _leaves_more_than_noise(fit: Fit) -> bool:
     return known and fit.dof > 0 and bool(chdtrc(fit.dof, fit.chi2) < IMPROBABLE) and fit.reduced > 1.5
 
 
-IN_FULL = 8  # effects on whole records that are fitted with the transients of their ends
+IN_FULL = 4  # effects on whole records beside the best of each kind that few lines call for
+HINT = 0.3  # of the misfit that an unknown gain or delay must explain to be looked at
+NEAR = 0.2  # nepers within which a gain is taken for a usual ratio
+CALIBRATIONS = {"gain": (channels.sign, channels.unit, channels.gain), "delay": (channels.delay,)}
 
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
@@ -215,21 +218,53 @@ def explain_records(
         silent or {},
         True,
     )
-    chosen: dict[tuple[str, ...], tuple[Effect, float, float, Fit]] = {}
-    for each in tried:  # of the forms of one channel's mistake the lines without transients tell which it is
-        if not each[0].unknown and each[0].found is None and len(chosen) < IN_FULL:
-            chosen.setdefault(each[0].of, each)
     in_full: list[tuple[Effect, float, float, Fit]] = []
-    for effect, prior, size, end in chosen.values():
+    for effect, prior, size, starts in _chosen(misfit, tried):
         try:
             supposed = effect.act(misfit.problem, size)
         except DashpotError:
             continue
-        near = [end.psi] if len(end.psi) == len(supposed.starts[0]) else []
-        (fit,) = fitted([supposed.from_starts((*near, *supposed.starts))])
+        near = [psi for psi in starts if len(psi) == len(supposed.starts[0])]
+        (fit,) = fitted([supposed.from_starts((*near, as_is.psi))])
         in_full.append((effect, prior, size, _on_the_same_data(misfit, fit)))
     of_records = ((0.10, rigs.element), (0.08, rigs.value), (0.01, rigs.hysteretic), (0.06, of_channel))
     return _weighed_all(misfit, [*in_full, *_tried(misfit, of_records, fitted)], fitted)
+
+
+def _chosen(
+    misfit: Misfit, tried: Sequence[tuple[Effect, float, float, Fit]]
+) -> Iterator[tuple[Effect, float, float, tuple[Real, ...]]]:
+    """Effects on whole records that are worth a fit with the transients of their ends, with starts of it.
+
+    Gains and delays by the records themselves, each as an unknown of its own; all else by the lines without transients
+    (`tried`, the best first): the best of each kind, and a few more.
+    """
+    problem, of_lines = misfit.problem, [each for each in tried if not each[0].unknown and each[0].found is None]
+    for c, channel in enumerate(problem.channels):
+        for word, kinds in CALIBRATIONS.items():
+            if getattr(channel, word) is None:
+                continue
+            fit = _calibrated(misfit, c, word)
+            size = float(fit.psi[-1])
+            for prior, kind in KINDS if fit.reduced < (1 - HINT) * misfit.as_is.reduced else ():
+                for effect in kind(misfit) if kind in kinds else ():
+                    near = [each for each in effect.values if each * size > 0 and abs(log(each / size)) < NEAR]
+                    if effect.of == (channel.name,) and (near or effect.width is not None):
+                        sought = size if effect.width is not None else min(near, key=lambda each: abs(log(each / size)))
+                        yield effect, prior, sought, (fit.psi[:-1],)
+    best = {each[0].kind: each for each in reversed(of_lines)}
+    for effect, prior, size, end in {id(each[0]): each for each in (*best.values(), *of_lines[:IN_FULL])}.values():
+        yield effect, prior, size, (end.psi,)
+
+
+def _calibrated(misfit: Misfit, c: int, word: str) -> Fit:
+    """Whole records fitted with the gain or delay of channel c unknown, which stands last in ψ."""
+    problem = misfit.problem
+    opened = replace(problem.channels[c], **{word: None})
+    channels = tuple(opened if k == c else each for k, each in enumerate(problem.channels))
+    begun = problem.from_starts((misfit.as_is.psi, misfit.without[c].psi)).of_rig(problem.model, channels)
+    turned = [np.append(psi[:-1], -1.0) for psi in begun.starts if word == "gain"]
+    return fitted([begun.from_starts((*begun.starts, *turned))])[0]
 
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
