@@ -146,9 +146,9 @@ def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
     for rank, finding in enumerate(findings[:3]):  # the likeliest and two beside it
         group = findings[0].group is not None and finding.group == findings[0].group
         lead = "Likely cause" if rank == 0 else "Or, which these data cannot tell from it" if group else "Or"
-        if finding.kind == "unexplained":
-            lead = "No cause found"
         odds = "" if finding.odds is None else f" ({_percent(finding.odds)})"
+        if finding.kind == "unexplained":
+            lead, odds = "No cause found", ""
         stop = "" if finding.change.endswith("}") else "."  # a line of a rig file is to be copied as it is
         outlook = remaining_in_words(finding)
         parts = (

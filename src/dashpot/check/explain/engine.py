@@ -56,6 +56,9 @@ UNLISTED = 0.05  # that it is something else
 LISTED = 0.95  # odds that the causes named sum to
 MOST = 5  # causes that are named
 LIKELY = 0.5  # of the misfit that a cause explains at the least to be named
+NEARLY_ALL = (
+    0.9  # of it that two causes explain together at the least, or the second of what the first leaves
+)
 CLOSELY = 16  # effects whose size is sought closely and whose evidence is computed
 BEGUN = 0.3  # of the prior scale of a size: the first step to both sides
 ROUNDS = 3  # parabolas through χ² about a size
@@ -106,11 +109,16 @@ class Cause:
 
 @dataclass(frozen=True)
 class Explanation:
-    """The problem as it is, fitted, and what may be the matter, the likeliest first."""
+    """The problem as it is, fitted, and what may be the matter, the likeliest first.
+
+    unlisted  odds that it is nothing of the list, or what explains less than half
+    nearest   the likeliest of what explains less than half, where that is likelier than any cause; else None
+    """
 
     as_is: Fit
     causes: tuple[Cause, ...]
     unlisted: float
+    nearest: Cause | None = None
 
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
@@ -126,7 +134,7 @@ def explain(
     """
     misfit = _begun(problem, silent or {}, of_samples, seed)
     first = _step(misfit, laws=laws)
-    best = first.causes[0] if first.causes else None
+    best = first.causes[0] if first.causes else first.nearest
     # Beside a law of its own every further trial is a search by harmonic balance.
     if best is None or len(best.fit.problem.model.nonlinear) or not _leaves_more_than_noise(best.fit):
         return first
@@ -134,12 +142,18 @@ def explain(
     more = [
         each
         for each in second.causes
-        if each.effect.of != best.effect.of or each.effect.kind != best.effect.kind
+        if (each.effect.kind, each.effect.of) != (best.effect.kind, best.effect.of)
     ]
-    if not more or (_leaves_more_than_noise(more[0].fit) and more[0].explains < 0.9):
+    if not more:
         return first
     both = replace(more[0], odds=best.odds * more[0].odds)
-    return replace(first, causes=(best, both, *first.causes[1:])[:MOST])
+    if first.causes:
+        nearly_all = not _leaves_more_than_noise(both.fit) or both.explains >= NEARLY_ALL
+        return replace(first, causes=(best, both, *first.causes[1:])[:MOST]) if nearly_all else first
+    together = _explained(misfit.as_is, log_possible(misfit.as_is), both)
+    if together < NEARLY_ALL:
+        return first
+    return replace(first, causes=(best, both), unlisted=1 - both.odds)
 
 
 def _begun(problem: LineProblem, silent: Mapping[str, str], of_samples: bool, seed: int) -> Misfit:
@@ -239,7 +253,10 @@ def _chosen(
     Gains and delays by the records themselves, each as an unknown of its own; all else by the lines without transients
     (`tried`, the best first): the best of each kind, and a few more.
     """
-    problem, of_lines = misfit.problem, [each for each in tried if not each[0].unknown and each[0].found is None]
+    problem, of_lines = (
+        misfit.problem,
+        [each for each in tried if not each[0].unknown and each[0].found is None],
+    )
     for c, channel in enumerate(problem.channels):
         for word, kinds in CALIBRATIONS.items():
             if getattr(channel, word) is None:
@@ -248,12 +265,20 @@ def _chosen(
             size = float(fit.psi[-1])
             for prior, kind in KINDS if fit.reduced < (1 - HINT) * misfit.as_is.reduced else ():
                 for effect in kind(misfit) if kind in kinds else ():
-                    near = [each for each in effect.values if each * size > 0 and abs(log(each / size)) < NEAR]
+                    near = [
+                        each for each in effect.values if each * size > 0 and abs(log(each / size)) < NEAR
+                    ]
                     if effect.of == (channel.name,) and (near or effect.width is not None):
-                        sought = size if effect.width is not None else min(near, key=lambda each: abs(log(each / size)))
+                        sought = (
+                            size
+                            if effect.width is not None
+                            else min(near, key=lambda each: abs(log(each / size)))
+                        )
                         yield effect, prior, sought, (fit.psi[:-1],)
     best = {each[0].kind: each for each in reversed(of_lines)}
-    for effect, prior, size, end in {id(each[0]): each for each in (*best.values(), *of_lines[:IN_FULL])}.values():
+    for effect, prior, size, end in {
+        id(each[0]): each for each in (*best.values(), *of_lines[:IN_FULL])
+    }.values():
         yield effect, prior, size, (end.psi,)
 
 
@@ -316,14 +341,17 @@ def _weighed_all(misfit: Misfit, tried: list[tuple[Effect, float, float, Fit]], 
         replace(cause, odds=float(chance), explains=_explained(misfit.as_is, possible, cause))
         for cause, chance in zip(causes, odds[:-1], strict=True)
     ]
-    causes = [cause for cause in sorted(causes, key=lambda each: -each.evidence) if cause.explains >= LIKELY]
+    causes.sort(key=lambda each: -each.evidence)
+    nearest = causes[0] if causes and causes[0].explains < LIKELY and causes[0].odds > odds[-1] else None
+    causes = [cause for cause in causes if cause.explains >= LIKELY]
+    unlisted = max(1 - sum(cause.odds for cause in causes), 0.0)
     unique: dict[tuple[str, tuple[str, ...]], Cause] = {}
     for cause in causes:
         unique.setdefault((cause.effect.kind, cause.effect.of), cause)
     listed = list(unique.values())
     total = np.cumsum([cause.odds for cause in listed])
     count = int(np.searchsorted(total, LISTED)) + 1 if len(listed) else 0
-    return Explanation(misfit.as_is, _grouped(listed[: min(count, MOST)]), float(odds[-1]))
+    return Explanation(misfit.as_is, _grouped(listed[: min(count, MOST)]), unlisted, nearest)
 
 
 def _enough(misfit: Misfit) -> float:
@@ -646,11 +674,16 @@ def _half_for(values: Real, k: int) -> Real:
     return np.log(weights)
 
 
-def unexplained(as_is: Fit) -> Phrase:
-    """That none of the list is the matter, with where most of the misfit is."""
+def unexplained(found: Explanation) -> Phrase:
+    """That none of the list is the matter, with what comes nearest and where most of the misfit is."""
+    as_is, nearest = found.as_is, found.nearest
     power = np.abs(as_is.residual / as_is.problem.sd) ** 2
     line, c = np.unravel_index(int(np.argmax(power)), power.shape)
     name = as_is.problem.channels[int(c)].name
     hertz = as_is.problem.data.spectrum.frequency_hz[int(line)]
     text = f"no listed cause explains half of the misfit, which is largest in {name} near {hertz:.4g} Hz"
+    if nearest is not None:
+        text += (
+            f". Nearest, with {100 * nearest.explains:.0f} % of it: {nearest.effect.words(nearest.size).text}"
+        )
     return Phrase(text, "look at the residuals there, and measure more points or fewer at a time")

@@ -84,7 +84,7 @@ FURTHER = (
 ONE_SIDED = "one-sided"  # a law that may act either way
 WORDS = {"d**4": "quartic", "d**2*v": "growing"}  # in names of elements
 FEW = 4  # coordinates up to which any two points are tried, and not only those that an element joins
-# Times the usual size of a constant inside a law: others that are tried, so close that a step changes a force by little.
+# Times the usual size of a constant inside a law: others that are tried.
 SCALES = tuple(float(4.0 ** (k / 2.5)) for k in (0, -1, 1, -2, 2, -3, -4, -5))
 
 

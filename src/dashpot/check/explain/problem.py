@@ -356,7 +356,9 @@ def descended(
 ) -> tuple[Real, Real]:
     """Ends ψ (k, M) and χ² (k,), inf where there is none, of starts in the repeats `rows`, near enough to compare."""
     with np.errstate(all="ignore"):
-        ended = descend_in_repeats(view, data, start, sign, rows, limit=limit, tolerance=ROUGHLY, patience=limit)
+        ended = descend_in_repeats(
+            view, data, start, sign, rows, limit=limit, tolerance=ROUGHLY, patience=limit
+        )
     return ended.x, np.where(np.isfinite(ended.cost), ended.cost, np.inf)
 
 
