@@ -285,7 +285,8 @@ def _chosen(
 def _calibrated(misfit: Misfit, c: int, word: str) -> Fit:
     """Whole records fitted with the gain or delay of channel c unknown, which stands last in ψ."""
     problem = misfit.problem
-    opened = replace(problem.channels[c], **{word: None})
+    channel = problem.channels[c]
+    opened = replace(channel, gain=None) if word == "gain" else replace(channel, delay=None)
     channels = tuple(opened if k == c else each for k, each in enumerate(problem.channels))
     begun = problem.from_starts((misfit.as_is.psi, misfit.without[c].psi)).of_rig(problem.model, channels)
     turned = [np.append(psi[:-1], -1.0) for psi in begun.starts if word == "gain"]
