@@ -31,6 +31,7 @@ SHAPES = {
     "sep": "sep=;\n" + semicolons(PLAIN),
     "decimal commas": semicolons(PLAIN),
     "tabs": PLAIN.replace(",", "\t"),
+    "bars": PLAIN.replace(",", "|"),
     "blanks": PLAIN.replace(",", "   ").replace("\n0", "\n  0"),
     "carriage returns": PLAIN.replace("\n", "\r\n"),
     "old line ends": PLAIN.replace("\n", "\r"),

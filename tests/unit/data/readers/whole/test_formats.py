@@ -11,15 +11,11 @@ from dashpot.data.readers import read, write_records
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.guarded import library
 from dashpot.data.readers.registry import reader_of
-from dashpot.data.readers.uff.function import FRF, NodalFunction, NodePoint
-from dashpot.data.readers.uff.writer import write_functions
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError
 from dashpot.estimate.identify import identify
 from dashpot.model.rigfile import parse_rig
-from tests.unit.data.readers.column_files import TABLES
 from tests.unit.data.readers.famos_bytes import dwell
-from tests.unit.data.readers.text_files import TEXTS
 from tests.unit.data.readers.written import CHANNELS, RIG, WRITERS, as_read, packed, recording, wav
 
 
@@ -31,12 +27,9 @@ def same(records, expected, one_clock=False):
         assert record.values == pytest.approx(wanted.values, rel=1e-15)
 
 
-ALL = {**WRITERS, **TEXTS}
-
-
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("name", WRITERS)
 def test_the_same_recording(tmp_path, name):
-    suffix, write = ALL[name]
+    suffix, write = WRITERS[name]
     path = tmp_path / f"test{suffix}"
     expected = recording()
     write(path, expected)
@@ -63,32 +56,8 @@ def csv_of_recording(folder: Path) -> Path:
     return folder / "whole.csv"
 
 
-@pytest.mark.parametrize("name", [name for name in ALL if name != "CSV"])
-def test_the_same_estimate(tmp_path, rig, name):
-    other = tmp_path / f"test{ALL[name][0]}"
-    ALL[name][1](other, recording())
-    same_estimate(rig, csv_of_recording(tmp_path), other)
-
-
-@pytest.mark.parametrize("polar", [False, True])
-@pytest.mark.parametrize("suffix", TABLES)
-def test_the_same_estimate_from_amplitudes(tmp_path, rig, suffix, polar):
-    """By real and imaginary part, and by amplitude and phase."""
-    lines = read(csv_of_recording(tmp_path), rig.channels).spectrum(**TREATMENTS)
-    columns, sd = {"frequency_hz": np.asarray(lines.frequency_hz)}, lines.sd()
-    for k, channel in enumerate(lines.channels):
-        X, name = lines.amplitudes[:, k] / channel.scale, channel.name
-        if polar:
-            columns |= {f"{name}_amplitude": np.abs(X), f"{name}_phase": np.degrees(np.angle(X))}
-        else:
-            columns |= {f"{name}_re": X.real, f"{name}_im": X.imag}
-        columns[f"{name}_sd"] = sd[:, k] / channel.scale
-    TABLES[suffix](tmp_path / f"amplitudes{suffix}", columns)
-    same_estimate(rig, csv_of_recording(tmp_path), tmp_path / f"amplitudes{suffix}")
-
-
 @pytest.mark.parametrize("way", ["pattern", "manifest"])
-@pytest.mark.parametrize("name", [*WRITERS, "FAMOS", "LVM", "WAV"])
+@pytest.mark.parametrize("name", ["CSV", "HDF5", "FAMOS", "LVM", "WAV"])
 def test_the_same_estimate_from_a_file_for_each_dwell(tmp_path, rig, name, way):
     columns = ""
     for record in recording():
@@ -153,49 +122,6 @@ def test_the_same_estimate_from_synchronised_sensors(tmp_path):
     manifest = tmp_path / "test.toml"
     manifest.write_text(f'[[files]]\nname = "{{frequency}}Hz_{{sensor}}.csv"\n[files.sensors]\n{sensors}')
     same_estimate(rig, tmp_path / "whole.csv", manifest)
-
-
-def responses_by_phase(path: Path, columns: dict[str, np.ndarray]) -> None:
-    """A table of FRFs by amplitude and phase."""
-    polar = {"frequency_hz": columns["frequency_hz"]}
-    for name in ("x1/u", "x2/u"):
-        H = columns[f"{name}_re"] + 1j * columns[f"{name}_im"]
-        polar |= {f"{name}_amplitude": np.abs(H), f"{name}_phase [deg]": np.degrees(np.angle(H))}
-    TABLES[".csv"](path, polar)
-
-
-def responses_in_a_universal_file(path: Path, columns: dict[str, np.ndarray]) -> None:
-    write_functions(
-        [
-            NodalFunction(
-                FRF, NodePoint(name, k + 1, 1), NodePoint("u", 3, 1), columns["frequency_hz"],
-                columns[f"{name}/u_re"] + 1j * columns[f"{name}/u_im"], "m", "m", even=False,
-            )
-            for k, name in enumerate(("x1", "x2"))
-        ],
-        path,
-    )  # fmt: skip
-
-
-RESPONSES = {
-    **{
-        suffix: write for suffix, write in TABLES.items() if suffix not in (".csv", ".h5")
-    },  # / parts groups of HDF5
-    "_by_phase.csv": responses_by_phase,
-    ".uff": responses_in_a_universal_file,
-}
-
-
-@pytest.mark.parametrize("suffix", RESPONSES)
-def test_the_same_estimate_from_responses(tmp_path, rig, suffix):
-    lines = read(csv_of_recording(tmp_path), rig.channels).spectrum(**TREATMENTS)
-    X = lines.amplitudes
-    columns = {"frequency_hz": np.asarray(lines.frequency_hz)}
-    for k, name in enumerate(("x1", "x2")):
-        columns |= {f"{name}/u_re": (X[:, k] / X[:, 2]).real, f"{name}/u_im": (X[:, k] / X[:, 2]).imag}
-    TABLES[".csv"](tmp_path / "frf.csv", columns)
-    RESPONSES[suffix](tmp_path / f"frf{suffix}", columns)
-    same_estimate(rig, tmp_path / "frf.csv", tmp_path / f"frf{suffix}")
 
 
 def test_wav_by_a_manifest(tmp_path):

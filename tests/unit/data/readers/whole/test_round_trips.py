@@ -17,7 +17,7 @@ from dashpot.data.readers.uff.function import FRF, NodalFunction, NodePoint
 from dashpot.data.readers.uff.writer import write_functions
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
-from tests.unit.data.readers.column_files import TABLES, famos, mdf, uff
+from tests.unit.data.readers.column_files import TABLES, famos, hdf5, mat, mdf, npz, tdms, uff
 
 CHANNELS = (Channel("x", {"x": 1}), Channel("u", {"u": 1}))
 COUNT = 50
@@ -65,16 +65,20 @@ def test_samples(tmp_path: Path, suffix: str) -> None:
     same_record(tmp_path / f"a{suffix}", TIMES)
 
 
-SAMPLED: dict[str, Callable[[Path], None]] = {
-    ".mf4": lambda path: mdf(path, columns_of_samples(), EVEN),
-    ".uff": lambda path: uff(path, columns_of_samples(), EVEN),
-    ".raw": lambda path: famos(path, columns_of_samples(), 1 / 128),
+SAMPLED: dict[str, Callable[[Path, dict[str, Real]], None]] = {
+    ".mat": lambda path, columns: mat(path, columns | {"fs": np.array(128.0)}),
+    ".h5": lambda path, columns: hdf5(path, columns | {"fs": np.array(128.0)}),
+    ".npz": lambda path, columns: npz(path, columns | {"dt": np.array(1 / 128)}),
+    ".tdms": lambda path, columns: tdms(path, columns, wf_increment=1 / 128),
+    ".mf4": lambda path, columns: mdf(path, columns, EVEN),
+    ".uff": lambda path, columns: uff(path, columns, EVEN),
+    ".raw": lambda path, columns: famos(path, columns, 1 / 128),
 }
 
 
 @pytest.mark.parametrize("suffix", SAMPLED)
 def test_samples_on_the_clock_of_the_format(tmp_path: Path, suffix: str) -> None:
-    SAMPLED[suffix](tmp_path / f"a{suffix}")
+    SAMPLED[suffix](tmp_path / f"a{suffix}", columns_of_samples())
     same_record(tmp_path / f"a{suffix}", EVEN)
 
 
