@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from dashpot.app import signals
-
 # Each has a work of its own in place of the command's, and is ended in it by the signals that it is given.
 PROGRAM = """
 import os, signal, sys, tempfile, time, weakref
@@ -184,31 +182,3 @@ def test_a_second_signal_ends_it_at_once_and_clears_away(tmp_path: Path) -> None
     )
     assert (done.returncode, done.stderr) == (128 + signal.SIGTERM, "")
     assert os.listdir(tmp_path) == []
-
-
-def test_where_there_is_no_alarm_a_thread_brings_it_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    begun = []
-
-    class Timer:
-        """A thread that cannot be begun."""
-
-        def __init__(self, *given: object) -> None:
-            begun.append(given)
-
-        def start(self) -> None:
-            raise RuntimeError
-
-    monkeypatch.setattr(signals, "Timer", Timer)
-    signals._come_again()
-    assert begun == [(signals.PAUSE, signals._again)]
-
-
-def test_what_has_been_answered_does_not_come_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    raised: list[int] = []
-    monkeypatch.setattr(signal, "raise_signal", raised.append)
-    monkeypatch.setattr(signals, "_latest", None)
-    signals._again()
-    assert raised == []
-    monkeypatch.setattr(signals, "_asked", {signal.SIGINT})
-    signals._again()
-    assert raised == [signal.SIGINT]

@@ -74,22 +74,6 @@ def test_an_unknown_key_of_the_root_has_no_line() -> None:
     assert Lines(TEXT).of(()) is None
 
 
-def test_every_key_that_tomllib_finds_has_a_line() -> None:
-    lines = Lines(TEXT)
-
-    def walk(value: object, path: tuple[str | int, ...]) -> None:
-        if path:
-            assert path in lines._where
-        if isinstance(value, dict):
-            for key, inner in value.items():
-                walk(inner, (*path, key))
-        elif isinstance(value, list):
-            for i, inner in enumerate(value):
-                walk(inner, (*path, i))
-
-    walk(tomllib.loads(TEXT), ())
-
-
 @pytest.mark.parametrize(
     ("text", "found"),
     [

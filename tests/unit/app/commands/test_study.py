@@ -1,9 +1,5 @@
 """dashpot study: files in, a folder out, and an end to it when asked."""
 
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pyarrow.parquet as parquet
@@ -86,28 +82,3 @@ def test_a_folder_of_something_else_is_refused(dashpot: Command, study: Path) ->
     assert ran.code == 2
     assert "holds other files" in ran.err[0]
     assert [path.name for path in (study.parent / "mine").iterdir()] == ["letter.txt"]
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="interrupts are sent otherwise there")
-def test_ctrl_c_twice_ends_it_and_keeps_what_is_whole(study: Path) -> None:
-    study.write_text(STUDY.replace("draws = 30", "draws = 1000000"))
-    code = "import sys; from dashpot.app.cli import main; sys.argv[0] = 'dashpot'; main()"
-    command = [sys.executable, "-c", code, "study", "noise.toml", "--processes", "2"]
-    process = subprocess.Popen(
-        command, cwd=study.parent, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
-    draws = study.parent / "noise" / "draws"
-    deadline = time.monotonic() + 300  # on a machine that is kept busy
-    while not list(draws.rglob("[0-9]*.parquet")) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    time.sleep(0.2)
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
-    _, told = process.communicate(timeout=300)
-    assert process.returncode in (130, -signal.SIGINT)
-    assert "finished draws are kept in noise" in told
-    blocks = list(draws.rglob("[0-9]*.parquet"))
-    assert blocks
-    for path in blocks:
-        assert parquet.read_table(path, page_checksum_verification=True).num_rows == 2 * 500

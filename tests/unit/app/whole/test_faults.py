@@ -18,32 +18,14 @@ from tests.unit.app.conftest import RIG, Command
 from tests.unit.io.test_atomic import FaultySystem
 
 KINDS = ("fails", "full", "short", "lies")
-COMMANDS = {
-    "identify": ("identify", "rig.toml", "data.csv", "--json", "out", "-q"),
-    "simulate": (
-        "simulate", "rig.toml", "--out", "out", "--frequencies", "1,2", "--set", "m1=3,c1=20,c2=30", "--samples", "8",
-        "-q",
-    ),
-    "design": (
-        "design", "rig.toml", "--set", "m1=3,c1=20,c2=30", "--samples", "500", "--rate", "100", "--csv", "out", "-q",
-    ),
-    "check": ("check", "rig.toml", "--json", "out", "-q"),
-    "spectrum": ("spectrum", "rig.toml", "data.csv", "--out", "out", "-q"),
-    "export": ("export", "rig.toml", "--set", "m1=3,c1=20,c2=30", "-o", "out.json", "-q"),
-    "draw": ("draw", "rig.toml", "-o", "out.svg"),
-}  # fmt: skip
+IDENTIFY = ("identify", "rig.toml", "data.csv", "--json", "out", "-q")
 
 
-# How the one writer fails is tried beside it; every command writes by it.
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [*(("identify", kind) for kind in KINDS), *((name, "fails") for name in COMMANDS if name != "identify")],
-)
-def test_old_or_complete(
-    dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch, name: str, kind: str
-) -> None:
-    out = Path(next(word for word in COMMANDS[name] if word.startswith("out")))
-    ran = dashpot(*COMMANDS[name])
+# How the one writer fails, and that every command writes by it, is tested beside it.
+@pytest.mark.parametrize("kind", KINDS)
+def test_old_or_complete(dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    out = Path("out")
+    ran = dashpot(*IDENTIFY)
     assert ran.code == 0, ran.err
     complete = out.read_bytes()
     before = set(os.listdir())
@@ -53,7 +35,7 @@ def test_old_or_complete(
         system = FaultySystem(k, kind)
         with monkeypatch.context() as patched:
             patched.setattr(atomic, "os", system)
-            ran = dashpot(*COMMANDS[name])
+            ran = dashpot(*IDENTIFY)
         assert set(os.listdir()) == before, k
         if ran.code == 0:
             assert out.read_bytes() == complete, k
