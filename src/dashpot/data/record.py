@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from dashpot.arrays import Bools, Real, freeze, without_denormals
+from dashpot.arrays import Bools, Ints, Real, freeze, without_denormals
 from dashpot.channel import Channel
 from dashpot.errors import DataError
 from dashpot.shorthand import InNotebooks
@@ -56,6 +57,17 @@ def at_limits(values: Real, *, in_a_row: bool = True) -> Bools:
     return limits
 
 
+def runs_of_one_value(column: Real, shortest: int) -> Iterator[tuple[int, int]]:
+    """Begin and end of each run of one number in a channel (samples,), of so many samples at the least."""
+    edges = np.flatnonzero(np.diff(column) != 0) + 1
+    begin, end = np.append(0, edges), np.append(edges, len(column))
+    long = end - begin >= shortest
+    yield from zip(begin[long].tolist(), end[long].tolist(), strict=True)
+
+
+ABOVE, BELOW, MISSING = 1, -1, 2  # how a value counts that is not measured
+
+
 @dataclass(frozen=True)
 class Record(InNotebooks):
     """Samples of all channels on one clock, in SI units.
@@ -66,6 +78,8 @@ class Record(InNotebooks):
     experiment    which experiment the record belongs to
     source        where it came from, for messages
     sd            (samples, channels), of values that an estimate predicts: their standard deviation
+    status        (samples, channels), how values count: 0 as measured, ABOVE and BELOW as clipped, so that the signal
+                  is at or beyond them, MISSING not at all; None where all are measured
     """
 
     channels: tuple[Channel, ...]
@@ -75,6 +89,7 @@ class Record(InNotebooks):
     experiment: int = 0
     source: str = "record"
     sd: Real | None = None
+    status: Ints | None = None
 
     def __repr__(self) -> str:
         driven = "" if self.frequency_hz is None else f", driven at {self.frequency_hz:g} Hz"
@@ -85,6 +100,19 @@ class Record(InNotebooks):
     def kept(self) -> dict[object, object]:
         """What several steps of conditioning ask of the samples, by what was asked."""
         return {}
+
+    def part(self, rows: slice) -> Record:
+        """Some of the samples."""
+        sd, status = (None if of is None else of[rows] for of in (self.sd, self.status))
+        return replace(self, time=self.time[rows], values=self.values[..., rows, :], sd=sd, status=status)
+
+    @property
+    def whole_channels(self) -> Bools:
+        """(channels,): of which every sample is measured."""
+        if self.status is None:
+            return np.ones(len(self.channels), dtype=bool)
+        whole: Bools = ~np.any(self.status, axis=0)
+        return whole
 
     def __post_init__(self) -> None:
         try:

@@ -112,4 +112,4 @@ def cut(record: Record, start: float, end: float) -> Record:
             record.source,
             "take more of it",
         )
-    return replace(record, time=record.time[first:last], values=record.values[..., first:last, :])
+    return record.part(slice(first, last))

@@ -44,6 +44,7 @@ def drive_wanders(records: Sequence[Record]) -> float:
 
 def _steady(record: Record) -> float | None:
     """p-value of one dwell having one frequency; None where it has too few periods, or repeats."""
+    record = _wholly_measured(record)
     f = record.frequency_hz
     blocks = None if f is None or record.values.ndim != 2 else period_blocks(record, f)
     if f is None or blocks is None or not np.any(np.ptp(record.values, axis=0)):
@@ -132,7 +133,7 @@ class CommonRamp:
     variance: float
     apart: float
     others: int
-    free: int
+    free: float
 
     @property
     def widening(self) -> float:
@@ -154,29 +155,28 @@ def common_ramp(
     The columns s cos and s sin (s = (t − centre)/half) of a signal a cos + b sin have the coefficients κ (b, −a) where
     its phase runs, and κ (a, b) where its amplitude grows.  Raises DataError as `solve_harmonics`.
     """
-    free = len(record.time) - degree - 3 - 2 * len(orders)
     solution = solve_harmonics(record, f, orders, degree, ramps=True)
+    free = float(np.min(solution.free))
     a, b = solution.coefficients[:, degree + 1], solution.coefficients[:, degree + 2]
-    ramp = solution.coefficients[:, -2:]
-    noise = solution.squares / max(free, 1)
+    ramp = np.swapaxes(solution.coefficients[:, -2:], 1, 2)
+    noise = solution.squares / max(free, 1) if record.status is None else solution.covariance
     variance = np.diagonal(noise, axis1=1, axis2=2)
     size = a**2 + b**2
     floor = np.maximum(1e-24 * size, (np.finfo(float).eps * solution.largest) ** 2)
     weight = np.where(size > 0, 1 / np.maximum(variance, np.where(floor > 0, floor, 1.0)), 0.0)
-    P = solution.P[-2:, -2:]
-    inside = np.asarray(
-        np.linalg.solve(P, np.stack([b, -a] if of == "phase" else [a, b], axis=1)), dtype=float
-    )
-    each = weight * np.sum((P @ inside) * inside, axis=1)
+    P = solution.P[:, -2:, -2:]
+    along = np.stack([b, -a] if of == "phase" else [a, b], axis=-1)
+    inside = np.linalg.solve(P, along[..., None])[..., 0]
+    each = weight * np.sum(along * inside, axis=-1)
     information = float(np.sum(each))
     if information <= 0:
         return CommonRamp(0.0, 0.0, np.inf, 0.0, 0, free)
-    by_channel = weight * np.sum(ramp * inside, axis=1)
+    by_channel = weight * np.sum(ramp * inside, axis=-1)
     kappa = float(np.sum(by_channel)) / information
     telling = each > 0
     apart = float(np.sum((by_channel[telling] - each[telling] * kappa) ** 2 / each[telling]))
-    look = weight[:, None] * inside
-    shared = float(np.einsum("bic,bcd,bjd,ij->", look, noise, look, P)) / information**2
+    look = np.einsum("cij,bci->bcj", np.linalg.cholesky(P), weight[..., None] * inside)
+    shared = float(np.einsum("bcj,bcd,bdj->", look, noise, look)) / information**2
     return CommonRamp(kappa, information, shared, apart, int(np.sum(telling)) - 1, free)
 
 
@@ -196,25 +196,23 @@ SLIGHT = 5e-4  # of an amplitude: a drift by less spoils no more than gains are 
 USABLE = 0.45  # of the sampling rate
 
 
-def drive_fades(records: Sequence[Record], weaker: Sequence[Real]) -> float:
+def drive_fades(records: Sequence[Record]) -> float:
     """p-value of every dwell having one amplitude: Fisher's product of the F tests of all dwells.
 
-    1 where no dwell has periods enough to tell.  Channels with replaced samples, whose amplitudes are `weaker`
-    (channels,) than those of all samples, have no say: what stands in for them has one amplitude or follows the noise.
+    1 where no dwell has periods enough to tell.  Channels with samples that are not measured have no say: where their
+    peaks are clipped they know little of the amplitude.
     """
-    each = (
-        _steady_drive_fading(_sound(record, times)) for record, times in zip(records, weaker, strict=True)
-    )
+    each = map(_steady_drive_fading, map(_wholly_measured, records))
     return float(fishers_product([p for p in each if p is not None]))
 
 
-def _sound(record: Record, weaker: Real) -> Record:
-    """The record with those channels alone of which no sample was replaced."""
-    sound = np.flatnonzero(weaker <= 1)
-    if len(sound) == len(record.channels):
+def _wholly_measured(record: Record) -> Record:
+    """The record with those channels alone of which every sample is measured."""
+    whole = record.whole_channels
+    if np.all(whole):
         return record
-    channels = tuple(record.channels[c] for c in sound)
-    return replace(record, channels=channels, values=record.values[..., sound])
+    channels = tuple(record.channels[c] for c in np.flatnonzero(whole))
+    return replace(record, channels=channels, values=record.values[..., whole], status=None)
 
 
 def _steady_drive_fading(record: Record) -> float | None:

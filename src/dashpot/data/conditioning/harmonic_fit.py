@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, Unpack
 
 import numpy as np
@@ -158,7 +158,7 @@ class LocalNoise:
         return replace(white, whiteness=self.whiteness, notes=(note,))
 
 
-def white_noise(sigma: Real, orders: int, free: int) -> NoiseLevel:
+def white_noise(sigma: Real, orders: int, free: float) -> NoiseLevel:
     """The residual covariance (batch, channels, channels) at every harmonic alike; `free` degrees of freedom."""
     batch, channels, _ = sigma.shape
     level = np.broadcast_to(sigma[:, None].astype(complex), (batch, orders, channels, channels))
@@ -308,18 +308,18 @@ FOR_A_SLOPE = (
 LEAST = 4.0  # degrees of freedom beyond the channels: below, a weight has no mean
 
 
-def moderated(spectrum: Spectrum) -> Spectrum:
+def moderated(spectrum: Spectrum, told: Real | None = None) -> Spectrum:
     """The same lines with the noise of those that have few samples moderated, and a note.
 
-    It is unchanged where all have many samples.  Lines of white noise estimated from samples are moderated; repeats
-    share d₀.
+    told (lines, channels): share of an amplitude's information that the samples measured have.  It is unchanged where
+    all have many samples.  Lines of white noise estimated from samples are moderated; repeats share d₀.
     """
     chosen = np.array([kind == "white" for kind in spectrum.noise]) & np.isfinite(spectrum.dof)
     short = chosen & (spectrum.dof < FEW)
     if not np.any(short) or np.sum(chosen) < FEWEST_LINES_MODERATED or np.any(np.isnan(spectrum.amplitudes)):
         return spectrum
     lines = spectrum.select(np.flatnonzero(chosen).tolist())
-    prior, d0 = _prior(lines)
+    prior, d0 = _prior(lines, 1.0 if told is None else told[chosen])
     nu = lines.dof
     channels = len(spectrum.channels)
     total = nu + d0
@@ -340,10 +340,10 @@ def moderated(spectrum: Spectrum) -> Spectrum:
     return replace(spectrum, covariance=covariance, dof=dof, notes=(*spectrum.notes, note))
 
 
-def _prior(lines: Spectrum) -> tuple[Complex, float]:
+def _prior(lines: Spectrum, told: Real | float) -> tuple[Complex, float]:
     """V₀ (..., lines, channels, channels) and d₀."""
     V = lines.covariance.reshape(-1, *lines.covariance.shape[-3:])
-    count = lines.samples[:, None]
+    count = lines.samples[:, None] * told
     variance = np.diagonal(V, axis1=-2, axis2=-1).real
     level = variance * count / 4
     power = np.abs(lines.amplitudes).reshape(-1, *lines.amplitudes.shape[-2:]) ** 2
@@ -492,6 +492,7 @@ class HarmonicFit:
                          "blocks": cross-spectrum of the residual on lines beside each harmonic
     whiteness            (...,)  p-value of a white residual, smallest over channels (Bonferroni); NaN where not tested
     notes                what was found on the way
+    told                 (orders, channels)  share of an amplitude's information that the samples measured have
     """
 
     channels: tuple[Channel, ...]
@@ -510,6 +511,7 @@ class HarmonicFit:
     noise: Literal["white", "blocks"]
     whiteness: Real
     notes: tuple[Notice, ...] = ()
+    told: Real = field(default_factory=lambda: np.ones((1, 1)))
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -564,24 +566,30 @@ def _fit(record: Record, f: float, orders: tuple[int, ...], degree: int, noise: 
     solution = solve_harmonics(record, f, orders, degree, monitor=monitor)
     X = solution.amplitudes(degree)
     free = samples - terms
-    sigma = solution.squares / free
+    sigma = solution.covariance
     exact = exact_channels(sigma, X, solution.largest)
     sigma = np.where(exact[:, :, None] | exact[:, None, :], 0.0, sigma)
-    level = white_noise(sigma, len(orders), free)
+    level = white_noise(sigma, len(orders), float(np.min(solution.free)))
     if monitor is not None:
         written = exact_channels(sigma, X, solution.largest, DIGITS)
         local = noise_beside_harmonics(monitor, solution.L, samples, free, sigma, exact, written)
         level = local.chosen(level, noise, record, f)
     P = _real_and_imaginary(solution.P, degree, len(orders))
-    spread = P[:, 0, 0] + P[:, 1, 1]
-    real = P[None, :, None] * np.diagonal(level.level.real, axis1=-2, axis2=-1)[..., None, None]
+    spread = P[..., 0, 0] + P[..., 1, 1]  # (orders, channels)
+    real = P * np.diagonal(level.level.real, axis1=-2, axis2=-1)[..., None, None]
+    told = np.ones(spread.shape)
+    if not np.all(record.whole_channels):
+        of_all = cholesky_solve(solution.L, np.eye(terms)[None])
+        all_told = _real_and_imaginary(of_all, degree, len(orders))
+        told = np.minimum((all_told[..., 0, 0] + all_told[..., 1, 1]) / spread, 1.0)
+    both = np.sqrt(spread[:, :, None] * spread[:, None, :])
     centre, half = window(record.time)
     return HarmonicFit(
         record.channels,
         float(f),
         orders,
         X.reshape(*leading, len(orders), channels),
-        (spread[:, None, None] * level.level).reshape(*leading, len(orders), channels, channels),
+        (both * level.level).reshape(*leading, len(orders), channels, channels),
         real.reshape(*leading, len(orders), channels, 2, 2),
         solution.coefficients[:, : degree + 1].reshape(*leading, degree + 1, channels),
         centre,
@@ -593,26 +601,25 @@ def _fit(record: Record, f: float, orders: tuple[int, ...], degree: int, noise: 
         level.kind,
         level.whiteness.reshape(leading),
         level.notes,
+        told,
     )
 
 
 def _real_and_imaginary(P: Real, degree: int, orders: int) -> Real:
-    """Covariance of (Re X, Im X) per unit variance of a sample, (orders, 2, 2), from that of the coefficients."""
+    """Covariance of (Re X, Im X) per unit variance of a sample, (orders, channels, 2, 2), from that of coefficients."""
     # (cos, sin) coefficients are (Re X, −Im X), hence the sign of the off-diagonal
     first = degree + 1 + 2 * np.arange(orders)
-    return np.stack(
-        [
-            np.stack([P[first, first], -P[first, first + 1]], axis=-1),
-            np.stack([-P[first + 1, first], P[first + 1, first + 1]], axis=-1),
-        ],
-        axis=-2,
-    )
+    pair = first[:, None] + np.arange(2)
+    blocks = P[:, pair[:, :, None], pair[:, None, :]] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return np.swapaxes(blocks, 0, 1)
 
 
 def _with_significant(record: Record, f: float, orders: tuple[int, ...], degree: int) -> tuple[int, ...]:
     """The orders asked for and those harmonics that are there beyond doubt."""
     samples, channels = record.values.shape[-2:]
     nyquist = (samples - 1) / float(record.time[-1] - record.time[0]) / 2
+    if record.status is not None:
+        samples = int(np.min(np.count_nonzero(record.status == 0, axis=0)))
     highest = min(HIGHEST_HARMONIC, int(0.95 * nyquist / f), (samples - degree - 1) // 6)
     candidates = tuple(k for k in range(1, highest + 1) if k not in orders)
     if not candidates:
@@ -622,23 +629,16 @@ def _with_significant(record: Record, f: float, orders: tuple[int, ...], degree:
         solution = solve_harmonics(record, f, every, degree)
     except DataError:
         return orders  # the record cannot tell them apart
-    free = samples - degree - 1 - 2 * len(every)
-    waves = solution.coefficients[:, degree + 1 :]
     X = solution.amplitudes(degree)
-    sigma = solution.squares / free
-    exact = exact_channels(sigma, X, solution.largest)
-    variance = np.where(exact, 1.0, np.diagonal(sigma, axis1=1, axis2=2))
+    exact = exact_channels(solution.covariance, X, solution.largest)
     strongest = np.maximum(np.max(np.abs(X), axis=1), 1e-5 * solution.largest)
     level = SIGNIFICANT / (len(candidates) * channels * len(X))
     significant = list(orders)
     for i, order in enumerate(every):
         if order in orders:
             continue
-        pair = waves[:, 2 * i : 2 * i + 2]
         first = degree + 1 + 2 * i
-        inside = np.linalg.solve(solution.P[first : first + 2, first : first + 2], pair)
-        F = np.sum(pair * inside, axis=1) / (2 * variance)
-        there = np.where(exact, np.abs(X[:, i]) > 1e-9 * strongest, fdtrc(2, free, F) < level)
-        if np.any(there):
+        p = fdtrc(2, solution.free, solution.wald((first, first + 1)))
+        if np.any(np.where(exact, np.abs(X[:, i]) > 1e-9 * strongest, p < level)):
             significant.append(order)
     return tuple(sorted(significant))

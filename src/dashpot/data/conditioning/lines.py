@@ -32,12 +32,6 @@ from dashpot.data.conditioning.harmonic_fit import (
     rounding_steps,
     second_moments,
 )
-from dashpot.data.conditioning.lost_samples import (
-    notices_of_doubt,
-    reaches_limits,
-    without_clipping,
-    without_dropouts,
-)
 from dashpot.data.conditioning.regression import duration, holds_a_period
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
 from dashpot.data.conditioning.transients import LEVEL as DRIFT_LEVEL
@@ -55,6 +49,7 @@ from dashpot.data.conditioning.transients import (
     transients_matter,
     without_start,
 )
+from dashpot.data.conditioning.unmeasured import completed, marked, notices_of_doubt
 from dashpot.data.conditioning.whole_record import AT_REST, whole_records
 from dashpot.data.periods import average_periods
 from dashpot.data.record import Record
@@ -378,7 +373,7 @@ def _may_repeat(settings: Conditioning) -> bool:
 def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     """The lines of dwells, treated as all of them together ask for: what was driven, frequency, settling, drift."""
     dwells, left_out = long_enough(dwells)
-    dwells, weaker, notes = _evened(dwells, settings)
+    dwells, notes = _evened(dwells, settings)
     notes = [*left_out, *notes]
     uncut, of_stamps = dwells, list(notes)
     if settings.transients == "settle" and settings.settle == "none" and _unsettled_lines(dwells):
@@ -391,85 +386,73 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     if settings.refine == "auto":
         dwells, wanders, refined = _at_drive_frequencies(dwells, settings)
         notes += refined
-    why_whole = _why_whole(dwells, settings, weaker, wanders)
+    why_whole = _why_whole(dwells, settings, wanders)
     if wanders and why_whole is None:
         notes.append(Notice("drive_wanders", WANDERS))
     if why_whole is not None:
+        at_hz = [record.frequency_hz for record in dwells]
         if settings.settle == "none":  # what was cut off to see a steady sine is data like the rest
             dwells, notes = uncut, of_stamps
-        notes = [*notes, *notices_of_doubt(dwells, weaker)]
-        slopes = settings.degree > 0
-        lines = dwells_with_transients(
-            dwells, settings.band, settings.still, why=why_whole, slopes=slopes, weaker=weaker
-        )
+        notes = [*notes, *notices_of_doubt(dwells)]
+        lines = _as_whole(dwells, at_hz, settings, why_whole)
         return replace(lines, notes=(*notes, *lines.notes))
     if settings.drift == "auto" and slope_costs(dwells):
         settings, evidence = _with_drift(dwells, settings)
         notes.append(evidence)
-    lines = _of_settled(dwells, uncut, settings, weaker)
+    lines = _of_settled(dwells, uncut, settings)
     if (
         settings.settle == "none"
         and settings.refine != "always"
         and settings.transients in ("auto", "settle")
     ):
         notes += taken_as_settled(dwells)
-    notes += _taken_as_steady(dwells, settings, weaker, notes)
-    return replace(lines, notes=(*notes, *lines.notes), unsettled=_as_unsettled(dwells, settings, weaker))
+    notes += _taken_as_steady(dwells, settings, notes)
+    return replace(lines, notes=(*notes, *lines.notes), unsettled=_as_unsettled(dwells, settings))
 
 
-def _evened(
-    dwells: Sequence[Record], settings: Conditioning
-) -> tuple[Sequence[Record], Sequence[Real], list[Notice]]:
-    """The dwells on even stamps where those are even but for rounding, with what a channel missed or clipped put right.
+def _evened(dwells: Sequence[Record], settings: Conditioning) -> tuple[Sequence[Record], list[Notice]]:
+    """The dwells on even stamps where those are even but for rounding, with the samples marked that channels clip or
+    miss, and notes.
 
-    With what that makes of the variance of each channel's amplitudes, (channels,) of each dwell, and notes.  As they
-    are with "none".
+    As they are with "none".
     """
     if settings.refine == "none":
-        return dwells, [np.ones(len(record.channels)) for record in dwells], []
-    whole, notes = [], []
-    for record in dwells:
-        even, note = with_even_stamps(record)
-        complete, dropouts = without_dropouts(even)
-        whole.append(complete)
-        notes += [*([] if note is None else [note]), *dropouts]
-    # The sine that stands in for clipped samples is that of the drive's own frequency, which they hide but little.
-    limited = any(reaches_limits(record) for record in whole)
-    at_their_own = at_frequencies(whole, drive_frequencies(whole)) if limited else whole
-    unclipped = [
-        without_clipping(record, stated.frequency_hz)
-        for record, stated in zip(at_their_own, dwells, strict=True)
-    ]
-    notes += [notice for each in unclipped for notice in each.notices]
-    evened = [
-        replace(each.record, frequency_hz=record.frequency_hz)
-        for each, record in zip(unclipped, dwells, strict=True)
-    ]
-    return evened, [each.weaker for each in unclipped], notes
+        return dwells, []
+    evened = [with_even_stamps(record) for record in dwells]
+    with_marks, notes = marked([record for record, _ in evened])
+    return with_marks, [*(note for _, note in evened if note is not None), *notes]
 
 
-def _as_unsettled(
-    dwells: Sequence[Record], settings: Conditioning, weaker: Sequence[Real]
-) -> Spectrum | None:
+def _as_whole(
+    dwells: Sequence[Record], at_hz: Sequence[float | None], settings: Conditioning, why: str
+) -> Spectrum:
+    """Dwells as whole records, which need every sample: others than are measured by the motion around, at `at_hz`."""
+    complete = [completed(replace(record, frequency_hz=f)) for record, f in zip(dwells, at_hz, strict=True)]
+    return dwells_with_transients(
+        [replace(full, frequency_hz=of.frequency_hz) for (full, _), of in zip(complete, dwells, strict=True)],
+        settings.band,
+        settings.still,
+        why=why,
+        slopes=settings.degree > 0,
+        weaker=[times for _, times in complete],
+    )
+
+
+def _as_unsettled(dwells: Sequence[Record], settings: Conditioning) -> Spectrum | None:
     """The lines with the dwells that are too short to show whether they have settled as whole records.
 
     None where no dwell is, or where one cannot be used so.
     """
-    brief = [(record, of) for record, of in zip(dwells, weaker, strict=True) if not shows_settling(record)]
+    brief = [record for record in dwells if not shows_settling(record)]
     if not brief or not settings.dwells_may_be_whole or any(record.values.ndim != 2 for record in dwells):
         return None
     try:
-        whole = dwells_with_transients(
-            [record for record, _ in brief], settings.band, settings.still,
-            why="too short to show settling", slopes=settings.degree > 0, weaker=[of for _, of in brief],
-        )  # fmt: skip
+        at_hz = [record.frequency_hz for record in brief]
+        whole = _as_whole(brief, at_hz, settings, "too short to show settling")
     except DashpotError:
         return None
-    rest = [(record, of) for record, of in zip(dwells, weaker, strict=True) if shows_settling(record)]
-    if not rest:
-        return whole
-    kept = [record for record, _ in rest]
-    return concatenate([_of_settled(kept, kept, settings, [of for _, of in rest]), whole])
+    rest = [record for record in dwells if shows_settling(record)]
+    return concatenate([_of_settled(rest, rest, settings), whole]) if rest else whole
 
 
 def _at_drive_frequencies(
@@ -493,33 +476,25 @@ def _with_drift(dwells: Sequence[Record], settings: Conditioning) -> tuple[Condi
     return settings.changed(drift=0 if p > DRIFT_LEVEL else 1), Notice("drift_by_evidence", text)
 
 
-def _of_settled(
-    dwells: Sequence[Record], given: Sequence[Record], settings: Conditioning, weaker: Sequence[Real]
-) -> Spectrum:
-    """The lines of settled dwells, which were `given` as recorded, of the multiples that were driven.
-
-    weaker: times the variance that the channels of each dwell would have with all samples.
-    """
+def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Conditioning) -> Spectrum:
+    """The lines of settled dwells, which were `given` as recorded, of the multiples that were driven."""
     notes: list[Notice] = []
     driven = [DrivenOrders(settings.wanted)] * len(dwells)
     if settings.orders == "auto" and not settings.moments:
         driven = driven_orders(dwells, settings)
         notes = orders_used(driven)
     steps = rounding_steps(dwells)
-    each = [
-        _lines(record, settings, of, steps, times)
-        for record, of, times in zip(dwells, driven, weaker, strict=True)
-    ]
+    each, told = zip(
+        *(_lines(record, settings, of, steps) for record, of in zip(dwells, driven, strict=True)), strict=True
+    )
     notes.insert(0, account_of_dwells(given, each, settings))
     lines = concatenate(each)
     if settings.wanted == (1,) and settings.noise == "auto":
-        lines = moderated(lines)
+        lines = moderated(lines, np.concatenate(told))
     return replace(lines, notes=(*notes, *summed_up(lines.notes)))
 
 
-def _why_whole(
-    dwells: Sequence[Record], settings: Conditioning, weaker: Sequence[Real], wanders: bool
-) -> str | None:
+def _why_whole(dwells: Sequence[Record], settings: Conditioning, wanders: bool) -> str | None:
     """Why dwells are used as whole records: asked for, no steady sines, or unsettled; None where they are not.
 
     Whether they have settled is one test of all of them together.
@@ -533,7 +508,7 @@ def _why_whole(
         return None
     if wanders:
         return "not steady (the drive frequency wanders)"
-    unsettled, fades = _unsettled_lines(dwells), drive_fades(dwells, weaker) < FADING_LEVEL
+    unsettled, fades = _unsettled_lines(dwells), drive_fades(dwells) < FADING_LEVEL
     if fades:
         return f"not steady (the drive's amplitude drifts{', or they have not settled' if unsettled else ''})"
     if unsettled:
@@ -542,13 +517,13 @@ def _why_whole(
 
 
 def _taken_as_steady(
-    dwells: Sequence[Record], settings: Conditioning, weaker: Sequence[Real], notes: Sequence[Notice]
+    dwells: Sequence[Record], settings: Conditioning, notes: Sequence[Notice]
 ) -> list[Notice]:
     """That the drive's amplitude drifts, where dwells may not be whole records and no transient explains as much."""
     asked = settings.dwells_may_be_whole or settings.refine == "none"
     if asked or any(note.code in ("transients_ignored", "drive_wanders") for note in notes):
         return []
-    return [Notice("drive_fades", FADES)] if drive_fades(dwells, weaker) < FADING_LEVEL else []
+    return [Notice("drive_fades", FADES)] if drive_fades(dwells) < FADING_LEVEL else []
 
 
 def _unsettled_lines(dwells: Sequence[Record]) -> bool:
@@ -578,9 +553,10 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> tuple[list
 
 
 def _lines(
-    record: Record, settings: Conditioning, driven: DrivenOrders, steps: Real, weaker: Real
-) -> Spectrum:
-    """The lines of one record, whose channels are rounded to `steps` (channels,) and scatter `weaker` times as much."""
+    record: Record, settings: Conditioning, driven: DrivenOrders, steps: Real
+) -> tuple[Spectrum, Real]:
+    """The lines of one record, whose channels are rounded to `steps` (channels,), and the share of each amplitude's
+    information that what is measured has, (lines, channels)."""
     settings = settings.changed(orders=driven.orders)
     known = driven.fit if driven.orders == (1,) and settings.refine != "always" else None
     record, notes = _at_its_frequency(record, settings)
@@ -589,13 +565,12 @@ def _lines(
     frequencies = fit.frequency_hz * np.array([fit.orders[i] for i in wanted], dtype=float)
     h = calibration(record.channels, frequencies)
     covariance = fit.covariance[..., wanted, :, :] + _rounding(record, fit, wanted, steps)
-    covariance = covariance * np.sqrt(weaker[:, None] * weaker)
     # Whether second moments are asked for, and with "auto" whether they can be had
     if settings.moments != "auto":
         with_moments = settings.moments
     else:
         with_moments = settings.wanted == (1,) and not any(channel.delay for channel in record.channels)
-    return Spectrum(
+    lines = Spectrum(
         record.channels,
         frequencies,
         fit.amplitudes[..., wanted, :] * h,
@@ -604,10 +579,11 @@ def _lines(
         fit.dof[wanted],
         (fit.noise,) * len(wanted),
         np.full(len(wanted), record.experiment),
-        second_moments(record, settings.drift) if with_moments else None,
+        second_moments(completed(record)[0], settings.drift) if with_moments else None,
         (*notes, *fit.notes, *other_motion(record, fit, wanted)),
         stretches=(SettledDwell(fit.frequency_hz if len(wanted) > 1 else None),),
     )
+    return lines, fit.told[wanted]
 
 
 def _rounding(record: Record, fit: HarmonicFit, wanted: Sequence[int], steps: Real) -> Real:

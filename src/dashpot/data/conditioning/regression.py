@@ -9,13 +9,14 @@ All channels and leading batch axes share it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from scipy.linalg import cho_solve
+from scipy.special import log_ndtr
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.data.record import Record
@@ -109,26 +110,47 @@ def tiles(batch: int, rows: int, channels: int) -> Iterator[slice]:
 
 def chunks(samples: int) -> Iterator[slice]:
     """The samples, CHUNK at a time."""
-    """The samples, CHUNK at a time."""
-    """The samples, CHUNK at a time."""
     for start in range(0, samples, CHUNK):
         yield slice(start, min(samples, start + CHUNK))
 
 
 @dataclass(frozen=True)
 class HarmonicSolution:
-    """Least squares over one basis: factor of the Gram AᵀA = L Lᵀ, its inverse, coefficients, residual sums."""
+    """Least squares over one basis, of clipped samples by the likelihood of being beyond their value.
+
+    L             (terms, terms)  factor of the Gram AᵀA = L Lᵀ of all samples
+    P             (channels, terms, terms)  covariance of coefficients per unit variance of a sample
+    coefficients  (batch, terms, channels)
+    squares       (batch, channels, channels)  of the residual
+    free          (channels,)  degrees of freedom of the residual
+    largest       (batch, channels)  of |y|
+    """
 
     L: Real
     P: Real
-    coefficients: Real  # (batch, terms, channels)
-    squares: Real  # (batch, channels, channels)
-    largest: Real  # (batch, channels), of |y|
+    coefficients: Real
+    squares: Real
+    free: Real
+    largest: Real
 
     def amplitudes(self, degree: int) -> Complex:
         """Complex amplitudes of the harmonics, (batch, orders, channels)."""
         waves = self.coefficients[:, degree + 1 :]
         return waves[:, 0::2] - 1j * waves[:, 1::2]
+
+    @property
+    def covariance(self) -> Real:
+        """Of the residual of one sample, (batch, channels, channels)."""
+        return self.squares / np.sqrt(self.free[:, None] * self.free)
+
+    def wald(self, columns: Sequence[int]) -> Real:
+        """F of some coefficients being 0, (batch, channels): as of the two regressions with and without them."""
+        some = list(columns)
+        c = np.swapaxes(self.coefficients[:, some], 1, 2)
+        inside = np.linalg.solve(self.P[:, some][:, :, some], c[..., None])[..., 0]
+        variance = np.diagonal(self.squares, axis1=1, axis2=2) / self.free
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.sum(c * inside, axis=-1) / (len(some) * variance))
 
 
 class Monitor(Protocol):
@@ -149,47 +171,155 @@ def solve_harmonics(
     ramps: bool = False,
     monitor: Monitor | None = None,
 ) -> HarmonicSolution:
-    """Two passes over the samples: normal equations, then residual (shown to `monitor`) and one refinement."""
+    """Two passes over the samples: normal equations, then residual (shown to `monitor`) and one refinement.
+
+    Channels with samples that are not measured are solved for by themselves, `_partly_measured`.
+    """
     time, centre, half = record.time, *window(record.time)
+
+    def design(rows: slice) -> Real:
+        return basis(time[rows], f, orders, degree, centre, half, ramps)
+
+    terms = degree + 1 + 2 * len(orders) + 2 * ramps
+    even = None if ramps else _even_sums(time, record.values, f, orders, degree)
+    return solve(record, design, terms, f, monitor, even)
+
+
+def solve(
+    record: Record,
+    design: Callable[[slice], Real],
+    terms: int,
+    f: float,
+    monitor: Monitor | None = None,
+    sums: tuple[Real, Real, Real] | None = None,
+) -> HarmonicSolution:
+    """Least squares over any columns: design gives the rows (samples, terms) of some samples.
+
+    sums: Gram, right sides and largest |y| where they are known.  Raises DataError where the samples of some channel
+    cannot tell the columns apart.
+    """
     samples, channels = record.values.shape[-2:]
     Y = record.values.reshape(-1, samples, channels)
-    batch, terms = len(Y), degree + 1 + 2 * len(orders) + 2 * ramps
-    gram, right = np.zeros((terms, terms)), np.zeros((batch, terms, channels))
-    largest = np.zeros((batch, channels))
-    held: Real | None = None
-    even = None if ramps else _even_sums(time, Y, f, orders, degree)
-    if even is not None:
-        gram, right, largest = even
-    for rows in chunks(samples) if even is None else ():
-        A = held = basis(time[rows], f, orders, degree, centre, half, ramps)
-        gram += A.T @ A
-        for part in tiles(batch, len(A), channels):
-            y = Y[part, rows]
-            right[part] += A.T @ y
-            np.maximum(largest[part], np.max(np.abs(y), axis=1, initial=0.0), out=largest[part])
+    batch = len(Y)
+    held = design(slice(None)) if samples <= CHUNK else None
+
+    def pieces() -> Iterator[tuple[slice, Real]]:
+        for rows in chunks(samples):
+            yield rows, design(rows) if held is None else held
+
+    if sums is None:
+        gram, right = np.zeros((terms, terms)), np.zeros((batch, terms, channels))
+        largest = np.zeros((batch, channels))
+        for rows, A in pieces():
+            gram += A.T @ A
+            for part in tiles(batch, len(A), channels):
+                y = Y[part, rows]
+                right[part] += A.T @ y
+                np.maximum(largest[part], np.max(np.abs(y), axis=1, initial=0.0), out=largest[part])
+    else:
+        gram, right, largest = sums
     L: Real = factor(gram, record, f)
-    coefficients = cholesky_solve(L, right)
+    identity = cholesky_solve(L, np.eye(terms)[None])[0]
+    P = np.broadcast_to((identity + identity.T) / 2, (channels, terms, terms))
+    coefficients, free = cholesky_solve(L, right), np.full(channels, float(samples - terms))
+    partly = np.flatnonzero(~record.whole_channels)
+    shown, variance = np.ones(channels), np.zeros(len(partly))
+    if len(partly):
+        P = np.array(P)
+        for i, c in enumerate(partly.tolist()):
+            found = _partly_measured(record, c, pieces)
+            coefficients[0, :, c], P[c], variance[i], free[c] = found
+            shown[c] = np.sqrt(samples / (free[c] + terms))
     correction, squares = np.zeros_like(right), np.zeros((batch, channels, channels))
-    for rows in chunks(samples):
-        if held is not None and samples <= CHUNK:
-            A = held
-        else:
-            A = basis(time[rows], f, orders, degree, centre, half, ramps)
+    for rows, A in pieces():
         if monitor is not None:
-            monitor.next_rows(time[rows], A)
+            monitor.next_rows(record.time[rows], A)
         for part in tiles(batch, len(A), channels):
             e = Y[part, rows] - A @ coefficients[part]
+            if record.status is not None:
+                e[:, record.status[rows] != 0] = 0.0
             correction[part] += A.T @ e
             squares[part] += np.swapaxes(e, 1, 2) @ e
             if monitor is not None:
-                monitor.see(part, e)
+                monitor.see(part, e * shown if len(partly) else e)
+    correction[..., partly] = 0.0
     coefficients += cholesky_solve(L, correction)
-    identity = cholesky_solve(L, np.eye(terms)[None])[0]
-    return HarmonicSolution(L, (identity + identity.T) / 2, coefficients, squares, largest)
+    if len(partly):
+        # Correlations of what is measured of both, as those of the coefficients are, and the variances found above
+        size = np.sqrt(np.maximum(squares[0, partly, partly], 1e-300))
+        times = np.ones(channels)
+        times[partly] = np.sqrt(variance * free[partly]) / size
+        squares = squares * times[:, None] * times
+    return HarmonicSolution(L, P, coefficients, squares, free, largest)
+
+
+FAR = 1e4  # standard deviations: what is beyond counts as that
+TURNS = 50  # of Newton's method, of which five to ten are needed
+
+
+def clipped_moments(z: Real) -> tuple[Real, Real]:
+    """Of standard normal noise that is known to be beyond z: its mean, and how much of its variance that takes away."""
+    z = np.clip(z, -FAR, FAR)
+    mean = np.exp(-(z**2) / 2 - log_ndtr(-z)) / np.sqrt(2 * np.pi)
+    return mean, np.clip(mean * (mean - z), 0.0, 1.0)
+
+
+def _partly_measured(
+    record: Record, c: int, pieces: Callable[[], Iterator[tuple[slice, Real]]]
+) -> tuple[Real, Real, float, float]:
+    """A channel some of whose samples are clipped or missing: most likely coefficients, P, variance and freedom.
+
+    What is known of a clipped sample is that the signal is beyond it, Q(z) with z = ±(y − A β)/σ (Tobin 1958,
+    Econometrica 26); a missing one says nothing.  Newton's method on β, and on σ² its own equation with the degrees of
+    freedom that β takes.  P holds what σ is uncertain by, too.
+    """
+    assert record.status is not None
+    y, status = record.values[:, c], record.status[:, c]
+    measured = status == 0
+    gram = right = np.zeros(())
+    for rows, A in pieces():
+        some = A[measured[rows]]
+        gram, right = gram + some.T @ some, right + some.T @ y[rows][measured[rows]]
+    beta: Real = cholesky_solve(factor(gram, record, record.frequency_hz or 0.0), right[None, :, None])[
+        0, :, 0
+    ]
+    count = int(np.count_nonzero(measured))
+    free = float(count - len(beta))
+    least = 1e-13 * float(np.max(np.abs(y[measured])))
+    variance = np.inf
+    for _ in range(TURNS):
+        sigma = max(np.sqrt(variance), least)
+        slope, information, squares, inside = np.zeros_like(beta), np.array(gram), 0.0, 0.0
+        by_sigma, of_sigma = np.zeros_like(beta), 0.0
+        for rows, A in pieces():
+            e = y[rows] - A @ beta
+            slope += A[measured[rows]].T @ e[measured[rows]]
+            squares += float(np.sum(e[measured[rows]] ** 2))
+            clipped = np.abs(status[rows]) == 1
+            if not np.isfinite(sigma) or not np.any(clipped):
+                continue
+            B, side = A[clipped], status[rows][clipped]
+            z = np.clip(side * e[clipped] / sigma, -FAR, FAR)
+            mills, weight = clipped_moments(z)
+            slope += B.T @ (side * mills) * sigma
+            information += B.T @ (weight[:, None] * B)
+            inside += float(np.sum(z * mills))
+            by_sigma += B.T @ (side * (mills - z * weight))
+            of_sigma += float(np.sum(weight * z**2))
+        before, variance = variance, squares / max(free - inside, free / 2)
+        step = np.linalg.solve(information, slope)
+        beta = beta + step
+        if (
+            step @ information @ step <= 1e-12 * variance + least**2
+            and abs(variance - before) <= 1e-6 * variance
+        ):
+            break
+    schur = information - np.outer(by_sigma, by_sigma) / (2 * count - inside + of_sigma)
+    return beta, np.linalg.inv(schur), float(variance), free
 
 
 def _even_sums(
-    time: Real, Y: Real, f: float, orders: Sequence[int], degree: int
+    time: Real, values: Real, f: float, orders: Sequence[int], degree: int
 ) -> tuple[Real, Real, Real] | None:
     """Gram, right sides and largest |y| of many even samples, by the compiled pass; None where NumPy does as well.
 
@@ -198,6 +328,7 @@ def _even_sums(
     samples, (centre, _) = len(time), window(time)
     if kernel() is None or samples <= CHUNK or degree > 1:
         return None
+    Y = values.reshape(-1, *values.shape[-2:])
     step = float(time[-1] - time[0]) / (samples - 1)
     due = time[0] + step * np.arange(samples)
     if np.max(np.abs(time - due)) > 8 * np.finfo(float).eps * np.max(np.abs(time)):

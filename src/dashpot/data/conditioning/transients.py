@@ -18,10 +18,12 @@ from scipy.special import chdtrc, chdtri, fdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL, even_step
-from dashpot.data.conditioning.harmonic_fit import HarmonicFit, fit_harmonics
+from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.regression import (
     CHUNK,
+    HarmonicSolution,
     basis,
+    check_length,
     duration,
     exact_channels,
     solve_harmonics,
@@ -93,8 +95,14 @@ def _fitted(record: Record, f: float, starts: Ints, ends: Ints) -> tuple[Complex
         A = basis(t, f, (1,), 0, *window(t))
         y = np.moveaxis(values[:, start:end], 1, 0).reshape(len(t), -1)
         c = np.linalg.lstsq(A, y, rcond=None)[0]
+        e = y - A @ c
+        if record.status is not None:
+            measured = record.status[start:end] == 0
+            for k in np.flatnonzero(~np.all(measured, axis=0)).tolist():
+                c[:, k] = np.linalg.lstsq(A[measured[:, k]], y[measured[:, k], k], rcond=None)[0]
+                e[:, k] = np.where(measured[:, k], y[:, k] - A @ c[:, k], 0.0)
         amplitudes.append(c[1] - 1j * c[2])
-        rms.append(np.sqrt(np.mean((y - A @ c) ** 2, axis=0)))
+        rms.append(np.sqrt(np.mean(e**2, axis=0)))
     return np.array(amplitudes), np.array(rms)
 
 
@@ -147,7 +155,7 @@ def settled(record: Record, frequency_hz: float | None = None) -> Settled:
     dropped = len(time) - (last - first)
     if not dropped:
         return Settled(record, 0, 0.0, None)
-    kept = replace(record, time=time[first:last], values=record.values[..., first:last, :])
+    kept = record.part(slice(first, last))
     what = [f"the first {time[first] - time[0]:.4g} s"] * (first > 0) + [
         f"the last {time[-1] - time[last - 1]:.4g} s"
     ] * (last < len(time))
@@ -167,7 +175,7 @@ def without_start(record: Record, seconds: float) -> Record:
             record.source,
             "drop less, or record longer",
         )
-    return replace(record, time=record.time[first:], values=record.values[..., first:, :])
+    return record.part(slice(first, None))
 
 
 def periods_of(record: Record) -> float:
@@ -273,15 +281,11 @@ def slopes_show(records: Sequence[Record], orders: Sequence[int]) -> float:
             solution = solve_harmonics(record, record.frequency_hz, tuple(orders), 1)
         except DataError:
             continue
-        free = len(record.time) - 2 - 2 * len(orders)
-        if free < 1:
+        if np.min(solution.free) < 1:
             continue
-        sigma = solution.squares / free
-        exact = exact_channels(sigma, solution.amplitudes(1), solution.largest)
-        variance = np.diagonal(sigma, axis1=1, axis2=2)[~exact]
-        slope = solution.coefficients[:, 1][~exact]
-        F = slope**2 / (solution.P[1, 1] * variance)
-        total += float(np.sum(chdtri(1, np.maximum(fdtrc(1, free, F), 1e-250))))
+        exact = exact_channels(solution.covariance, solution.amplitudes(1), solution.largest)
+        tail = fdtrc(1, solution.free, solution.wald((1,)))[~exact]
+        total += float(np.sum(chdtri(1, np.maximum(tail, 1e-250))))
         count += int(np.sum(~exact))
         far = np.abs(solution.coefficients[:, 1][exact]) > 1e-9 * solution.largest[exact]
         if np.any(far):
@@ -372,18 +376,16 @@ def _bent(record: Record) -> Real | None:
     if f is None or record.values.ndim != 2 or not f * duration(record.time) < COMPARED:
         return None
     orders = BESIDE if len(record.time) >= MANY_SAMPLES else (1,)
-    full = basis(record.time, f, orders, BENT, *window(record.time), True)
-    free = len(full) - full.shape[1]
-    if free < 2:
+    terms = BENT + 3 + 2 * len(orders)
+    if len(record.time) - terms < 2:
         return None
-    bent = np.array([*range(2, BENT + 1), -2, -1])
-    before, after = (
-        np.sum((record.values - A @ np.linalg.lstsq(A, record.values, rcond=None)[0]) ** 2, axis=0)
-        for A in (np.delete(full, bent, axis=1), full)
-    )
-    noisy = after > len(full) * (EXACT * np.max(np.abs(record.values), axis=0)) ** 2
-    F = np.maximum(before - after, 0.0)[noisy] / len(bent) / (after[noisy] / free)
-    return np.asarray(fdtrc(len(bent), free, F)) if np.any(noisy) else None
+    try:
+        solution = solve_harmonics(record, f, orders, BENT, ramps=True)
+    except DataError:
+        return None
+    noisy = solution.squares[0].diagonal() > len(record.time) * (EXACT * solution.largest[0]) ** 2
+    tail = fdtrc(BENT + 1, solution.free, solution.wald((*range(2, BENT + 1), -2, -1))[0])
+    return np.asarray(tail[noisy]) if np.any(noisy) else None
 
 
 def taken_as_settled(records: Sequence[Record]) -> list[Notice]:
@@ -470,38 +472,40 @@ def _change(record: Record) -> DwellChange | None:
     starts = [0, *(len(record.time) - each * k for k in range(max(later, 1), 0, -1))]
     # The record without the slope that it has beside its sine: seen through a period at another phase, that
     # looks like a change of amplitude
-    time = record.time
-    A = basis(time, record.frequency_hz or 0.0, (1,), 1, *window(time))
-    slope = np.linalg.lstsq(A, record.values, rcond=None)[0][1]
-    record = replace(record, values=record.values - A[:, 1:2] * slope)
-    fits = [fit for start in starts if (fit := _period(record, slice(start, start + each))) is not None]
-    if len(fits) < len(starts):
+    f = record.frequency_hz or 0.0
+    try:
+        slope = solve_harmonics(record, f, (1,), 1).coefficients[0, 1]
+        line = (record.time - window(record.time)[0]) / window(record.time)[1]
+        record = replace(record, values=record.values - line[:, None] * slope)
+        fits = [_period(record.part(slice(start, start + each)), f) for start in starts]
+        # What a sine leaves of the first period is no noise: a transient that decays in it would hide itself.
+        rest = None if later else _period(record.part(slice(len(record.time) - each * (count - 1), None)), f)
+    except DataError:
         return None
-    difference = fits[0].amplitudes[0] - fits[-1].amplitudes[0]
-    if later:
+    amplitudes = np.stack([fit.amplitudes(0)[0, 0] for fit in fits])
+    difference = amplitudes[0] - amplitudes[-1]
+    if rest is None:
         # The scatter of the later periods knows the colour of the noise.
-        later_amplitudes = np.stack([fit.amplitudes[0] for fit in fits[1:]])
-        variance = 2 * np.var(later_amplitudes, axis=0, ddof=1)
+        variance = 2 * np.var(amplitudes[1:], axis=0, ddof=1)
         dof = 2 * (later - 1)
     else:
-        # What a sine leaves of the first period is no noise: a transient that decays in it would hide itself.
-        rest = _period(record, slice(len(record.time) - each * (count - 1), None))
-        if rest is None:
-            return None
-        variance = 2 * rest.covariance[0].diagonal().real * (count - 1)
+        spread = rest.P[:, 1, 1] + rest.P[:, 2, 2]
+        variance = 2 * spread * rest.covariance[0].diagonal() * (count - 1)
         dof = each * (count - 1) - 3
+        # Of channels with fewer degrees of freedom the variance by which F has the same p-value with those of all
+        few = np.flatnonzero((rest.free < dof) & (variance > 0) & (difference != 0))
+        F = np.abs(difference[few]) ** 2 / variance[few]
+        alike = dof / 2 * np.expm1(rest.free[few] / dof * np.log1p(2 * F / rest.free[few]))
+        variance[few] *= F / alike
     noisy = variance > (EXACT * np.max(np.abs(record.values), axis=0)) ** 2
-    size = np.abs(fits[-1].amplitudes[0][noisy])
+    size = np.abs(amplitudes[-1][noisy])
     return DwellChange(difference[noisy], variance[noisy], size, dof, count * periods)
 
 
-def _period(record: Record, rows: slice) -> HarmonicFit | None:
-    """An offset and a sine in whole periods of a dwell, white noise beside them; None where they are not to be told."""
-    part = replace(record, time=record.time[rows], values=record.values[rows])
-    try:
-        return fit_harmonics(part, orders=(1,), harmonics="none", drift=0, noise="white")
-    except DataError:
-        return None
+def _period(record: Record, f: float) -> HarmonicSolution:
+    """An offset and a sine in whole periods of a dwell.  Raises DataError where they are not to be told apart."""
+    check_length(record, f, (1,), 0)
+    return solve_harmonics(record, f, (1,), 0)
 
 
 def dwells_with_transients(

@@ -7,7 +7,7 @@ import pytest
 
 from dashpot.data.conditioning.drive_frequency import drive_fades
 from dashpot.data.conditioning.lines import spectrum
-from dashpot.data.conditioning.lost_samples import without_clipping
+from dashpot.data.conditioning.unmeasured import marked
 from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
 from tests.unit.data.conditioning.signals import noisy_sines
@@ -23,11 +23,6 @@ def dwells(drift: float, *, periods: float = 20, noise: float = 0.01, seed: int 
     return stepped_sine(
         MODEL, THETA, CHANNELS, FREQUENCIES, noise, periods=periods, settle=4.0, seed=seed, drift=drift
     )
-
-
-def constant_drive(records: list[Record]) -> float:
-    """The p-value of an even drive, no sample of which was replaced."""
-    return drive_fades(records, [np.ones(len(record.channels)) for record in records])
 
 
 @pytest.mark.parametrize(("periods", "drift"), [(30, 0.03), (30, -0.01), (5, 0.03), (5, -0.01)])
@@ -66,7 +61,7 @@ def test_noise_is_no_drift(memory: float, alike: float, periods: int) -> None:
     """80 tests of two dwells: p values as of uniform ones or larger, 4 standard deviations; seed of each its number."""
     p = np.array(
         [
-            constant_drive(noisy_sines(memory, alike, np.random.default_rng(k), periods=periods))
+            drive_fades(noisy_sines(memory, alike, np.random.default_rng(k), periods=periods))
             for k in range(80)
         ]
     )
@@ -81,7 +76,7 @@ def test_what_is_not_of_all_channels_is_no_drift(what: str, periods: float) -> N
     """Six seeds of each: a sensor whose gain drifts by 6 %, slopes, hum, a channel that clips."""
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        records, weaker = [], []
+        records = []
         for record in dwells(0.0, periods=periods, seed=seed):
             size = np.std(record.values, axis=0)
             line = np.linspace(-1, 1, len(record.time))[:, None]
@@ -94,10 +89,8 @@ def test_what_is_not_of_all_channels_is_no_drift(what: str, periods: float) -> N
                 values += 0.03 * size * np.sin(2 * np.pi * 50 * record.time + rng.uniform(0, 6))[:, None]
             if what == "clipped":
                 values[:, 0] = np.clip(values[:, 0], -1.2 * size[0], 1.2 * size[0])
-            unclipped = without_clipping(replace(record, values=values))
-            records.append(unclipped.record)
-            weaker.append(unclipped.weaker)
-        assert drive_fades(records, weaker) > 1e-3
+            records.append(replace(record, values=values))
+        assert drive_fades(marked(records)[0]) > 1e-3
 
 
 @pytest.mark.long

@@ -7,7 +7,7 @@ import pytest
 
 from dashpot.arrays import Real
 from dashpot.data.conditioning.lines import spectrum
-from dashpot.data.conditioning.lost_samples import without_dropouts
+from dashpot.data.conditioning.unmeasured import marked
 from dashpot.data.record import Record
 from tests.unit.data.conditioning.signals import X1, U, wave
 
@@ -39,7 +39,9 @@ def test_missed_samples_cost_no_more_than_their_number(missed: str) -> None:
 
 
 def test_the_notice_says_channel_dwell_and_how_many() -> None:
-    _, [notice] = without_dropouts(dwell(1, missed="zero"))
+    [record], [notice] = marked([dwell(1, missed="zero")])
+    assert record.status is not None
+    assert np.flatnonzero(record.status[:, 0]).tolist() == [*range(103, 115), *range(301, 306)]
     assert notice.of == ("x1",)
     assert notice.text == "x1 misses 17 samples of the dwell at 3 Hz (held or 0): the other samples are used"
 
@@ -73,6 +75,7 @@ def test_what_is_no_dropout_stays_as_it_is(change: object) -> None:
     assert callable(change)
     values = np.stack([change(record.values[:, 0]), record.values[:, 1]], axis=1)
     given = replace(record, values=values)
-    mended, notices = without_dropouts(given)
-    assert mended is given
-    assert notices == []
+    dwells, notices = marked([given])
+    assert "dropouts" not in [notice.code for notice in notices]
+    if change is not clipped:
+        assert dwells[0] is given

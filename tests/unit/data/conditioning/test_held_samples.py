@@ -7,8 +7,7 @@ import pytest
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
-from dashpot.data.conditioning.lost_samples import without_held_samples
-from dashpot.data.conditioning.whole_record import whole_records
+from dashpot.data.conditioning.whole_record import whole_records, without_held_samples
 from dashpot.data.record import Record
 
 CHANNELS = (Channel("x", {"x": 1.0}), Channel("f", {"f": 1.0}, Quantity.FORCE))

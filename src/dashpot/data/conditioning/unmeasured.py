@@ -1,0 +1,266 @@
+"""Samples that are not measured: clipped at the limit of a channel's range, held or 0 where the channel missed them.
+
+In a dwell they are marked (`Record.status`): of clipped samples a regression then knows that the signal is beyond them,
+of missing ones nothing.  Which they are is told by the motion around them.  Whole records are cut where samples are
+missing; of dwells with transients, whose lines need every sample, the motion around stands in for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+from scipy.special import fdtrc
+
+from dashpot.arrays import Bools, Ints, Real
+from dashpot.data.conditioning.drive_frequency import at_frequencies, drive_frequencies
+from dashpot.data.conditioning.harmonic_fit import rounding_steps
+from dashpot.data.conditioning.regression import basis, clipped_moments, solve, window
+from dashpot.data.record import ABOVE, BELOW, MISSING, Record, at_limits, runs_of_one_value
+from dashpot.errors import DataError
+from dashpot.io.words import counted
+from dashpot.notices import Notice
+
+DIFFERENT = 0.9  # of the other samples, all of different values: then two alike at a limit are no chance
+ALIKE = 3  # samples at a limit of a channel of which no two others are alike
+DEPTH = 1e-3  # of a channel's range, by which the motion goes beyond a limit in the mean: less is no matter
+MOST = 0.6  # of a channel's samples: of one that clips more the rest says too little
+BEYOND = 4.0  # times the scatter of the motion around a run of one value by which that departs from it
+MOST_MISSING = 0.1  # of a channel's samples: a channel that misses more is at fault throughout
+PER_PERIOD = 0.5  # runs at the most: a mass that sticks rests twice in each period
+FREEDOM = 8  # samples that there must be around beside the parameters of the motion
+MOST_BENDS = 6  # degree of the polynomials that amplitude and phase of a sine that is not steady may follow
+LEVEL = 1e-3  # of the tests for it
+
+
+def marked(dwells: Sequence[Record]) -> tuple[list[Record], list[Notice]]:
+    """The dwells with their samples marked that channels clip or miss, and a notice of each such channel.
+
+    Repeats (leading axes) are taken as measured.
+    """
+    notices: list[Notice] = []
+    with_missing = [_with_missing(record, notices) for record in dwells]
+    if not any(np.any(_limits(column)) for r in dwells if r.values.ndim == 2 for column in r.values.T):
+        return with_missing, notices
+    # The motion around clipped samples is that of the drive's own frequency, which they hide but little.
+    perhaps = [_perhaps_clipped(record) for record in with_missing]
+    at_their_own = at_frequencies(perhaps, drive_frequencies(perhaps))
+    return [
+        _with_clipped(own, record, notices) for own, record in zip(at_their_own, with_missing, strict=True)
+    ], notices
+
+
+def _with_missing(record: Record, notices: list[Notice]) -> Record:
+    """The dwell with those runs of one value marked that depart from the motion around them.
+
+    What a coarse converter repeats near a turning point departs by no more than a step, and what rests at the greatest
+    or least value is clipped.
+    """
+    if record.values.ndim != 2 or record.frequency_hz is None:
+        return record
+    still = record.values[1:] == record.values[:-1]
+    # Two equal neighbours in a row anywhere: nearly no record has any, which spares it the rest.
+    suspect = np.flatnonzero(np.any(still[1:] & still[:-1], axis=0))
+    if not len(suspect):
+        return record
+    steps = rounding_steps([record])
+    status = np.zeros(record.values.shape, dtype=np.int64)
+    for c in suspect.tolist():
+        column = record.values[:, c]
+        runs = list(runs_of_one_value(column, 3))
+        trial = np.zeros(len(column), dtype=np.int64)
+        for begin, end in runs:
+            trial[begin:end] = MISSING
+        if np.count_nonzero(trial) > MOST_MISSING * len(column):
+            continue
+        motion, scatter = _motion_there(record, c, trial)
+        missed = []
+        for begin, end in runs:
+            away = np.abs(column[begin:end] - motion[begin:end])
+            value, expected = column[begin], float(np.mean(motion[begin:end]))
+            limit = (value == column.max() and expected > value) or (
+                value == column.min() and expected < value
+            )
+            far = np.sqrt(np.mean(away**2)) > BEYOND * np.mean(scatter[begin:end]) and np.max(away) > steps[c]
+            if far and not limit:
+                missed.append((begin, end))
+        if 0 < len(missed) <= max(1.0, PER_PERIOD * _periods(record)):
+            for begin, end in missed:
+                status[begin:end, c] = MISSING
+            name, count = record.channels[c].name, sum(end - begin for begin, end in missed)
+            text = f"{name} misses {counted(count, 'sample')} of the dwell at {record.frequency_hz:g} Hz"
+            notices.append(Notice("dropouts", f"{text} (held or 0): the other samples are used", (name,)))
+    return replace(record, status=status) if np.any(status) else record
+
+
+def _periods(record: Record) -> float:
+    step = (record.time[-1] - record.time[0]) / (len(record.time) - 1)
+    return float(len(record.time) * step * (record.frequency_hz or 0.0))
+
+
+def _perhaps_clipped(record: Record) -> Record:
+    """The dwell with all samples marked that stand at what may be limits."""
+    if record.values.ndim != 2 or record.frequency_hz is None:
+        return record
+    status = (
+        np.zeros(record.values.shape, dtype=np.int64) if record.status is None else np.array(record.status)
+    )
+    for c, column in enumerate(record.values.T):
+        highest, lowest = _limits(column)
+        if np.mean(highest | lowest) <= MOST:
+            status[highest, c], status[lowest, c] = ABOVE, BELOW
+    return replace(record, status=status) if np.any(status) else record
+
+
+def _with_clipped(perhaps: Record, record: Record, notices: list[Notice]) -> Record:
+    """The dwell with the clipped samples of those channels marked whose motion lies beyond their limits."""
+    if perhaps.status is None:
+        return record
+    status = np.array(perhaps.status)
+    for c, channel in enumerate(record.channels):
+        clipped = np.abs(status[:, c]) == 1
+        if not np.any(clipped):
+            continue
+        column = record.values[:, c]
+        motion, _ = _motion_there(perhaps, c, np.where(clipped, MISSING, status[:, c]))
+        beyond = status[clipped, c] * (motion - column)[clipped]
+        if np.nansum(beyond) > DEPTH * np.ptp(column) * len(beyond):  # others rest at it
+            text = f"{channel.name} clips in the dwell at {record.frequency_hz:g} Hz"
+            told = f"{text} ({counted(int(np.sum(clipped)), 'sample')}): the other samples are used"
+            notices.append(Notice("unclipped", told, (channel.name,)))
+        else:
+            status[clipped, c] = 0
+    return replace(record, status=status) if np.any(status) else record
+
+
+def _limits(column: Real) -> Bools:
+    """Which samples are at the greatest value, and which at the least, where those are limits: (2, samples).
+
+    Where values come again elsewhere, as those of a coarse converter and of a sine in step with the sampling do, three
+    have to follow each other, and to be many more than those at the next value.  Where no two others are alike, three
+    alike are a limit, and at the other end of a channel that has one two are.
+    """
+    ends = np.stack([column == np.max(column), column == np.min(column)])
+    others = column[~np.any(ends, axis=0)]
+    if not len(others) or np.ptp(column) == 0:
+        return at_limits(column)
+    different = len(np.unique(np.round(others / np.ptp(column), 9)))  # but for rounding
+    if different <= DIFFERENT * len(others):
+        return at_limits(column)
+    counts = np.count_nonzero(ends, axis=1)
+    limited: Bools = (counts >= ALIKE) | ((counts >= 2) & (np.max(counts) >= ALIKE))
+    return np.asarray(ends & limited[:, None])
+
+
+def _surroundings(record: Record, c: int, status: Ints) -> Iterator[tuple[slice, slice, Real]]:
+    """Pieces of a channel with samples that are not measured: samples around, those of it, columns (around, terms).
+
+    Three periods with one more on either side.  The columns are an offset, a slope and two multiples of a steady sine,
+    or where that leaves more than noise would, of one whose amplitude and phase run.  Pieces with too few samples
+    measured are left out.
+    """
+    assert record.frequency_hz is not None
+    period = max(round(len(status) / _periods(record)), 1)
+    edges = np.linspace(0, len(status), max(len(status) // (3 * period), 1) + 1).round().astype(int).tolist()
+    for begin, end in pairwise(edges):
+        around = slice(max(begin - period, 0), min(end + period, len(status)))
+        measured = status[around] == 0
+        time, y = record.time[around], record.values[around, c]
+        if not np.any(status[begin:end]) or np.count_nonzero(measured) < 6 + FREEDOM:
+            continue
+        A = basis(time, record.frequency_hz, (1, 2), 1, *window(time))
+        for degree in range(1, MOST_BENDS + 1):
+            shape = legvander(np.linspace(-1.0, 1.0, len(time)), degree + 1)
+            steady = A[:, :6]
+            bent = np.concatenate(
+                [steady, shape[:, 2:], *(steady[:, 2:4] * shape[:, k : k + 1] for k in range(1, degree + 1))],
+                axis=1,
+            )
+            free, more = int(np.count_nonzero(measured)) - bent.shape[1], bent.shape[1] - A.shape[1]
+            if free < FREEDOM:
+                break
+            before, after = (_left(of[measured], y[measured]) for of in (A, bent))
+            F = max(before - after, 0.0) / more / max(after / free, 1e-300)
+            if fdtrc(more, free, F) < LEVEL:
+                A = bent
+        yield around, slice(begin, end), A
+
+
+def _left(A: Real, y: Real) -> float:
+    return float(np.sum((y - A @ np.linalg.lstsq(A, y, rcond=None)[0]) ** 2))
+
+
+def _motion_there(record: Record, c: int, status: Ints) -> tuple[Real, Real]:
+    """The motion of a channel as the samples measured show it, and their scatter, (samples,); NaN where they do not."""
+    motion, scatter = np.full((2, len(status)), np.nan)
+    for around, inside, A in _surroundings(record, c, status):
+        measured = status[around] == 0
+        y = record.values[around, c][measured]
+        fitted = A @ np.linalg.lstsq(A[measured], y, rcond=None)[0]
+        motion[inside] = fitted[inside.start - around.start :][: inside.stop - inside.start]
+        scatter[inside] = np.sqrt(np.sum((y - fitted[measured]) ** 2) / (len(y) - A.shape[1]))
+    return motion, scatter
+
+
+def completed(record: Record) -> tuple[Record, Real]:
+    """A dwell with what is expected where it is not measured, for lines that need every sample; (channels,) what that
+    makes of the variance of amplitudes.
+
+    Expected is the most likely motion around, and of clipped samples what noise adds beyond their limit; with the noise
+    of others in as far as it is not known.  The greatest variance of the fundamental is that of the samples measured
+    over that of all, and of what noise is put in.
+    """
+    times = np.ones(len(record.channels))
+    if record.status is None:
+        return record, times
+    values, f = np.array(record.values), record.frequency_hz or 0.0
+    steady = basis(record.time, f, (1, 2), 1, *window(record.time))
+    for c in np.flatnonzero(~record.whole_channels).tolist():
+        status = record.status[:, c]
+        for around, inside, A in _surroundings(record, c, status):
+            here = record.part(around)
+            here = replace(here, channels=here.channels[c : c + 1], values=here.values[:, c : c + 1])
+            here = replace(here, status=status[around, None])
+            try:
+                found = solve(here, lambda rows, A=A: A[rows], A.shape[1], f)  # type: ignore[misc]
+            except DataError:
+                continue
+            motion = A @ found.coefficients[0, :, 0]
+            sd = float(np.sqrt(found.covariance[0, 0, 0]))
+            e = record.values[around, c] - motion
+            side = np.where(np.abs(status[around]) == 1, status[around], 0)
+            mills, weight = clipped_moments(side * e / max(sd, 1e-13 * found.largest[0, 0]))
+            noise = np.resize(e[status[around] == 0], len(e)) * np.sqrt(1 - np.where(side, weight, 0.0))
+            put_in = np.flatnonzero(status[inside]) + inside.start
+            at = put_in - around.start
+            values[put_in, c] = (motion + side * np.where(side, mills, 0.0) * sd + noise)[at]
+        measured = status == 0
+        some, every = (np.linalg.inv(rows.T @ rows)[2:4, 2:4] for rows in (steady[measured], steady))
+        ratio = np.max(np.linalg.eigvalsh(some)) / np.max(np.linalg.eigvalsh(every))
+        times[c] = ratio + np.mean(~measured)
+    return replace(record, values=values, status=None), times
+
+
+FEW = 2.0  # periods, in which a transient under a clipped sine is not to be told from it
+
+
+def notices_of_doubt(dwells: Sequence[Record]) -> list[Notice]:
+    """Of dwells that are no steady sines: channels that clip in so few periods that nothing tells of what."""
+    brief = {
+        record.channels[c].name: None
+        for record in dwells
+        if record.status is not None and _periods(record) < FEW
+        for c in np.flatnonzero(np.any(np.abs(record.status) == 1, axis=0))
+    }
+    return [
+        Notice(
+            "clipped_in_doubt",
+            f"{name} clips in dwells of less than two periods that are no steady sines: nothing tells what the motion "
+            "was there, and values may be off by more than their intervals say",
+            (name,),
+        )
+        for name in brief
+    ]
