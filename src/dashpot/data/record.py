@@ -103,8 +103,11 @@ class Record(InNotebooks):
 
     def part(self, rows: slice) -> Record:
         """Some of the samples."""
-        sd, status = (None if of is None else of[rows] for of in (self.sd, self.status))
-        return replace(self, time=self.time[rows], values=self.values[..., rows, :], sd=sd, status=status)
+        some = replace(self, time=self.time[rows], values=self.values[..., rows, :], sd=None, status=None)
+        if self.sd is None and self.status is None:
+            return some
+        sd = None if self.sd is None else self.sd[rows]
+        return replace(some, sd=sd, status=None if self.status is None else self.status[rows])
 
     @property
     def whole_channels(self) -> Bools:

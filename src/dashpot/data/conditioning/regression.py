@@ -315,7 +315,7 @@ def _partly_measured(
         ):
             break
     schur = information - np.outer(by_sigma, by_sigma) / (2 * count - inside + of_sigma)
-    return beta, np.linalg.inv(schur), float(variance), free
+    return beta, np.asarray(np.linalg.inv(schur), dtype=np.float64), float(variance), free
 
 
 def _even_sums(

@@ -21,11 +21,10 @@ from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL, even_step
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.regression import (
     CHUNK,
-    HarmonicSolution,
     basis,
-    check_length,
     duration,
     exact_channels,
+    holds_a_period,
     solve_harmonics,
     window,
 )
@@ -66,10 +65,14 @@ def period_blocks(record: Record, f: float) -> PeriodBlocks | None:
     key = (period_blocks, f)
     if key not in record.kept:
         edges = _edges(record.time, f)
-        record.kept[key] = None if edges is None else PeriodBlocks(*edges, *_fitted(record, f, *edges))
+        record.kept[key] = None if edges is None else _blocks(Sines.of(record, f, *edges), *edges)
     blocks = record.kept[key]
     assert blocks is None or isinstance(blocks, PeriodBlocks)
     return blocks
+
+
+def _blocks(sines: Sines, starts: Ints, ends: Ints) -> PeriodBlocks:
+    return PeriodBlocks(starts, ends, sines.amplitudes, np.sqrt(sines.squares / (sines.free + 3)))
 
 
 def _edges(time: Real, f: float) -> tuple[Ints, Ints] | None:
@@ -85,25 +88,52 @@ def _edges(time: Real, f: float) -> tuple[Ints, Ints] | None:
     return None if np.min(ends - starts) < 4 else (starts, ends)
 
 
-def _fitted(record: Record, f: float, starts: Ints, ends: Ints) -> tuple[Complex, Real]:
-    """Amplitude and residual rms of each block, both (blocks, batch · channels)."""
-    samples, channels = record.values.shape[-2:]
-    values = record.values.reshape(-1, samples, channels)
-    amplitudes, rms = [], []
-    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        t = record.time[start:end]
-        A = basis(t, f, (1,), 0, *window(t))
-        y = np.moveaxis(values[:, start:end], 1, 0).reshape(len(t), -1)
-        c = np.linalg.lstsq(A, y, rcond=None)[0]
-        e = y - A @ c
-        if record.status is not None:
-            measured = record.status[start:end] == 0
-            for k in np.flatnonzero(~np.all(measured, axis=0)).tolist():
-                c[:, k] = np.linalg.lstsq(A[measured[:, k]], y[measured[:, k], k], rcond=None)[0]
-                e[:, k] = np.where(measured[:, k], y[:, k] - A @ c[:, k], 0.0)
-        amplitudes.append(c[1] - 1j * c[2])
-        rms.append(np.sqrt(np.mean(e**2, axis=0)))
-    return np.array(amplitudes), np.array(rms)
+@dataclass(frozen=True)
+class Sines:
+    """An offset and a sine at f Hz in each of some pieces of a dwell, by the samples measured.
+
+    amplitudes; squares that are left over; spread of an amplitude per unit variance of a sample; free degrees of
+    freedom: (pieces, batch · channels)
+    """
+
+    amplitudes: Complex
+    squares: Real
+    spread: Real
+    free: Real
+
+    @staticmethod
+    def of(record: Record, f: float, starts: Ints, ends: Ints) -> Sines:
+        """Pieces from one sample to the one before another.  Raises LinAlgError where the terms are not to be told."""
+        longest = int(np.max(ends - starts))
+        each = max(1, CHUNK // longest)
+        parts = [
+            _sines(record, f, starts[k : k + each], ends[k : k + each], longest)
+            for k in range(0, len(starts), each)
+        ]
+        return Sines(*(np.concatenate(of) for of in zip(*parts, strict=True)))
+
+
+def _sines(
+    record: Record, f: float, starts: Ints, ends: Ints, longest: int
+) -> tuple[Complex, Real, Real, Real]:
+    rows = starts[:, None] + np.arange(longest)
+    inside = rows < ends[:, None]
+    rows = np.where(inside, rows, 0)
+    cycles = f * record.time[rows]
+    turn = 2 * np.pi * (cycles - np.floor(cycles))
+    A = np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)], axis=-1) * inside[..., None]
+    y = np.moveaxis(record.values[..., rows, :], -1, -3).reshape(-1, *rows.shape).swapaxes(0, 1)
+    y = y - np.mean(y, axis=-1, keepdims=True)
+    counts, B = inside[:, None], A[:, None]  # (pieces, channels or 1, samples, terms)
+    if record.status is not None:
+        counts = np.moveaxis(record.status[rows] == 0, -1, 1) & counts
+        B = B * counts[..., None]
+    P = np.linalg.pinv(np.swapaxes(B, -1, -2) @ B, rcond=1e-12, hermitian=True)
+    c = (P @ (np.swapaxes(B, -1, -2) @ y[..., None]))[..., 0]
+    left = (y - (A[:, None] @ c[..., None])[..., 0]) * counts
+    free = np.broadcast_to(np.sum(counts, axis=-1) - 3.0, c.shape[:2])
+    spread = np.broadcast_to(P[..., 1, 1] + P[..., 2, 2], c.shape[:2])
+    return c[..., 1] - 1j * c[..., 2], np.sum(left**2, axis=-1), spread, free
 
 
 # The part of a dwell that is driven and where the transient has decayed.
@@ -475,37 +505,34 @@ def _change(record: Record) -> DwellChange | None:
     f = record.frequency_hz or 0.0
     try:
         slope = solve_harmonics(record, f, (1,), 1).coefficients[0, 1]
-        line = (record.time - window(record.time)[0]) / window(record.time)[1]
-        record = replace(record, values=record.values - line[:, None] * slope)
-        fits = [_period(record.part(slice(start, start + each)), f) for start in starts]
-        # What a sine leaves of the first period is no noise: a transient that decays in it would hide itself.
-        rest = None if later else _period(record.part(slice(len(record.time) - each * (count - 1), None)), f)
     except DataError:
         return None
-    amplitudes = np.stack([fit.amplitudes(0)[0, 0] for fit in fits])
-    difference = amplitudes[0] - amplitudes[-1]
-    if rest is None:
+    centre, half = window(record.time)
+    record = replace(record, values=record.values - ((record.time - centre) / half)[:, None] * slope)
+    first = np.array(starts)
+    if not all(holds_a_period(record.time[start : start + each], f) for start in starts):
+        return None
+    sines = Sines.of(record, f, first, first + each)
+    difference = sines.amplitudes[0] - sines.amplitudes[-1]
+    if later:
         # The scatter of the later periods knows the colour of the noise.
-        variance = 2 * np.var(amplitudes[1:], axis=0, ddof=1)
+        variance = 2 * np.var(sines.amplitudes[1:], axis=0, ddof=1)
         dof = 2 * (later - 1)
     else:
-        spread = rest.P[:, 1, 1] + rest.P[:, 2, 2]
-        variance = 2 * spread * rest.covariance[0].diagonal() * (count - 1)
+        # What a sine leaves of the first period is no noise: a transient that decays in it would hide itself.
         dof = each * (count - 1) - 3
+        rest = Sines.of(record, f, np.array([len(record.time) - dof - 3]), np.array([len(record.time)]))
+        free = rest.free[0]
+        if dof < 1 or np.min(free) < 1:
+            return None
+        variance = 2 * rest.spread[0] * rest.squares[0] / free * (count - 1)
         # Of channels with fewer degrees of freedom the variance by which F has the same p-value with those of all
-        few = np.flatnonzero((rest.free < dof) & (variance > 0) & (difference != 0))
+        few = np.flatnonzero((free < dof) & (variance > 0) & (difference != 0))
         F = np.abs(difference[few]) ** 2 / variance[few]
-        alike = dof / 2 * np.expm1(rest.free[few] / dof * np.log1p(2 * F / rest.free[few]))
-        variance[few] *= F / alike
+        variance[few] *= F / (dof / 2 * np.expm1(free[few] / dof * np.log1p(2 * F / free[few])))
     noisy = variance > (EXACT * np.max(np.abs(record.values), axis=0)) ** 2
-    size = np.abs(amplitudes[-1][noisy])
+    size = np.abs(sines.amplitudes[-1][noisy])
     return DwellChange(difference[noisy], variance[noisy], size, dof, count * periods)
-
-
-def _period(record: Record, f: float) -> HarmonicSolution:
-    """An offset and a sine in whole periods of a dwell.  Raises DataError where they are not to be told apart."""
-    check_length(record, f, (1,), 0)
-    return solve_harmonics(record, f, (1,), 0)
 
 
 def dwells_with_transients(
