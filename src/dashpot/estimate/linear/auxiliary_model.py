@@ -9,7 +9,6 @@ import numpy as np
 from dashpot.arrays import Complex, Real, hermitian
 from dashpot.estimate.linear.gram import (
     compiled_equation,
-    compiled_lines,
     compiled_sums,
     regressors,
     weighted_normal,
@@ -17,6 +16,7 @@ from dashpot.estimate.linear.gram import (
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import stiffness, unit_forces
 from dashpot.model.network import Model
+from dashpot.numerics.kernel import threads
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 from dashpot.numerics.small_systems import solve_small
 
@@ -88,7 +88,8 @@ def equation_by_line(model: Model, data: States, theta: Real) -> tuple[Real, Rea
     """Information (K, lines, m, m), minus half the slope (K, lines, m) and cost (K, lines) of each line at θ (K, m)."""
     equation = compiled_equation(model, data)
     if equation is not None:
-        return compiled_lines(equation, theta)
+        information, scores, cost = equation.lines(np.ascontiguousarray(theta), threads())
+        return information, scores, cost
     at = auxiliary(model, model.parameters(theta), data)
     Psi = regressors(model, at.w)
     weighted: Complex = solve_small(at.Se, np.concatenate([Psi, at.e[..., None]], axis=-1))

@@ -271,13 +271,3 @@ def _nearest(centre: Real, W: Real, cones: list[_Cone], start: Real) -> Real:
         if np.all(mu <= BARRIER):
             return np.where((_smallest(cones, x) > 0)[:, None], x, before)
         mu = np.maximum(mu / 10, BARRIER)
-
-
-def definite(matrices: FreeMatrices, letters: str = "MCK") -> Bools:
-    """Whether the matrices are positive semidefinite to rounding, (...,)."""
-    checks = []
-    for letter in letters:
-        matrix = getattr(matrices, letter)
-        values = np.linalg.eigvalsh(matrix)
-        checks.append(values[..., 0] >= -1e-12 * np.abs(values[..., -1]))
-    return np.all(checks, axis=0)

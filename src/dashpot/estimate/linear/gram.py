@@ -42,12 +42,6 @@ def compiled_equation(model: Model, states: States) -> Any | None:
     return states.compiled[key][0]
 
 
-def compiled_lines(equation: Any, theta: Real) -> tuple[Real, Real, Real]:
-    """Information, scores and cost of each line at θ (K, unknowns)."""
-    information, scores, cost = equation.lines(np.ascontiguousarray(theta), threads())
-    return information, scores, cost
-
-
 def compiled_sums(model: Model, states: States, theta: Real) -> QuadraticModel | None:
     """Cost, slope and information of all lines at θ (K, unknowns), None as above; those of the last θ are kept."""
     kept = states.compiled.get("sums")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -23,7 +24,7 @@ from dashpot.estimate.linear.least_squares import (
     sums_with_harmonics,
 )
 from dashpot.estimate.method import Method, Solution, Traits
-from dashpot.estimate.nonlinear.regression import HarmonicEquations, harmonic_equations, require_direct
+from dashpot.estimate.nonlinear.regression import harmonic_equations, require_direct
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import amplitudes, unit_forces
@@ -52,7 +53,15 @@ class InstrumentalVariables(Method):
         Raises DataError or UsageError where the channels do not show what this needs.
         """
         if len(data.model.nonlinear):
-            return self._of_harmonics(harmonic_equations(data))
+            equations = harmonic_equations(data)
+            theta, converged, iterations, history = fixed_point(
+                lambda theta, rows: equations.rows(rows).with_instruments(theta),
+                equations.least_squares(),
+                self.tolerance,
+                self.max_iterations,
+            )
+            spread = equations.spread(theta, instruments=True)
+            return Solution(theta, spread, converged, iterations, history)
         observed = sampled(data)
         N, r = least_squares_sums(observed)
         theta = solve_sums(observed, N, r)
@@ -66,15 +75,6 @@ class InstrumentalVariables(Method):
         w = instruments(observed, theta)
         N, _ = sums_with_harmonics(observed, w)
         return Solution(theta, sandwich(observed, N, w, theta), converged, iterations, history)
-
-    def _of_harmonics(self, equations: HarmonicEquations) -> Solution:
-        def step(theta: Real, rows: Ints) -> Real:
-            return equations.rows(rows).with_instruments(theta)
-
-        theta, converged, iterations, history = fixed_point(
-            step, equations.least_squares(), self.tolerance, self.max_iterations
-        )
-        return Solution(theta, equations.spread(theta, instruments=True), converged, iterations, history)
 
 
 def instruments(observed: Sampled, theta: Real) -> Complex:
@@ -134,18 +134,22 @@ class OptimalIV(Method):
             require_direct(data)
             return MaximumLikelihood(max_iterations=self.max_iterations, tolerance=self.tolerance).solve(data)
         first, *others = starts(model, states)
-        ends = self._search(model, states, first, np.arange(len(first)))
+        from_start = partial(search, model, states, limit=self.max_iterations, tolerance=self.tolerance)
+        ends = from_start(first, np.arange(len(first)))
+        dof = (
+            2 * model.n * len(states.omega)
+            - len(model.unknowns)
+            + int(np.count_nonzero(model.prior_precision))
+        )
         for start in others:
-            # So unlikely a χ² may mean a local minimum: other starts are tried.
-            (astray,) = (~ends.converged | (_tail(model, states, ends.cost) < 1e-4)).nonzero()
+            # So unlikely a χ², were the noise as stated, may mean a local minimum: other starts are tried.
+            tail = chdtrc(float(max(dof, 1)), np.where(np.isfinite(ends.cost), ends.cost, np.inf))
+            (astray,) = (~ends.converged | (tail < 1e-4)).nonzero()
             if not len(astray):
                 break
-            ends = ends.improved(astray, self._search(model, states, start, astray))
+            ends = ends.improved(astray, from_start(start, astray))
         covariance = equation_sums(model, states, ends.x).inverse
         return Solution(ends.x, covariance, ends.converged, ends.iterations, ends.history)
-
-    def _search(self, model: Model, states: States, start: Real, repeats: Ints) -> OptimizeResult:
-        return search(model, states, start, repeats, limit=self.max_iterations, tolerance=self.tolerance)
 
 
 def search(
@@ -192,9 +196,3 @@ def likeliest(data: Prepared, theta: Real) -> Real:
         return theta
     everyone = np.arange(len(theta))
     return search(data.model, data.states, theta, everyone, limit=50, tolerance=1e-3).x
-
-
-def _tail(model: Model, states: States, cost: Real) -> Real:
-    """Probability that χ² exceeds the cost, were the noise as stated."""
-    dof = 2 * model.n * len(states.omega) - len(model.unknowns) + int(np.count_nonzero(model.prior_precision))
-    return np.asarray(chdtrc(float(max(dof, 1)), np.where(np.isfinite(cost), cost, np.inf)))

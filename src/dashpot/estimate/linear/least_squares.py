@@ -9,7 +9,6 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
 from dashpot.channel import Quantity
-from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.linear.auxiliary_model import equation_covariance
 from dashpot.estimate.linear.gram import (
@@ -26,7 +25,6 @@ from dashpot.estimate.preparation.prepared import Prepared, without_priors
 from dashpot.estimate.preparation.state_reconstruction import States, reconstruction, unseen
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.network import Model
-from dashpot.model.observation import ObservationModel
 from dashpot.numerics.kernel import threads
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled, solve_small
 
@@ -88,10 +86,13 @@ def sampled(data: Prepared) -> Sampled:
     derivative = np.array(
         [-1 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in spectrum.channels]
     )
-    P = {
-        k: reconstruction(view, spectrum, V, drive | chosen)
-        for k, chosen in _channels_for(view, spectrum, drive, derivative)
-    }
+    # For each derivative that elements need (and 0), the motion channels that it is read from
+    P = {}
+    for k in sorted({0, *(element.law.power for element in model.elements)}):
+        tries = [derivative == k, derivative == 2 - k] if k != 1 else [derivative == 1]
+        tries += [(derivative == 0) | (derivative == 2)] if spectrum.moments is not None and k != 1 else []
+        seen = (chosen for chosen in tries if not unseen(view, spectrum, drive | chosen))
+        P[k] = reconstruction(view, spectrum, V, drive | next(seen, derivative >= 0))
     n, r = model.n, len(model.displacement_inputs)
     span = np.concatenate([model.B, model.D], axis=1)
     phi = model.factors(spectrum.omega)
@@ -107,34 +108,11 @@ def sampled(data: Prepared) -> Sampled:
     U = np.einsum("...lqc,...lc->...lq", everything[..., n : n + r, :], y)
     force = everything[..., n + r :, :]
     f = np.einsum("...lqc,...lc->...lq", force, y)
-    coefficients = None
-    moments = None
-    if spectrum.moments is not None:
-        moments = spectrum.moments.products
-        coefficients = _time_coefficients(reading, y, drive)
+    moments = None if spectrum.moments is None else spectrum.moments.products
+    coefficients = None if moments is None else _time_coefficients(reading, y, drive)
     return Sampled(
         model, spectrum.omega, V, y, a, reading, U, f, force, spectrum.samples / 2, coefficients, moments
     )
-
-
-def _channels_for(
-    view: ObservationModel,
-    spectrum: Spectrum,
-    drive: np.ndarray,
-    derivative: np.ndarray,
-) -> list[tuple[int, np.ndarray]]:
-    """For each derivative that elements need (and 0), the motion channels that it is read from."""
-    chosen = []
-    for k in sorted({0, *(element.law.power for element in view.model.elements)}):
-        tries = [derivative == k, derivative == 2 - k] if k != 1 else [derivative == 1]
-        chosen_channels = next((t for t in tries if not unseen(view, spectrum, drive | t)), None)
-        if chosen_channels is None:
-            if spectrum.moments is not None and k != 1:
-                chosen_channels = (derivative == 0) | (derivative == 2)
-            if chosen_channels is None or unseen(view, spectrum, drive | chosen_channels):
-                chosen_channels = derivative >= 0
-        chosen.append((k, chosen_channels))
-    return chosen
 
 
 def _time_coefficients(reading: Complex, y: Complex, drive: np.ndarray) -> Real | None:
@@ -476,7 +454,8 @@ def without_noise(model: Model, data: States, Se: Complex, N: Real, right: Real)
     raw, clean = N + prior, N - noise + prior
     scale = np.sqrt(np.maximum(np.abs(np.diagonal(raw, axis1=-2, axis2=-1)), 1e-300))
     outer = scale[..., :, None] * scale[..., None, :]
-    usable = _smallest(clean / outer) > 0.05 * _smallest(raw / outer)
+    smallest, of_raw = (np.linalg.eigvalsh(np.nan_to_num(each / outer))[..., 0] for each in (clean, raw))
+    usable = smallest > 0.05 * of_raw
     matrix = np.where(usable[..., None, None], clean, raw)
     theta = solve_scaled(matrix, right + prior_right - np.where(usable[..., None], noise_right, 0.0))
     return theta, usable
@@ -492,7 +471,3 @@ def noise_sums(model: Model, data: States, Se: Complex) -> tuple[Real, Real]:
     pairs = 2 * np.sum(((meeting @ model.B.T) * crossed).real, axis=-3)
     forces = 2 * np.sum(((meeting @ model.S) * np.conj(spread[..., q:])).real, axis=(-1, -3))
     return model.T.T @ pairs @ model.T, (forces - pairs @ model.p0) @ model.T
-
-
-def _smallest(matrix: Real) -> Real:
-    return np.linalg.eigvalsh(np.nan_to_num(matrix))[..., 0]

@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Ints, Real
+from dashpot.arrays import Complex, Real
 from dashpot.estimate.linear.auxiliary_model import auxiliary, equation_covariance
 from dashpot.estimate.linear.gram import regressors
 from dashpot.estimate.linear.least_squares import (
@@ -51,38 +51,13 @@ class TotalLeastSquares(Method):
 
     def solve(self, data: Prepared) -> Solution:
         """θ of the v that minimises vᵀAv / vᵀGv, by Newton's method on the Schur complement of A − λG."""
-        states = data.seen_states
-        model = data.model
+        states, model = data.seen_states, data.model
         _, start, _ = starts(model, states)
         sums = noisy_sums(model, states, equation_covariance(model, model.parameters(start), states))
-        ends = self._search(sums, start)
-        with np.errstate(all="ignore"):
-            covariance = _covariance(data, sums, ends.theta, ends.size, total=True)
-        warnings: list[Notice] = []
-        if not np.all(ends.converged):
-            text = "the noise factor did not converge: the noise hides at least one unknown"
-            warnings.append(Notice("noise_factor_diverged", text))
-        # As close as this to the noise that makes least squares singular, the answer is worth nothing.
-        elif np.any(ends.size > 0.95 * sums.largest()):
-            text = "do not trust tls here: the noise almost hides a combination of unknowns"
-            warnings.append(Notice("noise_near_singular", text))
-        return Solution(
-            ends.theta,
-            covariance,
-            ends.converged,
-            ends.iterations,
-            ends.history,
-            warnings=tuple(warnings),
-        )
-
-    def _search(self, sums: NoisySums, start: Real) -> _Found:
         repeats = len(start)
-        low, high = np.zeros(repeats), sums.largest()
-        size = np.zeros(repeats)
-        theta = start
-        converged = np.zeros(repeats, dtype=bool)
-        iterations = np.zeros(repeats, dtype=np.int64)
-        history = [start[0]]
+        size, low, high = np.zeros(repeats), np.zeros(repeats), sums.largest()
+        theta, history = start, [start[0]]
+        converged, iterations = np.zeros(repeats, dtype=bool), np.zeros(repeats, dtype=np.int64)
         for _ in range(self.max_iterations):
             theta = where_finite(np.where(converged[:, None], theta, sums.solve(size)), theta)
             ratio = sums.cost(theta) / sums.noise(theta)
@@ -98,7 +73,17 @@ class TotalLeastSquares(Method):
                 break
             inside = (ratio > low) & (ratio < high)
             size = np.where(converged, size, np.where(inside, ratio, (low + high) / 2))
-        return _Found(theta, size, converged, iterations, np.array(history))
+        with np.errstate(all="ignore"):
+            covariance = _covariance(data, sums, theta, size, total=True)
+        warnings = tuple[Notice, ...]()
+        if not np.all(converged):
+            text = "the noise factor did not converge: the noise hides at least one unknown"
+            warnings = (Notice("noise_factor_diverged", text),)
+        # As close as this to the noise that makes least squares singular, the answer is worth nothing.
+        elif np.any(size > 0.95 * sums.largest()):
+            text = "do not trust tls here: the noise almost hides a combination of unknowns"
+            warnings = (Notice("noise_near_singular", text),)
+        return Solution(theta, covariance, converged, iterations, np.array(history), warnings=warnings)
 
 
 @dataclass(frozen=True)
@@ -113,8 +98,7 @@ class CompensatedLeastSquares(Method):
 
     def solve(self, data: Prepared) -> Solution:
         """(N − G₁₁) θ = r − g."""
-        states = data.seen_states
-        model = data.model
+        states, model = data.seen_states, data.model
         _, start, plain = starts(model, states)
         sums = noisy_sums(model, states, equation_covariance(model, model.parameters(start), states))
         raw = normal_sums(sums.Se, sums.Phi, sums.h)
@@ -127,20 +111,8 @@ class CompensatedLeastSquares(Method):
         warnings = () if np.all(usable) else (kept,)
         solved = np.all(np.isfinite(theta), axis=-1)
         history = np.stack([plain[0], start[0], theta[0]])
-        return Solution(
-            theta, covariance, solved, np.full(len(theta), 2, dtype=np.int64), history, warnings=warnings
-        )
-
-
-@dataclass(frozen=True)
-class _Found:
-    """Where the search for λ ended, for K repeats: θ (K, unknowns), size λ (K,), history of the first one."""
-
-    theta: Real
-    size: Real
-    converged: Bools
-    iterations: Ints
-    history: Real
+        passes = np.full(len(theta), 2, dtype=np.int64)
+        return Solution(theta, covariance, solved, passes, history, warnings=warnings)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dashpot.channel import Quantity
 from dashpot.errors import IdentifiabilityError, ModelError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.auxiliary_model import auxiliary
-from dashpot.estimate.linear.definite import DefiniteOptimalIV, _Cone, _nearest, definite, matrices_of
+from dashpot.estimate.linear.definite import DefiniteOptimalIV, FreeMatrices, _Cone, _nearest, matrices_of
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares
 from dashpot.model.dynamics import matrices
@@ -36,6 +36,12 @@ def truth(model, M, C, K) -> np.ndarray:
     theta, *_ = np.linalg.lstsq(L, target, rcond=None)
     assert np.allclose(L @ theta, target)
     return theta
+
+
+def definite(found: FreeMatrices) -> np.ndarray:
+    """Whether M, C and K are positive semidefinite to rounding, (...,)."""
+    values = [np.linalg.eigvalsh(matrix) for matrix in (found.M, found.C, found.K)]
+    return np.all([each[..., 0] >= -1e-12 * np.abs(each[..., -1]) for each in values], axis=0)
 
 
 def rig_of(model, M=M, C=C, K=K, lines=14, level=2.0) -> Rig:
