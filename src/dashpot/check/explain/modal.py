@@ -29,13 +29,11 @@ from dashpot.data.modal_data import ModalData
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
 from dashpot.estimate.modal.mode_search import (
+    ModeProblem,
     like_parts,
-    measured_modes,
-    modal_misfit,
     mode_residuals,
     random_rigs,
     searched_from,
-    with_one_axis,
 )
 from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Element
@@ -121,9 +119,8 @@ def diagnose_modes(
     if model.n > LARGEST or not np.all(np.isfinite(estimate.values)):
         return ()
     seen = set(data.points) == set(model.coordinates) and bool(np.all(np.isfinite(data.shapes)))
-    flat = with_one_axis(data)
-    drawn = random_rigs(model, flat, 0 if seen else DRAWS, np.random.default_rng(seed))
-    bench = _Bench(model, data, np.concatenate([estimate.values[None], like_parts(model, flat)[None], drawn]))
+    drawn = random_rigs(model, data, 0 if seen else DRAWS, np.random.default_rng(seed))
+    bench = _Bench(model, data, np.concatenate([estimate.values[None], like_parts(model, data)[None], drawn]))
     # Frequencies per second or minute for radians and the like; loss factors or per cent for damping ratios
     trials = [_Trial("frequency", (), _times(data, rate, 1.0), rate) for rate in RATES]
     if np.any(np.isfinite(data.damping_ratio)):
@@ -163,7 +160,7 @@ def diagnose_modes(
 
 
 def _dof(model: Model, data: ModalData) -> int:
-    return int(measured_modes(model, with_one_axis(data)).dof(model))
+    return ModeProblem.of(model, data).dof
 
 
 def _said(model: Model, cause: _Cause) -> Phrase:
@@ -312,8 +309,7 @@ def _promised(
     if not elements:
         return []
     larger, start = _extended(model, theta[None], elements)
-    flat = with_one_axis(data)
-    at = modal_misfit(larger, flat, measured_modes(larger, flat), start, np.zeros(1, dtype=np.int64))
+    at = ModeProblem.of(larger, data).evaluate(start, np.zeros(1, dtype=np.int64))
     by_name = {element.name: element for element in elements}
     names = larger.unknown_names
     listed = score_tests(

@@ -17,15 +17,7 @@ from dashpot.estimate.inference.diagnostics import held, require_determined, wro
 from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL, mode_values
 from dashpot.estimate.likelihood.global_search import DOUBT, apart, not_unique
 from dashpot.estimate.method import HeldBounds
-from dashpot.estimate.modal.mode_search import (
-    STARTS,
-    MeasuredModes,
-    check_suited,
-    deepest_minima,
-    measured_modes,
-    modal_misfit,
-    with_one_axis,
-)
+from dashpot.estimate.modal.mode_search import STARTS, ModeProblem, check_suited, deepest_minima
 from dashpot.estimate.result import MISFIT, SENSOR_NOISE, Estimate, Fit, estimate_of
 from dashpot.io.words import with_values
 from dashpot.model.network import Model
@@ -52,28 +44,21 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
     that it ends in are 0.
     """
     check_suited(model, data)
-    batch = data.frequency_hz.shape[:-1]
-    flat = with_one_axis(data)
-    view = measured_modes(model, flat)
-    minima, ends = deepest_minima(model, flat, view, starts, seed)
-    return _estimate(model, flat, view, minima, ends, batch)
+    problem = ModeProblem.of(model, data)
+    minima, ends = deepest_minima(problem, starts, seed)
+    return _estimate(problem, minima, ends, data.frequency_hz.shape[:-1])
 
 
 def _estimate(
-    model: Model,
-    data: ModalData,
-    view: MeasuredModes,
-    minima: OptimizeResult,
-    ends: OptimizeResult | None,
-    batch: tuple[int, ...],
+    problem: ModeProblem, minima: OptimizeResult, ends: OptimizeResult | None, batch: tuple[int, ...]
 ) -> Estimate:
     """The deepest minima with their covariance and χ²; `ends` are those of all starts, where rivals are looked for."""
-    theta = minima.x
-    at = modal_misfit(model, data, view, theta, np.arange(len(theta)))
+    model, theta = problem.model, minima.x
+    at = problem.evaluate(theta, np.arange(len(theta)))
     lower, upper = model.bounds
     bounds = HeldBounds(lower, upper, without_bounds(theta, at, lower, upper))
     covariance = scaled_inverse(at.symmetric)
-    chi2, dof = at.cost, view.dof(model)
+    chi2, dof = at.cost, problem.dof
     p: Real = np.asarray(chdtrc(float(dof), chi2)) if dof > 0 else np.full(len(chi2), np.nan)
     misfit = (p < MISFIT_LEVEL) & (chi2 > dof)
     widened = covariance * np.where(misfit, chi2 / max(dof, 1), 1.0)[:, None, None]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import brentq, linear_sum_assignment
@@ -20,127 +20,180 @@ from dashpot.model.network import Model
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
 from dashpot.numerics.small_systems import solve_scaled
 
-# Measured modes as the search needs them, and which of the model's modes each of them is.
+# Measured modes as a fit needs them, and which of the model's modes each of them is.
 
 
 @dataclass(frozen=True)
-class MeasuredModes:
-    """The data as the search needs them: what is there, and the roots that whiten it.
+class ModeProblem:
+    """χ² of the modes of a rig beside K sets of measured ones (THEORY §4).
 
-    frequency, damping: (modes,) whether measured; eigen (modes, 2, 2): whitens (frequency, damping);
-    shape (modes, points, points): whitens a shape, rows and columns of absent points 0; look (points, n) picks them.
+    data: with one leading axis of repeats; damping (modes,), present (modes, points): whether measured; eigen (modes,
+    2, 2): whitens (frequency, damping); shape (modes, points, points): whitens a shape, rows and columns of absent
+    points 0; look (points, n) picks these; rows: real numbers that were measured
     """
 
+    model: Model
+    data: ModalData
     damping: Bools
-    eigen: Real
     present: Bools
+    eigen: Real
     shape: Complex
     look: Real
     rows: int
 
-    def dof(self, model: Model) -> int:
-        """Degrees of freedom of χ² of a fit of `model`, whose priors count as data."""
-        return self.rows - len(model.unknowns) + int(np.count_nonzero(model.prior_precision))
+    @staticmethod
+    def of(model: Model, data: ModalData) -> ModeProblem:
+        """What is measured of each mode, and its whitening.  Raises DataError where some uncertainty is missing."""
+        repeats = int(np.prod(data.frequency_hz.shape[:-1], dtype=int))
+        data = replace(
+            data,
+            frequency_hz=data.frequency_hz.reshape(repeats, data.modes),
+            damping_ratio=data.damping_ratio.reshape(repeats, data.modes),
+            shapes=data.shapes.reshape(repeats, data.modes, len(data.points)),
+        )
+        damping = np.all(np.isfinite(data.damping_ratio), axis=0)
+        present = np.all(np.isfinite(data.shapes), axis=0)
+        eigen = np.zeros((data.modes, 2, 2))
+        shape = np.zeros((data.modes, len(data.points), len(data.points)), dtype=complex)
+        rows = 0
+        for k in range(data.modes):
+            count = 2 if damping[k] else 1
+            of_eigen = data.covariance[k, :count, :count]
+            eigen[k, :count, :count] = _whitening(of_eigen, f"frequency of mode {k + 1}").real
+            at = np.flatnonzero(present[k])
+            if len(at) > 1:
+                V = data.shape_covariance[k][np.ix_(at, at)]
+                variance = np.diagonal(V).real
+                # Exact points of a shape have a millionth of the largest standard deviation of the others.
+                floor = np.where(variance == 0, 1e-6**2 * np.max(variance), 0.0)
+                shape[k][np.ix_(at, at)] = _whitening(V + np.diag(floor), f"shape of mode {k + 1}")
+                rows += 2 * len(at) - 2
+            rows += count
+        look = np.array([[float(name == x) for x in model.coordinates] for name in data.points])
+        look = look.reshape(len(data.points), model.n)
+        return ModeProblem(model, data, damping, present, eigen, shape, look, rows)
 
+    @property
+    def repeats(self) -> int:
+        """K."""
+        return len(self.data.frequency_hz)
 
-def with_one_axis(data: ModalData) -> ModalData:
-    """The data with one leading axis of repeats."""
-    repeats = int(np.prod(data.frequency_hz.shape[:-1], dtype=int))
-    return replace(
-        data,
-        frequency_hz=data.frequency_hz.reshape(repeats, data.modes),
-        damping_ratio=data.damping_ratio.reshape(repeats, data.modes),
-        shapes=data.shapes.reshape(repeats, data.modes, len(data.points)),
-    )
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of χ² of a fit, priors counting as data."""
+        return self.rows - len(self.model.unknowns) + int(np.count_nonzero(self.model.prior_precision))
 
+    def pair(self, values: Complex, shapes: Complex, rows: Ints | slice = slice(None)) -> Ints:
+        """Which of the model's modes each measured one of some repeats is, (K, modes); −1 where there is none.
 
-def measured_modes(model: Model, data: ModalData) -> MeasuredModes:
-    """What is measured of each mode, and its whitening.  Raises DataError where some uncertainty is missing."""
-    damping = np.all(np.isfinite(data.damping_ratio), axis=0)
-    present = np.all(np.isfinite(data.shapes), axis=0)
-    eigen = np.zeros((data.modes, 2, 2))
-    shape = np.zeros((data.modes, len(data.points), len(data.points)), dtype=complex)
-    rows = 0
-    for k in range(data.modes):
-        count = 2 if damping[k] else 1
-        eigen[k, :count, :count] = _whitening(
-            data.covariance[k, :count, :count], f"frequency of mode {k + 1}"
-        ).real
-        at = np.flatnonzero(present[k])
-        if len(at) > 1:
-            V = data.shape_covariance[k][np.ix_(at, at)]
-            variance = np.diagonal(V).real
-            # Exact points of a shape have a millionth of the largest standard deviation of the others.
-            floor = np.where(variance == 0, 1e-6**2 * np.max(variance), 0.0)
-            shape[k][np.ix_(at, at)] = _whitening(V + np.diag(floor), f"shape of mode {k + 1}")
-            rows += 2 * len(at) - 2
-        rows += count
-    look = np.array([[float(name == x) for x in model.coordinates] for name in data.points])
-    return MeasuredModes(damping, eigen, present, shape, look.reshape(len(data.points), model.n), rows)
+        The pairs that make Σ (1 − MAC) + |ln (f / f_measured)| least, each mode used once (Hungarian method).
+        """
+        swings = np.isfinite(values) & (values.imag > 1e-9 * np.abs(np.nan_to_num(values)))
+        f = np.where(swings, np.abs(np.nan_to_num(values)), 1.0) / (2 * np.pi)
+        cost = np.abs(np.log(f[:, None, :] / self.data.frequency_hz[rows][:, :, None]))
+        several = np.sum(self.present, axis=-1) > 1
+        if np.any(several):
+            seen = np.nan_to_num(shapes) @ self.look.T
+            measured = np.where(self.present, np.nan_to_num(self.data.shapes[rows]), 0.0)
+            there = self.present.astype(float)
+            across = np.abs(np.einsum("kmp,kjp->kmj", np.conj(measured), seen)) ** 2
+            size = np.sum(np.abs(measured) ** 2, axis=-1)
+            theirs = np.einsum("mp,kjp->kmj", there, np.abs(seen) ** 2)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                mac = across / (size[:, :, None] * theirs)
+            cost = cost + np.where(several[:, None], 1 - np.nan_to_num(mac), 0.0)
+        cost = np.where(swings[:, None, :], cost, 1e6)
+        chosen = np.empty(cost.shape[:2], dtype=np.int64)
+        for k, table in enumerate(cost):
+            of_mode, columns = linear_sum_assignment(table)
+            chosen[k, of_mode] = np.where(table[of_mode, columns] < 1e6, columns, -1)
+        return chosen
+
+    def evaluate(self, theta: Real, rows: Ints) -> QuadraticModel:
+        """χ² with the priors, its slope and its curvature for `theta` (k, unknowns) of the repeats `rows`."""
+        model, data = self.model, self.data
+        p = model.parameters(theta)
+        with np.errstate(all="ignore"):
+            values, shapes = eigenpairs(model, p)
+            chosen = self.pair(values, shapes, rows)
+            lost = np.any(chosen < 0, axis=-1)
+            at = np.maximum(chosen, 0)
+            lam = np.take_along_axis(values, at, axis=-1)
+            phi = np.take_along_axis(shapes, at[..., None], axis=-2)
+            dlam, dphi = (part @ model.T for part in mode_sensitivities(model, p, lam, phi))
+            # Whitened slopes (K, modes, 2, unknowns) and residuals (K, modes, 2) of frequency and damping ratio
+            size = np.abs(lam)
+            grow = (np.conj(lam)[..., None] * dlam).real / size[..., None]
+            more = -dlam.real / size[..., None] + lam.real[..., None] * grow / size[..., None] ** 2
+            J = self.eigen @ np.stack([grow / (2 * np.pi), more], axis=-2)
+            damping = np.where(self.damping, data.damping_ratio[rows], 0.0)
+            predicted = np.where(self.damping, -lam.real / size, 0.0)
+            r = np.stack([data.frequency_hz[rows] - size / (2 * np.pi), damping - predicted], axis=-1)
+            r = (self.eigen @ r[..., None])[..., 0]
+            # Those of shapes, (K, modes, points, …). With a = φ at the measured points the scale s = aᴴV⁻¹φ_m / aᴴV⁻¹a
+            # leaves the residual orthogonal to a; what it can do is taken out of the slopes.
+            seen = (self.shape @ (phi @ self.look.T)[..., None])[..., 0]
+            shown = np.where(self.present, np.nan_to_num(data.shapes[rows]), 0.0)
+            measured = (self.shape @ shown[..., None])[..., 0]
+            power = np.sum(np.abs(seen) ** 2, axis=-1, keepdims=True)
+            power = np.where(power > 0, power, 1.0)
+            scale = np.sum(np.conj(seen) * measured, axis=-1, keepdims=True) / power
+            slope = self.shape @ (self.look @ dphi) * scale[..., None]
+            along = np.sum(np.conj(seen)[..., None] * slope, axis=-2, keepdims=True) / power[..., None]
+            Js, rs = slope - seen[..., None] * along, measured - scale * seen
+        away, precision = theta - model.prior_mean, model.prior_precision
+        cost = np.sum(r**2, axis=(-1, -2)) + 2 * np.sum(np.abs(rs) ** 2, axis=(-1, -2))
+        cost = np.where(lost, np.inf, cost) + np.sum(precision * away**2, axis=-1)
+        gradient = np.einsum("kmiu,kmi->ku", J, r) + 2 * np.einsum("kmpu,kmp->ku", np.conj(Js), rs).real
+        m = len(model.unknowns)
+        real, turned = J.reshape(len(theta), -1, m), Js.reshape(len(theta), -1, m)
+        symmetric = np.swapaxes(real, -1, -2) @ real + 2 * (hermitian(turned) @ turned).real
+        symmetric = symmetric + np.diag(precision)
+        return QuadraticModel(cost, gradient - precision * away, symmetric, symmetric)
+
+    @cached_property
+    def largest(self) -> Real:
+        """Beyond this many times the values of like parts and usual ones nothing that is measured depends on an end."""
+        parts = (like_parts(self.model, self.data), usual_parts(self.model, self.data))
+        return 1e5 * np.maximum(*np.abs(parts))
+
+    def search(self, start: Real, rows: Ints, limit: int) -> OptimizeResult:
+        """The least χ² from starts (k, unknowns), of the repeats they belong to; ends far outside the scale of
+        everything known are none."""
+        lower, upper = self.model.bounds
+        ends = minimise(
+            lambda theta, some: self.evaluate(theta, rows[some]),
+            start,
+            limit=limit,
+            tolerance=1e-6,
+            lower=lower,
+            upper=upper,
+        )
+        lost = np.any(np.abs(ends.x) > self.largest, axis=-1)
+        return replace(ends, cost=np.where(lost, np.inf, ends.cost), converged=ends.converged & ~lost)
 
 
 def _whitening(V: Complex | Real, what: str) -> Complex:
     """L⁻¹ of V = L Lᴴ, measured in its standard deviations."""
     sd = np.sqrt(np.maximum(np.diagonal(V).real, 0.0))
     if np.all(np.isfinite(V)) and np.all(sd > 0):
-        try:
+        with suppress(np.linalg.LinAlgError):
             L = np.linalg.cholesky(V / np.outer(sd, sd))
             return np.linalg.solve(L, np.diag(1 / sd)).astype(complex)
-        except np.linalg.LinAlgError:
-            pass
     raise DataError(
         f"the covariance of the {what} is not positive definite", cure="give its standard deviations"
     )
 
 
-def pair(data: ModalData, view: MeasuredModes, values: Complex, shapes: Complex) -> Ints:
-    """Which of the model's modes each measured one is, (K, modes); −1 where there is none.
-
-    The pairs that make Σ (1 − MAC) + |ln (f / f_measured)| least, each mode used once (Hungarian method).
-    """
-    swings = np.isfinite(values) & (values.imag > 1e-9 * np.abs(np.nan_to_num(values)))
-    f = np.where(swings, np.abs(np.nan_to_num(values)), 1.0) / (2 * np.pi)
-    cost = np.abs(np.log(f[:, None, :] / data.frequency_hz[:, :, None]))
-    several = np.sum(view.present, axis=-1) > 1
-    if np.any(several):
-        seen = np.nan_to_num(shapes) @ view.look.T
-        measured = np.where(view.present, np.nan_to_num(data.shapes), 0.0)
-        there = view.present.astype(float)
-        across = np.abs(np.einsum("kmp,kjp->kmj", np.conj(measured), seen)) ** 2
-        size = np.sum(np.abs(measured) ** 2, axis=-1)
-        theirs = np.einsum("mp,kjp->kmj", there, np.abs(seen) ** 2)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mac = across / (size[:, :, None] * theirs)
-        cost = cost + np.where(several[:, None], 1 - np.nan_to_num(mac), 0.0)
-    cost = np.where(swings[:, None, :], cost, 1e6)
-    chosen = np.empty(cost.shape[:2], dtype=np.int64)
-    for k, table in enumerate(cost):
-        rows, columns = linear_sum_assignment(table)
-        chosen[k, rows] = np.where(table[rows, columns] < 1e6, columns, -1)
-    return chosen
-
-
 # Where the search of rigs with measured modes starts.
 
 
-NEAR, AFAR = 0.15, 1.0  # of the spreads, nepers: parts are mostly alike
-MOST_SCALINGS, FARTHER = 12, 3.0  # steps in search of the size of like parts, nepers of frequency
-
-
-def guessed(model: Model, repeats: int) -> Real | None:
-    """Guesses and priors, (repeats, unknowns); None where some unknown has neither."""
-    choices = [u.prior if u.guess is None else u.guess for u in model.unknowns]
-    if any(choice is None for choice in choices):
-        return None
-    return np.tile(np.array(choices, dtype=float), (repeats, 1))
-
-
-def linear_start(model: Model, data: ModalData, view: MeasuredModes) -> Real | None:
+def linear_start(problem: ModeProblem) -> Real | None:
     """Least squares on (λ²M + λC + K + jH) φ = 0 at the measured λ and φ; None where some coordinate is not seen."""
-    if not np.all(view.present) or set(data.points) != set(model.coordinates):
+    model, data = problem.model, problem.data
+    if not np.all(problem.present) or set(data.points) != set(model.coordinates):
         return None
-    lam = data.eigenvalues
-    phi = data.shapes @ view.look
+    lam, phi = data.eigenvalues, data.shapes @ problem.look
     phi = phi / np.linalg.norm(phi, axis=-1, keepdims=True)
     a = model.pole_factors(lam) * (phi @ model.B.T) / np.abs(lam)[..., None] ** 2
     Phi = np.einsum("kli,in,iu->klnu", a, model.B, model.T, optimize=True)
@@ -177,36 +230,24 @@ def like_parts(model: Model, data: ModalData) -> Real:
         return np.where(scaled, theta * np.exp(turned * power * size), theta)
 
     def too_quick(size: float) -> float:
-        return float(np.log(_first_frequency(model, scaled_by(size)) / wanted))
+        """Of its lowest frequency that swings; NaN where there is none."""
+        with np.errstate(all="ignore"):
+            values = eigenpairs(model, model.parameters(scaled_by(size))[None])[0][0]
+        swings = np.abs(values[np.isfinite(values) & (values.imag > 1e-6 * np.abs(values))])
+        return float(np.log(np.min(swings) / (2 * np.pi * wanted))) if len(swings) else np.nan
 
-    size = _root(too_quick)
-    return theta if size is None else scaled_by(size)
-
-
-def _root(rising: Callable[[float], float]) -> float | None:
-    """Where a rising function is 0; None where it is nowhere, or has no value."""
-    at_zero = rising(0.0)
-    if not np.isfinite(at_zero) or at_zero == 0:
-        return 0.0 if at_zero == 0 else None
-    low = high = 0.0
-    for _ in range(MOST_SCALINGS):
-        low, high = (low - FARTHER, low) if at_zero > 0 else (high, high + FARTHER)
-        there = rising(low if at_zero > 0 else high)
+    at_zero = too_quick(0.0)
+    size = low = high = 0.0
+    for _ in range(12 if np.isfinite(at_zero) and at_zero != 0 else 0):  # steps of 3 nepers of frequency
+        low, high = (low - 3.0, low) if at_zero > 0 else (high, high + 3.0)
+        there = too_quick(low if at_zero > 0 else high)
         if not np.isfinite(there):
-            return None
+            break
         if (there > 0) != (at_zero > 0):
             with suppress(ValueError):  # no value on the way
-                return float(brentq(rising, low, high, xtol=1e-12))
-            return None
-    return None
-
-
-def _first_frequency(model: Model, theta: Real) -> float:
-    """The lowest frequency that swings, Hz; NaN where there is none."""
-    with np.errstate(all="ignore"):
-        values, _ = eigenpairs(model, model.parameters(theta)[None])
-    swings = values[0][np.isfinite(values[0]) & (values[0].imag > 1e-6 * np.abs(values[0]))]
-    return float(np.min(np.abs(swings))) / (2 * np.pi) if len(swings) else np.nan
+                size = float(brentq(too_quick, low, high, xtol=1e-12))
+            break
+    return scaled_by(size)
 
 
 def usual_parts(model: Model, data: ModalData) -> Real:
@@ -233,7 +274,8 @@ def random_rigs(model: Model, data: ModalData, count: int, rng: np.random.Genera
     """
     usual, middle = usual_parts(model, data), like_parts(model, data)
     near = np.arange(count) % 2 == 0
-    spread = np.where(near, NEAR, AFAR)[:, None] * np.repeat([0.3, 1.0, 2.0], -(-count // 3))[:count, None]
+    # Nepers by which parts differ: they are mostly alike
+    spread = np.where(near, 0.15, 1.0)[:, None] * np.repeat([0.3, 1.0, 2.0], -(-count // 3))[:count, None]
     shared = np.where(near, 1.0, np.exp(0.7 * rng.standard_normal(count)))
     scatter = np.exp(spread * rng.standard_normal((count, len(usual))))
     theta = np.empty((count, len(usual)))
@@ -263,10 +305,7 @@ def _sizes(model: Model, data: ModalData) -> tuple[dict[Kind, float], float]:
     return per_mass, float(np.exp(np.mean(known))) if known else 1.0
 
 
-# Measured modes against those of a rig: χ² with its slopes, and how far each measured number is from the
-# rig's.
-#
-# Source: THEORY §4.
+# How far each measured number is from the rig's.
 
 
 @dataclass(frozen=True)
@@ -291,14 +330,12 @@ class ModeResiduals:
 
 def mode_residuals(model: Model, data: ModalData, theta: Real) -> ModeResiduals:
     """How far the modes of `data` (no batch axes) are from those of the rig at `theta` (unknowns,)."""
-    flat = with_one_axis(data)
-    view = measured_modes(model, flat)
+    view = ModeProblem.of(model, data)
     values, shapes = eigenpairs(model, model.parameters(theta[None]))
-    at = pair(flat, view, values, shapes)[0]
+    at = view.pair(values, shapes)[0]
     paired = at >= 0
-    compared = view.present & (
-        np.sum(view.present, axis=1, keepdims=True) > 1
-    )  # one point alone is all scale
+    # One point alone is all scale.
+    compared = view.present & (np.sum(view.present, axis=1, keepdims=True) > 1)
     lam = np.where(paired, values[0, at], np.nan)
     seen = np.where(paired[:, None], shapes[0, at], np.nan) @ view.look.T
     sd = np.sqrt(np.diagonal(data.covariance, axis1=-2, axis2=-1))
@@ -314,78 +351,9 @@ def mode_residuals(model: Model, data: ModalData, theta: Real) -> ModeResiduals:
     return ModeResiduals(frequency, damping, measured - scale[:, None] * seen, shape_sd, measured)
 
 
-def modal_misfit(
-    model: Model, data: ModalData, view: MeasuredModes, theta: Real, rows: Ints
-) -> QuadraticModel:
-    """χ² with the priors, its slope and its curvature for `theta` (k, unknowns) of the repeats `rows`."""
-    part = replace(
-        data,
-        frequency_hz=data.frequency_hz[rows],
-        damping_ratio=data.damping_ratio[rows],
-        shapes=data.shapes[rows],
-    )
-    p = model.parameters(theta)
-    with np.errstate(all="ignore"):
-        values, shapes = eigenpairs(model, p)
-        chosen = pair(part, view, values, shapes)
-        lost = np.any(chosen < 0, axis=-1)
-        at = np.maximum(chosen, 0)
-        lam = np.take_along_axis(values, at, axis=-1)
-        phi = np.take_along_axis(shapes, at[..., None], axis=-2)
-        dlam, dphi = mode_sensitivities(model, p, lam, phi)
-        J, r = _eigen_rows(model, part, view, lam, dlam @ model.T)
-        Js, rs = _shape_rows(part, view, phi, dphi @ model.T)
-    away = theta - model.prior_mean
-    precision = model.prior_precision
-    cost = np.sum(r**2, axis=(-1, -2)) + 2 * np.sum(np.abs(rs) ** 2, axis=(-1, -2))
-    cost = np.where(lost, np.inf, cost) + np.sum(precision * away**2, axis=-1)
-    gradient = np.einsum("kmiu,kmi->ku", J, r) + 2 * np.einsum("kmpu,kmp->ku", np.conj(Js), rs).real
-    m = len(model.unknowns)
-    real, turned = J.reshape(len(theta), -1, m), Js.reshape(len(theta), -1, m)
-    symmetric = np.swapaxes(real, -1, -2) @ real + 2 * (hermitian(turned) @ turned).real + np.diag(precision)
-    return QuadraticModel(cost, gradient - precision * away, symmetric, symmetric)
-
-
-def _eigen_rows(
-    model: Model, data: ModalData, view: MeasuredModes, lam: Complex, dlam: Complex
-) -> tuple[Real, Real]:
-    """Whitened slopes (K, modes, 2, unknowns) and residuals (K, modes, 2) of frequency and damping ratio."""
-    size = np.abs(lam)
-    grow = (np.conj(lam)[..., None] * dlam).real / size[..., None]
-    slope = np.stack(
-        [
-            grow / (2 * np.pi),
-            -dlam.real / size[..., None] + lam.real[..., None] * grow / size[..., None] ** 2,
-        ],
-        axis=-2,
-    )
-    damping = np.where(view.damping, data.damping_ratio, 0.0)
-    predicted = np.where(view.damping, -lam.real / size, 0.0)
-    r = np.stack([data.frequency_hz - size / (2 * np.pi), damping - predicted], axis=-1)
-    return view.eigen @ slope, (view.eigen @ r[..., None])[..., 0]
-
-
-def _shape_rows(data: ModalData, view: MeasuredModes, phi: Complex, dphi: Complex) -> tuple[Complex, Complex]:
-    """Whitened slopes (K, modes, points, unknowns) and residuals (K, modes, points), what the scale can do taken out.
-
-    a = φ at the measured points; the scale s = aᴴV⁻¹φ_m / aᴴV⁻¹a leaves the residual orthogonal to a.
-    """
-    seen = (view.shape @ (phi @ view.look.T)[..., None])[..., 0]
-    measured = (view.shape @ np.where(view.present, np.nan_to_num(data.shapes), 0.0)[..., None])[..., 0]
-    power = np.sum(np.abs(seen) ** 2, axis=-1, keepdims=True)
-    power = np.where(power > 0, power, 1.0)
-    scale = np.sum(np.conj(seen) * measured, axis=-1, keepdims=True) / power
-    r = measured - scale * seen
-    slope = view.shape @ (view.look @ dphi) * scale[..., None]
-    along = np.sum(np.conj(seen)[..., None] * slope, axis=-2, keepdims=True) / power[..., None]
-    return slope - seen[..., None] * along, r
-
+# The search.
 
 STARTS = 32
-# Coordinates above which a rig of like parts that leads to a fit is taken without a look for others
-LARGE = 8
-
-Search = Callable[[Real, Ints, int], OptimizeResult]  # starts, the repeats they belong to, most steps
 
 
 def check_suited(model: Model, data: ModalData) -> None:
@@ -409,58 +377,46 @@ def check_suited(model: Model, data: ModalData) -> None:
         )
 
 
-def _search_near(model: Model, data: ModalData, view: MeasuredModes) -> Search:
-    """Minimises χ².
-
-    An end far outside the scale of everything known is none: nothing that is measured depends on it there.
-    """
-    lower, upper = model.bounds
-    # An end beyond this many times the values of like parts and usual ones is none.
-    largest = 1e5 * np.maximum(np.abs(like_parts(model, data)), np.abs(usual_parts(model, data)))
-
-    def search(start: Real, rows: Ints, limit: int) -> OptimizeResult:
-        def misfit(theta: Real, some: Ints) -> QuadraticModel:
-            return modal_misfit(model, data, view, theta, rows[some])
-
-        ends = minimise(misfit, start, limit=limit, tolerance=1e-6, lower=lower, upper=upper)
-        lost = np.any(np.abs(ends.x) > largest, axis=-1)
-        return replace(ends, cost=np.where(lost, np.inf, ends.cost), converged=ends.converged & ~lost)
-
-    return search
-
-
 def deepest_minima(
-    model: Model, data: ModalData, view: MeasuredModes, starts: int, seed: int
+    problem: ModeProblem, starts: int, seed: int
 ) -> tuple[OptimizeResult, OptimizeResult | None]:
     """The deepest minima, and for one repeat without a start of its own where all of its starts ended.
 
     Raises UsageError without any start, ConvergenceError where none ends near the scale of what is known.
     """
-    repeats = len(data.frequency_hz)
-    everyone = np.arange(repeats)
-    search = _search_near(model, data, view)
-    minima, ends = None, None
-    firsts = [linear_start(model, data, view), guessed(model, repeats)]
-    if model.n > LARGE:
+    model, data, repeats = problem.model, problem.data, problem.repeats
+    everyone, minima, ends = np.arange(repeats), None, None
+    choices = [u.prior if u.guess is None else u.guess for u in model.unknowns]
+    firsts = [linear_start(problem)]
+    if None not in choices:
+        firsts.append(np.tile(np.array(choices, dtype=float), (repeats, 1)))
+    if model.n > 8:  # coordinates: like parts that lead to a fit are then taken without a look for others
         firsts.append(np.tile(like_parts(model, data), (repeats, 1)))
     for first in firsts:
-        if first is None:
-            continue
-        reached = search(first, everyone, 100)
-        minima = reached if minima is None else minima.improved(everyone, reached)
+        if first is not None:
+            reached = problem.search(first, everyone, 100)
+            minima = reached if minima is None else minima.improved(everyone, reached)
     lonely = minima is None and repeats == 1
-    for attempt in range(2):
-        astray = everyone if minima is None else _astray(minima, view.rows - len(model.unknowns))
-        if not len(astray) or not starts:
+    for attempt in range(2 if starts else 0):
+        astray = everyone
+        if minima is not None:
+            # So unlikely a χ² may mean a local minimum: other starts are tried.
+            cost, dof = (
+                np.where(np.isfinite(minima.cost), minima.cost, np.inf),
+                problem.rows - len(model.unknowns),
+            )
+            unlikely = chdtrc(float(max(dof, 1)), cost) < 1e-4
+            astray = np.flatnonzero(~minima.converged | ~np.isfinite(minima.cost) | unlikely)
+        if not len(astray):
             break
         drawn = random_rigs(model, data, starts, np.random.default_rng([seed, attempt]))
         if not attempt:
             drawn = np.concatenate([like_parts(model, data)[None], drawn])
         if lonely:
-            ends = _ends(search, drawn)
+            ends = _ends(problem, drawn)
             reached = _one_of(model, ends)
         else:
-            reached = _deepest(search, drawn, astray)
+            reached = _deepest(problem, drawn, astray)
         minima = reached if minima is None else minima.improved(astray, reached)
     if minima is None:
         raise UsageError(
@@ -480,11 +436,10 @@ def searched_from(model: Model, data: ModalData, starts: Real) -> OptimizeResult
     `data` has no batch axes.  Raises as `identify_modal` where the data do not suit the rig.
     """
     check_suited(model, data)
-    flat = with_one_axis(data)
-    view = measured_modes(model, flat)
-    linear = linear_start(model, flat, view)
+    problem = ModeProblem.of(model, data)
+    linear = linear_start(problem)
     firsts = starts if linear is None else np.concatenate([starts, linear])
-    return _deepest(_search_near(model, flat, view), firsts, np.zeros(1, dtype=np.int64))
+    return _deepest(problem, firsts, np.zeros(1, dtype=np.int64))
 
 
 def rigs_with(model: Model, data: ModalData, *, seed: int = 0) -> Real:
@@ -493,42 +448,32 @@ def rigs_with(model: Model, data: ModalData, *, seed: int = 0) -> Real:
     `data` has no batch axes.  Raises as `identify_modal`.
     """
     check_suited(model, data)
-    flat = with_one_axis(data)
-    view = measured_modes(model, flat)
-    starts = STARTS if linear_start(model, flat, view) is None else 0
-    minima, ends = deepest_minima(model, flat, view, starts, seed)
+    problem = ModeProblem.of(model, data)
+    minima, ends = deepest_minima(problem, STARTS if linear_start(problem) is None else 0, seed)
     if ends is None:
         return minima.x
     near = np.flatnonzero(ends.cost <= minima.cost[0] + COMPETING)
     return np.concatenate([minima.x, ends.x[near[np.argsort(ends.cost[near])]]])
 
 
-def _astray(minima: OptimizeResult, dof: int) -> Ints:
-    """The repeats that have not settled, or settled where χ² is unlikely."""
-    cost = np.where(np.isfinite(minima.cost), minima.cost, np.inf)
-    tail = np.asarray(chdtrc(float(max(dof, 1)), cost))
-    # So unlikely a χ² may mean a local minimum: other starts are tried.
-    return np.flatnonzero(~minima.converged | ~np.isfinite(minima.cost) | (tail < 1e-4))
-
-
-def _ends(search: Search, drawn: Real) -> OptimizeResult:
+def _ends(problem: ModeProblem, drawn: Real) -> OptimizeResult:
     """Where all starts of the one repeat end; the deepest of those that are still on their way are followed."""
-    ends = search(drawn, np.zeros(len(drawn), dtype=np.int64), 25)
+    ends = problem.search(drawn, np.zeros(len(drawn), dtype=np.int64), 25)
     on_the_way = np.flatnonzero(~ends.converged & np.isfinite(ends.cost))
     # Ten of those that have not settled after a few steps
     deepest = on_the_way[np.argsort(ends.cost[on_the_way])[:10]]
     if not len(deepest):
         return ends
-    return ends.improved(deepest, search(ends.x[deepest], np.zeros_like(deepest), 100))
+    return ends.improved(deepest, problem.search(ends.x[deepest], np.zeros_like(deepest), 100))
 
 
-def _deepest(search: Search, drawn: Real, rows: Ints) -> OptimizeResult:
+def _deepest(problem: ModeProblem, drawn: Real, rows: Ints) -> OptimizeResult:
     """For each of the rows, all starts for a few steps, which tell the valleys apart; the deepest to its end."""
     starts = len(drawn)
-    short = search(np.tile(drawn, (len(rows), 1)), np.repeat(rows, starts), 25)
+    short = problem.search(np.tile(drawn, (len(rows), 1)), np.repeat(rows, starts), 25)
     cost = np.where(np.isfinite(short.cost), short.cost, np.inf).reshape(len(rows), starts)
     best = np.argmin(cost, axis=1)
-    return search(short.x.reshape(len(rows), starts, -1)[np.arange(len(rows)), best], rows, 100)
+    return problem.search(short.x.reshape(len(rows), starts, -1)[np.arange(len(rows)), best], rows, 100)
 
 
 def _one_of(model: Model, ends: OptimizeResult) -> OptimizeResult:
@@ -536,13 +481,11 @@ def _one_of(model: Model, ends: OptimizeResult) -> OptimizeResult:
     cost = np.where(np.isfinite(ends.cost), ends.cost, np.inf)
     if np.any(ends.converged & np.isfinite(cost)):
         cost = np.where(ends.converged, cost, np.inf)
-    alike = cost <= np.min(cost) + TIE
-    sound = alike & np.all(ends.x > 0, axis=-1)
+    sound = (cost <= np.min(cost) + TIE) & np.all(ends.x > 0, axis=-1)
     if np.any(sound):
         logs = np.log(np.where(sound[:, None], ends.x, 1.0))
         units = np.array(model.unknown_units)
         spread = np.sum([np.ptp(logs[:, units == unit], axis=-1) for unit in dict.fromkeys(units)], axis=0)
-        at = [int(np.argmin(np.where(sound, spread, np.inf)))]
-    else:
-        at = [int(np.argmin(cost))]
+        cost = np.where(sound, spread, np.inf)
+    at = [int(np.argmin(cost))]
     return OptimizeResult(ends.x[at], ends.cost[at], ends.converged[at], ends.iterations[at], ends.x[at])
