@@ -97,32 +97,19 @@ def compare(
     ruled_out = {} if refused is None else dict(refused)
     if not jobs and not ruled_out:
         raise UsageError("there is nothing to compare", cure="give data, measured modes, or both")
-    estimates, out = _answers(jobs, ruled_out, progress)
-    units = tuple(u.unit for u in model.unknowns)
-    return Comparison(model.name, names, units, estimates, out, true, _most_likely(methods, estimates))
-
-
-def _answers(
-    jobs: Mapping[str, Callable[[], Estimate]],
-    refused: dict[str, DashpotError],
-    progress: Callable[[int, int], None] | None,
-) -> tuple[dict[str, Estimate], dict[str, DashpotError]]:
-    """What the methods give, and the errors of those that give nothing.  Raises the first where none does."""
     estimates: dict[str, Estimate] = {}
-    for done, (name, job) in enumerate(jobs.items()):
+    for done, (row, job) in enumerate(jobs.items()):
         try:
-            estimates[name] = job()
+            estimates[row] = job()
         except DashpotError as error:
-            refused[name] = error
+            ruled_out[row] = error
         if progress is not None:
             progress(done + 1, len(jobs))
     if not estimates:
-        raise next(iter(refused.values()))
-    return estimates, refused
-
-
-def _most_likely(methods: Mapping[str, Method], estimates: Mapping[str, Estimate]) -> tuple[str, ...]:
-    """Names of the estimates that maximise the likelihood: of all channels, of the equation of motion, on a cone."""
-    traits = {name: method.traits for name, method in methods.items() if name in estimates}
-    there = [name for name in traits if traits[name].maximum_likelihood]
-    return tuple(sorted(there, key=lambda name: (not traits[name].by_output, traits[name].definite)))
+        raise next(iter(ruled_out.values()))
+    # Those that maximise the likelihood: of all channels, of the equation of motion, on a cone
+    traits = {row: method.traits for row, method in methods.items() if row in estimates}
+    there = [row for row in traits if traits[row].maximum_likelihood]
+    there.sort(key=lambda row: (not traits[row].by_output, traits[row].definite))
+    units = model.unknown_units
+    return Comparison(model.name, names, units, estimates, ruled_out, true, tuple(there))

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from dashpot.data.conditioning.settings import Conditioning, Orders, SampleMoments
+from dashpot.data.conditioning.settings import Conditioning, SampleMoments
 from dashpot.data.readers import Reading
-from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, flattened, in_chunks
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.inference import diagnostics
@@ -47,10 +46,6 @@ from dashpot.notices import Notice
 # everyone.
 
 
-HIGHEST = 5  # harmonics of dwells that tell of nonlinear elements, as far as the sampling shows them
-USABLE = 0.45  # of the sampling rate
-
-
 def amplitudes_for(
     model: Model, reading: Reading, settings: Conditioning, methods: Collection[Traits]
 ) -> Spectrum:
@@ -80,19 +75,13 @@ def conditioning_for(
     if changed.transients == "auto" and (nonlinear or not all(traits.transients for traits in methods)):
         changed = changed.changed(transients="settle")
     if nonlinear and changed.orders == "auto":
-        changed = changed.changed(orders=_orders_of_nonlinear(reading.records))
+        highest = 5  # multiples of the drive frequency of dwells tell of nonlinear elements, as far as they are sampled
+        for record in reading.records:
+            if record.frequency_hz is not None and len(record.time) > 1:
+                rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
+                highest = min(highest, int(0.45 * rate / record.frequency_hz), (len(record.time) - 4) // 3)
+        changed = changed.changed(orders=tuple(range(1, max(highest, 1) + 1)))
     return changed
-
-
-def _orders_of_nonlinear(records: Sequence[Record]) -> Orders:
-    """Multiples of the drive frequency of dwells, as far as they are sampled."""
-    highest = HIGHEST
-    for record in records:
-        if record.frequency_hz is not None and len(record.time) > 1:
-            rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
-            highest = min(highest, int(USABLE * rate / record.frequency_hz))
-            highest = min(highest, (len(record.time) - 4) // 3)
-    return tuple(range(1, max(highest, 1) + 1))
 
 
 CHUNK = 2_000_000  # complex numbers of amplitudes at once: keeps the working set of a batch near 1 GB
@@ -201,17 +190,17 @@ def _estimate(
 
     some = parts[0]
     theta, covariance = join(lambda part: part.solution.theta), join(lambda part: part.uncertainty.covariance)
-    chi2, p = (
-        join(lambda part: part.uncertainty.chi2).reshape(batch),
-        join(lambda part: part.uncertainty.p).reshape(batch),
-    )
-    fit = Fit(chi2, some.dof, p, spectrum.noise_known)
+    chi2, p = join(lambda part: part.uncertainty.chi2), join(lambda part: part.uncertainty.p)
+    fit = Fit(chi2.reshape(batch), some.dof, p.reshape(batch), spectrum.noise_known)
     held, m = some.solution.bounds, len(model.unknowns)
     if held is not None:
         free = [part.solution.bounds.free for part in parts if part.solution.bounds is not None]
         held = replace(held, free=np.concatenate(free))
     warnings = dict.fromkeys(notice for part in parts for notice in part.solution.warnings)
     bands = [part.uncertainty.bands for part in parts if part.uncertainty.bands is not None]
+    basis = SENSOR_NOISE if fit.known_noise else RESIDUALS
+    if fit.rejected.any() or any(np.any(each.disagree) for each in bands):
+        basis = MISFIT
     shown = notices(model, spectrum, None if batch else parts[0], fit)
     return estimate_of(
         model,
@@ -224,7 +213,7 @@ def _estimate(
         bound=join(lambda part: part.uncertainty.bound),
         dof=join(lambda part: part.uncertainty.dof),
         fit=fit,
-        basis=_basis(fit, any(np.any(each.disagree) for each in bands)),
+        basis=basis,
         converged=join(lambda part: part.solution.converged),
         iterations=join(lambda part: part.solution.iterations),
         history=some.solution.history,
@@ -239,13 +228,6 @@ def _estimate(
     )
 
 
-def _basis(fit: Fit, bands_disagree: bool) -> str:
-    """What the intervals rest on."""
-    if fit.rejected.any() or bands_disagree:
-        return MISFIT
-    return SENSOR_NOISE if fit.known_noise else RESIDUALS
-
-
 # What stands beside an estimate, in the order in which it is told.
 
 
@@ -254,37 +236,30 @@ def notices(model: Model, spectrum: Spectrum, single: Inference | None, fit: Fit
 
     Raises IdentifiabilityError where the data do not determine a single estimate.
     """
-    of_estimate = [] if single is None else _of_estimate(model, spectrum, single, fit)
-    return of_estimate + diagnostics.of_data(model, spectrum)
-
-
-def _of_estimate(model: Model, spectrum: Spectrum, part: Inference, fit: Fit) -> list[Notice]:
-    bands, bounds = part.uncertainty.bands, part.solution.bounds
+    of_data = diagnostics.of_data(model, spectrum)
+    if single is None:
+        return of_data
+    part, worth, bounds = single, single.uncertainty, single.solution.bounds
     names, units = tuple(u.name for u in part.unknowns), tuple(u.unit for u in part.unknowns)
-    theta, covariance, noise = (
-        part.solution.theta[0],
-        part.uncertainty.covariance[0],
-        part.uncertainty.noise[0],
-    )
+    theta, covariance, noise = part.solution.theta[0], worth.covariance[0], worth.noise[0]
     dead = partial(diagnostics.dead_channels, model, spectrum)
     few = partial(few_lines, model, spectrum)
     traces = partial(require_traces, model, names, part.information[0])
     diagnostics.require_determined(names, theta, noise, dead, few, traces)
     # What runs off because the rig or a channel is another one has a cause, which an estimate must be there to show.
-    sound = not fit.rejected.any() and not np.any(
-        theta[: len(model.unknowns)][diagnostics.of_one_sign(model)] < 0
-    )
+    negative = theta[: len(model.unknowns)][diagnostics.of_one_sign(model)] < 0
+    sound = not fit.rejected.any() and not np.any(negative)
     if part.valley is not None and not bool(part.solution.converged[0]) and sound:
         require_end(part.valley, names, units, theta)
     shown = []
     if fit.known_noise and not part.method.traits.maximum_likelihood:
         shown += diagnostics.bias(names, theta, part.most_likely[0], covariance, part.method)
-    shown += [] if bands is None else bands.notices(names)
-    in_time = part.uncertainty.in_time
-    shown += [] if in_time is None else [uneven.notice() for uneven in in_time.uneven if uneven is not None]
+    shown += [] if worth.bands is None else worth.bands.notices(names)
+    in_time = () if worth.in_time is None else worth.in_time.uneven
+    shown += [uneven.notice() for uneven in in_time if uneven is not None]
     shown += diagnostics.of_estimate(model, theta, covariance, noise, fit)
     shown += unseen_laws(model, theta, noise)
     if part.method.traits.maximum_likelihood:
         shown += diagnostics.prior_conflict(part.unknowns, theta, noise, fit)
     shown += of_records(model, theta, noise, spectrum)
-    return shown if bounds is None else shown + diagnostics.held(names, theta, bounds)
+    return [*shown, *(() if bounds is None else diagnostics.held(names, theta, bounds)), *of_data]

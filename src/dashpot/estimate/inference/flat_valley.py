@@ -22,19 +22,11 @@ from dashpot.io.words import joined, with_values
 from dashpot.model.observation import ObservationModel, small
 from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
 
-WEAK = (
-    1e-5  # eigenvalue of an information matrix with ones on its diagonal, below which a direction is followed
-)
-OPEN = 5.0  # deviations over the value from which on the parabola says nothing
+# Eigenvalue of an information matrix with ones on its diagonal, below which a direction is followed
+WEAK = 1e-5
 RISE = 4.0  # of χ², at two standard deviations
-GENTLE = 0.25  # of that rise, by one step
-FIRST, LONGEST, SHORTEST = 1e-3, 0.25, 1e-7  # steps, in sizes of the unknowns
-DIRECTIONS = 4  # that information lacks, at most
-FAR = 10.0  # sizes of an unknown from where it began: no end is looked for beyond
-MOVING, SHOWN = 0.1, 3  # change of an unknown that is named, and how many are with their values
-NOTHING = 1e-3  # of the other end of a range: told as 0
-INNER, TOLERANCE = 20, 1e-3  # iterations across the valley, which end so near, in standard deviations
-LOWER = 1e-3  # of χ² (of its mean residual): what is lower by less is the same minimum
+
+Evaluate = Callable[[Real, Ints], QuadraticModel]
 
 
 @dataclass(frozen=True)
@@ -72,47 +64,42 @@ def flat_valley(
 
     lacking = np.zeros((psi.shape[1],) * 2)
     walks: list[_Walk] = []
-    while len(walks) < 2 * DIRECTIONS and all(walk.risen for walk in walks):
+    while len(walks) < 8 and all(
+        walk.risen for walk in walks
+    ):  # two for each direction that information lacks
         begin = _Point.at(evaluate(psi, np.zeros(1, dtype=np.int64)), psi[0], lacking)
         if begin is None or not begin.weak(scale):
             break
         both = [_Walk.followed(evaluate, begin, side, RISE * scale) for side in (-1.0, 1.0)]
         walks += both
-        lacking = lacking + _curvature(evaluate, both)
+        if all(walk.risen for walk in both):
+            # The curvature that makes a parabola as wide as χ² there. The valley may have turned aside: how wide it
+            # is straight on is another walk.
+            both += [
+                _Walk.followed(evaluate, begin, side, RISE * scale, turning=False) for side in (-1.0, 1.0)
+            ]
+            along = begin.weakest / begin.size
+            reach = max(np.max(np.abs((walk.met - begin.psi) @ along)) for walk in both)
+            lacking = lacking + RISE * scale / reach**2 * np.outer(along, along)
     if not walks:
         return None
     bounded = all(walk.risen for walk in walks)
     lowest = min((walk.lowest for walk in walks), key=lambda point: point.cost)
     fall = walks[0].begin.cost - lowest.cost
     met = np.concatenate([walk.met for walk in walks])
-    return Valley(
-        met.min(axis=0), met.max(axis=0), bounded, lowest.psi, fall if fall > LOWER * scale else 0.0,
-        lacking if bounded else np.zeros_like(lacking),
-    )  # fmt: skip
-
-
-def _curvature(evaluate: Callable[[Real, Ints], QuadraticModel], both: Sequence[_Walk]) -> Real:
-    """The curvature (M, M) along the direction in which two walks began that makes a parabola as wide as χ² there."""
-    if not all(walk.risen for walk in both):
-        return np.zeros((len(both[0].begin.psi),) * 2)
-    begin, rise = both[0].begin, both[0].rise
-    # The valley may have turned aside: how wide it is straight on is another walk.
-    straight = [_Walk.followed(evaluate, begin, side, rise, turning=False) for side in (-1.0, 1.0)]
-    along = begin.weakest / begin.size
-    reach = max(np.max(np.abs((walk.met - begin.psi) @ along)) for walk in (*both, *straight))
-    return np.asarray(rise / reach**2 * np.outer(along, along))
+    fall = fall if fall > 1e-3 * scale else 0.0  # what is lower by less is the same minimum
+    lacking = lacking if bounded else np.zeros_like(lacking)
+    return Valley(met.min(axis=0), met.max(axis=0), bounded, lowest.psi, fall, lacking)
 
 
 def require_end(valley: Valley, names: Sequence[str], units: Sequence[str], psi: Real) -> None:
     """Raises IdentifiabilityError that names the unknowns which change along a valley without end at ψ (M,)."""
     change = (valley.high - valley.low) / np.maximum(np.abs(psi), 1e-300)
-    moving = [j for j in np.argsort(-change) if change[j] > MOVING]
+    moving = [j for j in np.argsort(-change) if change[j] > 0.1]
     if valley.bounded or not moving:
         return
-    low = np.where(np.abs(valley.low) < NOTHING * valley.high, 0.0, valley.low)
-    ranges = ", ".join(
-        f"{names[j]} from {low[j]:.3g} to {valley.high[j]:.3g} {units[j]}" for j in moving[:SHOWN]
-    )
+    low = np.where(np.abs(valley.low) < 1e-3 * valley.high, 0.0, valley.low)
+    ranges = ", ".join(f"{names[j]} from {low[j]:.3g} to {valley.high[j]:.3g} {units[j]}" for j in moving[:3])
     together = [name for j, name in enumerate(names) if j in moving]
     raise IdentifiabilityError(
         f"the data do not tell {joined(together)} apart: χ² is as low all the way along {ranges}",
@@ -155,35 +142,34 @@ class _Point:
         return _Point(psi, float(around.cost[0]), size, vectors[:, 0], _least_eigenvalue(A), A)
 
     def weak(self, scale: float) -> bool:
-        """Whether the parabola leaves some unknown open along one direction."""
+        """Whether the parabola leaves some unknown open along one direction: by five times its value."""
         if self.eigenvalue >= WEAK:
             return False
         curvature = self.weakest @ (self.information * np.outer(self.size, self.size)) @ self.weakest
-        return bool(curvature * OPEN**2 < scale * np.max(np.abs(self.weakest)) ** 2)
+        return bool(curvature * 5.0**2 < scale * np.max(np.abs(self.weakest)) ** 2)
 
 
 class _Walk:
-    """One way along the valley from `begin`, to where χ² lies `rise` above it; straight on unless `turning`."""
+    """One way along the valley from `begin`, to where χ² lies `rise` above it; straight on unless `turning`.
 
-    def __init__(
-        self, evaluate: Callable[[Real, Ints], QuadraticModel], begin: _Point, side: float, rise: float,
-        *, turning: bool = True,
-    ) -> None:  # fmt: skip
+    Steps and how far is looked, ten of them, are in sizes of the unknowns.
+    """
+
+    def __init__(self, evaluate: Evaluate, begin: _Point, side: float, rise: float, turning: bool) -> None:
         self.evaluate, self.begin, self.rise, self.turning = evaluate, begin, rise, turning
         self.point = self.lowest = begin
         self.direction = side * begin.weakest
-        self.step = FIRST
+        self.step = 1e-3
         self.met = begin.psi[None]
 
     @staticmethod
     def followed(
-        evaluate: Callable[[Real, Ints], QuadraticModel], begin: _Point, side: float, rise: float,
-        *, turning: bool = True,
-    ) -> _Walk:  # fmt: skip
+        evaluate: Evaluate, begin: _Point, side: float, rise: float, *, turning: bool = True
+    ) -> _Walk:
         """The walk gone until χ² has risen, or as far as is looked."""
-        walk = _Walk(evaluate, begin, side, rise, turning=turning)
+        walk = _Walk(evaluate, begin, side, rise, turning)
         for _ in range(80):  # at most
-            far = np.any(np.abs(walk.point.psi - begin.psi) > FAR * begin.size)
+            far = np.any(np.abs(walk.point.psi - begin.psi) > 10.0 * begin.size)
             if walk.risen or far or not walk.stepped():
                 break
         return walk
@@ -201,16 +187,16 @@ class _Walk:
     def stepped(self) -> bool:
         """One step on along the chord of the last, short enough for χ² to rise gently; False where none is."""
         before = self.point
-        while self.step > SHORTEST:
+        while self.step > 1e-7:
             there = self._across(before.psi + self.step * self.size * self.direction)
-            if there is not None and there.cost - before.cost <= GENTLE * self.rise:
+            if there is not None and there.cost - before.cost <= self.rise / 4:
                 if self.turning:
                     chord = (there.psi - before.psi) / there.size
                     self.direction = chord / np.linalg.norm(chord)
                 self.point = there
                 self.met = np.concatenate([self.met, there.psi[None]])
                 self.lowest = min(self.lowest, there, key=lambda point: point.cost)
-                self.step = min(2 * self.step, LONGEST)
+                self.step = min(2 * self.step, 0.25)
                 return True
             self.step /= 4
         return False
@@ -226,8 +212,6 @@ class _Walk:
             matrix = across.T @ at.symmetric @ across
             return QuadraticModel(at.cost, at.gradient @ across, matrix, matrix)
 
-        bottom = minimise(
-            evaluate, np.zeros((1, across.shape[1])), limit=INNER, tolerance=TOLERANCE, patience=INNER
-        )
+        bottom = minimise(evaluate, np.zeros((1, across.shape[1])), limit=20, tolerance=1e-3, patience=20)
         psi = start + across @ bottom.x[0]
         return _Point.at(self.evaluate(psi[None], np.zeros(1, dtype=np.int64)), psi)

@@ -50,8 +50,6 @@ from dashpot.unknowns import Unknown
 
 
 MODES_TO = 400  # coordinates: the modes of larger rigs would take longer than all else
-COMPILED_TO = 12  # coordinates up to which the kernel's eigenvalues take less time than LAPACK's
-LOST = 1e-13  # of the terms of a variance: below it the sum is rounding
 
 
 def linear_modes(model: Model, theta: Real, covariance: Real) -> ModeValues | None:
@@ -61,11 +59,11 @@ def linear_modes(model: Model, theta: Real, covariance: Real) -> ModeValues | No
     """
     if model.n > MODES_TO:
         return None
-    if not len(model.nonlinear):
-        return mode_values(model, theta, covariance)
     try:
         return mode_values(model, theta, covariance)
     except ModelError:
+        if not len(model.nonlinear):
+            raise
         return None
 
 
@@ -75,7 +73,8 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
     NaN where a standard deviation is lost in the rounding of terms that are far larger.
     theta (m,), covariance (m, m).
     """
-    compiled = kernel_function("mode_values") if model.n <= COMPILED_TO else None
+    # Of up to 12 coordinates the kernel's eigenvalues take less time than LAPACK's.
+    compiled = kernel_function("mode_values") if model.n <= 12 else None
     if compiled is not None:
         # None where masses are missing or coupled, or where nothing holds a motion.
         table = compiled(model.B, model.letters, model.T, model.p0, theta, covariance)
@@ -93,7 +92,7 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
     variance = ((jacobian @ covariance) * jacobian).sum(axis=-1)
     reach = np.abs(jacobian)
     terms = ((reach @ np.abs(covariance)) * reach).sum(axis=-1)
-    lost = (variance <= LOST * terms) & (terms > 0)
+    lost = (variance <= 1e-13 * terms) & (terms > 0)  # the sum is rounding
     frequency_sd, damping_sd = np.sqrt(np.where(lost, np.nan, np.maximum(variance, 0.0)))
     return ModeValues(
         values, of_rig.frequency_hz, of_rig.damping_ratio, frequency_sd, damping_sd, of_rig.shapes
@@ -101,7 +100,6 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
 
 
 ROUNDING = 1e-30  # χ² of exact data against noise of the data's own size
-UNSETTLED = 0.1  # of χ², by which an end may lie above the minimum of its parabola
 MISFIT_LEVEL = 1e-3  # p-value of χ² below which intervals count the misfit of the model
 
 
@@ -203,21 +201,13 @@ def inference(data: Prepared, solution: Solution, method: Method) -> Inference:
     if method.traits.maximum_likelihood:
         # What runs off to infinity takes steps below its deviations, too, and is nowhere near a minimum.
         least = np.maximum(worth.chi2 / max(around.dof, 1), 1.0 if data.noise_known else 0.0)
-        settled = worth.above <= UNSETTLED * least
+        settled = worth.above <= 0.1 * least  # of χ², above the minimum of its parabola
         if not settled.all():
             solution = replace(solution, converged=solution.converged & settled)
     if worth.in_time is not None:
         solution = replace(solution, theta=solution.theta + worth.in_time.step)
-    return Inference(
-        method,
-        solution,
-        best.theta,
-        around.unknowns,
-        around.dof,
-        worth,
-        around.sums.symmetric,
-        valley,
-    )
+    of = around.unknowns, around.dof
+    return Inference(method, solution, best.theta, *of, worth, around.sums.symmetric, valley)
 
 
 def _with_flat_valley(
@@ -235,15 +225,8 @@ def _with_flat_valley(
         valley = flat_valley(view, exact, solution.theta, sign, scale)
         if valley is None or not valley.bounded or valley.fall == 0:
             break
-        end = descend_in_repeats(
-            view,
-            exact,
-            valley.lowest[None],
-            sign,
-            np.zeros(1, dtype=np.int64),
-            limit=ROUGH,
-            tolerance=NEAR_END,
-        )
+        first, lowest = np.zeros(1, dtype=np.int64), valley.lowest[None]
+        end = descend_in_repeats(view, exact, lowest, sign, first, limit=ROUGH, tolerance=NEAR_END)
         solution = replace(solution, theta=end.x)
         around = linearise(data, solution, traits)
     if valley is None or not valley.bounded:
@@ -343,12 +326,18 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
             covariance, covariance, bound, degrees, np.full(len(chi2), usable), nothing, excess
         )
     bread = sums.inverse
-    if data.spectrum.noise_given:
-        chi2, bound, noise = np.maximum(sums.cost - excess, 0.0), bread, bread
-        degrees = np.full(solution.theta.shape, np.inf)
-    else:
+    chi2, bound, noise = np.maximum(sums.cost - excess, 0.0), bread, bread
+    degrees = np.full(solution.theta.shape, np.inf)
+    if not data.spectrum.noise_given:  # weights and intervals pay for noise that was estimated
         quality = noise_quality(data.spectrum, data.correlated)
-        chi2, bound, noise, degrees = _with_estimated_noise(around, quality, bread, excess)
+        (information, _, cost), prior = around.lines, np.diag(around.precision)
+        penalty = sums.cost - np.sum(cost, axis=-1)
+        less = excess * np.mean(quality.shrink, axis=-1)
+        chi2 = np.maximum(np.sum(cost * quality.shrink, axis=-1) + penalty - less, 0.0)
+        if not np.all(quality.shrink == 1):
+            shrink = np.broadcast_to(quality.shrink, cost.shape)
+            bound = scaled_inverse(np.einsum("klij,kl->kij", information, shrink) + prior)
+        noise, degrees = _noise(information, quality, bread, prior)
     p = _p_value(chi2, dof, around.rows, data.spectrum)
     if not traits.weighted:
         noise = solution.covariance
@@ -380,21 +369,6 @@ def _excess(sums: QuadraticModel, solution: Solution) -> Real:
         apart = (held[:, :, None] | held[:, None, :]) & ~np.eye(held.shape[-1], dtype=bool)
         step = solve_scaled(np.where(apart, 0.0, sums.symmetric), gradient)
     return (gradient * step).sum(axis=-1)
-
-
-def _with_estimated_noise(
-    around: Linearised, quality: NoiseQuality, bread: Real, excess: Real
-) -> tuple[Real, Real, Real, Real]:
-    """χ², bound, covariance of a weighted estimate and the degrees of freedom behind it, the noise being estimated."""
-    (information, _, cost), prior = around.lines, np.diag(around.precision)
-    penalty = around.sums.cost - np.sum(cost, axis=-1)
-    shrink = np.mean(quality.shrink, axis=-1)
-    chi2 = np.maximum(np.sum(cost * quality.shrink, axis=-1) + penalty - excess * shrink, 0.0)
-    bound = bread
-    if not np.all(quality.shrink == 1):
-        shrink = np.broadcast_to(quality.shrink, cost.shape)
-        bound = scaled_inverse(np.einsum("klij,kl->kij", information, shrink) + prior)
-    return chi2, bound, *_noise(information, quality, bread, prior)
 
 
 def _noise(information: Real, quality: NoiseQuality, bread: Real, prior: Real) -> tuple[Real, Real]:
