@@ -9,7 +9,7 @@ motion, and they are believed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +38,8 @@ from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 # gives the step. Source: Gilmour, Thompson and Cullis (1995), Biometrics 51, 1440.
 
 DRAWS = 16  # of noise: sizes vary by 1/√DRAWS of their own standard deviation with the draws
+LAST = 60  # steps of the last search
+SHORTEST_PIECE = 64  # samples
 
 
 @dataclass(frozen=True)
@@ -70,12 +72,10 @@ def drawn_noise(linear: Sequence[LinearisedRecord], prior: Real, draws: int = DR
         white = rng.standard_normal((N, c, draws))
         moved = rng.standard_normal((N, record.covariance.known.spread.shape[1], draws))
         noises.append(white + record.covariance.reach(moved))
-    data = tuple(record.score for record in linear)
-    draws_cleared = tuple(cleared(linear, prior, noises))
-    back = [record.covariance.back for record in linear]
-    errors = tuple(carry(z[..., None])[..., 0] for carry, z in zip(back, data, strict=True))
-    drawn_errors = tuple(carry(z) for carry, z in zip(back, draws_cleared, strict=True))
-    return DrawnNoise(data, draws_cleared, errors, drawn_errors)
+    draws_cleared = cleared(linear, prior, noises)
+    back = [record.covariance.back(z) for record, z in zip(linear, draws_cleared, strict=True)]
+    data, errors = tuple(record.score for record in linear), tuple(record.errors() for record in linear)
+    return DrawnNoise(data, tuple(draws_cleared), errors, tuple(back))
 
 
 def sizes_of_noise(linear: Sequence[LinearisedRecord], prior: Real, noise: DrawnNoise) -> tuple[Real, Real]:
@@ -83,8 +83,11 @@ def sizes_of_noise(linear: Sequence[LinearisedRecord], prior: Real, noise: Drawn
 
     Channels first, then inputs; all variances as they are now.
     """
-    squares = np.concatenate([_squares(noise.data), _squares(noise.errors)])
-    expected = np.concatenate([_squares(noise.draws), _squares(noise.drawn_errors)]).mean(axis=-1)
+    squares, of_draws = (
+        np.concatenate([sum(np.sum(part**2, axis=0) for part in parts) for parts in both])
+        for both in ((noise.data, noise.errors), (noise.draws, noise.drawn_errors))
+    )
+    expected = of_draws.mean(axis=-1)
     # Columns of which each has one channel, or one input, alone
     working = [
         np.concatenate(
@@ -129,17 +132,6 @@ def cleared(linear: Sequence[LinearisedRecord], prior: Real, columns: Sequence[R
         each - record.weighed_slopes @ values[record.chosen]
         for record, each in zip(linear, solved, strict=True)
     ]
-
-
-def _squares(parts: Sequence[Real]) -> Real:
-    """Of columns (samples, sizes, …) over all records: (sizes, …)."""
-    return sum(np.sum(part**2, axis=0) for part in parts)
-
-
-LAST = 60  # steps of the last search
-SHORTEST_PIECE = 64  # samples
-
-Descend = Callable[[RecordProblem, Real, int], OptimizeResult]
 
 
 @dataclass(frozen=True)
@@ -197,23 +189,29 @@ def with_uncertain_inputs(
     problem: RecordProblem,
     psi: Real,
     measured: Sequence[RecordData],
-    descend: Descend,
+    limits: tuple[Real, Real],
     at_rest: NoiseAtRest | None,
 ) -> tuple[RecordProblem, OptimizeResult, InputSizes] | None:
     """The search from ψ (M,), the end of one with exact inputs, with the noise of inputs and outputs found beside it.
 
-    measured: the records before any was cut; descend: the search, of so many steps at most; at_rest: the sizes, where a
-    record at rest tells them.  None where the inputs show no noise that matters.  Raises NotSolvedError where the
-    motion hangs too much on its inputs for that.
+    measured: the records before any was cut; limits: bounds of ψ; at_rest: the sizes, where a record at rest tells
+    them.  None where the inputs show no noise that matters.  Raises NotSolvedError where the motion hangs too much on
+    its inputs for that.
     """
     if at_rest is not None:
-        return _of_known_sizes(problem, psi, descend, at_rest)
+        if np.any(at_rest.inputs > 0):
+            problem = problem.with_noise(at_rest.outputs, at_rest.inputs)
+        else:
+            problem = replace(problem, sd=at_rest.outputs)
+        q, sizes = len(at_rest.inputs), len(problem.sd) + len(at_rest.inputs)
+        nothing = np.zeros(q, dtype=bool), np.zeros((sizes, sizes))
+        return problem, problem.descend(psi, limits, LAST), InputSizes(at_rest.inputs, *nothing, at_rest=True)
     if not problem.records[0].inputs.shape[1] or min(data.samples for data in problem.records) < FEWEST:
         return None
     own = own_noise(measured)
     variance, by_spectrum = _first_variances(problem, psi, own)
     while np.any(variance > 0):
-        found, end, noise, denied = _sized(problem, psi, own, by_spectrum, variance, descend)
+        found, end, noise, denied = _sized(problem, psi, own, by_spectrum, variance, limits)
         if not np.any(denied):
             return found, end, noise
         variance = np.where(denied & ~by_spectrum, 0.0, noise.variance)
@@ -251,9 +249,7 @@ def _steady_samples(model: Model, data: RecordData, sd: Real) -> int:
     return int(length) if length < data.samples else 0
 
 
-def despite_wander(
-    problem: RecordProblem, psi: Real, measured: Sequence[RecordData], descend: Descend
-) -> Real | None:
+def despite_wander(problem: RecordProblem, psi: Real, measured: Sequence[RecordData]) -> Real | None:
     """ψ (M,) of the search with the noise that the inputs' own spectra show; None where they may be taken for exact.
 
     Noise of a base's acceleration, integrated, carries what shows where the rig is far from where it was: no motion of
@@ -268,26 +264,12 @@ def despite_wander(
     theta = psi[: len(problem.model.unknowns)]
     short, starts = begun_problem(problem.rig, tuple(pieces), theta, problem.sd, problem.constants)
     try:
-        end = descend(short, np.concatenate([psi[: problem.inner], starts]), LAST).x[0]
+        end = short.descend(np.concatenate([psi[: problem.inner], starts]), limit=LAST).x[0]
         psi = np.concatenate([end[: problem.inner], *(end[short.of_record(k)] for k in first)])
-        end = descend(problem.with_noise(problem.sd, own.shown), psi, LAST)
+        end = problem.with_noise(problem.sd, own.shown).descend(psi, limit=LAST)
     except NotSolvedError:
         return None
     return end.x[0] if np.isfinite(end.cost[0]) else None
-
-
-def _of_known_sizes(
-    problem: RecordProblem, psi: Real, descend: Descend, at_rest: NoiseAtRest
-) -> tuple[RecordProblem, OptimizeResult, InputSizes]:
-    """The search with the noise that a record at rest shows."""
-    q = len(at_rest.inputs)
-    if np.any(at_rest.inputs > 0):
-        problem = problem.with_noise(at_rest.outputs, at_rest.inputs)
-    else:
-        problem = replace(problem, sd=at_rest.outputs)
-    spread = np.zeros((len(problem.sd) + q, len(problem.sd) + q))
-    noise = InputSizes(at_rest.inputs, np.zeros(q, dtype=bool), spread, at_rest=True)
-    return problem, descend(problem, psi, LAST), noise
 
 
 def _first_variances(problem: RecordProblem, psi: Real, own: OwnNoise) -> tuple[Real, Bools]:
@@ -321,7 +303,7 @@ def _sized(
     own: OwnNoise,
     by_spectrum: Bools,
     variance: Real,
-    descend: Descend,
+    limits: tuple[Real, Real],
 ) -> tuple[RecordProblem, OptimizeResult, InputSizes, Bools]:
     """Rounds of a search for the unknowns and a step for the sizes of the noise, until these settle; the last search is
     to its end.
@@ -336,7 +318,7 @@ def _sized(
     slope, information = np.zeros(len(moves)), np.zeros((len(moves), len(moves)))
     for _ in range(20):  # at most
         problem = problem.with_noise(sd, variance)
-        psi = descend(problem, psi, 8).x[0]
+        psi = problem.descend(psi, limits, 8).x[0]
         linear = all_linearised(problem, psi)
         if not linear:
             break
@@ -353,7 +335,7 @@ def _sized(
         if np.max(np.abs(change)) / 2 < 5e-3:  # of a standard deviation
             break
     problem = problem.with_noise(sd, variance)
-    end = descend(problem, psi, LAST)
+    end = problem.descend(psi, limits, LAST)
     spread = np.zeros_like(information)
     spread[np.ix_(moves, moves)] = scaled_inverse((information + np.diag(freedom))[np.ix_(moves, moves)])
     told = np.maximum(np.diagonal(information)[c:], 1e-300)

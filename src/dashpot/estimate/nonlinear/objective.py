@@ -329,9 +329,8 @@ def evaluate(
     constants = model.inner_constants(theta)
     impossible = np.any(constants[:, must_be_positive(model)] <= 0, axis=-1)
     constants = np.where(impossible[:, None], 1.0, constants)
-    at = shown_lines(
-        view, dwells, model.parameters(theta), constants, q, start, noisy=noisy, grow=part.raised
-    )
+    p = model.parameters(theta)
+    at = shown_lines(view, dwells, p, constants, q, start, noisy=noisy, grow=part.raised)
     kappa = calibration_factors(view, psi, sign)
     predicted, J, G = kappa * at.predicted, kappa[..., None] * at.J, kappa[..., None] * at.G
     if not np.all(at.converged):
@@ -348,12 +347,8 @@ def evaluate(
 
 def must_be_positive(model: Model) -> Ints:
     """Indices of inner constants that make sense above 0 only, (k,)."""
-    positive = [
-        j
-        for j, (element, constant) in enumerate(model.constants)
-        if element.force_law is not None and constant.name in element.force_law.positive
-    ]
-    return np.array(positive, dtype=np.int64)
+    laws = [(element.force_law, constant.name) for element, constant in model.constants]
+    return np.array([j for j, (law, name) in enumerate(laws) if law and name in law.positive], dtype=np.int64)
 
 
 def measured_part(data: Measured) -> NonlinearPart:
@@ -408,7 +403,14 @@ def _predicted(
     weighted = (data.W @ residual[..., None])[..., 0]
     cost: Real = 2 * np.sum((np.conj(residual) * weighted).real, axis=-1)
     if known:
-        _keep(part, now, theta, q, cost)
+        # The responses of the repeats that are better than their last ones are remembered.
+        delta = now.delta.reshape(-1, len(dwells.omega), *now.delta.shape[1:])
+        slope, total = now.d_delta.reshape(*delta.shape, -1), np.sum(cost, axis=-1)
+        for row, repeat in enumerate(part.repeat.tolist()):
+            if total[row] < part.warm.cost.get(repeat, np.inf):
+                part.warm.cost[repeat] = float(total[row])
+                part.warm.delta[repeat], part.warm.inputs[repeat] = delta[row], q[row]
+                part.warm.along[repeat] = theta[row], slope[row]
     return residual, weighted, J, data.W @ J, q, cost
 
 
@@ -445,18 +447,6 @@ def _begin(data: Measured, part: NonlinearPart, theta: Real, known: bool) -> tup
         return q, None
     start = np.broadcast_to(start, (K, *start.shape[1:]))
     return q, start.reshape(-1, *start.shape[2:])
-
-
-def _keep(part: NonlinearPart, now: ShownLines, theta: Real, q: Complex, cost: Real) -> None:
-    """Remember the responses of the repeats that are better than their last ones."""
-    delta = now.delta.reshape(-1, len(part.dwells.omega), *now.delta.shape[1:])
-    slope = now.d_delta.reshape(*delta.shape, -1)
-    total = np.sum(cost, axis=-1)
-    for row, repeat in enumerate(part.repeat.tolist()):
-        if total[row] < part.warm.cost.get(repeat, np.inf):
-            part.warm.cost[repeat] = float(total[row])
-            part.warm.delta[repeat], part.warm.inputs[repeat] = delta[row], q[row]
-            part.warm.along[repeat] = theta[row], slope[row]
 
 
 def _normal(data: Measured, part: NonlinearPart, now: ShownLines, residual: Complex) -> tuple[Real, Real]:

@@ -16,6 +16,7 @@ from scipy.fft import dct, idct
 
 from dashpot.arrays import Ints, Real
 from dashpot.errors import ConvergenceError
+from dashpot.estimate.nonlinear.objective import must_be_positive
 from dashpot.estimate.nonlinear.records import (
     RecordData,
     largest_states,
@@ -32,8 +33,8 @@ from dashpot.model.nonlinear.integration import Integrator, Motion, forcing
 from dashpot.model.nonlinear.moving_base import does_nothing, moving_rig
 from dashpot.model.nonlinear.shooting import integrate, segment_length, segments_of
 from dashpot.model.nonlinear.tangent import ChainSolver, Tangent, tangent
-from dashpot.numerics.levenberg_marquardt import QuadraticModel
-from dashpot.unknowns import prior_mean, prior_precision
+from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
+from dashpot.unknowns import bounds_of, prior_mean, prior_precision
 
 # Which constants of whole records can be found: states at their starts, and constants that sensors of inputs add.
 #
@@ -582,6 +583,30 @@ class RecordProblem:
         matrix += np.diag(prior)
         total = cost + float(np.sum(prior * away**2))
         return QuadraticModel(np.array([total]), (gradient - prior * away)[None], matrix[None], matrix[None])
+
+    def bounds(self, psi: Real) -> tuple[Real, Real]:
+        """The rig's for ψ (M,); lengths and speeds inside laws stay above 0, where laws would divide by them."""
+        lower, upper = np.full(len(psi), -np.inf), np.full(len(psi), np.inf)
+        m, unknowns = len(self.model.unknowns), (*self.model.unknowns, *self.records[0].gains)
+        lower[: len(unknowns)], upper[: len(unknowns)] = bounds_of(unknowns)
+        lengths = np.any(self.model.constants_map[0][must_be_positive(self.model)] > 0, axis=0)
+        lower[:m] = np.where(lengths, np.maximum(lower[:m], 1e-6 * np.abs(psi[:m])), lower[:m])
+        return lower, upper
+
+    def descend(
+        self, psi: Real, limits: tuple[Real, Real] | None = None, limit: int = 60, tolerance: float = 1e-4
+    ) -> OptimizeResult:
+        """The least misfit from ψ (M,) on, within the `limits` or the `bounds` there, (M,) each."""
+        lower, upper = self.bounds(psi) if limits is None else limits
+        return minimise(
+            lambda x, _: self.quadratic(x),
+            psi[None],
+            limit=limit,
+            tolerance=tolerance,
+            lower=lower,
+            upper=upper,
+            patience=limit,
+        )
 
     def linearised(self, k: int, psi: Real) -> LinearisedRecord | None:
         """A record around ψ (M,), its inputs at their likeliest values there; None where no motion follows.

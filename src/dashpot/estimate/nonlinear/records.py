@@ -67,7 +67,8 @@ def arranged(model: Model, record: Record) -> RecordData:
     outputs = [i for i, channel in enumerate(record.channels) if not measures_input(model, channel)]
     if not outputs:
         raise DataError("no channel shows the motion", record.source, "measure a coordinate")
-    still = [record.channels[i].name for i in outputs if not np.ptp(record.values[:, i]) > 0]
+    names = tuple(record.channels[i].name for i in outputs)
+    still = [name for i, name in zip(outputs, names, strict=True) if not np.ptp(record.values[:, i]) > 0]
     if still:
         raise DataError(
             f"{joined(still)} show{'s' if len(still) == 1 else ''} no motion: the samples are all one number",
@@ -85,7 +86,7 @@ def arranged(model: Model, record: Record) -> RecordData:
     data = RecordData(
         record.source,
         step,
-        tuple(record.channels[i].name for i in outputs),
+        names,
         shown.values,
         values[:, outputs],
         view.on_x[outputs],
@@ -358,7 +359,7 @@ def largest_states(model: Model, theta: Real, data: RecordData, at: RecordedMoti
 
 def base_travel(model: Model, data: RecordData) -> BaseTravel:
     """How the bases travel: what was measured, integrated, and a course with which the rig moves least beside them."""
-    from scipy.interpolate import CubicSpline  # with it comes all of scipy.optimize
+    from scipy.interpolate import BSpline, CubicSpline  # with them comes all of scipy.optimize
 
     count = len(data.bases.names)
     travel, start = np.zeros((data.samples, count)), np.zeros((count, 3))
@@ -378,7 +379,16 @@ def base_travel(model: Model, data: RecordData) -> BaseTravel:
         course[np.array(data.bases.orders) == 1, 2] = 0.0
         travel, start = travel + courses @ course.T, start + course
     if np.any(reach):
-        courses, begun = _courses(data)
+        # Courses (samples, k) that bases may take beside what was measured, and how these begin, (k, 3): value, rate,
+        # bend; parabolas, or splines where noise of the rates moves bases otherwise
+        courses, begun = np.stack([np.ones_like(time), time, time**2 / 2], axis=1), np.eye(3)
+        if data.steady:
+            knots = np.linspace(0, time[-1], max(data.samples // data.steady, 1) + 1)
+            padded = np.concatenate([np.repeat(knots[0], 3), knots, np.repeat(knots[-1], 3)])
+            spline = BSpline(padded, np.eye(len(padded) - 4), 3)
+            # The bend is that of the noise at its start, not a constant of the sensor.
+            begun = np.stack([spline(0.0), spline(0.0, 1), np.zeros(len(padded) - 4)], axis=1)
+            courses = spline(time)
         columns = np.einsum("tk,nj->tnjk", courses, reach).reshape(beside.size, -1)
         size = np.linalg.norm(columns, axis=0)
         size = np.where(size > 0, size, 1.0)
@@ -386,23 +396,6 @@ def base_travel(model: Model, data: RecordData) -> BaseTravel:
         moved = courses @ course.T
         travel, start, beside = travel + moved, start + course @ begun, beside - moved @ reach.T
     return BaseTravel(travel, start, float(np.sqrt(np.mean(beside**2))) if len(chosen) else 0.0)
-
-
-def _courses(data: RecordData) -> tuple[Real, Real]:
-    """Courses (samples, k) that bases may take beside what was measured, and how these begin, (k, 3).
-
-    Value, rate, bend; parabolas, or splines where noise of the rates moves bases otherwise.
-    """
-    from scipy.interpolate import BSpline
-
-    time = data.step_s * np.arange(data.samples)
-    if not data.steady:
-        return np.stack([np.ones_like(time), time, time**2 / 2], axis=1), np.eye(3)
-    knots = np.linspace(0, time[-1], max(data.samples // data.steady, 1) + 1)
-    padded = np.concatenate([np.repeat(knots[0], 3), knots, np.repeat(knots[-1], 3)])
-    spline = BSpline(padded, np.eye(len(padded) - 4), 3)
-    # The bend is that of the noise at its start, not a constant of the sensor.
-    return spline(time), np.stack([spline(0.0), spline(0.0, 1), np.zeros(len(padded) - 4)], axis=1)
 
 
 def displacement_channels(data: RecordData) -> list[int]:

@@ -18,7 +18,6 @@ from dashpot.data.conditioning.still import Still
 from dashpot.data.record import Record
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.nonlinear.input_levels import despite_wander, steadied, with_uncertain_inputs
-from dashpot.estimate.nonlinear.objective import must_be_positive
 from dashpot.estimate.nonlinear.record_inference import FittedRecords
 from dashpot.estimate.nonlinear.record_problem import (
     NotSolvedError,
@@ -41,9 +40,8 @@ from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.moving_base import moving_rig
-from dashpot.numerics.levenberg_marquardt import OptimizeResult, minimise
+from dashpot.numerics.levenberg_marquardt import OptimizeResult
 from dashpot.numerics.small_systems import solve_scaled
-from dashpot.unknowns import bounds_of
 
 FIRST_NOISE = 0.01  # of a channel's rms: its noise before anything is known
 EXACT = 1e-6  # of a channel's rms: residuals below it count no less
@@ -113,7 +111,7 @@ def _with_exact_inputs(problem: RecordProblem, psi: Real, progress: Progress | N
         problem, search = _with_finer_steps(problem, search, progress)
     if not (far or search.converged[0]):
         problem, search = _searched(*_released(before, psi), progress)
-    limits = _bounds(problem, search.x[0])
+    limits = problem.bounds(search.x[0])
     return FittedRecords(
         problem, search.x[0], bool(search.converged[0]), int(search.iterations[0]), search.history, limits
     )
@@ -124,12 +122,10 @@ def _despite_wander(
 ) -> FittedRecords | None:
     """The fit where noise of bases carries the rig far from where it was; None where it does not."""
     problem = problem.afresh()
-    begun = despite_wander(
-        problem, psi, measured, lambda held, x, limit: _descended(held, x, _bounds(held, x), limit)
-    )
+    begun = despite_wander(problem, psi, measured)
     if begun is None:
         return None
-    exact = FittedRecords(problem, begun, True, 0, psi[None, : problem.inner], _bounds(problem, psi))
+    exact = FittedRecords(problem, begun, True, 0, psi[None, : problem.inner], problem.bounds(psi))
     ended = _with_true_inputs(exact, measured, at_rest)
     return None if ended.noise is None else ended
 
@@ -139,13 +135,7 @@ def _with_true_inputs(
 ) -> FittedRecords:
     """The fit with the true inputs unknown, where those measured show noise; as it is where they show none."""
     try:
-        better = with_uncertain_inputs(
-            exact.problem,
-            exact.psi,
-            measured,
-            lambda problem, psi, limit: _descended(problem, psi, exact.limits, limit),
-            at_rest,
-        )
+        better = with_uncertain_inputs(exact.problem, exact.psi, measured, exact.limits, at_rest)
     except NotSolvedError:
         return replace(exact, held=True)
     if better is None:
@@ -219,7 +209,7 @@ def _released(problem: RecordProblem, psi: Real) -> tuple[RecordProblem, Real]:
     Records whose free motion is lost between one end and the other are cut into pieces with starts of their own.  As
     given where no channel shows a displacement with a known gain that moves.
     """
-    first, limits = problem.records[0], _bounds(problem, psi)
+    first, limits = problem.records[0], problem.bounds(psi)
     shown = [c for c in displacement_channels(first) if np.ptp(first.outputs[:, c]) > 0]
     if not shown:
         return problem, psi
@@ -238,7 +228,7 @@ def _released(problem: RecordProblem, psi: Real) -> tuple[RecordProblem, Real]:
         held = replace(problem, model=model, records=records, trail=Trail(problem.motions()))
         if not np.isfinite(held.misfit(psi)):
             held = held.afresh()
-        end = _descended(held, psi, limits, 12, 0.1)  # roughly
+        end = held.descend(psi, limits, 12, 0.1)  # roughly
         if not (end.converged[0] and end.cost[0] < NEAR * least):  # too weak to hold this motion
             break
         psi, least = end.x[0], float(end.cost[0])
@@ -320,11 +310,11 @@ def _searched(
 
     history (rounds + 1, unknowns before the starts).
     """
-    limits = _bounds(problem, psi)
+    limits = problem.bounds(psi)
     history = [psi[: problem.inner]]
     sizes = problem.sd / FIRST_NOISE
     for turn in range(3):  # rounds, with the noise that the one before has left
-        end = _descended(problem, psi, limits)
+        end = problem.descend(psi, limits)
         psi = end.x[0]
         history.append(psi[: problem.inner])
         ratio = _residuals_over_noise(problem, psi)
@@ -385,39 +375,10 @@ def _refined(fitted: FittedRecords) -> FittedRecords:
         if moved < 3.0:  # near enough for one step of Gauss and Newton
             psi = np.clip(psi + step, *fitted.limits)
         else:
-            psi = _descended(finer, psi, fitted.limits).x[0]
+            psi = finer.descend(psi, fitted.limits).x[0]
         if problem.inputs is None:
             ratio = _residuals_over_noise(problem, psi)
             if np.all(ratio < 0.5):  # most of what was left were errors of coarser steps
                 problem = replace(problem, sd=np.maximum(problem.sd * ratio, EXACT * problem.sizes()))
     history = np.concatenate([fitted.history, psi[None, : problem.inner]])
     return replace(fitted, problem=problem, psi=psi, history=history)
-
-
-def _descended(
-    problem: RecordProblem,
-    psi: Real,
-    limits: tuple[Real, Real],
-    limit: int = 60,
-    tolerance: float = 1e-4,
-) -> OptimizeResult:
-    """The least misfit from ψ (M,) on, within bounds."""
-    return minimise(
-        lambda x, _: problem.quadratic(x),
-        psi[None],
-        limit=limit,
-        tolerance=tolerance,
-        lower=limits[0],
-        upper=limits[1],
-        patience=limit,
-    )
-
-
-def _bounds(problem: RecordProblem, psi: Real) -> tuple[Real, Real]:
-    """The rig's for ψ (M,); lengths and speeds inside laws stay above 0, where laws would divide by them."""
-    lower, upper = np.full(len(psi), -np.inf), np.full(len(psi), np.inf)
-    m, unknowns = len(problem.model.unknowns), (*problem.model.unknowns, *problem.records[0].gains)
-    lower[: len(unknowns)], upper[: len(unknowns)] = bounds_of(unknowns)
-    lengths = np.any(problem.model.constants_map[0][must_be_positive(problem.model)] > 0, axis=0)
-    lower[:m] = np.where(lengths, np.maximum(lower[:m], 1e-6 * np.abs(psi[:m])), lower[:m])
-    return lower, upper
