@@ -15,7 +15,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Ints
 from dashpot.data.spectrum import Moments, Spectrum, flattened, in_chunks
-from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError
+from dashpot.errors import ConvergenceError, IdentifiabilityError
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.inference.diagnostics import of_one_sign
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE, apart, not_unique
@@ -31,13 +31,7 @@ from dashpot.model.observation import measures_input
 from dashpot.notices import Notice
 
 LARGEST = 8  # coordinates: beyond, many starts take longer than anyone waits
-REJECTED = 1e-3  # p-value below which a fit may be a wrong valley
 BEYOND = 2.0  # standard deviations by which a negative part is no accident
-LOOSE = 30.0  # standard deviations: no wrong valley was seen where every part stands further than half of that from 0
-OPEN = (
-    100.0  # times the largest part of its kind: an unknown of that standard deviation has run off to infinity
-)
-NOISY = 0.02  # noise over motion at the middle line, below which there is one valley
 
 
 def suited_method(name: str | None, model: Model, spectrum: Spectrum, *, seed: int, positive: bool) -> Method:
@@ -68,8 +62,14 @@ def identify_automatically(
         return identify(model, spectrum, first, progress=progress)
     try:
         estimate = identify(model, spectrum, first, progress=progress)
-    except (IdentifiabilityError, ConvergenceError) as error:
-        return _in_place_of(model, spectrum, first, plain, error)
+    except (IdentifiabilityError, ConvergenceError):
+        # ml, from many starts if the rig is small, where the first has no answer; its error where neither has
+        search = _searched if model.n <= LARGEST else _converged
+        second = search(model, spectrum, plain)
+        if second is None:
+            raise
+        text = f"{first.name} finds no solution here; ml is used instead"
+        return replace(second, warnings=(*second.warnings, Notice("another_method", text)))
     if not may_be_another_minimum(model, spectrum, estimate) or model.n > LARGEST:
         return estimate
     second = _searched(model, spectrum, plain)
@@ -138,7 +138,8 @@ def identify_each(
 
 def may_be_another_minimum(model: Model, spectrum: Spectrum, estimate: Estimate) -> Bools:
     """Which estimates (...,) may be another minimum: not plausible, or with a part that noise leaves uncertain."""
-    uncertain = np.any(_below(model, estimate, LOOSE), axis=-1)
+    # No wrong valley was seen where every part stands further than half of this from 0.
+    uncertain = np.any(_below(model, estimate, 30.0), axis=-1)
     if np.any(uncertain):
         uncertain = uncertain & noisy(model, spectrum)
     return ~plausible(model, estimate) | uncertain
@@ -147,25 +148,31 @@ def may_be_another_minimum(model: Model, spectrum: Spectrum, estimate: Estimate)
 def plausible(model: Model, estimate: Estimate) -> Bools:
     """Which estimates (...,) have converged, are not rejected by χ², and make no part negative or endless."""
     wrong = np.any(_below(model, estimate, -BEYOND), axis=-1) | _endless(model, estimate)
-    return estimate.converged & ~np.asarray(estimate.fit.p < REJECTED) & ~wrong
+    return estimate.converged & ~np.asarray(estimate.fit.p < 1e-3) & ~wrong
 
 
 def _endless(model: Model, estimate: Estimate) -> Bools:
-    """Where an unknown has run off to infinity, where the likelihood is flat: no end of a search; (...,)."""
+    """Where an unknown has run off to infinity, where the likelihood is flat: no end of a search; (...,).
+
+    Its standard deviation is then a hundred times the largest part of its kind.
+    """
     kinds = {element.name: element.kind for element in model.elements}
     sizes = np.abs(model.parameters(estimate.values[..., : len(model.unknowns)]))
     endless = np.zeros(estimate.converged.shape, dtype=bool)
     for kind in dict.fromkeys(kinds.values()):
         alike = [each is kind for each in kinds.values()]
         largest = np.fmax.reduce(sizes[..., alike], axis=-1)
-        most = np.where(largest > 0, OPEN * largest, np.inf)
+        most = np.where(largest > 0, 100.0 * largest, np.inf)
         sought = [i for i, unknown in enumerate(model.unknowns) if kinds.get(unknown.name) is kind]
         endless |= np.any(~(estimate.noise_sd[..., sought] <= most[..., None]), axis=-1)
     return endless
 
 
 def noisy(model: Model, spectrum: Spectrum) -> Bools:
-    """Where noise is more than NOISY of the motion at a channel's middle line, (...,); so where it is not given."""
+    """Where noise is more than 2 % of the motion at a channel's middle line, (...,); so where it is not given.
+
+    Below that there is one valley.
+    """
     measured = np.array([not measures_input(model, channel) for channel in spectrum.channels])
     noise = np.sqrt(np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real)[..., measured]
     if not np.any(np.isfinite(noise)):
@@ -173,7 +180,7 @@ def noisy(model: Model, spectrum: Spectrum) -> Bools:
     with np.errstate(all="ignore"):
         share = noise / np.abs(spectrum.amplitudes[..., measured])
     unknown = np.all(np.isnan(share), axis=-2, keepdims=True)
-    return ~np.all(np.nanmedian(np.where(unknown, np.inf, share), axis=-2) <= NOISY, axis=-1)
+    return ~np.all(np.nanmedian(np.where(unknown, np.inf, share), axis=-2) <= 0.02, axis=-1)
 
 
 def _below(model: Model, estimate: Estimate, deviations: float) -> Bools:
@@ -183,18 +190,7 @@ def _below(model: Model, estimate: Estimate, deviations: float) -> Bools:
     return physical & (values < deviations * sd)
 
 
-def _in_place_of(
-    model: Model, spectrum: Spectrum, first: Method, plain: MaximumLikelihood, error: DashpotError
-) -> Estimate:
-    """ml, from many starts if the rig is small, where the first has no answer; its error where neither has."""
-    estimate = _searched(model, spectrum, plain) if model.n <= LARGEST else _converged(model, spectrum, plain)
-    if estimate is None:
-        raise error
-    text = f"{first.name} finds no solution here; ml is used instead"
-    return replace(estimate, warnings=(*estimate.warnings, Notice("another_method", text)))
-
-
-def _converged(model: Model, spectrum: Spectrum, method: Method) -> Estimate | None:
+def _converged(model: Model, spectrum: Spectrum, method: MaximumLikelihood) -> Estimate | None:
     """What the method finds, None where it finds no answer."""
     try:
         estimate = identify(model, spectrum, method)
@@ -231,15 +227,6 @@ def _rivals(estimate: Estimate) -> tuple[Notice, ...]:
     return tuple(notice for notice in estimate.warnings if notice.code == "not_unique")
 
 
-def _with_endless(first: Estimate, second: Estimate) -> Estimate:
-    """The first, told that the likelihood is as large or larger towards infinity, where it is."""
-    above = float(second.fit.chi2 - first.fit.chi2)
-    if not above <= DOUBT:
-        return first
-    rival = not_unique(first.names, first.units, first.values, second.values, above)
-    return replace(first, warnings=(rival, *first.warnings))
-
-
 def _ended(model: Model, estimate: Estimate) -> bool:
     """Whether an estimate is a minimum at all."""
     return bool(estimate.converged) and not _endless(model, estimate)
@@ -249,7 +236,12 @@ def _likelier(model: Model, first: Estimate, second: Estimate) -> Estimate:
     """The better of two ends, with the other told where it fits alike."""
     first_ended = _ended(model, first)
     if not _ended(model, second):
-        return _with_endless(first, second) if first_ended else first
+        # The first, told that the likelihood is as large or larger towards infinity, where it is
+        above = float(second.fit.chi2 - first.fit.chi2)
+        if not (first_ended and above <= DOUBT):
+            return first
+        rival = not_unique(first.names, first.units, first.values, second.values, above)
+        return replace(first, warnings=(rival, *first.warnings))
     taken, rivals = _preferred(model, first, second)
     if not taken:
         return replace(first, warnings=(*rivals, *first.warnings))

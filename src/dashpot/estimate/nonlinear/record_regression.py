@@ -233,10 +233,8 @@ def _best_constants(equations: WeakEquations) -> tuple[Real, Real]:
         p, left = equations.fitted(constants)
         return left if np.all(np.isfinite(p)) else np.inf
 
-    constants = refined_constants(
-        model, min(constants_to_try(model, elongation, speed), key=residual), residual
-    )
-    constants = _polished(equations, constants)
+    start = min(constants_to_try(model, elongation, speed), key=residual)
+    constants = _polished(equations, refined_constants(model, start, residual))
     return constants, equations.fitted(constants)[0]
 
 

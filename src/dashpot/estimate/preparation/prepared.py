@@ -97,13 +97,6 @@ def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:
     return np.asarray(statistic > (chdtri(count, level) if count else np.inf))
 
 
-def without_correlation(covariance: Complex) -> Complex:
-    """The same variances, off-diagonal entries 0.  (..., channels, channels)."""
-    if is_diagonal(covariance):
-        return covariance
-    return covariance * np.eye(covariance.shape[-1])
-
-
 def interval_dof(lines_share: Real, dof: Real, exact: Real) -> Real:
     """Satterthwaite's degrees of freedom of variances that are sums over lines and a part that is known exactly.
 
@@ -118,12 +111,6 @@ def interval_dof(lines_share: Real, dof: Real, exact: Real) -> Real:
 
 
 # How the channels weigh: their covariance as it is known, or equal relative noise where nothing is known.
-
-
-def with_unknown_noise(spectrum: Spectrum) -> Spectrum:
-    """The same amplitudes with unknown noise."""
-    nothing = np.full_like(spectrum.covariance, np.nan)
-    return replace(spectrum, covariance=nothing, noise=("unknown",) * spectrum.lines)
 
 
 def working_covariance(view: ObservationModel, spectrum: Spectrum) -> Complex:
@@ -212,13 +199,14 @@ def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False, states: 
         flat = replace(flat, moments=None)
     known = flat.noise_known
     if not known and FITTED not in flat.noise:
-        flat = with_unknown_noise(flat)
+        nothing = np.full_like(flat.covariance, np.nan)
+        flat = replace(flat, covariance=nothing, noise=("unknown",) * flat.lines)
     view = observation_model(model, flat.channels, flat.omega)
     V = flat.covariance if known else working_covariance(view, flat)
     V = V if V.ndim == 4 else V[None]
     correlated = np.atleast_1d(channels_correlate(flat)) if known else np.ones(len(V), dtype=bool)
     if not correlated.all() and not is_diagonal(V):
-        V = np.where(correlated[:, None, None, None], V, without_correlation(V))
+        V = np.where(correlated[:, None, None, None], V, V * np.eye(V.shape[-1]))
     return Prepared(view, flat, V, states_if_seen(view, flat, V) if states else None, known, correlated)
 
 

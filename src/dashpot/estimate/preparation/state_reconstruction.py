@@ -15,7 +15,6 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
-from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel
 from dashpot.numerics.kernel import kernel_function
 
@@ -120,11 +119,6 @@ class States:
         return self.z[..., self.n + self.r :]
 
 
-def state_names(model: Model) -> tuple[str, ...]:
-    """Names of the entries of z."""
-    return (*model.coordinates, *model.displacement_inputs, *model.force_inputs)
-
-
 def unseen(view: ObservationModel, spectrum: Spectrum, channels: Bools | None = None) -> tuple[str, ...]:
     """Names of coordinates and inputs that the direct channels (or some of them) do not determine at some line.
 
@@ -135,22 +129,16 @@ def unseen(view: ObservationModel, spectrum: Spectrum, channels: Bools | None = 
     for pattern in used[None] if spectrum.complete else np.unique(spectrum.present & used, axis=0):
         key = pattern.tobytes()
         if key not in view.undetermined:
-            # Rates scale rows, and do not change what they show.
-            view.undetermined[key] = _undetermined(view.direct_incidence[pattern])
+            C = view.direct_incidence[pattern]  # rates scale rows, and do not change what they show
+            shown = np.flatnonzero(np.any(C != 0, axis=0))  # of a large rig few coordinates
+            _, s, Vh = np.linalg.svd(C[:, shown], full_matrices=True)
+            rank = int(np.sum(s > 1e-9 * max(1.0, float(s[0]) if s.size else 0.0)))
+            view.undetermined[key] = np.ones(C.shape[1], dtype=bool)
+            view.undetermined[key][shown] = ~(np.linalg.norm(Vh[rank:], axis=0) <= 1e-9)
         missing |= view.undetermined[key]
-    if not missing.any():
-        return ()
-    return tuple(name for name, lost in zip(state_names(view.model), missing, strict=True) if lost)
-
-
-def _undetermined(C: Real) -> Bools:
-    """Which entries of z the rows of C, (channels, q), leave undetermined."""
-    shown = np.flatnonzero(np.any(C != 0, axis=0))  # of a large rig few coordinates
-    _, s, Vh = np.linalg.svd(C[:, shown], full_matrices=True)
-    rank = int(np.sum(s > 1e-9 * max(1.0, float(s[0]) if s.size else 0.0)))
-    undetermined = np.ones(C.shape[1], dtype=bool)
-    undetermined[shown] = ~(np.linalg.norm(Vh[rank:], axis=0) <= 1e-9)
-    return undetermined
+    model = view.model
+    names = (*model.coordinates, *model.displacement_inputs, *model.force_inputs) if missing.any() else ()
+    return tuple(name for name, lost in zip(names, missing, strict=False) if lost)
 
 
 def reconstruction(
@@ -186,11 +174,10 @@ def reconstruction(
     right = np.zeros((count + q, count))
     right[:count] = np.eye(count)
     try:
-        P: Complex = np.linalg.solve(system, np.broadcast_to(right, (*V.shape[:-2], *right.shape)))[
-            ..., count:, :
-        ]
+        solved = np.linalg.solve(system, np.broadcast_to(right, (*V.shape[:-2], *right.shape)))
     except np.linalg.LinAlgError as error:
         raise _contradiction() from error
+    P: Complex = solved[..., count:, :]
     return P * used[:, None, :] * z_size[..., :, None] / y_size[..., None, :]
 
 
@@ -227,7 +214,15 @@ def states_if_seen(view: ObservationModel, spectrum: Spectrum, covariance: Compl
 
     covariance (..., lines, channels, channels).  Raises DataError as `reconstruction`.
     """
-    return None if unseen(view, spectrum) else _combined(view, spectrum, covariance)
+    if unseen(view, spectrum):
+        return None
+    Y = spectrum.amplitudes
+    y = Y if spectrum.complete else np.where(np.isnan(Y), 0.0, Y)
+    by_point = states_by_point(view, spectrum.present & view.is_direct, covariance, y)
+    if by_point is None:
+        P = reconstruction(view, spectrum, covariance)
+        by_point = (P @ y[..., None])[..., 0], P @ covariance @ hermitian(P), P
+    return States(spectrum.omega, *by_point, view.model.n, len(view.model.displacement_inputs))
 
 
 def require_seen(view: ObservationModel, spectrum: Spectrum) -> None:
@@ -238,16 +233,3 @@ def require_seen(view: ObservationModel, spectrum: Spectrum) -> None:
             f"no channel sees {', '.join(missing)} at every line",
             cure="this method needs every coordinate and input: use the method ml, or add the channel",
         )
-
-
-def _combined(view: ObservationModel, spectrum: Spectrum, covariance: Complex) -> States:
-    Y = spectrum.amplitudes
-    y = Y if spectrum.complete else np.where(np.isnan(Y), 0.0, Y)
-    by_point = states_by_point(view, spectrum.present & view.is_direct, covariance, y)
-    if by_point is None:
-        P = reconstruction(view, spectrum, covariance)
-        spread = P @ covariance @ hermitian(P)
-        z = (P @ y[..., None])[..., 0]
-    else:
-        z, spread, P = by_point
-    return States(spectrum.omega, z, spread, P, view.model.n, len(view.model.displacement_inputs))
