@@ -15,7 +15,7 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.channel import Channel
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.descent import Stage, descend_all, descend_in_repeats
+from dashpot.estimate.likelihood.descent import Stage, descend_all
 from dashpot.estimate.likelihood.global_search import candidates, seen_directly
 from dashpot.estimate.likelihood.objective import directly_driven, local, measured, predict
 from dashpot.estimate.linear.least_squares import compensated
@@ -356,9 +356,7 @@ def descended(
 ) -> tuple[Real, Real]:
     """Ends ψ (k, M) and χ² (k,), inf where there is none, of starts in the repeats `rows`, near enough to compare."""
     with np.errstate(all="ignore"):
-        ended = descend_in_repeats(
-            view, data, start, sign, rows, limit=limit, tolerance=ROUGHLY, patience=limit
-        )
+        ended = Stage(view, data).descend(start, sign, rows, limit=limit, tolerance=ROUGHLY, patience=limit)
     return ended.x, np.where(np.isfinite(ended.cost), ended.cost, np.inf)
 
 

@@ -19,7 +19,7 @@ from dashpot.estimate.inference.time_course import (
     band_stability,
     counted_in_time,
 )
-from dashpot.estimate.likelihood.descent import NEAR_END, ROUGH, descend_in_repeats
+from dashpot.estimate.likelihood.descent import NEAR_END, ROUGH, Stage
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import (
     measured,
@@ -226,7 +226,7 @@ def _with_flat_valley(
         if valley is None or not valley.bounded or valley.fall == 0:
             break
         first, lowest = np.zeros(1, dtype=np.int64), valley.lowest[None]
-        end = descend_in_repeats(view, exact, lowest, sign, first, limit=ROUGH, tolerance=NEAR_END)
+        end = Stage(view, exact).descend(lowest, sign, first, limit=ROUGH, tolerance=NEAR_END)
         solution = replace(solution, theta=end.x)
         around = linearise(data, solution, traits)
     if valley is None or not valley.bounded:

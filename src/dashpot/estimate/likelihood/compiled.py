@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Bools, Ints, Real
+from dashpot.arrays import Ints, Real
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.linear.gram import compiled_result
 from dashpot.model.dynamics import kernel_rig
 from dashpot.model.observation import ObservationModel, small
 from dashpot.numerics.kernel import kernel, threads
-from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel
+from dashpot.numerics.levenberg_marquardt import QuadraticModel
 
 
 def compiled_output(view: ObservationModel, data: Measured) -> Any | None:
@@ -28,21 +27,16 @@ def compiled_output(view: ObservationModel, data: Measured) -> Any | None:
     key = (id(core), id(view))
     if key not in cache:
         cache.clear()
-        cache[key] = (_output(core, view, data), view)
+        output, rig = (
+            None,
+            kernel_rig(core, view.model, view.omega) if view.model.n and len(view.omega) else None,
+        )
+        if rig is not None:
+            q = None if data.q is None else np.ascontiguousarray(data.q)
+            measured = np.ascontiguousarray(data.y), np.ascontiguousarray(data.W), q
+            output = core.Output(rig, *measured, *kernel_channels(view))
+        cache[key] = output, view
     return cache[key][0]
-
-
-def _output(core: Any, view: ObservationModel, data: Measured) -> Any | None:
-    rig = kernel_rig(core, view.model, view.omega) if view.model.n and len(view.omega) else None
-    if rig is None:
-        return None
-    return core.Output(
-        rig,
-        np.ascontiguousarray(data.y),
-        np.ascontiguousarray(data.W),
-        None if data.q is None else np.ascontiguousarray(data.q),
-        *kernel_channels(view),
-    )
 
 
 def kernel_channels(view: ObservationModel) -> tuple[Any, ...]:
@@ -66,20 +60,6 @@ def compiled_local(
 def compiled_cost(output: Any, psi: Real, sign: Real, rows: Ints, weight: Real | None = None) -> Real:
     """The cost alone, (K,)."""
     return output.evaluate(_numbers(psi), _numbers(sign), rows, weight, False, threads())[0]
-
-
-def compiled_descent(
-    output: Any, start: Real, sign: Real, rows: Ints, *, lower: Real, upper: Real, limit: int, tolerance: float,
-    patience: int, longest: Real | None = None, logarithmic: Bools | None = None, weight: Real | None = None,
-) -> OptimizeResult:  # fmt: skip
-    """Minimise from `start` (k, M); unknowns that are `logarithmic` move, and are bound, in their logarithms."""
-    longest = np.full(start.shape[-1], np.inf) if longest is None else longest
-    return compiled_result(
-        output.descend(
-            _numbers(start), _numbers(sign), rows, weight, lower, upper, longest, logarithmic, limit, tolerance,
-            patience, threads(),
-        )
-    )  # fmt: skip
 
 
 def _numbers(values: Real) -> Real:

@@ -6,13 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real
+from dashpot.arrays import Bools, Ints, Real
 from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.compiled import compiled_cost, compiled_descent, compiled_output
+from dashpot.estimate.likelihood.compiled import compiled_cost, compiled_output
 from dashpot.estimate.likelihood.objective import bounds, local, logarithmic, measured
+from dashpot.estimate.linear.gram import compiled_result
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.model.reduced import ReducedRig
+from dashpot.numerics.kernel import threads
 from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult, QuadraticModel, minimise
 
 # Fewer lines for a search from many starts: the loudest of each part of the band.
@@ -137,36 +139,21 @@ class Likelihood:
             tolerance = max(tolerance, 1e-4)
         if data.nonlinear is not None:  # responses that are iterated themselves
             tolerance = max(tolerance, 1e-6)
-        return descend_in_repeats(
-            self.view, data, start, sign, rows, limit=most, tolerance=tolerance, lower=self.lower, upper=self.upper,
+        return Stage(self.view, data).descend(
+            start,
+            sign,
+            rows,
+            limit=most,
+            tolerance=tolerance,
+            lower=self.lower,
+            upper=self.upper,
             patience=PATIENCE if near is None else most,
-        )  # fmt: skip
-
-
-def descend_in_repeats(
-    view: ObservationModel, data: Measured, start: Real, sign: Real, rows: Ints, *, limit: int, tolerance: float,
-    lower: Real | None = None, upper: Real | None = None, patience: int = PATIENCE,
-) -> OptimizeResult:  # fmt: skip
-    """Minimise from each `start`, (k, M), with `sign` (k, channels), in the repeat `rows` (k,) of the data."""
-    output = compiled_output(view, data)
-    if output is not None:
-        low = np.full(start.shape[-1], -np.inf) if lower is None else lower
-        high = np.full(start.shape[-1], np.inf) if upper is None else upper
-        return compiled_descent(
-            output, start, sign, rows, lower=low, upper=high, limit=limit, tolerance=tolerance, patience=patience
-        )  # fmt: skip
-
-    def evaluate(psi: Real, active: Ints) -> QuadraticModel:
-        return local(view, data.pick(rows[active]), psi, sign[active])
-
-    return minimise(
-        evaluate, start, limit=limit, tolerance=tolerance, lower=lower, upper=upper, patience=patience
-    )
+        )
 
 
 @dataclass(frozen=True)
 class Stage:
-    """What a search from afar minimises: the likelihood of repeats in some data, or logarithms with weights."""
+    """What a descent minimises: the likelihood of repeats in some data, or logarithms with weights."""
 
     view: ObservationModel
     data: Measured
@@ -190,26 +177,82 @@ class Stage:
                 total = compiled_cost(output, psi, sign, rows, self.weight)
         return np.where(np.isfinite(total), total, np.inf)
 
+    def descend(
+        self,
+        start: Real,
+        sign: Real,
+        rows: Ints,
+        *,
+        limit: int,
+        tolerance: float,
+        lower: Real | float = -np.inf,
+        upper: Real | float = np.inf,
+        patience: int = PATIENCE,
+        log: Bools | None = None,
+    ) -> OptimizeResult:
+        """Minimise from each `start`, (k, M), with `sign` (k, channels), in the repeat `rows` (k,) of the data.
 
-def descend_all(
-    stage: Stage, psi: Real, sign: Real, rows: Ints | None = None, *, lower: Real | None = None,
-    upper: Real | None = None, limit: int = ROUGH, tolerance: float = NEAR_END,
-) -> Real:  # fmt: skip
-    """Where many starts end, each in its repeat of `rows` (k,); in logarithms of what is positive in all."""
-    lower = np.full(psi.shape[-1], -np.inf) if lower is None else lower
-    upper = np.full(psi.shape[-1], np.inf) if upper is None else upper
-    rows = stage.data.rows_of(len(psi)) if rows is None else rows
-    log = (np.arange(psi.shape[-1]) < stage.view.m) & np.all(psi > 0, axis=0)
+        Unknowns that are `log` (M,) move in their logarithms, in which start and bounds then are, by 1 at once at most.
+        """
+        endless = np.full(start.shape[-1], np.inf)
+        lower, upper = np.maximum(lower, -endless), np.minimum(upper, endless)
+        longest = endless if log is None else np.where(log, 1.0, np.inf)
+        output = compiled_output(self.view, self.data)
+        if output is not None:
+            start, sign = (np.ascontiguousarray(part, dtype=np.float64) for part in (start, sign))
+            ended = output.descend(
+                start,
+                sign,
+                rows,
+                self.weight,
+                lower,
+                upper,
+                longest,
+                log,
+                limit,
+                tolerance,
+                patience,
+                threads(),
+            )
+            return compiled_result(ended)
 
-    def evaluate(x: Real, active: Ints) -> QuadraticModel:
-        at = np.where(log, np.exp(np.where(log, x, 0.0)), x)
-        around = stage.model_at(at, sign[active], rows[active])
-        chain = np.where(log, at, 1.0)
-        both = chain[:, :, None] * chain[:, None, :]
-        return QuadraticModel(
-            around.cost, around.gradient * chain, around.symmetric * both, around.free * both
+        def evaluate(x: Real, active: Ints) -> QuadraticModel:
+            if log is None:
+                return self.model_at(x, sign[active], rows[active])
+            at = np.where(log, np.exp(np.where(log, x, 0.0)), x)
+            around = self.model_at(at, sign[active], rows[active])
+            chain = np.where(log, at, 1.0)
+            both = chain[:, :, None] * chain[:, None, :]
+            return QuadraticModel(
+                around.cost, around.gradient * chain, around.symmetric * both, around.free * both
+            )
+
+        return minimise(
+            evaluate,
+            start,
+            limit=limit,
+            tolerance=tolerance,
+            lower=lower,
+            upper=upper,
+            longest=longest,
+            patience=patience,
         )
 
+
+def descend_all(
+    stage: Stage,
+    psi: Real,
+    sign: Real,
+    rows: Ints | None = None,
+    *,
+    lower: Real | float = -np.inf,
+    upper: Real | float = np.inf,
+    limit: int = ROUGH,
+    tolerance: float = NEAR_END,
+) -> Real:
+    """Where many starts end, each in its repeat of `rows` (k,); in logarithms of what is positive in all."""
+    rows = stage.data.rows_of(len(psi)) if rows is None else rows
+    log = (np.arange(psi.shape[-1]) < stage.view.m) & np.all(psi > 0, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         x = np.where(log, np.log(np.where(log, psi, 1.0)), psi)
         low = np.where(log, np.log(np.maximum(lower, 0.0)), lower)
@@ -217,22 +260,7 @@ def descend_all(
     # No further than 20 decades from the starts: what is hardly seen must not run out of the range of numbers.
     low = np.where(log, np.maximum(low, np.min(x, axis=0) - 46), lower)
     high = np.where(log, np.minimum(high, np.max(x, axis=0) + 46), upper)
-    longest = np.where(log, 1.0, np.inf)
-    output = compiled_output(stage.view, stage.data)
-    if output is None:
-        ends = minimise(
-            evaluate,
-            x,
-            limit=limit,
-            tolerance=tolerance,
-            lower=low,
-            upper=high,
-            longest=longest,
-            patience=limit,
-        )
-    else:
-        ends = compiled_descent(
-            output, x, sign, rows, lower=low, upper=high, limit=limit, tolerance=tolerance, patience=limit,
-            longest=longest, logarithmic=log, weight=stage.weight,
-        )  # fmt: skip
+    ends = stage.descend(
+        x, sign, rows, limit=limit, tolerance=tolerance, lower=low, upper=high, patience=limit, log=log
+    )
     return np.where(log, np.exp(np.where(log, ends.x, 0.0)), ends.x)
