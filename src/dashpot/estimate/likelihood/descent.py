@@ -195,7 +195,8 @@ class Stage:
         Unknowns that are `log` (M,) move in their logarithms, in which start and bounds then are, by 1 at once at most.
         """
         endless = np.full(start.shape[-1], np.inf)
-        lower, upper = np.maximum(lower, -endless), np.minimum(upper, endless)
+        low: Real = np.maximum(lower, -endless)
+        high: Real = np.minimum(upper, endless)
         longest = endless if log is None else np.where(log, 1.0, np.inf)
         output = compiled_output(self.view, self.data)
         if output is not None:
@@ -205,8 +206,8 @@ class Stage:
                 sign,
                 rows,
                 self.weight,
-                lower,
-                upper,
+                low,
+                high,
                 longest,
                 log,
                 limit,
@@ -232,8 +233,8 @@ class Stage:
             start,
             limit=limit,
             tolerance=tolerance,
-            lower=lower,
-            upper=upper,
+            lower=low,
+            upper=high,
             longest=longest,
             patience=patience,
         )
