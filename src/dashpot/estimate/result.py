@@ -421,12 +421,10 @@ class Estimate(Printable):
 
     def __iter__(self) -> Iterator[Value]:
         """The unknowns one by one (no batch axes)."""
-        low, high = self.interval()
-        for j, name in enumerate(self.names):
-            yield Value(
-                name, float(self.values[j]), float(self.sd[j]), (float(low[j]), float(high[j])),
-                float(self.bound_sd[j]), self.units[j],
-            )  # fmt: skip
+        columns = zip(self.values, self.sd, *self.interval(), self.bound_sd, strict=True)
+        for name, unit, row in zip(self.names, self.units, columns, strict=True):
+            value, sd, low, high, bound = map(float, row)
+            yield Value(name, value, sd, (low, high), bound, unit)
 
     def __getitem__(self, name: str) -> Value:
         for value in self:
@@ -668,11 +666,15 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
     assessment = estimate.assessment
     entries: dict[str, dict[str, Any]] = {
         name: {
-            "value": v.value, "sd": v.sd, "interval95": list(v.interval95), "unit": v.unit, "known": v.known,
+            "value": v.value,
+            "sd": v.sd,
+            "interval95": list(v.interval95),
+            "unit": v.unit,
+            "known": v.known,
             "bound_sd": v.bound_sd,
         }
         for name, v in estimate.parameters().items()
-    }  # fmt: skip
+    }
     columns = (estimate.noise_sd, estimate.dof, estimate.lower, estimate.upper, estimate.free_values)
     for j, name in enumerate(estimate.names):
         noise, dof, low, high, free = (float(column[j]) for column in columns)
@@ -699,7 +701,9 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         "signs": {name: float(sign) for name, sign in estimate.signs.items()},
         "modes": [] if estimate.modes is None else _mode_rows(estimate.modes),
         "fit": {
-            "chi2": float(estimate.fit.chi2), "dof": estimate.fit.dof, "p": float(estimate.fit.p),
+            "chi2": float(estimate.fit.chi2),
+            "dof": estimate.fit.dof,
+            "p": float(estimate.fit.p),
             "known_noise": estimate.fit.known_noise,
             **({} if assessment is None else assessment.fit_content()),
         },
@@ -711,7 +715,7 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         "notes": [str(notice) for notice in estimate.notes],
         "note_codes": [notice.code for notice in estimate.notes],
         "note_concerns": [list(notice.of) for notice in estimate.notes],
-    }  # fmt: skip
+    }
 
 
 def _statements(estimate: Estimate) -> dict[str, Any]:

@@ -294,10 +294,10 @@ def _of_equation(data: Prepared, solution: Solution) -> Linearised:
         chosen = states if len(repeats) == len(theta) else states.rows(repeats)
         return equation_by_line(model, chosen, theta[repeats])
 
+    rows = 2 * model.n * data.spectrum.lines
     return Linearised(
-        model.unknowns, equation_sums(model, states, theta), by_line,
-        2 * model.n * data.spectrum.lines, model.prior_precision,
-    )  # fmt: skip
+        model.unknowns, equation_sums(model, states, theta), by_line, rows, model.prior_precision
+    )
 
 
 def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: Traits) -> Uncertainty:

@@ -41,10 +41,8 @@ def compiled_output(view: ObservationModel, data: Measured) -> Any | None:
 
 def kernel_channels(view: ObservationModel) -> tuple[Any, ...]:
     """What the channels show and the priors of ψ, in the kernel's order."""
-    return (
-        view.derivative, view.on_x, view.on_q, view.force, view.gain, view.delay, bool(np.any(view.flips)),
-        view.prior_precision, view.prior_mean,
-    )  # fmt: skip
+    shown = view.derivative, view.on_x, view.on_q, view.force, view.gain, view.delay
+    return *shown, bool(np.any(view.flips)), view.prior_precision, view.prior_mean
 
 
 def compiled_local(

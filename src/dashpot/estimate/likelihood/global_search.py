@@ -479,9 +479,14 @@ def rival_notice(
 
 
 def not_unique(
-    names: Sequence[str], units: Sequence[str], psi: Real, other: Real, above: float, more: int = 0,
+    names: Sequence[str],
+    units: Sequence[str],
+    psi: Real,
+    other: Real,
+    above: float,
+    more: int = 0,
     cure: str = "add a sensor at another point, fix a parameter or give a guess",
-) -> Notice:  # fmt: skip
+) -> Notice:
     """The notice that another minimum, whose χ² lies `above` that of `psi`, fits alike, and so many more; both (M,)."""
     change = np.abs(other - psi) / np.maximum(np.maximum(np.abs(psi), np.abs(other)), 1e-300)
     # What differs by less than a thousandth of the largest change is not named.
@@ -601,9 +606,14 @@ def _from_guesses(one: Likelihood, stages: Sequence[Stage], rng: np.random.Gener
 
 
 def _starts_of_round(
-    one: Likelihood, stages: Sequence[Stage], minima: LocalMinima, many: int, starts: int, turn: int,
+    one: Likelihood,
+    stages: Sequence[Stage],
+    minima: LocalMinima,
+    many: int,
+    starts: int,
+    turn: int,
     rng: np.random.Generator,
-) -> tuple[Real, Real]:  # fmt: skip
+) -> tuple[Real, Real]:
     """The best of many candidates, ranked by the first stage; after the first round neighbours of minima as well."""
     psi, sign = candidates(one.data, many + starts, rng)
     order = np.argsort(stages[0].cost(psi, sign))

@@ -57,8 +57,14 @@ class InputNoise:
         return InputNoise(sought, least, least, most)
 
     def refined(
-        self, view: ObservationModel, spectrum: Spectrum, lines: Bools, data: Measured, residual: Complex, G: Complex
-    ) -> InputNoise:  # fmt: skip
+        self,
+        view: ObservationModel,
+        spectrum: Spectrum,
+        lines: Bools,
+        data: Measured,
+        residual: Complex,
+        G: Complex,
+    ) -> InputNoise:
         """After another fit.  What a next step does not bear out is given up for good."""
         ends = self.least, self.most
         shown = input_noise(view, spectrum, lines, data, residual, G, self.level, ends)
@@ -130,9 +136,15 @@ def without_moved(power: Real, moved: Real, smooth: Callable[[Real], Real]) -> R
 
 
 def input_noise(
-    view: ObservationModel, spectrum: Spectrum, sought: Bools, data: Measured, residual: Complex, G: Complex,
-    before: Real, ends: tuple[Real, Real],
-) -> Real:  # fmt: skip
+    view: ObservationModel,
+    spectrum: Spectrum,
+    sought: Bools,
+    data: Measured,
+    residual: Complex,
+    G: Complex,
+    before: Real,
+    ends: tuple[Real, Real],
+) -> Real:
     """Variance times samples of channels that measure inputs alone, (channels,): the next after `before`.
 
     The least where no more is shown.

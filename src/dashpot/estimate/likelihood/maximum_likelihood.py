@@ -259,11 +259,10 @@ class MaximumLikelihood(Method):
         if np.any(np.isfinite(likelihood.lower) | np.isfinite(likelihood.upper)):
             free = without_bounds(minimum.x, around, likelihood.lower, likelihood.upper)
             bounds = HeldBounds(likelihood.lower, likelihood.upper, free)
-        return Solution(
-            minimum.x, around.inverse, minimum.converged, minimum.iterations, minimum.history,
-            signs={view.channels[int(c)].name: sign[:, c] for c in np.flatnonzero(view.flips)},
-            warnings=warnings, bounds=bounds, responses=likelihood.exact.nonlinear,
-        )  # fmt: skip
+        ended = minimum.converged, minimum.iterations, minimum.history
+        signs = {view.channels[int(c)].name: sign[:, c] for c in np.flatnonzero(view.flips)}
+        responses = likelihood.exact.nonlinear
+        return Solution(minimum.x, around.inverse, *ended, signs, warnings, bounds, responses)
 
     def _from_start(self, likelihood: Likelihood) -> tuple[OptimizeResult, Real, tuple[Notice, ...]]:
         """Where the start of one repeat leads, alone, with draws about it, or with its rivals; signs and a warning."""

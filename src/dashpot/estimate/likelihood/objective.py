@@ -198,9 +198,14 @@ def predict(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Pr
 
 
 def _prediction(
-    data: Measured, residual: Complex, J: Complex, PJ: Complex, q: Complex, columns: int = 0,
+    data: Measured,
+    residual: Complex,
+    J: Complex,
+    PJ: Complex,
+    q: Complex,
+    columns: int = 0,
     at_ends: Complex | None = None,
-) -> Prediction:  # fmt: skip
+) -> Prediction:
     weighted = (data.W @ residual[..., None])[..., 0]
     cost: Real = 2 * np.sum((np.conj(residual) * weighted).real, axis=-1)
     return Prediction(residual, weighted, J, PJ, q, cost, columns, at_ends)

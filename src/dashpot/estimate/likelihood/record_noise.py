@@ -118,7 +118,7 @@ def noise_from_residuals(
                 "alone gives modes, not masses, dampers and springs",
             )
         used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
-        power, inputs = _own_power(view, spectrum, sought, exact, residual, inputs, psi, sign)
+        power, inputs = _own_power(likelihood, sought, residual, inputs, psi, sign)
         left = max(1 - used, 0.1)
         variance, dof = _smoothed(spectrum, power / left, sought, outputs, left)
         variance *= weaker
@@ -139,13 +139,13 @@ def noise_from_residuals(
 
 
 def _own_power(
-    view: ObservationModel, spectrum: Spectrum, sought: Bools, data: Measured, residual: Complex, inputs: InputNoise,
-    psi: Real, sign: Real,
-) -> tuple[Real, InputNoise]:  # fmt: skip
+    likelihood: Likelihood, sought: Bools, residual: Complex, inputs: InputNoise, psi: Real, sign: Real
+) -> tuple[Real, InputNoise]:
     """Mean power of each channel's own noise, (lines, channels), by what a fit leaves, and what is known of inputs.
 
     With what the fitted inputs have taken out of the residual put back, and what errors of exact ones move taken out.
     """
+    view, spectrum, data = likelihood.view, likelihood.data.spectrum, likelihood.exact
     power = np.abs(residual) ** 2
     if data.q is not None and not np.any(inputs.sought):
         return power, inputs
@@ -296,9 +296,15 @@ def _smoothed(
 
 
 def _pooled(
-    records: list[Ints], power: Real, size: Real, samples: Ints, outputs: Bools, variance: Real, dof: Real,
+    records: list[Ints],
+    power: Real,
+    size: Real,
+    samples: Ints,
+    outputs: Bools,
+    variance: Real,
+    dof: Real,
     left: float,
-) -> None:  # fmt: skip
+) -> None:
     """Noise of short records, white each: of one size per sample, or in proportion to each channel's own size.
 
     Whichever of the two explains the scatter between the records better; where neither does, each record by itself,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -65,15 +65,10 @@ class Sampled:
     def rows(self, rows: Ints) -> Sampled:
         """Some of the repeats, rows (k,)."""
 
-        def pick(part: np.ndarray) -> np.ndarray:
-            return part if len(part) == 1 else part[rows]
-
-        return Sampled(
-            self.model, self.omega, pick(self.V), self.y[rows], self.a[rows], pick(self.reading), self.U[rows],
-            self.f[rows], pick(self.force), self.weight,
-            None if self.coefficients is None else self.coefficients[rows],
-            None if self.moments is None else pick(self.moments),
-        )  # fmt: skip
+        each = ("V", "y", "a", "reading", "U", "f", "force", "coefficients", "moments")
+        parts = {name: getattr(self, name) for name in each}
+        picked = {name: part[rows] for name, part in parts.items() if part is not None and len(part) > 1}
+        return replace(self, **picked)
 
 
 def sampled(data: Prepared) -> Sampled:
@@ -250,10 +245,9 @@ class WeightedLeastSquares(Method):
         Q = equation_map(observed, model.parameters(theta))
         e = np.einsum("...nc,...c->...n", Q, observed.y)
         Gamma = noise_map(observed)
-        meat = score_covariance(
-            solve_small(Se, Phi), Q, solve_small(Se, e[..., None])[..., 0], Gamma, solve_small(Se, Q), observed.V,
-            np.full_like(observed.weight, 2.0), np.ones_like(observed.weight),
-        )  # fmt: skip
+        A, Oe, OQ = solve_small(Se, Phi), solve_small(Se, e[..., None])[..., 0], solve_small(Se, Q)
+        bins = np.ones_like(observed.weight)
+        meat = score_covariance(A, Q, Oe, Gamma, OQ, observed.V, 2.0 * bins, bins)
         half = scaled_inverse(bread)
         return closed_form(theta, half @ (meat + np.diag(model.prior_precision)) @ half)
 
@@ -284,9 +278,8 @@ def combined(data: Prepared) -> Sampled:
         np.eye(size, dtype=complex)[s.n + s.r :], (1, spectrum.lines, size - s.n - s.r, size)
     )
     a = unit_forces(model, spectrum.omega, s.X, s.U)
-    return Sampled(
-        model, spectrum.omega, s.covariance, s.z, a, reading, s.U, s.f, force, spectrum.samples / 2, None, None
-    )  # fmt: skip
+    weight = spectrum.samples / 2
+    return Sampled(model, spectrum.omega, s.covariance, s.z, a, reading, s.U, s.f, force, weight, None, None)
 
 
 def solve_sums(observed: Sampled, N: Real, r: Real, theta: Real | None = None) -> Real:
