@@ -18,6 +18,7 @@ from dashpot.check.explain.problem import LineProblem
 from dashpot.errors import DashpotError
 from dashpot.model.network import Model
 from dashpot.model.rigfile import channel_line
+from dashpot.unknowns import Unknown
 
 # Ratios of usual units, rms and peak, degrees and radians, and their inverses.
 RATIOS = (
@@ -70,6 +71,25 @@ def number(value: float, form: str = ".4g") -> str:
 def known_ratio(factor: float) -> float | None:
     """The usual ratio of units that a factor (of either sign) is, None where it is none."""
     return next((ratio for ratio in RATIOS if abs(abs(factor) / ratio - 1) < CLOSE), None)
+
+
+def regained(channel: Channel, factor: float) -> Channel:
+    """The channel with a gain `factor` times as large, known as well as it was."""
+    prior = channel.gain_prior
+    if channel.gain is not None or prior is None or prior.prior is None or prior.sd is None:
+        known = 1.0 if channel.gain is None else channel.gain
+        return replace(channel, gain=float(f"{known * factor:.6g}"))
+    value, sd = float(f"{prior.prior * factor:.6g}"), float(f"{prior.sd * abs(factor):.6g}")
+    return replace(channel, same_gain_as=None, gain_prior=Unknown(f"{channel.name}.gain", "1", value, sd))
+
+
+def delayed(channel: Channel, late: float) -> Channel:
+    """The channel with a delay that is `late` (s) longer, known as well as it was."""
+    prior = channel.delay_prior
+    if channel.delay is not None or prior is None or prior.prior is None or prior.sd is None:
+        return replace(channel, delay=float(f"{(channel.delay or 0.0) + late:.4g}"))
+    value = float(f"{prior.prior + late:.4g}")
+    return replace(channel, delay_prior=Unknown(f"{channel.name}.delay", "s", value, prior.sd))
 
 
 def _line(model: Model, channel: Channel) -> str:
@@ -142,7 +162,7 @@ def factor_in_words(model: Model, channel: Channel, factor: float) -> Phrase:
             stated = channel.unit if channel.unit else units.si_unit(channel.quantity.value)
             mended = replace(channel, unit=each, scale=scale)
             return Phrase(f"{text}. Are the data in {each}, not {stated}?", _line(model, mended), (mended,))
-    mended = replace(channel, gain=float(f"{(1.0 if channel.gain is None else channel.gain) * factor:.6g}"))
+    mended = regained(channel, factor)
     for ratio, question in RATIOS_IN_WORDS.items():
         if abs(abs(factor) / ratio - 1) < CLOSE:
             text += f". {question}"
@@ -178,7 +198,7 @@ def _delayed(c: int, problem: LineProblem, late: float) -> LineProblem:
     if not problem.data.spectrum.records:
         return shifted
     channels = tuple(
-        replace(channel, delay=(channel.delay or 0.0) + late) if k == c else channel
+        replace(channel, delay=channel.delay + late) if k == c and channel.delay is not None else channel
         for k, channel in enumerate(problem.channels)
     )
     return shifted.of_rig(problem.model, channels)
@@ -195,8 +215,7 @@ def _lateness(y: Complex, e: Complex, omega: Real) -> float:
 
 
 def late(model: Model, channel: Channel, late: float) -> Phrase:
-    stated = 0.0 if channel.delay is None else channel.delay
-    mended = replace(channel, delay=float(f"{stated + late:.4g}"))
+    mended = delayed(channel, late)
     text = f"{channel.name} is {1e3 * abs(late):.3g} ms {'late' if late > 0 else 'early'}"
     return Phrase(text, _line(model, mended), (mended,))
 

@@ -144,8 +144,11 @@ def _channel_fields(channel: Channel, model: Model) -> dict[str, str]:
         fields["rate"] = _number(channel.rate)
     if channel.same_gain_as is not None:
         fields["same_gain_as"] = quoted(channel.same_gain_as)
-    for key, prior in (("gain", channel.gain_prior), ("delay", channel.delay_prior)):
-        if prior is not None and (key == "delay" or channel.same_gain_as is None):
+    for key, number, prior in (
+        ("gain", channel.gain, channel.gain_prior),
+        ("delay", channel.delay, channel.delay_prior),
+    ):
+        if prior is not None and number is None and (key == "delay" or channel.same_gain_as is None):
             own = prior.name == f"{channel.name}.{key}"
             fields[key] = _inline(_stated_fields(prior) if own else {"of": quoted(prior.name)})
     return fields

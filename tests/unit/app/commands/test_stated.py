@@ -67,3 +67,44 @@ def test_design_and_study_know_the_calibration_as_well_as_it_is_stated(stated: C
     exact, known, unknown = (each["k"]["sd"] for each in predicted.values())
     assert exact < known < unknown
     assert predicted['{ of = "calibrator" }']["calibrator"]["sd"] < 0.0101
+
+
+@pytest.mark.parametrize(
+    ("true", "kind", "line"), [(1.12, "gain", "value = 1.1"), (-1.02, "sign", "sign = -1")]
+)
+def test_a_wrong_statement_is_explained_and_its_line_keeps_the_sd(
+    dashpot: Command, true: float, kind: str, line: str
+) -> None:
+    rig = """
+coordinates = ["x1", "x2"]
+[inputs]
+u = { kind = "displacement" }
+[masses]
+m1 = { at = "x1", value = 3 }
+m2 = { at = "x2" }
+[springs]
+k1 = { between = ["x1", "x2"] }
+k2 = { between = ["x2", "u"] }
+[dampers]
+c1 = { between = ["x1", "x2"] }
+c2 = { between = ["x2", "u"] }
+[channels]
+x1 = { of = "x1", noise = 1e-5, gain = GAIN }
+x2 = { of = "x2", noise = 1e-5 }
+u = { of = "u", noise = 1e-6 }
+F = { of = "u", quantity = "force", noise = 0.1 }
+"""
+    Path("true.toml").write_text(rig.replace("GAIN", str(true)), encoding="utf-8")
+    Path("rig.toml").write_text(rig.replace("GAIN", '{ value = 1.02, sd = "1 %" }'), encoding="utf-8")
+    values = ("m2=2.7", "k1=4600", "k2=5000", "c1=20", "c2=30")
+    sets = [part for value in values for part in ("--set", value)]
+    how = ("--frequencies", "2:12/14", "--samples", "250", "--amplitude", "u=5mm")
+    assert dashpot("simulate", "true.toml", *sets, *how, "--out", "data.csv").code == 0
+    assert dashpot("identify", "rig.toml", "data.csv", "--json", "out.json").code == 0
+    content = json.loads(Path("out.json").read_text(encoding="utf-8"))
+    assert content["codes"].count("prior_conflict") == 1
+    assert abs(content["pulls"]["x1.gain"]) > 3
+    first = content["diagnosis"][0]
+    assert (first["kind"], first["of"]) == (kind, ["x1"])
+    assert line in first["change"]
+    assert "sd = 0.01" in first["change"]
