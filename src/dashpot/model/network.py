@@ -207,15 +207,11 @@ def _element_problems(element: Element, points: Collection[str], complete: bool)
     for key, number in numbers.items():
         if not np.isfinite(number):
             yield Problem(f"{key} is {number:g}", name, "give a finite number")
-    yield from _value_problems(element)
-    yield from number_problems(name, numbers)
-
-
-def _value_problems(element: Element) -> Iterator[Problem]:
     value = element.value
     if value is not None and value < 0 and element.force_law is None:
         what = f"a {element.kind} of {value:g} {element.law.unit()} is negative"
         yield Problem(what, element.name, "give a value of 0 or more")
+    yield from number_problems(name, numbers)
 
 
 def number_problems(name: str, numbers: Mapping[str, float]) -> Iterator[Problem]:
