@@ -18,7 +18,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from dashpot import quantities
-from dashpot.errors import DataError, UsageError
+from dashpot.errors import UsageError
 from dashpot.estimate.registry import METHODS
 from dashpot.io import ledger
 from dashpot.io.words import PICTURES, chosen_format
@@ -125,22 +125,6 @@ def write_result(target: str | None, text: str) -> None:
         click.echo(text, nl=False)
     elif target is not None:
         write_text(target, text)
-
-
-def write_pictures(folder: str | Path, pictures: Mapping[str, bytes]) -> list[str]:
-    """Write PNG files by name into a folder, which is made if missing; their paths.  Raises DataError."""
-    from dashpot.io.atomic import write_bytes
-
-    target = Path(folder)
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or error
-        raise DataError(f"the folder cannot be made ({reason})", str(target), "name another one") from None
-    paths = [str(target / f"{name}.png") for name in pictures]
-    for path, content in zip(paths, pictures.values(), strict=True):
-        write_bytes(path, content)
-    return paths
 
 
 # What options and arguments take: one type for each kind of value, the same in every command.

@@ -243,7 +243,9 @@ def cluster_mapping(address: str, processes: int | None = None) -> Iterator[Map]
     with ExitStack() as stack:
         if address == LOCAL:
             one_thread()
-            how = {"threads_per_worker": 1, "processes": True, "dashboard_address": None, "silence_logs": 50}
+            # Without a dashboard; its usual port may be that of another cluster.
+            how: dict[str, Any] = {"threads_per_worker": 1, "processes": True, "silence_logs": 50}
+            how |= {"dashboard_address": None, "scheduler_kwargs": {"dashboard_address": "127.0.0.1:0"}}
             cluster = distributed.LocalCluster(n_workers=processes or cores(), **how)
             client = stack.enter_context(distributed.Client(stack.enter_context(cluster)))
         else:

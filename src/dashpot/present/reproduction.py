@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from dashpot.errors import DataError
-from dashpot.io.atomic import write_bytes, write_text
+from dashpot.io.atomic import write_text
 from dashpot.io.words import joined
 from dashpot.present.document import (
     Block,
@@ -26,7 +25,7 @@ from dashpot.present.document import (
     section,
 )
 from dashpot.present.figures import study as draw
-from dashpot.present.figures.style import method_colour, png
+from dashpot.present.figures.style import method_colour, png, write_pictures
 from dashpot.present.page import image_picture, page_html
 from dashpot.present.schematic.drawing import true_rig_picture
 from dashpot.present.words import capitalised
@@ -147,18 +146,9 @@ def write_reproduction(
     if report is None and figures is None:
         return []
     drawn = images(reproduction)
-    written = []
+    written: list[str] = []
     if figures is not None:
-        folder = Path(figures)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise DataError(
-                f"the folder cannot be made ({error.strerror or error})", str(folder), "name another one"
-            ) from None
-        for name, (_, content) in drawn.items():
-            write_bytes(folder / f"{name}.png", content)
-            written.append(str(folder / f"{name}.png"))
+        written += write_pictures(figures, {name: content for name, (_, content) in drawn.items()})
     if report is not None:
         write(str(report), reproduction_report(reproduction, drawn, provenance))
         written.append(str(report))

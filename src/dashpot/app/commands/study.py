@@ -43,6 +43,7 @@ def command(
     """
     from dashpot.app.workers import shared_out
     from dashpot.present.document import say
+    from dashpot.present.figures.style import write_pictures
     from dashpot.present.study import study_document, study_pictures
     from dashpot.study.montecarlo import run_study
     from dashpot.study.scenario import scenarios
@@ -64,7 +65,7 @@ def command(
         outcome = run_study(description, Path(folder), mapper=mapper, progress=moved)
     tell_notes(outcome.notes, quiet)
     pictures = study_pictures(outcome)
-    written = opt.write_pictures(folder, pictures)
+    written = write_pictures(folder, pictures)
     if report.report is not None:
         from dashpot.present.study import study_report
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -21,6 +22,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from PIL import Image
 
+from dashpot.errors import DataError
 from dashpot.estimate.registry import METHODS
 from dashpot.io.atomic import write_bytes
 from dashpot.io.words import PICTURES, chosen_format
@@ -140,6 +142,20 @@ def write_figure(path: str | os.PathLike[str], figure: Figure) -> None:
     """Write the figure as SVG, PNG or PDF by the end of the name.  Raises UsageError, DataError."""
     kind = chosen_format(path, PICTURES)
     write_bytes(path, png(figure) if kind == "png" else _saved(figure, kind))
+
+
+def write_pictures(folder: str | Path, pictures: Mapping[str, bytes]) -> list[str]:
+    """Write PNG files by name into a folder, which is made if missing; their paths.  Raises DataError."""
+    target = Path(folder)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise DataError(f"the folder cannot be made ({reason})", str(target), "name another one") from None
+    paths = [str(target / f"{name}.png") for name in pictures]
+    for path, content in zip(paths, pictures.values(), strict=True):
+        write_bytes(path, content)
+    return paths
 
 
 def _saved(figure: Figure, kind: str, **settings: Any) -> bytes:
