@@ -165,8 +165,8 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
     constants = tuple(given.get(name, Constant(name)) for name in wanted)
     law = ForceLaw(text, expression, constants, rate, "" if usual is None else usual.operator)
     law.exponents  # noqa: B018  # raises where no units make sense
-    middle = np.array([_typical(constant) for constant in law.constants])
-    zero = np.zeros(1)
+    # Force and slopes are finite at rest
+    middle, zero = np.array([_typical(constant) for constant in law.constants]), np.zeros(1)
     at = law(zero, zero, zero, middle)
     numbers = [at.value, *(slope for name, slope in at.slopes.items() if name in ("d", "v"))]
     if not all(np.all(np.isfinite(number)) for number in numbers):

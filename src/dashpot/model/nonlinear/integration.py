@@ -193,13 +193,10 @@ def held_states(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: 
     forces bring both to their end.  d, v (S, nodes), z0 (S,) at the start, g the constants of the law, h in s.
     """
     if law.operator:
-        # Stop and play from node to node; a z0 that they cannot have at the first elongation is moved to
-        # where they can
+        # Stop and play from node to node; a z0 that they cannot have at the first elongation is moved to where
+        # they can.  Tangents are along d at the nodes, z0 and the width.
         S, K = d.shape
-        tangent, nothing = (
-            np.zeros((S, K + 2)),
-            np.zeros((S, K + 2)),
-        )  # along d at the nodes, z0 and the width
+        tangent, nothing = np.zeros((S, K + 2)), np.zeros((S, K + 2))
         tangent[:, K] = 1.0
         z, states, tangents = z0, [], []
         width = g[:, 0]
@@ -215,14 +212,9 @@ def held_states(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: 
                 z, tangent = clipped(z, tangent, np.zeros(S), nothing, width, K + 1)
             states.append(z)
             tangents.append(tangent)
-        total = np.stack(tangents, axis=1)
+        total, none = np.stack(tangents, axis=1), np.zeros((S, K, K))
         return HeldStates(
-            np.stack(states, axis=1),
-            0.0,
-            total[..., :K],
-            np.zeros((S, K, K)),
-            total[..., K],
-            total[..., K + 1 :],
+            np.stack(states, axis=1), 0.0, total[..., :K], none, total[..., K], total[..., K + 1 :]
         )
     assert law.rate is not None
     S, K = d.shape

@@ -392,18 +392,12 @@ class Placer:
             texts_top = top + (SYMBOL - block_height(lines)) / 2
             texts = stacked(lines, axis + HALF + 5, texts_top, FIXED, "start")
             covered = Box(axis - HALF, start.y, axis + HALF, end.y)
-            # A level line with hatching below, its middle at (x, y)
+            # The ground: a level line with hatching below
             half, count = 15.0, 5
-            ends = [axis - half + (k + 1) * 2 * half / count for k in range(count)]
-            hatching = [stroke(((at, ground), (at - 6, ground + 7)), "ink", 0.8) for at in ends]
-            self._symbol(
-                k,
-                start,
-                end,
-                covered,
-                texts,
-                [stroke(((axis - half, ground), (axis + half, ground)), "ink", 1.6), *hatching],
-            )
+            shapes = [stroke(((axis - half, ground), (axis + half, ground)), "ink", 1.6)]
+            for at in [axis - half + (n + 1) * 2 * half / count for n in range(count)]:
+                shapes.append(stroke(((at, ground), (at - 6, ground + 7)), "ink", 0.8))
+            self._symbol(k, start, end, covered, texts, shapes)
             self._wire(Point(axis, box.bottom, node.body), start)
             self._wire(end, Point(axis, ground))
             x += self._slot(k)
