@@ -631,11 +631,7 @@ def _spectrum(
     return amplitudes_for(_model(rig), reading, usual, [kind.traits for kind in kinds])
 
 
-def _reading(
-    rig: Rig | Model,
-    data: Data,
-    frequency_hz: float | None,
-) -> Reading:
+def _reading(rig: Rig | Model, data: Data, frequency_hz: float | None) -> Reading:
     """Files read by the channels of the rig, or what was read before, with the calibrations that the rig states."""
     if isinstance(data, Reading):
         return replace(data, records=tuple(_calibrated(rig, record) for record in data.records))

@@ -14,13 +14,7 @@ from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.allocation import Criterion, ExpectedPrecision, expected_precision, optimise
 from dashpot.design.plan import NYQUIST, Budget, Plan
-from dashpot.design.robust import (
-    Map,
-    Uncertainty,
-    best_test,
-    slowest_settling,
-    uniform_box_of,
-)
+from dashpot.design.robust import Map, Uncertainty, best_test, slowest_settling, uniform_box_of
 from dashpot.design.stopping import (
     SequentialEstimates,
     Verdict,

@@ -472,8 +472,7 @@ class TestSetup:
             if np.any(decay <= 1e-12 * np.abs(moving)):
                 f = np.abs(moving[int(np.argmin(decay))]) / 2 / np.pi
                 raise UsageError(
-                    f"the mode at {f:.4g} Hz never settles: nothing damps it",
-                    cure="state the settling time",
+                    f"the mode at {f:.4g} Hz never settles: nothing damps it", cure="state the settling time"
                 )
             slowest = min(slowest, float(np.min(decay, initial=np.inf)))
         return float(np.log(1e3) / slowest)

@@ -99,15 +99,7 @@ def matrices(model: Model, p: Real) -> Matrices:
     both = {letter: _assemble(model, p, letter).reshape(*p.shape[:-1], n, n + r) for letter in MATRICES}
     inner = {letter: part[..., :n] for letter, part in both.items()}
     driven = {letter: -part[..., n:] for letter, part in both.items()}
-    return Matrices(
-        inner["M"],
-        inner["C"],
-        inner["K"],
-        inner["H"],
-        driven["C"],
-        driven["K"],
-        driven["M"],
-    )
+    return Matrices(inner["M"], inner["C"], inner["K"], inner["H"], driven["C"], driven["K"], driven["M"])
 
 
 def stiffness(model: Model, p: Real, omega: Real) -> Complex:

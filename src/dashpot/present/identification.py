@@ -111,10 +111,7 @@ def identification_report(
             tuple(statements),
             tuple(capitalised(text, names) for text in warnings_in_words(estimate, untried=untried)),
             section(
-                "Parameters",
-                *remarks(estimate),
-                signs_in_words(estimate),
-                parameter_columns(estimate, level),
+                "Parameters", *remarks(estimate), signs_in_words(estimate), parameter_columns(estimate, level)
             ),
             rig_picture(model, shown, estimate, unsure, level),
             tuple(next_steps(estimate, unsure, found.collinearity, plannable=not len(model.nonlinear))),
@@ -125,10 +122,7 @@ def identification_report(
 
 
 def failure_report(
-    model: Model,
-    channels: Sequence[Channel],
-    error: DashpotError,
-    provenance: Provenance | None = None,
+    model: Model, channels: Sequence[Channel], error: DashpotError, provenance: Provenance | None = None
 ) -> str:
     """HTML page of an identification that gave nothing: why, what would help, and the rig."""
     names = names_of(model, channels)

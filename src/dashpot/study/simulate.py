@@ -110,10 +110,7 @@ def true_calibrations(
 
 
 def _factors(
-    channels: Sequence[Channel],
-    omega: Real,
-    rng: np.random.Generator | None = None,
-    draws: int | None = None,
+    channels: Sequence[Channel], omega: Real, rng: np.random.Generator | None = None, draws: int | None = None
 ) -> Complex:
     """What such calibrations make of amplitudes at ω (lines,), rad/s: (lines, channels) or (draws, lines, channels)."""
     gain, delay = true_calibrations(channels, rng, draws)

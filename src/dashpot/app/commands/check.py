@@ -13,10 +13,7 @@ from dashpot.errors import UsageError
 WITH_DATA = "With DATA"
 
 
-@opt.dashpot_command(
-    "dashpot check rig.toml",
-    "dashpot check rig.toml data.csv --known --profile c1",
-)
+@opt.dashpot_command("dashpot check rig.toml", "dashpot check rig.toml data.csv --known --profile c1")
 def command(
     rig: opt.RigFile,
     data: Annotated[tuple[str, ...], opt.FILES, opt.DATA],

@@ -14,9 +14,7 @@ from dashpot.app.options import Option, dashpot_command
     'eval "$(dashpot completion zsh)"         # in ~/.zshrc',
     "dashpot completion fish > ~/.config/fish/completions/dashpot.fish",
 )
-def command(
-    shell: Annotated[str, Option("", click.Choice(["bash", "zsh", "fish"])), "Which shell."],
-) -> None:
+def command(shell: Annotated[str, Option("", click.Choice(["bash", "zsh", "fish"])), "Which shell."]) -> None:
     """Print the completion script for SHELL: bash (4.4 or newer), zsh or fish."""
     from click.shell_completion import get_completion_class
 

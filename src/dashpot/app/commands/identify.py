@@ -11,13 +11,7 @@ import click
 
 from dashpot.app import options as opt
 from dashpot.app.commands.validate import predictions_of
-from dashpot.app.data_files import (
-    RecordOptions,
-    part_of,
-    require_bounds_held,
-    require_each_once,
-    tell_notes,
-)
+from dashpot.app.data_files import RecordOptions, part_of, require_bounds_held, require_each_once, tell_notes
 from dashpot.app.progress import progress
 from dashpot.app.report_files import ReportFile
 from dashpot.errors import DashpotError, DataError, Problem, UsageError

@@ -11,10 +11,7 @@ from dashpot.app.data_files import reading_of
 from dashpot.app.progress import progress
 
 
-@opt.dashpot_command(
-    "dashpot inspect run.tdms",
-    "dashpot inspect *.mat --channels channels.toml",
-)
+@opt.dashpot_command("dashpot inspect run.tdms", "dashpot inspect *.mat --channels channels.toml")
 def command(
     files: Annotated[
         tuple[str, ...], opt.NEEDED_FILES, "Data files of any format, or a manifest (TOML) of them."

@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 )
 def command(
     files: Annotated[
-        tuple[str, ...],
-        opt.NEEDED_FILES,
-        "The estimate (JSON of identify), then data files as for identify.",
+        tuple[str, ...], opt.NEEDED_FILES, "The estimate (JSON of identify), then data files as for identify."
     ],
     rig: Annotated[
         str | None,

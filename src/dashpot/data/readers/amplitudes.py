@@ -163,10 +163,7 @@ def phase_notices(
 
 
 def read_frf(
-    columns: Columns,
-    found: Mapping[str, AmplitudeColumns],
-    channels: Sequence[Channel],
-    experiment: int = 0,
+    columns: Columns, found: Mapping[str, AmplitudeColumns], channels: Sequence[Channel], experiment: int = 0
 ) -> tuple[Spectrum, list[Notice]]:
     """The spectrum in SI units, one experiment for each input from number `experiment` on, and notes.
 
@@ -282,10 +279,7 @@ class _Layout:
 
 
 def read_amplitudes(
-    columns: Columns,
-    found: Mapping[str, AmplitudeColumns],
-    channels: Sequence[Channel],
-    experiment: int = 0,
+    columns: Columns, found: Mapping[str, AmplitudeColumns], channels: Sequence[Channel], experiment: int = 0
 ) -> tuple[Spectrum, list[Notice]]:
     """The spectrum in SI units with known calibrations taken out, and notes.  `found` are the amplitude columns.
 

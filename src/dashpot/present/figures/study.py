@@ -170,10 +170,7 @@ class Series:
 
 @style()
 def bar_panels(
-    titles: Sequence[str],
-    places: Sequence[str],
-    series: Sequence[Sequence[Series]],
-    bounds: Sequence[Real],
+    titles: Sequence[str], places: Sequence[str], series: Sequence[Sequence[Series]], bounds: Sequence[Real]
 ) -> Figure:
     """A panel for each title with groups of bars, rms relative spreads in per cent, and a short line at each bound.
 
@@ -183,11 +180,7 @@ def bar_panels(
     figure, grid = panels(len(titles), len(titles), (wide * len(titles) + 0.4, 3.4), sharey=True)
     for axes, title, panel, bound in zip(grid, titles, series, bounds, strict=True):
         width = 0.74 / len(panel)
-        letters: dict[str, Any] = {
-            "ha": "center",
-            "va": "bottom",
-            "fontsize": 7.5 if len(panel) < 3 else 6.5,
-        }
+        letters: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 7.5 if len(panel) < 3 else 6.5}
         for k, each in enumerate(panel):
             x = np.arange(len(places)) + (k - (len(panel) - 1) / 2) * width
             ends = {"elinewidth": 0.9, "ecolor": INK}
