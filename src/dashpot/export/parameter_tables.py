@@ -199,7 +199,18 @@ def matlab_script(rig: IdentifiedRig, rows: Sequence[ExportedParameter]) -> str:
 
 def matlab_names(names: Sequence[str]) -> list[str]:
     """Each name as a variable of MATLAB (and Python): letters, digits, _, at most 63, all different."""
-    words = "case catch classdef end function otherwise parfor persistent spmd switch".split()
+    words = [
+        "case",
+        "catch",
+        "classdef",
+        "end",
+        "function",
+        "otherwise",
+        "parfor",
+        "persistent",
+        "spmd",
+        "switch",
+    ]
     variables = []
     for name in names:
         variable = re.sub(r"[^A-Za-z0-9_]", "_", name)[:60]
