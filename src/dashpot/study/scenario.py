@@ -23,7 +23,7 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.registry import method_class
 from dashpot.io.words import listed
 from dashpot.model.network import Model
-from dashpot.model.observation import unknown_calibrations, with_relative_noise
+from dashpot.model.observation import nominal_calibrations, unknown_calibrations, with_relative_noise
 from dashpot.study.blocks import fields_of, fingerprint_of
 from dashpot.study.simulate import (
     Dwells,
@@ -112,13 +112,14 @@ class Scenario:
         Raises DashpotError where the test does not determine the unknowns.
         """
         if self.transients:
-            start = MaximumLikelihood(start=tuple(self.theta.tolist()))
-            return identify(self.model, self._unsettled, start).bound_sd
+            calibrations = nominal_calibrations(unknown_calibrations(self.channels))
+            start = MaximumLikelihood(start=(*self.theta.tolist(), *calibrations.tolist()))
+            return identify(self.model, self._unsettled, start).bound_sd[: len(self.theta)]
         if len(self.model.nonlinear):
             clean = settled_spectrum(self._settled(), self.test, None)
         else:
             clean = clean_spectrum(self.model, self.p, self.channels, self.test, drift=self.drift)
-        return identify(self.model, clean, automatic(self.model, clean)).bound_sd
+        return identify(self.model, clean, automatic(self.model, clean)).bound_sd[: len(self.theta)]
 
     def drawn(self, rng: np.random.Generator, draws: int) -> Spectrum:
         """Repeats of the test, drawn for all methods alike.

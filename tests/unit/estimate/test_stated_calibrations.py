@@ -13,6 +13,8 @@ import dashpot
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.model.rigfile import Rig, parse_rig
+from dashpot.study.montecarlo import Task, repeats_of, summarise
+from dashpot.study.scenario import Scenario
 from dashpot.study.simulate import Dwells, dwells, simulate_spectrum
 
 RIG = """
@@ -164,6 +166,19 @@ def test_coverage_where_true_gains_and_delays_are_drawn_from_their_priors() -> N
     pulls = found.pulls[:, 2:]
     assert np.all(np.abs(np.mean(pulls, axis=0)) < 4 / np.sqrt(draws))
     assert np.all(np.abs(np.std(pulls, axis=0) - 1) < 4 / np.sqrt(2 * draws))
+
+
+def test_a_study_draws_true_gains_and_its_bound_knows_them() -> None:
+    """Coverage in 1,000 repeats; where the gain is taken as exact, its error is missed."""
+    of = rig('gain = { value = 1, sd = "2 %" }')
+    theta, draws = np.array([TRUE["k"], TRUE["c"]]), 1000
+    study = Scenario({"rig": "one"}, of.model, theta, of.channels, test_of(of), ("ml",), draws)
+    found = repeats_of(Task(study, 0, draws, seed=3, block=draws))["ml"]
+    told = summarise(found, theta, study.bound_sd())
+    assert np.all(np.abs(told.coverage - 95) < 3 * 100 * np.sqrt(0.05 * 0.95 / draws))
+    np.testing.assert_allclose(told.spread, told.bound, rtol=4 / np.sqrt(2 * draws))
+    exact = replace(study, channels=[replace(of.channels[0], gain=1.0, gain_prior=None), of.channels[1]])
+    assert study.bound_sd()[1] > 1.2 * exact.bound_sd()[1]
 
 
 def test_pulls_of_tight_statements_are_standard_normal_where_the_noise_is_known() -> None:
