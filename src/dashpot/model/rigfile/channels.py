@@ -100,6 +100,20 @@ def _codes(entry: ChannelEntry, unit: str) -> float:
 
 def read_channels(reading: RigReading) -> list[Channel] | None:
     """The channels; None where the file has no such section."""
+    named = {
+        str(table.get("of"))
+        for _, raw in reading.entries("channels")
+        for table in split_calibrations(raw)[1].values()
+    }
+    for name, _ in reading.entries("calibrations"):
+        place = ("calibrations", name)
+        if name not in named:
+            cure = f"say in [channels] whose it is: gain = {{ of = {quoted(name)} }}"
+            reading.report.add(place, "no channel has this calibration", cure)
+        elif "." in name or name in reading.elements or name in reading.points:
+            reading.report.add(
+                place, "something else has this name in results", "choose another, without a point"
+            )
     if "channels" not in reading.table:
         return None
     # Points, force inputs and elements, faulty ones too
@@ -121,10 +135,6 @@ def read_channels(reading: RigReading) -> list[Channel] | None:
             channel = _with_calibrations(reading, channel, tables)
         if channel is not None and reading.problems == before:
             channels.append(channel)
-    for name, _ in reading.entries("calibrations"):
-        if name not in reading.calibrations:
-            cure = f"say in [channels] whose it is: gain = {{ of = {quoted(name)} }}"
-            reading.report.add(("calibrations", name), "no channel has this calibration", cure)
     _check_shared_gains(reading, channels)
     owners = {channel.name: channel for channel in channels}
     return [
@@ -176,24 +186,18 @@ def _shared_calibration(
     reading: RigReading, place: Place, table: Mapping[str, Any], channel: Channel
 ) -> float | Unknown | None:
     """The calibration that a table names."""
-    declared, name = dict(reading.entries("calibrations")), table["of"]
+    declared, name, key = dict(reading.entries("calibrations")), table["of"], str(place[-1])
     if len(table) > 1:
         reading.report.add(place, "a shared calibration with numbers of its own", "keep `of`, or the numbers")
     elif not isinstance(name, str) or name not in declared:
-        guess = did_you_mean(str(name), declared)
-        cure = f"{guess}there are {listed(declared)}" if declared else "declare it:"
-        cure += f" write {name} = {EXAMPLES['calibrations']} below [calibrations]" if not declared else ""
+        cure = f"{did_you_mean(str(name), declared)}there are {listed(declared)}"
+        if not declared:
+            cure = f"declare it: write {name} = {EXAMPLES['calibrations']} below [calibrations]"
         reading.report.add((*place, "of"), f"{written(name)} is not a calibration", cure)
+    elif reading.calibrations.setdefault(name, key) != key:
+        reading.report.add((*place, "of"), f"{name} is a gain and a delay", "declare one for each")
     else:
-        key, known = str(place[-1]), reading.calibrations.get(name)
-        if isinstance(known, Unknown) and known.unit != UNITS[key]:
-            reading.report.add((*place, "of"), f"{name} is a gain and a delay", "declare one for each")
-        elif name in reading.elements or name in reading.points:
-            reading.report.add(("calibrations", name), "an element or point has this name", "choose another")
-        if name not in reading.calibrations:
-            at = ("calibrations", name)
-            reading.calibrations[name] = _calibration(reading, at, declared[name], name, key, channel)
-        return reading.calibrations[name]
+        return _calibration(reading, ("calibrations", name), declared[name], name, key, channel)
     return None
 
 
@@ -212,6 +216,10 @@ def _calibration(
     def in_si(unit: str) -> float:
         if key == "delay":
             return scale(unit, "time")
+        if place[0] == "calibrations":
+            raise UsageError(
+                f"a gain in {unit} that channels share", cure="write a number, a factor of all of them"
+            )
         return sensitivity(
             f"1 {unit}", channel.unit, channel.quantity, all_angles(channel.of, reading.angles)
         )

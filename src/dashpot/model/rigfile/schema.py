@@ -35,7 +35,6 @@ from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, number_problems
 from dashpot.quantities import Amount
 from dashpot.units import scale
-from dashpot.unknowns import Unknown
 
 GROUND = "ground"
 SECTIONS: Mapping[str, Kind] = {kind.section: kind for kind in Kind}
@@ -231,7 +230,7 @@ class RigReading:
     points       coordinates and moved points, faulty ones too: they exist, whatever is wrong with them
     attachable   these and the ground
     inputs, elements   by name
-    calibrations       those that channels share, by name: known, unknown, or faulty (None)
+    calibrations       those that channels share: by name, whether they are a gain or a delay
 
     What is wrong is reported, and reading goes on with a stand-in, so that all problems are told at once: an entry is
     sound where there are no more `problems` than before it.
@@ -248,7 +247,7 @@ class RigReading:
         self.points: dict[str, None] = dict.fromkeys(self.head.coordinates)
         self.attachable: dict[str, None] = {}
         self.inputs: dict[str, Input] = {}
-        self.calibrations: dict[str, float | Unknown | None] = {}
+        self.calibrations: dict[str, str] = {}
         self.elements: dict[str, Element] = {}
 
     @property

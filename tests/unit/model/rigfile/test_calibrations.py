@@ -77,6 +77,7 @@ def test_written_rigs_read_back_the_same(text: str) -> None:
     ("text", "place", "what", "cure"),
     [
         ('gain = { of = "d" }', "rig.toml:11: channels.x2.gain.of", '"d" is not a calibration', "there are c"),
+        ("gain = { of = [1] }", "rig.toml:11: channels.x2.gain.of", "is not a calibration", "there are c"),
         ('gain = { of = "c", sd = 1 }', "rig.toml:11: channels.x2.gain", "numbers of its own", "keep"),
         ('delay = { of = "c" }', "rig.toml:11: channels.x2.delay.of", "a gain and a delay", "one for each"),
         ("gain = { sd = 0.1 }", "rig.toml:11: channels.x2.gain", "sd without a value", "give the value"),
@@ -113,3 +114,32 @@ def test_a_calibration_that_no_channel_has_is_refused() -> None:
         parse_rig(RIG.replace(", ALSO", "").replace("[channels]", "d = 1\n[channels]"))
     (problem,) = caught.value.problems
     assert problem.where == "rig.toml:9: calibrations.d"
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        (
+            ('c = { value = 1, sd = "1 %" }', 'c = { value = "1 mV/g", sd = "1 %" }'),
+            "rig.toml:8: calibrations.c.value",
+        ),
+        (("c = { value", "k1 = { value"), "rig.toml:8: calibrations.k1"),
+        (("c = { value", '"x2.gain" = { value'), "rig.toml:8: calibrations"),
+        (("c = { value = 1", "c = { vlaue = 1"), "rig.toml:8: calibrations.c.vlaue"),
+        (('c = { value = 1, sd = "1 %" }', "c = [1]"), "rig.toml:8: calibrations.c"),
+    ],
+)
+def test_what_is_wrong_with_a_shared_calibration_is_told_once_at_its_line(
+    change: tuple[str, str], place: str
+) -> None:
+    text = RIG.replace("ALSO", 'gain = { of = "c" }').replace(*change)
+    name = "k1" if "k1 = { value" in change[1] else "x2.gain" if "x2.gain" in change[1] else "c"
+    with pytest.raises(ModelError) as caught:
+        parse_rig(text.replace('of = "c"', f'of = "{name}"'))
+    assert caught.value.problems[0].where.startswith(place)
+    assert len(caught.value.problems) == 1
+
+
+def test_calibrations_without_channels_are_refused() -> None:
+    with pytest.raises(ModelError):
+        parse_rig(RIG.split("[channels]", maxsplit=1)[0])
