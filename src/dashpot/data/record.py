@@ -80,6 +80,7 @@ class Record(InNotebooks):
     sd            (samples, channels), of values that an estimate predicts: their standard deviation
     status        (samples, channels), how values count: 0 as measured, ABOVE and BELOW as clipped, so that the signal
                   is at or beyond them, MISSING not at all; None where all are measured
+    cell          (channels,), the step of a converter where a value stands for all that is rounded to it, else 0
     """
 
     channels: tuple[Channel, ...]
@@ -90,6 +91,7 @@ class Record(InNotebooks):
     source: str = "record"
     sd: Real | None = None
     status: Ints | None = None
+    cell: Real | None = None
 
     def __repr__(self) -> str:
         driven = "" if self.frequency_hz is None else f", driven at {self.frequency_hz:g} Hz"

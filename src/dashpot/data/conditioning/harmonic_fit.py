@@ -14,6 +14,7 @@ from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.calibration import real_factor
 from dashpot.data.conditioning.regression import (
+    DITHERED,
     basis,
     check_length,
     cholesky_solve,
@@ -406,7 +407,6 @@ def _trigamma_inverse(value: float) -> float:
 
 
 FINEST = 1e-7  # of the largest value: finer steps are digits of a text, not of a converter
-DITHERED = 0.7  # residual in steps above which noise makes rounding errors independent
 LOOKED_AT = 4096  # samples of each record
 
 
@@ -493,6 +493,7 @@ class HarmonicFit:
     whiteness            (...,)  p-value of a white residual, smallest over channels (Bonferroni); NaN where not tested
     notes                what was found on the way
     told                 (orders, channels)  share of an amplitude's information that the samples measured have
+    in_cells             (channels,)  of which a value stood for all that a converter rounds to it
     """
 
     channels: tuple[Channel, ...]
@@ -512,6 +513,7 @@ class HarmonicFit:
     whiteness: Real
     notes: tuple[Notice, ...] = ()
     told: Real = field(default_factory=lambda: np.ones((1, 1)))
+    in_cells: Bools = field(default_factory=lambda: np.zeros(1, dtype=bool))
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -572,13 +574,18 @@ def _fit(record: Record, f: float, orders: tuple[int, ...], degree: int, noise: 
     level = white_noise(sigma, len(orders), float(np.min(solution.free)))
     if monitor is not None:
         written = exact_channels(sigma, X, solution.largest, DIGITS)
-        local = noise_beside_harmonics(monitor, solution.L, samples, free, sigma, exact, written)
-        level = local.chosen(level, noise, record, f)
+        # What rounding leaves over in cells is no noise
+        quiet = written | solution.in_cells
+        local = noise_beside_harmonics(monitor, solution.L, samples, free, sigma, exact, quiet)
+        white, level = level.level, local.chosen(level, noise, record, f)
+        if level.kind == "blocks" and np.any(solution.in_cells):
+            apart = solution.in_cells[:, None] | solution.in_cells
+            level = replace(level, level=np.where(apart, white, level.level))
     P = _real_and_imaginary(solution.P, degree, len(orders))
     spread = P[..., 0, 0] + P[..., 1, 1]  # (orders, channels)
     real = P * np.diagonal(level.level.real, axis1=-2, axis2=-1)[..., None, None]
     told = np.ones(spread.shape)
-    if not np.all(record.whole_channels):
+    if not np.all(record.whole_channels & ~solution.in_cells):
         of_all = cholesky_solve(solution.L, np.eye(terms)[None])
         all_told = _real_and_imaginary(of_all, degree, len(orders))
         told = np.minimum((all_told[..., 0, 0] + all_told[..., 1, 1]) / spread, 1.0)
@@ -602,6 +609,7 @@ def _fit(record: Record, f: float, orders: tuple[int, ...], degree: int, noise: 
         level.whiteness.reshape(leading),
         level.notes,
         told,
+        solution.in_cells,
     )
 
 

@@ -479,11 +479,13 @@ def _with_drift(dwells: Sequence[Record], settings: Conditioning) -> tuple[Condi
 def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Conditioning) -> Spectrum:
     """The lines of settled dwells, which were `given` as recorded, of the multiples that were driven."""
     notes: list[Notice] = []
+    steps = rounding_steps(dwells)
+    if np.any(steps > 0):
+        dwells = [replace(of, cell=steps) if of.values.ndim == 2 else of for of in dwells]
     driven = [DrivenOrders(settings.wanted)] * len(dwells)
     if settings.orders == "auto" and not settings.moments:
         driven = driven_orders(dwells, settings)
         notes = orders_used(driven)
-    steps = rounding_steps(dwells)
     each, told = zip(
         *(_lines(record, settings, of, steps) for record, of in zip(dwells, driven, strict=True)), strict=True
     )
@@ -597,7 +599,7 @@ def _rounding(record: Record, fit: HarmonicFit, wanted: Sequence[int], steps: Re
         [rounding_floor(record, fit.frequency_hz, a, b, steps) for a, b in zip(size, sd, strict=True)]
     )
     variance = np.diagonal(fit.covariance, axis1=-2, axis2=-1).real[..., wanted, :]
-    missing = np.maximum(floor.reshape(*variance.shape[:-2], 1, channels) - variance, 0.0)
+    missing = np.maximum(floor.reshape(*variance.shape[:-2], 1, channels) - variance, 0.0) * ~fit.in_cells
     return missing[..., None] * np.eye(channels)
 
 

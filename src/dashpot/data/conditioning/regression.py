@@ -10,7 +10,7 @@ All channels and leading batch axes share it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -124,6 +124,7 @@ class HarmonicSolution:
     squares       (batch, channels, channels)  of the residual
     free          (channels,)  degrees of freedom of the residual
     largest       (batch, channels)  of |y|
+    in_cells      (channels,)  of which a value stands for all that a converter rounds to it
     """
 
     L: Real
@@ -132,6 +133,7 @@ class HarmonicSolution:
     squares: Real
     free: Real
     largest: Real
+    in_cells: Bools
 
     def amplitudes(self, degree: int) -> Complex:
         """Complex amplitudes of the harmonics, (batch, orders, channels)."""
@@ -222,14 +224,16 @@ def solve(
     identity = cholesky_solve(L, np.eye(terms)[None])[0]
     P = np.broadcast_to((identity + identity.T) / 2, (channels, terms, terms))
     coefficients, free = cholesky_solve(L, right), np.full(channels, float(samples - terms))
-    partly = np.flatnonzero(~record.whole_channels)
-    shown, variance = np.ones(channels), np.zeros(len(partly))
-    if len(partly):
-        P = np.array(P)
-        for i, c in enumerate(partly.tolist()):
-            found = _partly_measured(record, c, pieces)
-            coefficients[0, :, c], P[c], variance[i], free[c] = found
-            shown[c] = np.sqrt(samples / (free[c] + terms))
+    rounded = False if record.cell is None else record.cell > 0
+    shown, partly, times = np.ones(channels), np.zeros(channels, dtype=bool), np.zeros(channels)
+    for c in np.flatnonzero(~record.whole_channels | rounded).tolist():
+        found = _partly_measured(record, c, pieces)
+        if found is None:
+            continue
+        P = P if np.any(partly) else np.array(P)
+        coefficients[0, :, c], P[c], free[c] = found.coefficients, found.P, found.free
+        shown[c] = 0.0 if found.in_cells else np.sqrt(samples / (found.free + terms))
+        partly[c], times[c] = True, found.variance * found.free
     correction, squares = np.zeros_like(right), np.zeros((batch, channels, channels))
     for rows, A in pieces():
         if monitor is not None:
@@ -241,20 +245,21 @@ def solve(
             correction[part] += A.T @ e
             squares[part] += np.swapaxes(e, 1, 2) @ e
             if monitor is not None:
-                monitor.see(part, e * shown if len(partly) else e)
+                monitor.see(part, e * shown if np.any(partly) else e)
     correction[..., partly] = 0.0
     coefficients += cholesky_solve(L, correction)
-    if len(partly):
+    if np.any(partly):
         # Correlations of what is measured of both, as those of the coefficients are, and the variances found above
-        size = np.sqrt(np.maximum(squares[0, partly, partly], 1e-300))
-        times = np.ones(channels)
-        times[partly] = np.sqrt(variance * free[partly]) / size
+        size = np.maximum(np.diagonal(squares[0]), 1e-300)
+        times = np.sqrt(np.where(partly, times / size, 1.0))
         squares = squares * times[:, None] * times
-    return HarmonicSolution(L, P, coefficients, squares, free, largest)
+    return HarmonicSolution(L, P, coefficients, squares, free, largest, shown == 0)
 
 
 FAR = 1e4  # standard deviations: what is beyond counts as that
 TURNS = 50  # of Newton's method, of which five to ten are needed
+DITHERED = 0.7  # residual in steps of a converter from which on rounding is noise like the rest
+COARSEST = 0.22  # noise in steps below which the likelihood of cells is no parabola
 
 
 def clipped_moments(z: Real) -> tuple[Real, Real]:
@@ -264,58 +269,109 @@ def clipped_moments(z: Real) -> tuple[Real, Real]:
     return mean, np.clip(mean * (mean - z), 0.0, 1.0)
 
 
+@dataclass(frozen=True)
+class PartlyMeasured:
+    """The likeliest in a channel whose samples are not all measured: coefficients, their P, variance and freedom."""
+
+    coefficients: Real
+    P: Real
+    variance: float
+    free: float
+    in_cells: bool
+
+
 def _partly_measured(
     record: Record, c: int, pieces: Callable[[], Iterator[tuple[slice, Real]]]
-) -> tuple[Real, Real, float, float]:
-    """A channel some of whose samples are clipped or missing: most likely coefficients, P, variance and freedom.
+) -> PartlyMeasured | None:
+    """A channel with samples that are clipped, missing or rounded to cells; None where all are as good as measured.
 
-    What is known of a clipped sample is that the signal is beyond it, Q(z) with z = ±(y − A β)/σ (Tobin 1958,
-    Econometrica 26); a missing one says nothing.  Newton's method on β, and on σ² its own equation with the degrees of
-    freedom that β takes.  P holds what σ is uncertain by, too.
+    Of a sample in a cell from a to b it is known that the noise is between: ln(Φ(τ b − A γ) − Φ(τ a − A γ)) with
+    τ = 1/σ and γ = τ β; a clipped one is in a cell without an end.  That is concave in (γ, τ) (Olsen 1978, Econometrica
+    46; Burridge 1981, JRSS B 43).  Newton's method goes along η = δγ − β δτ, so that β changes by η/(τ + δτ) and the
+    inverse of the information is P.  The degrees of freedom that β takes are taken off.
     """
-    assert record.status is not None
-    y, status = record.values[:, c], record.status[:, c]
-    measured = status == 0
+    y = record.values[:, c]
+    status = np.zeros(len(y)) if record.status is None else record.status[:, c]
+    cell = 0.0 if record.cell is None else float(record.cell[c])
+    seen = status == 0
     gram = right = np.zeros(())
     for rows, A in pieces():
-        some = A[measured[rows]]
-        gram, right = gram + some.T @ some, right + some.T @ y[rows][measured[rows]]
+        some = A[seen[rows]]
+        gram, right = gram + some.T @ some, right + some.T @ y[rows][seen[rows]]
     beta: Real = cholesky_solve(factor(gram, record, record.frequency_hz or 0.0), right[None, :, None])[
         0, :, 0
     ]
-    count = int(np.count_nonzero(measured))
-    free = float(count - len(beta))
-    least = 1e-13 * float(np.max(np.abs(y[measured])))
-    variance = np.inf
-    for _ in range(TURNS):
-        sigma = max(np.sqrt(variance), least)
-        slope, information, squares, inside = np.zeros_like(beta), np.array(gram), 0.0, 0.0
-        by_sigma, of_sigma = np.zeros_like(beta), 0.0
+    left = sum(float(np.sum((y[rows] - A @ beta)[seen[rows]] ** 2)) for rows, A in pieces())
+    terms, count = len(beta), int(np.count_nonzero(seen))
+    variance = left / (count - terms)
+    if np.sqrt(variance) > DITHERED * cell:
+        cell = 0.0
+    if not cell and np.all(seen):
+        return None
+    least = 1e-13 * float(np.max(np.abs(y[seen])))
+    tau = 1 / max(np.sqrt(max(variance - cell**2 / 12, (2 * COARSEST * cell) ** 2)), least)
+
+    def at(beta: Real, tau: float) -> tuple[float, Real, Real]:
+        """Log-likelihood, its slope along (η, τ) and its information."""
+        k = (0 if cell else count) - terms
+        total, slope, info = k * np.log(tau), np.zeros(terms + 1), np.zeros((terms + 1, terms + 1))
+        slope[-1], info[-1, -1] = k / tau, k / tau**2
         for rows, A in pieces():
-            e = y[rows] - A @ beta
-            slope += A[measured[rows]].T @ e[measured[rows]]
-            squares += float(np.sum(e[measured[rows]] ** 2))
-            clipped = np.abs(status[rows]) == 1
-            if not np.isfinite(sigma) or not np.any(clipped):
-                continue
-            B, side = A[clipped], status[rows][clipped]
-            z = np.clip(side * e[clipped] / sigma, -FAR, FAR)
-            mills, weight = clipped_moments(z)
-            slope += B.T @ (side * mills) * sigma
-            information += B.T @ (weight[:, None] * B)
-            inside += float(np.sum(z * mills))
-            by_sigma += B.T @ (side * (mills - z * weight))
-            of_sigma += float(np.sum(weight * z**2))
-        before, variance = variance, squares / max(free - inside, free / 2)
-        step = np.linalg.solve(information, slope)
-        beta = beta + step
-        if (
-            step @ information @ step <= 1e-12 * variance + least**2
-            and abs(variance - before) <= 1e-6 * variance
-        ):
+            e, side = y[rows] - A @ beta, status[rows]
+            if not cell:
+                B, exact = A[side == 0], e[side == 0]
+                along, square = B.T @ exact, float(exact @ exact)
+                total -= tau**2 * square / 2
+                slope += tau * np.append(along, -square)
+                info += np.block([[B.T @ B, -along[:, None]], [-along, square]])
+            within = np.abs(side) <= 1 if cell else np.abs(side) == 1
+            A, e, side = A[within], e[within], side[within]
+            low, high = np.where(side < 0, -np.inf, e - cell / 2), np.where(side > 0, np.inf, e + cell / 2)
+            L, a, b, aa, ab, bb = _between(tau * low, tau * high)
+            low, high = np.where(side < 0, 0.0, low), np.where(side > 0, 0.0, high)
+            cross = A.T @ (aa * low + ab * (low + high) + bb * high)
+            square = -float(np.sum(aa * low**2 + 2 * ab * low * high + bb * high**2))
+            total += float(np.sum(L))
+            slope += np.append(A.T @ (a - b), np.sum(b * high - a * low))
+            info += np.block([[A.T @ (-(aa + 2 * ab + bb)[:, None] * A), cross[:, None]], [cross, square]])
+        return float(total), slope, info
+
+    total, slope, info = at(beta, tau)
+    for _ in range(TURNS):
+        step = np.linalg.solve(info, slope)
+        if step @ slope < 1e-12 or 1 / tau < COARSEST * cell:
             break
-    schur = information - np.outer(by_sigma, by_sigma) / (2 * count - inside + of_sigma)
-    return beta, np.asarray(np.linalg.inv(schur), dtype=np.float64), float(variance), free
+        other, found = (beta, tau), (total, slope, info)
+        for _ in range(TURNS):
+            if tau + step[-1] > tau / 10:
+                other = beta + step[:-1] / (tau + step[-1]), tau + float(step[-1])
+                found = at(*other)
+                if found[0] >= total - 1e-9 * abs(total):
+                    break
+            step = step / 2
+        (beta, tau), (total, slope, info) = other, found
+    inverse = np.linalg.inv(info)
+    free = float(tau**2 / (2 * inverse[-1, -1]))
+    if cell and (1 / tau < COARSEST * cell or free < 1 or np.any(np.diagonal(inverse) <= 0)):
+        return _partly_measured(replace(record, cell=None), c, pieces)
+    P: Real = (inverse + inverse.T)[:-1, :-1] / 2
+    return PartlyMeasured(beta, P, 1 / tau**2, free, cell > 0)
+
+
+def _between(a: Real, b: Real) -> tuple[Real, Real, Real, Real, Real, Real]:
+    """L = ln(Φ(b) − Φ(a)), −∂L/∂a, ∂L/∂b, and the second derivatives by aa, ab, bb."""
+    flip = a + b > 0
+    x, w = np.where(flip, -b, a), np.where(flip, -a, b)
+    top = log_ndtr(w)
+    L = top + np.log1p(-np.exp(log_ndtr(x) - top))
+    fa, fb = (np.exp(-(z**2) / 2 - L) / np.sqrt(2 * np.pi) for z in (a, b))
+    a, b = np.where(np.isfinite(a), a, 0.0), np.where(np.isfinite(b), b, 0.0)
+    aa, bb = a * fa - fa**2, -b * fb - fb**2
+    # What rounding leaves of these far beyond an end
+    L = np.where(a > FAR, -(a**2) / 2, np.where(b < -FAR, -(b**2) / 2, L))
+    fa, aa = np.where(a > FAR, a, fa), np.where(a > FAR, -1.0, aa)
+    fb, bb = np.where(b < -FAR, -b, fb), np.where(b < -FAR, -1.0, bb)
+    return L, fa, fb, aa, fa * fb, bb
 
 
 def _even_sums(
