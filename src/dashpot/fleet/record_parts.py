@@ -76,7 +76,16 @@ def merge_estimates(model: Model, parts: Sequence[Estimate]) -> Merged:
     parts are, and where the parts scatter more than they promise.  Raises DataError where their unknowns or the signs
     of channels differ, or one does not determine the unknowns.
     """
-    _require_alike(parts)
+    first = parts[0]
+    for part in parts:
+        if part.names != first.names:
+            names = ", ".join(sorted(set(part.names) ^ set(first.names)))
+            raise DataError(f"parts of the data estimate different unknowns ({names})", cure="identify apart")
+        for channel, sign in first.signs.items():
+            if float(part.signs[channel]) != float(sign):
+                what = f"the sign of {channel} comes out differently in different parts of the data"
+                cure = "was a sensor turned? identify the parts before and after apart"
+                raise DataError(what, cure=cure)
     scale = parts[0].noise_sd
     free = np.array([part.free_values for part in parts]) / scale
     stated, sd = parts[0].priors
@@ -116,20 +125,6 @@ def _inverse(matrix: Real) -> Real:
     if not np.all(np.isfinite(inverse)):
         raise DataError("a part of the data does not determine the unknowns", cure="leave it out")
     return (inverse + inverse.T) / 2
-
-
-def _require_alike(parts: Sequence[Estimate]) -> None:
-    """Raises DataError where estimates cannot be merged."""
-    first = parts[0]
-    for part in parts:
-        if part.names != first.names:
-            names = ", ".join(sorted(set(part.names) ^ set(first.names)))
-            raise DataError(f"parts of the data estimate different unknowns ({names})", cure="identify apart")
-        for channel, sign in first.signs.items():
-            if float(part.signs[channel]) != float(sign):
-                what = f"the sign of {channel} comes out differently in different parts of the data"
-                cure = "was a sensor turned? identify the parts before and after apart"
-                raise DataError(what, cure=cure)
 
 
 def _estimate(

@@ -493,8 +493,14 @@ def _parts(group: FileGroup, path: Path) -> Iterator[Columns]:
             yield part
 
 
-def _require_known(group: FileGroup, names: Mapping[str, str], by_name: Mapping[str, Channel]) -> None:
-    """Raises DataError where the entry names a channel that the rig has not, or a unit that is none."""
+def _chosen(
+    group: FileGroup, columns: Columns, names: Mapping[str, str], channels: Sequence[Channel]
+) -> tuple[Columns, tuple[Channel, ...]]:
+    """The columns under the names of the channels and in the units of the entry, and the channels that are meant.
+
+    Raises DataError where the entry names a channel that the rig has not, or a unit that is none.
+    """
+    by_name = {channel.name: channel for channel in channels}
     for name in (*names, *group.entry.units):
         if name not in by_name and name not in RESERVED_NAMES:
             cure = f"the rig file lists {listed(by_name)}"
@@ -503,14 +509,6 @@ def _require_known(group: FileGroup, names: Mapping[str, str], by_name: Mapping[
         if name in by_name and not is_unit(unit):
             what = f"units: {shown(unit)} of {shown(name)} is not a unit"
             raise DataError(what, group.place, "write one such as mm, g or mV")
-
-
-def _chosen(
-    group: FileGroup, columns: Columns, names: Mapping[str, str], channels: Sequence[Channel]
-) -> tuple[Columns, tuple[Channel, ...]]:
-    """The columns under the names of the channels and in the units of the entry, and the channels that are meant."""
-    by_name = {channel.name: channel for channel in channels}
-    _require_known(group, names, by_name)
     chosen = columns.renamed({column: name for name, column in names.items()})
     if group.entry.units:
         units = [chosen.unit(i) for i in range(len(chosen.header))]

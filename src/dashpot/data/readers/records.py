@@ -66,7 +66,12 @@ def read_records(
     experiments: Ints = np.broadcast_to(np.int64(circumstances.experiment), len(time))
     if experiment_at is not None:
         experiments = whole_numbers(columns, experiment_at, numbers[experiment_at])
-    values = _in_si(columns, at, scales, numbers, len(time))
+    # In SI units, (samples, channels); the numbers are let go, or changed where they stand together
+    block = whole_block([numbers[column] for column in at])
+    values = np.empty((len(time), len(at))) if block is None else block
+    for i, (column, scale) in enumerate(zip(at, scales, strict=True)):
+        np.multiply(numbers.pop(column), scale, out=values[:, i])
+        check_range(columns, column, values[:, i], LARGEST, "(SI)")
     starts = _blocks(columns, at[0] if time_at is None else time_at, time, frequency, experiments)
     records = [
         _record(
@@ -111,18 +116,6 @@ def _record(
         values.setflags(write=False)
         return Record(channels, time, values, source=name or columns.part_from(start))
     return Record(channels, time[start:end], values[start:end], source=name or columns.part_from(start))
-
-
-def _in_si(
-    columns: Columns, at: Sequence[int], scales: Sequence[float], numbers: dict[int, Real], rows: int
-) -> Real:
-    """The channels in SI units, (samples, channels); their numbers are let go, or changed where they stand together."""
-    block = whole_block([numbers[column] for column in at])
-    values = np.empty((rows, len(at))) if block is None else block
-    for i, (column, scale) in enumerate(zip(at, scales, strict=True)):
-        np.multiply(numbers.pop(column), scale, out=values[:, i])
-        check_range(columns, column, values[:, i], LARGEST, "(SI)")
-    return values
 
 
 def check_frequency(columns: Columns, column: int, frequency: Real) -> None:

@@ -6,12 +6,12 @@ acts on a combination of bodies hangs on a lever: a body of its own, held by rig
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from dashpot.channel import Channel, Quantity
-from dashpot.model.elements import Element, Kind
+from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 
 Role = Literal["body", "base", "lever", "ground"]
@@ -76,7 +76,12 @@ def connections(model: Model, channels: Sequence[Channel] = ()) -> Connections:
     for i, element in enumerate(model.elements):
         if element.free or element.block is not None:
             continue
-        ends = _ends(element, body_of, model.angles)
+        # Bodies that it acts on, each with a factor: that of its displacement rather than of its angle
+        ends: dict[int, float] = {}
+        for point, factor in element.along.items():
+            body = body_of[point]
+            if factor != 0 and (body not in ends or point not in model.angles):
+                ends[body] = factor
         if element.kind is Kind.MASS and len(ends) == 1:
             masses[next(iter(ends))].append(i)
         elif element.kind is Kind.MASS:
@@ -104,16 +109,6 @@ def connections(model: Model, channels: Sequence[Channel] = ()) -> Connections:
         tuple(_pushes(model, body_of)),
         any(e.free or e.block for e in model.elements),
     )
-
-
-def _ends(element: Element, body_of: Mapping[str, int], angles: Collection[str]) -> dict[int, float]:
-    """Bodies that an element acts on, each with a factor: that of its displacement rather than of its angle."""
-    ends: dict[int, float] = {}
-    for point, factor in element.along.items():
-        body = body_of[point]
-        if factor != 0 and (body not in ends or point not in angles):
-            ends[body] = factor
-    return ends
 
 
 def _link(i: int, ends: Mapping[int, float], count: int, levers: list[Body]) -> Link:
