@@ -1,4 +1,4 @@
-"""The likelihood in the compiled kernel: twins of `local`, `logarithmic` and `per_line`, and their searches."""
+"""The likelihood in the compiled kernel: twins of `local` and `per_line`, and of the descent of a `Stage`."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from dashpot.numerics.levenberg_marquardt import QuadraticModel
 def compiled_output(view: ObservationModel, data: Measured) -> Any | None:
     """The kernel's view of the channels, made once for each `data`; None where NumPy is to do the work or must.
 
-    This part of the kernel knows small linear rigs; nonlinear ones (`nonlinear/shown_lines.py`) and whole records
-    (`record_kernel.py`) have parts of their own.
+    This part of the kernel knows small linear rigs; nonlinear ones (`nonlinear/objective.py`) and whole records
+    (`record_sums.py`) have parts of their own.
     """
     core = kernel()
     if core is None or data.ends is not None or data.nonlinear is not None or not small(view.model):

@@ -9,7 +9,7 @@ import numpy as np
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.compiled import compiled_cost, compiled_output
-from dashpot.estimate.likelihood.objective import bounds, local, logarithmic, measured
+from dashpot.estimate.likelihood.objective import bounds, local, measured
 from dashpot.estimate.linear.gram import compiled_result
 from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.model.observation import ObservationModel, observation_model
@@ -161,10 +161,7 @@ class Stage:
 
     def model_at(self, psi: Real, sign: Real, rows: Ints | slice = slice(None)) -> QuadraticModel:
         """Cost, slope and curvature at ψ (K, M) with signs (K, channels), in all repeats or the given."""
-        data = self.data.pick(rows)
-        if self.weight is None:
-            return local(self.view, data, psi, sign)
-        return logarithmic(self.view, data, self.weight, psi, sign)
+        return local(self.view, self.data.pick(rows), psi, sign, self.weight)
 
     def cost(self, psi: Real, sign: Real, rows: Ints | None = None) -> Real:
         """The cost at ψ (K, M), each in its repeat of `rows` or its own, inf where there is none; (K,)."""

@@ -308,16 +308,31 @@ def bounds(view: ObservationModel, positive: bool) -> tuple[Real, Real]:
     return low, high
 
 
-def local(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> QuadraticModel:
-    """Cost, slope and curvature of −2 ln(likelihood) at ψ, (K, M)."""
+def local(
+    view: ObservationModel, data: Measured, psi: Real, sign: Real, weight: Real | None = None
+) -> QuadraticModel:
+    """Cost, slope and curvature of −2 ln(likelihood) at ψ, (K, M); of logarithms where they have a weight.
+
+    The residuals are then ρ = ln y − ln ŷ, `weight` is (lines, channels), and `data` must give the inputs.  Amplitude
+    in nepers and phase in radians weigh alike at resonances and between them, so that the cost of a wrong resonance
+    grows with its distance and has no minimum of its own: Sidman, DeAngelis and Verghese (1991), IEEE Transactions on
+    Automatic Control 36, 1065.  Large residuals count by their size (pseudo-Huber).
+    """
     output = compiled_output(view, data)
     if output is not None:
-        return compiled_local(output, psi, sign, data.rows_of(len(psi)))
+        return compiled_local(output, psi, sign, data.rows_of(len(psi)), weight)
     sums = Sums(len(psi))
     for piece in pieces(view, data, len(psi)):
-        sums.add(piece.rows, _sums(piece, psi[piece.rows], sign[piece.rows]))
+        at = psi[piece.rows], sign[piece.rows]
+        if weight is None:
+            sums.add(piece.rows, _sums(piece, *at))
+        else:
+            sums.add(piece.rows, _logarithmic_sums(piece, weight[piece.lines], *at))
     cost, gradient, information = sums.totals
-    return _with_priors(view, psi, cost, gradient, information)
+    precision, away = view.prior_precision, psi - view.prior_mean
+    information = information + np.diag(precision)
+    cost = cost + np.sum(precision * away**2, axis=-1)
+    return QuadraticModel(cost, gradient - precision * away, information, information)
 
 
 def _sums(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
@@ -334,16 +349,6 @@ def _sums(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
     return np.sum(at.cost_per_line, axis=-1), gradient, information
 
 
-def _with_priors(
-    view: ObservationModel, psi: Real, cost: Real, gradient: Real, information: Real
-) -> QuadraticModel:
-    precision = view.prior_precision
-    away = psi - view.prior_mean
-    information = information + np.diag(precision)
-    cost = cost + np.sum(precision * away**2, axis=-1)
-    return QuadraticModel(cost, gradient - precision * away, information, information)
-
-
 def per_line(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
     """Information (K, lines, M, M), minus half the slope (K, lines, M) and cost (K, lines) of each line at ψ."""
     output = compiled_output(view, data)
@@ -355,17 +360,16 @@ def per_line(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> t
     K, lines, M = len(psi), len(view.omega), psi.shape[-1]
     information, scores, cost = np.empty((K, lines, M, M)), np.empty((K, lines, M)), np.empty((K, lines))
     for piece in pieces(view, data, K):
-        terms = _of_lines(piece, psi[piece.rows], sign[piece.rows])
+        some, signs = psi[piece.rows], sign[piece.rows]
+        if piece.data.ends is not None and small(piece.view.model):
+            terms = by_record_line(piece.data.record_pieces, some, signs)
+        else:
+            at = predict(piece.view, piece.data, some, signs)
+            slope = 2 * (hermitian(at.J) @ at.weighted[..., None]).real[..., 0]
+            terms = at.information(), slope, at.cost_per_line
         for whole, part in zip((information, scores, cost), terms, strict=True):
             whole[piece.rows, piece.lines] = part
     return information, scores, cost
-
-
-def _of_lines(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
-    if piece.data.ends is not None and small(piece.view.model):
-        return by_record_line(piece.data.record_pieces, psi, sign)
-    at = predict(piece.view, piece.data, psi, sign)
-    return at.information(), 2 * (hermitian(at.J) @ at.weighted[..., None]).real[..., 0], at.cost_per_line
 
 
 def nuisance_columns(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> int:
@@ -379,29 +383,6 @@ def nuisance_columns(view: ObservationModel, data: Measured, psi: Real, sign: Re
     if small(view.model):
         return int(ends_rank(one.record_pieces, psi[:1], sign[:1])[0])
     return predict(view, one, psi[:1], sign[:1]).columns
-
-
-def logarithmic(
-    view: ObservationModel, data: Measured, weight: Real, psi: Real, sign: Real
-) -> QuadraticModel:
-    """Cost of the residuals ρ = ln y − ln ŷ, with slope and curvature, at ψ, (K, M).
-
-    Amplitude in nepers and phase in radians weigh alike at resonances and between them, so that the cost of a wrong
-    resonance grows with its distance and has no minimum of its own: Sidman, DeAngelis and Verghese (1991), IEEE
-    Transactions on Automatic Control 36, 1065.  Large residuals count by their size (pseudo-Huber).  `data` must give
-    the inputs; `weight` is (lines, q).
-    """
-    output = compiled_output(view, data)
-    if output is not None:
-        return compiled_local(output, psi, sign, data.rows_of(len(psi)), weight)
-    sums = Sums(len(psi))
-    for piece in pieces(view, data, len(psi)):
-        sums.add(
-            piece.rows,
-            _logarithmic_sums(piece, weight[piece.lines], psi[piece.rows], sign[piece.rows]),
-        )
-    cost, gradient, information = sums.totals
-    return _with_priors(view, psi, cost, gradient, information)
 
 
 def _logarithmic_sums(piece: Piece, weight: Real, psi: Real, sign: Real) -> tuple[Real, Real, Real]:

@@ -1,6 +1,6 @@
 """Passes over the lines of whole records in NumPy, piece by piece: what `record_sums` asks for, in rows of products.
 
-The compiled kernel makes the same passes (`record_kernel.py`).
+The compiled kernel makes the same passes (`record_sums.py`).
 """
 
 from __future__ import annotations
@@ -337,7 +337,7 @@ class EstimatedInputs:
 
     def without(self, values: Complex) -> Complex:
         """What the inputs leave of values (K, channels, columns, lines)."""
-        return values - times(self.basis, adjoint_times(self.basis, values))
+        return values - columns_times(self.basis, adjoint_times(self.basis, values))
 
     def amplitudes(self, z: Real) -> Complex:
         """The inputs (K, q, lines) beside columns with the coefficients z (K, columns, lines)."""
@@ -397,7 +397,7 @@ class PieceAt:
         unit_forces = piece.factors * elongation
         # A change of an unknown is a force on the coordinates, which the channels show as any other: −Bᵀ (T ∘ a).
         pushes = over_rows(model.pushes, unit_forces).reshape(len(z), n, -1, unit_forces.shape[-1])
-        J = times(self.by_load, pushes)
+        J = columns_times(self.by_load, pushes)
         if self.force is not None:
             J = J + over_rows(model.T.T, self.force * unit_forces[:, None])
         if self.folded is not None:
@@ -437,7 +437,7 @@ def _piece_at(
     pushed = np.broadcast_to(model.S[:, :, None], (K, n, model.S.shape[1], both.shape[-1]))
     driven = np.concatenate([-both[:, :, n:], pushed], axis=2) if pushed.shape[2] else -both[:, :, n:]
     if driven.shape[2]:
-        G = G + times(by_load, driven)
+        G = G + columns_times(by_load, driven)
     response = None
     if view.gains or view.delays or not np.all(sign == 1):
         kappa = np.swapaxes(calibration_factors(view, psi, sign), -1, -2)[:, :, None]
@@ -449,11 +449,11 @@ def _piece_at(
     G = piece.weights.whitened(G)
     if piece.q is not None:
         known = np.broadcast_to(piece.q, (K, *piece.q.shape[1:]))[:, :, None]
-        residual = data - times(G, known) if known.shape[1] else data
+        residual = data - columns_times(G, known) if known.shape[1] else data
         return PieceAt(piece, psi, Z, driven, by_load, force, response, None, F, residual[:, :, 0], folded)
     together = np.concatenate([F, data], axis=2)
     inputs = EstimatedInputs.of(G, together)
-    left = together - times(inputs.basis, inputs.coefficients)
+    left = together - columns_times(inputs.basis, inputs.coefficients)
     return PieceAt(
         piece, psi, Z, driven, by_load, force, response, inputs, left[:, :, :-1], left[:, :, -1], folded
     )
@@ -467,7 +467,9 @@ def _of_ends(piece: RecordPiece, by_load: Complex, G: Complex, folded: SampledLo
             loads[..., part] += folded.at(record, piece.s[part])
     columns = [loads]
     if piece.by_input is not None:
-        columns.append(times(G, np.broadcast_to(piece.by_input, (len(by_load), *piece.by_input.shape))))
+        columns.append(
+            columns_times(G, np.broadcast_to(piece.by_input, (len(by_load), *piece.by_input.shape)))
+        )
     white = piece.weights.whitened(np.concatenate(columns, axis=2))
     if piece.columns is None:
         return white
@@ -498,7 +500,7 @@ def _observed(piece: RecordPiece, p: Real, Z: Complex) -> tuple[Complex, Complex
     direct = np.repeat((view.on_q[:, :, None] * rates[:, None])[None], K, axis=0)
     if view.has_forces:
         rows = view.force[:, :, None] * (p[:, :, None] * piece.factors)[:, None]
-        by_load = by_load + times(over_rows(model.B.T, rows), Z)
+        by_load = by_load + columns_times(over_rows(model.B.T, rows), Z)
         if model.D.shape[1]:
             direct[:, :, : model.D.shape[1]] += over_rows(model.D.T, rows)
     return by_load, direct
@@ -533,7 +535,7 @@ def over_rows(matrix: Real, values: Complex) -> Complex:
     return (matrix @ np.ascontiguousarray(values).view(np.float64)).view(np.complex128)
 
 
-def times(columns: Complex, coefficients: Complex) -> Complex:
+def columns_times(columns: Complex, coefficients: Complex) -> Complex:
     """Σ_q columns (K, c, q, lines) · coefficients (K, q, f, lines), (K, c, f, lines)."""
     total: Complex = columns[:, :, 0, None] * coefficients[:, None, 0]
     for q in range(1, columns.shape[2]):

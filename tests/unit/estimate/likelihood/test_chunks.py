@@ -12,7 +12,7 @@ import pytest
 from dashpot.estimate.likelihood import chunks
 from dashpot.estimate.likelihood.chunks import pieces
 from dashpot.estimate.likelihood.global_search import candidates
-from dashpot.estimate.likelihood.objective import local, logarithmic, measured, per_line
+from dashpot.estimate.likelihood.objective import local, measured, per_line
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.model.observation import observation_model
 from tests.partly_seen import BENCHES, noisy_base
@@ -36,7 +36,7 @@ def test_sums_in_pieces_are_the_sums_of_all(make, numbers, monkeypatch):
     def all_of_them():
         summed = [local(view, exact, psi, sign)]
         if exact.q is not None:
-            summed.append(logarithmic(view, exact, weight, psi, sign))
+            summed.append(local(view, exact, psi, sign, weight))
         lists = [(each.cost, each.gradient, each.symmetric) for each in summed]
         drawn = candidates(data, 30, np.random.default_rng(6))
         return [*(part for each in lists for part in each), *per_line(view, exact, psi, sign), *drawn]

@@ -11,7 +11,7 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.compiled import compiled_cost, compiled_local, compiled_output
 from dashpot.estimate.likelihood.descent import Likelihood
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.likelihood.objective import directly_driven, local, logarithmic, measured, per_line
+from dashpot.estimate.likelihood.objective import directly_driven, local, measured, per_line
 from dashpot.estimate.preparation.prepared import prepare
 from dashpot.numerics.kernel import using
 from tests.kernels import apart, compiled, instruction_sets, instructions
@@ -63,7 +63,7 @@ def test_logarithms_are_those_of_numpy(make: Callable[[], Bench]) -> None:
     rows = np.zeros(COUNT, dtype=np.int64)
     weight = np.random.default_rng(5).uniform(size=first.data.spectrum.amplitudes[0].shape)
     with using("numpy"):
-        twin = logarithmic(view, data, weight, psi, sign)
+        twin = local(view, data, psi, sign, weight)
     output = compiled_output(view, data)
     found = compiled_local(output, psi, sign, rows, weight)
     assert apart(found.cost[:, None], twin.cost[:, None]) < TWINS

@@ -229,16 +229,16 @@ def model_index(model: object, name: str) -> int:
 
 def test_an_input_that_nobody_sees_is_left_out() -> None:
     """Where two inputs reach the channels alike, one of them is all that can be estimated."""
-    from dashpot.estimate.likelihood.record_passes import EstimatedInputs, times
+    from dashpot.estimate.likelihood.record_passes import EstimatedInputs, columns_times
 
     rng = np.random.default_rng(1)
     G = rng.normal(size=(1, 3, 2, 5)) + 1j * rng.normal(size=(1, 3, 2, 5))
     G[:, :, 1, 2] = 2 * G[:, :, 0, 2]
     q = rng.normal(size=(1, 2, 1, 5)) + 0j
-    data = times(G, q)
+    data = columns_times(G, q)
     inputs = EstimatedInputs.of(G, data)
     found = inputs.amplitudes(np.zeros((1, 0, 5)))
     seen = np.arange(5) != 2
     np.testing.assert_allclose(found[0][:, seen], q[0, :, 0][:, seen], rtol=1e-10)
     assert found[0, 1, 2] == 0
-    np.testing.assert_allclose(times(G, found[:, :, None]), data, rtol=1e-10)
+    np.testing.assert_allclose(columns_times(G, found[:, :, None]), data, rtol=1e-10)
