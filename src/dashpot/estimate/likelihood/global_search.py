@@ -567,9 +567,15 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
     ease = min(1.0, SPARSE_FROM / (one.view.model.n if on_basis is None else on_basis.size))
     ease = min(ease, 0.25) if seen else ease
     starts = max(int(effort.starts * ease), min(effort.starts, 16))
-    minima = _from_guesses(one, stages, rng)
-    if np.any(minima.cost <= acceptable):
-        return minima
+    minima = LocalMinima.none(len(one.view.names), len(one.view.channels))
+    if not small(one.view.model) and all(
+        u.guess is not None or u.sd is not None for u in one.data.model.unknowns
+    ):
+        psi, sign = _through(one, stages, *candidates(one.data, 1, rng), straight=True)
+        end = one.descend(psi, sign)
+        minima = minima.with_ends(end.x, sign, end.cost)
+        if np.any(minima.cost <= acceptable):
+            return minima
     idle, last_sure = 0, int(seen)
     for turn in range(effort.rounds):
         psi, sign = _starts_of_round(one, stages, minima, int(effort.candidates * ease), starts, turn, rng)
@@ -592,17 +598,6 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
         if share >= (0.1 if lowest <= acceptable else 0.5) or idle > 1:
             break
     return minima
-
-
-def _from_guesses(one: Likelihood, stages: Sequence[Stage], rng: np.random.Generator) -> LocalMinima:
-    """Where guesses lead, of large rigs that have one for every unknown; none of others."""
-    minima = LocalMinima.none(len(one.view.names), len(one.view.channels))
-    if small(one.view.model) or any(u.guess is None and u.sd is None for u in one.data.model.unknowns):
-        return minima
-    psi, sign = candidates(one.data, 1, rng)
-    psi, sign = _through(one, stages, psi, sign, straight=True)
-    end = one.descend(psi, sign)
-    return minima.with_ends(end.x, sign, end.cost)
 
 
 def _starts_of_round(

@@ -170,29 +170,23 @@ def input_noise(
 
 def _slopes(view: ObservationModel, data: Measured, residual: Complex, G: Complex) -> tuple[Real, Real]:
     """|tᴴ Σ⁻¹ e|² and tᴴ Σ⁻¹ t of an error in each channel, both (lines, channels); some lines at a time."""
-    score, scale = np.empty(residual.shape), np.empty(residual.shape)
+    score, scale = np.zeros(residual.shape), np.zeros(residual.shape)
+    alone = view.inputs_alone & view.is_direct
     for first in range(0, len(residual), PIECE):
         some = slice(first, first + PIECE)
-        few = replace(view, omega=view.omega[some])  # kept by nobody
-        score[some], scale[some] = _slopes_at(few, data.at_lines(some), residual[some], G[some])
-    return score, scale
-
-
-def _slopes_at(view: ObservationModel, data: Measured, residual: Complex, G: Complex) -> tuple[Real, Real]:
-    """The same of few lines."""
-    W = data.W[0]
-    weighted = (W @ residual[..., None])[..., 0]
-    if data.q is None:
-        _, half = estimated_inputs(G, W, residual)
-        taken = np.einsum("lcq,lqc->lc", half, hermitian(G) @ W)
-        return np.abs(weighted) ** 2, (np.diagonal(W, axis1=-2, axis2=-1) - taken).real
-    alone = view.inputs_alone & view.is_direct
-    by_channel = inputs_by_channel(view, alone)
-    score, scale = np.zeros(weighted.shape), np.zeros(weighted.shape)
-    if by_channel is not None:
-        t = G @ by_channel[..., alone]
-        score[:, alone] = np.abs((hermitian(t) @ weighted[..., None])[..., 0]) ** 2
-        scale[:, alone] = np.sum(np.conj(t) * (W @ t), axis=-2).real
+        W, G_some = data.W[0, some], G[some]
+        weighted = (W @ residual[some, :, None])[..., 0]
+        if data.q is None:
+            _, half = estimated_inputs(G_some, W, residual[some])
+            taken = np.einsum("lcq,lqc->lc", half, hermitian(G_some) @ W)
+            score[some] = np.abs(weighted) ** 2
+            scale[some] = (np.diagonal(W, axis1=-2, axis2=-1) - taken).real
+            continue
+        by_channel = inputs_by_channel(replace(view, omega=view.omega[some]), alone)
+        if by_channel is not None:
+            t = G_some @ by_channel[..., alone]
+            score[some, alone] = np.abs((hermitian(t) @ weighted[..., None])[..., 0]) ** 2
+            scale[some, alone] = np.sum(np.conj(t) * (W @ t), axis=-2).real
     return score, scale
 
 

@@ -16,7 +16,6 @@ from scipy.sparse.csgraph import structural_rank
 from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices, hermitian, is_diagonal
 from dashpot.estimate.likelihood.boundary_loads import (
     Projector,
-    RecordEnds,
     SampledLoads,
     projector,
     record_ends,
@@ -185,7 +184,19 @@ class Prediction:
 def predict(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Prediction:
     """Evaluate the channels at ψ (K, M) with signs (K, channels)."""
     if data.ends is not None:
-        return _predict_records(view, data, data.ends, psi, sign)
+        # Boundary loads and polynomials of whole records are projected out after the inputs. Slopes are
+        # those under the whole motion: the loads found are inputs of the larger rig
+        fit = record_fit(view, data, psi, sign)
+        J, n = fit.rig.slopes(fit.motion), data.ends.n
+        if fit.folded is not None:
+            for record in np.flatnonzero(data.ends.loads).tolist():
+                at = data.ends.lines[record]
+                of_record = fit.folded.slopes_at(record, data.ends.s[at], fit.loads[:, at[0], : 2 * n])
+                J[:, at, :, : view.m] += np.moveaxis(of_record, -1, 1)
+        J = fit.left_of(J)
+        at_ends = np.einsum("...cz,...z->...c", fit.columns, fit.loads)
+        q = fit.motion[..., : data.ends.inputs]
+        return _prediction(data, fit.r, J, data.W @ J, q, int(fit.of_ends.rank[0]), at_ends)
     if data.nonlinear is not None:
         return Prediction(*predict_harmonics(view, data, data.nonlinear, psi, sign))
     rig = calibrated_transfer(view, psi, sign)
@@ -271,26 +282,6 @@ def record_fit(view: ObservationModel, data: Measured, psi: Real, sign: Real) ->
         q = q - np.einsum("...cq,...cz,...z->...q", np.conj(half), columns, loads)
     motion = np.concatenate([q, load], axis=-1)
     return RecordFit(rig, motion, residual, root, G, half, columns, free, loads, of_ends, folded)
-
-
-def _predict_records(
-    view: ObservationModel, data: Measured, ends: RecordEnds, psi: Real, sign: Real
-) -> Prediction:
-    """As `predict`, with boundary loads and polynomials of whole records projected out after the inputs.
-
-    Slopes are those under the whole motion: the loads found are inputs of the larger rig.
-    """
-    fit = record_fit(view, data, psi, sign)
-    J, n = fit.rig.slopes(fit.motion), ends.n
-    if fit.folded is not None:
-        for record in np.flatnonzero(ends.loads).tolist():
-            at = ends.lines[record]
-            of_record = fit.folded.slopes_at(record, ends.s[at], fit.loads[:, at[0], : 2 * n])
-            J[:, at, :, : view.m] += np.moveaxis(of_record, -1, 1)
-    J = fit.left_of(J)
-    at_ends = np.einsum("...cz,...z->...c", fit.columns, fit.loads)
-    q = fit.motion[..., : ends.inputs]
-    return _prediction(data, fit.r, J, data.W @ J, q, int(fit.of_ends.rank[0]), at_ends)
 
 
 def _inputs(G: Complex, data: Measured) -> tuple[Complex, Complex | None]:

@@ -119,7 +119,25 @@ class DefiniteOptimalIV(Method):
         there = np.flatnonzero(known & free.converged)
         if not len(there):
             return free
-        cones = _cones(data.model, theta[there], self.letters)
+        # One cone for each matrix that the unknowns move, on the subspace that its elements span
+        cones = []
+        size = np.median(np.abs(data.model.parameters(theta[there])), axis=0)
+        for letter in self.letters:
+            index = data.model.by_matrix[letter]
+            if not np.any(data.model.T[index]):
+                continue
+            B = data.model.B[index]
+            _, s, Vh = np.linalg.svd(B, full_matrices=False)
+            F = B @ Vh[s > 1e-10 * s[0]].T
+            scale = np.sqrt(size[index] @ F**2)
+            F = F / np.where(scale > 0, scale, 1.0)
+            products = F[:, :, None] * F[:, None, :]
+            cones.append(
+                _Cone(
+                    np.tensordot(data.model.p0[index], products, axes=1),
+                    np.einsum("eu,eij->uij", data.model.T[index], products),
+                )
+            )
         if not cones:
             return free
         rows = there[_smallest(cones, theta[there]) < 0]
@@ -184,29 +202,6 @@ class _Cone:
     def at(self, theta: Real) -> Real:
         """(..., rows, rows) for θ (..., unknowns)."""
         return self.A0 + np.tensordot(theta, self.A, axes=1)
-
-
-def _cones(model: Model, theta: Real, letters: str) -> list[_Cone]:
-    """One cone for each matrix that the unknowns move, on the subspace that its elements span."""
-    cones = []
-    size = np.median(np.abs(model.parameters(theta)), axis=0)
-    for letter in letters:
-        index = model.by_matrix[letter]
-        if not np.any(model.T[index]):
-            continue
-        B = model.B[index]
-        _, s, Vh = np.linalg.svd(B, full_matrices=False)
-        F = B @ Vh[s > 1e-10 * s[0]].T
-        scale = np.sqrt(size[index] @ F**2)
-        F = F / np.where(scale > 0, scale, 1.0)
-        products = F[:, :, None] * F[:, None, :]
-        cones.append(
-            _Cone(
-                np.tensordot(model.p0[index], products, axes=1),
-                np.einsum("eu,eij->uij", model.T[index], products),
-            )
-        )
-    return cones
 
 
 def _smallest(cones: list[_Cone], theta: Real) -> Real:

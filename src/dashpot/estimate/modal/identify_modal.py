@@ -64,7 +64,18 @@ def _estimate(
     widened = covariance * np.where(misfit, chi2 / max(dof, 1), 1.0)[:, None, None]
     warnings: tuple[Notice, ...] = ()
     if not batch:
-        _require_regular(at.symmetric[0], model)
+        scale = np.sqrt(np.diagonal(at.symmetric[0]))
+        blind = [name for name, size in zip(model.unknown_names, scale, strict=True) if not size > 0]
+        if not blind:
+            values, vectors = np.linalg.eigh(at.symmetric[0] / np.outer(scale, scale))
+            weak = np.abs(vectors[:, 0]) > 0.1 * np.max(np.abs(vectors[:, 0]))
+            if not values[0] > 1e-12:
+                blind = [name for name, moves in zip(model.unknown_names, weak, strict=True) if moves]
+        if blind:
+            raise IdentifiabilityError(
+                f"the modes do not determine {', '.join(blind)}",
+                cure=f"{with_values(blind)}, measure more modes, or more points of their shapes",
+            )
         require_determined(model.unknown_names, theta[0], covariance[0])
         warnings = (
             *wrong_signs(model, theta[0], widened[0]),
@@ -89,21 +100,6 @@ def _estimate(
         bounds=bounds,
         modes=None if batch else mode_values(model, theta[0], widened[0]),
         warnings=warnings,
-    )
-
-
-def _require_regular(symmetric: Real, model: Model) -> None:
-    scale = np.sqrt(np.diagonal(symmetric))
-    blind = [u.name for u, s in zip(model.unknowns, scale, strict=True) if not s > 0]
-    if not blind:
-        values, vectors = np.linalg.eigh(symmetric / np.outer(scale, scale))
-        if values[0] > 1e-12:
-            return
-        weak = np.abs(vectors[:, 0])
-        blind = [u.name for u, w in zip(model.unknowns, weak, strict=True) if w > 0.1 * np.max(weak)]
-    raise IdentifiabilityError(
-        f"the modes do not determine {', '.join(blind)}",
-        cure=f"{with_values(blind)}, measure more modes, or more points of their shapes",
     )
 
 

@@ -105,21 +105,6 @@ def sizes_of_noise(linear: Sequence[LinearisedRecord], prior: Real, noise: Drawn
     return (squares - expected) / 2, (information + information.T) / 2
 
 
-def information_on_inputs(linear: Sequence[LinearisedRecord], prior: Real, noise: DrawnNoise) -> Real:
-    """Information on the logarithm of each input's variance alone, (q,), as noise of the present sizes has it."""
-    total = []
-    for j in range(noise.errors[0].shape[1]):
-        only = np.arange(noise.errors[0].shape[1]) == j
-        columns = [
-            record.covariance.reach(w * only[:, None])
-            for record, w in zip(linear, noise.drawn_errors, strict=True)
-        ]
-        solved = cleared(linear, prior, columns)
-        squares = [np.sum(a * b) for a, b in zip(columns, solved, strict=True)]
-        total.append(float(np.sum(squares)) / (2 * columns[0].shape[2]))
-    return np.array(total)
-
-
 def cleared(linear: Sequence[LinearisedRecord], prior: Real, columns: Sequence[Real]) -> list[Real]:
     """P of columns (samples, channels, K) that run through all records: V⁻¹ of them less what unknowns explain."""
     solved = [record.weighed(each) for record, each in zip(linear, columns, strict=True)]
@@ -284,7 +269,19 @@ def _first_variances(problem: RecordProblem, psi: Real, own: OwnNoise) -> tuple[
     prior = problem.priors()[0]
     noise = drawn_noise(linear, prior)
     slope = sizes_of_noise(linear, prior, noise)[0][c:]
-    information = information_on_inputs(linear, prior, noise)
+    # Information on the logarithm of each input's variance alone, (q,), as noise of the present sizes has
+    # it
+    total = []
+    for j in range(noise.errors[0].shape[1]):
+        only = np.arange(noise.errors[0].shape[1]) == j
+        columns = [
+            record.covariance.reach(w * only[:, None])
+            for record, w in zip(linear, noise.drawn_errors, strict=True)
+        ]
+        solved = cleared(linear, prior, columns)
+        squares = [np.sum(a * b) for a, b in zip(columns, solved, strict=True)]
+        total.append(float(np.sum(squares)) / (2 * columns[0].shape[2]))
+    information = np.array(total)
     usable = information > 0
     times = slope / np.where(usable, information, 1.0)  # the unit, by Fisher's scoring from about 0
     shows = usable & (times * np.sqrt(information) > SHOWS)

@@ -321,8 +321,15 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
         if not enough:
             at, p, constants, drive = _at_end(view, exact, minimum.x[:1], 0)
             missing = np.where(at.converged, truncation(view.model, p, constants, drive, at), 0.0)
-            allowed = _allowed(data, float(minimum.cost[0]) / max(first.rows, 1))
-            enough = float(np.max(missing, initial=0.0)) <= allowed
+            # The truncation error of the elongations is to hide in the noise of the best line; unknown noise is what
+            # the fit leaves, χ²/row.
+            variance = np.diagonal(data.covariance, axis1=-2, axis2=-1).real
+            variance = variance * (1.0 if data.noise_known else float(minimum.cost[0]) / max(first.rows, 1))
+            power = np.abs(np.nan_to_num(data.spectrum.amplitudes)) ** 2
+            noisy = (variance > 0) & (power > 0)
+            shares = np.broadcast_to(variance, power.shape)[noisy] / power[noisy]
+            allowed = np.clip(0.1 * np.sqrt(np.min(shares)), 1e-10, 1e-3) if len(shares) else 1e-10
+            enough = bool(np.max(missing, initial=0.0) <= allowed)
         if enough:
             return likelihood.descend_in(exact, minimum.x, sign, last), exact, warnings
         exact = replace(exact, nonlinear=part.widened(min(2 * part.dwells.orders + 1, MOST)))
@@ -390,17 +397,6 @@ def _rivals(
     sd = np.sqrt(np.abs(np.diagonal(scaled_inverse(curvature))))
     others = [(psi, above) for above, psi in sorted(near, key=lambda other: other[0])]
     return rival_notice(view.names, view.units, best.x[0], sd, others, doubt)
-
-
-def _allowed(data: Prepared, misfit: float) -> float:
-    """Truncation error that hides in the noise of the best line; unknown noise is what the fit leaves, χ²/row."""
-    variance = np.diagonal(data.covariance, axis1=-2, axis2=-1).real * (1.0 if data.noise_known else misfit)
-    power = np.abs(np.nan_to_num(data.spectrum.amplitudes)) ** 2
-    noisy = (variance > 0) & (power > 0)
-    if not np.any(noisy):
-        return 1e-10
-    best = float(np.min(np.sqrt(np.broadcast_to(variance, power.shape)[noisy] / power[noisy])))
-    return float(np.clip(0.1 * best, 1e-10, 1e-3))
 
 
 def _fresh(exact: Measured) -> Measured:
