@@ -635,8 +635,8 @@ def ask(rig: Path, data: Path, by_command: bool) -> tuple[str, dict[str, Any]]:
         if not end.code:
             return "answered", json.loads(out.read_text(encoding="utf-8"))
         return ("refused" if end.code in (2, 3) else "failure"), {}
-    except dashpot.DashpotError:
-        return "refused", {}
+    except dashpot.DashpotError as error:  # what it names as a likely cause is an answer, too
+        return "refused", {"diagnosis": [each.content() for each in error.causes]}
     except TimeoutError:
         return "late", {}
     except Exception:
