@@ -238,8 +238,10 @@ def explain_records(
             supposed = effect.act(misfit.problem, size)
         except DashpotError:
             continue
-        near = [psi for psi in starts if len(psi) == len(supposed.starts[0])]
-        (fit,) = fitted([supposed.from_starts((*near, as_is.psi))])
+        begun = [
+            psi for psi in (*starts, as_is.psi) if len(psi) == len(supposed.starts[0])
+        ] or supposed.starts
+        (fit,) = fitted([supposed.from_starts(begun)])
         in_full.append((effect, prior, size, _on_the_same_data(misfit, fit)))
     of_records = ((0.10, rigs.element), (0.08, rigs.value), (0.01, rigs.hysteretic), (0.06, of_channel))
     return _weighed_all(misfit, [*in_full, *_tried(misfit, of_records, fitted)], fitted)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from dashpot.arrays import Real
-from dashpot.check.explain.channels import CLOSE, GAIN_WIDTH, RATIOS, number
+from dashpot.check.explain.channels import GAIN_WIDTH, RATIOS, number
 from dashpot.check.explain.dwells import RATES
 from dashpot.check.explain.effect import Phrase
 from dashpot.check.explain.engine import LARGEST, LIKELY, LISTED, MOST, UNLISTED
@@ -54,12 +54,13 @@ DRAWS = 4  # rigs drawn at random from which each trial starts as well, where th
 
 @dataclass(frozen=True)
 class _Trial:
-    """Modes as they would be with one mistake mended."""
+    """Modes as they would be with one mistake mended; spared: numbers in the data that count for nothing."""
 
     kind: str
     of: tuple[str, ...]
     data: ModalData
     number: float | None = None
+    spared: int = 0
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class _Bench:
         except DashpotError:  # too little is left of the data
             return _Cause(trial, np.inf, 0), self.starts[0]
         chi2 = float(end.cost[0]) if np.isfinite(end.cost[0]) else np.inf
-        return _Cause(trial, chi2, _dof(self.model, trial.data)), end.x[0]
+        return _Cause(trial, chi2, _dof(self.model, trial.data) - trial.spared), end.x[0]
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class _Cause:
             return -np.inf
         more = 0.5 * log(max(dof, 2)) if self.element is not None or self.trial.kind == "gain" else 0.0
         if self.trial.kind == "gain" and self.trial.number is not None:  # large ones are rare: Cauchy's prior
-            more += log(1 + (log(abs(self.trial.number)) / GAIN_WIDTH) ** 2)
+            more += log(1 + (log(self.trial.number) / GAIN_WIDTH) ** 2)
         return prior - more - 0.5 * self.dof * (log(max(self.reduced, 1.0)) + min(self.reduced, 1.0))
 
 
@@ -236,16 +237,21 @@ def _times(data: ModalData, rate: float, damping: float) -> ModalData:
 
 
 def _without_one_mode(data: ModalData) -> list[_Trial]:
-    if data.modes < 2:
-        return []
+    """Each mode left out, or its frequency or its damping alone."""
     trials = []
     for k, frequency in enumerate(data.frequency_hz):
-        kept = np.arange(data.modes) != k
-        rest = ModalData(
-            data.points, data.frequency_hz[kept], data.damping_ratio[kept], data.covariance[kept], data.shapes[kept],
-            data.shape_covariance[kept],
-        )  # fmt: skip
-        trials.append(_Trial("mode", (f"{frequency:.4g} Hz",), rest))
+        of, kept = (f"{frequency:.4g} Hz",), np.arange(data.modes) != k
+        if data.modes > 1:
+            rest = ModalData(
+                data.points, data.frequency_hz[kept], data.damping_ratio[kept], data.covariance[kept],
+                data.shapes[kept], data.shape_covariance[kept],
+            )  # fmt: skip
+            trials.append(_Trial("mode", of, rest))
+        undamped = np.where(kept, data.damping_ratio, np.nan)
+        if np.isfinite(data.damping_ratio[k]):
+            trials.append(_Trial("mode", of, replace(data, damping_ratio=undamped)))
+        unknown = np.where(kept[:, None, None], 0.0, np.diag([frequency**2, 0.0]))
+        trials.append(_Trial("mode", of, replace(data, covariance=data.covariance + unknown), spared=1))
     return trials
 
 
@@ -272,10 +278,9 @@ def _of_point(bench: _Bench, name: str) -> list[_Cause]:
     there = np.isfinite(shown) & np.isfinite(expected)
     power = float(np.sum(np.abs(expected[there]) ** 2))
     gain = float(np.sum((np.conj(expected) * shown)[there].real)) / power if power > 0 else 0.0
-    if gain == 0:
+    if gain <= 0:
         return [alone]
-    near = [float(np.copysign(ratio, gain)) for ratio in RATIOS if abs(np.log(abs(gain) / ratio)) < NEAR]
-    forms = [("unit", each) for each in near] + ([("gain", gain)] if abs(gain + 1) > CLOSE else [])
+    forms = [("unit", ratio) for ratio in RATIOS if abs(np.log(gain / ratio)) < NEAR] + [("gain", gain)]
     trials = [_Trial(kind, (name,), _divided(data, name, size), size) for kind, size in forms]
     return [alone, *(bench.tried(trial)[0] for trial in trials)]
 
