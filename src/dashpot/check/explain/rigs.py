@@ -21,6 +21,8 @@ from dashpot.model.network import Input, Model
 from dashpot.model.rigfile import element_line
 
 FOLLOWED = 8  # elements of a kind that are fitted in full, those of which the score promises most
+# Of a stated value, where fits begin: beside sharp resonances each ends at the next.
+BEGUN = (1.0, 0.85, 1.18)
 VALUE_WIDTH = 0.3  # nepers: a stated value that is wrong without another unit
 ELEMENT_WIDTH = 1.0  # of the typical size of a kind in the rig
 USUAL = {
@@ -113,7 +115,7 @@ def _added(misfit: Misfit, kind: str, candidates: list[Element]) -> Iterator[Eff
         width = ELEMENT_WIDTH * _typical(model, misfit.as_is.psi, candidate.kind)
         yield Effect(
             kind, points_of(candidate, model), partial(_with, candidate), partial(missing_in_words, model, candidate),
-            (0.0,), width, unknown=candidate.name, share=1 / len(candidates),
+            (0.0, promised[candidate.name][1]), width, unknown=candidate.name, share=1 / len(candidates),
         )  # fmt: skip
 
 
@@ -156,7 +158,8 @@ def value(misfit: Misfit) -> Iterator[Effect]:
         assert each.guess is not None
         words = partial(other_value, model, each)
         yield Effect(
-            "value", (each.name,), partial(_with, each), words, (each.guess,), VALUE_WIDTH, each.guess, True,
+            "value", (each.name,), partial(_with, each), words, tuple(each.guess * part for part in BEGUN), VALUE_WIDTH,
+            each.guess, True,
             unknown=each.name, share=share,
         )  # fmt: skip
         if each.kind in USUAL and not model.angles:
