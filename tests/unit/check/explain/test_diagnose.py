@@ -1,7 +1,9 @@
 """Causes of a misfit: each usual mistake is named first where the data can show it (THEORY §11)."""
 
 import json
+import runpy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -414,3 +416,41 @@ def test_a_negative_spring_between_two_points_says_what_it_stands_for():
     texts = [missing_in_words(model, spring, value).text for value in (-40.0, 40.0)]
     assert "bending" in texts[0]
     assert "bending" not in texts[1]
+
+
+@pytest.mark.parametrize(
+    ("rig", "kind", "of"),
+    [
+        ("02_shake_table/rig.toml", "element", {("x3", "base")}),
+        ("03_tip_mass/rig.toml", "value", {("m1",), ("m2",)}),
+    ],
+)
+def test_examples_that_do_not_fit_say_what_their_pages_say(
+    rig: str, kind: str, of: set[tuple[str, ...]]
+) -> None:
+    """The walls of the frame bend: a negative spring.  A mass that was not weighed, which may be either of two."""
+    path = Path(__file__).parents[4] / "examples" / rig
+    assessment = dashpot.read_rig(path).identify(path.with_name("amplitudes.csv")).assessment
+    assert assessment is not None
+    assert assessment.verdict == "does not fit"
+    best = assessment.findings[0]
+    alike = [
+        each for each in assessment.findings if each is best or (each.group and each.group == best.group)
+    ]
+    assert {(each.kind, each.of) for each in alike} == {(kind, names) for names in of}
+    assert kind != "element" or (best.number or 0.0) < 0
+
+
+def test_friction_that_a_linear_rig_lacks_is_found_whatever_the_speed_at_which_it_turns(
+    tmp_path: Path,
+) -> None:
+    folder = Path(__file__).parents[4] / "examples" / "10_friction"
+    data = tmp_path / "dwells.csv"
+    runpy.run_path(str(folder / "make_dwells.py"))["main"](str(data))
+    assessment = dashpot.read_rig(folder / "linear.toml").identify(data).assessment
+    assert assessment is not None
+    best = assessment.findings[0]
+    assert (best.kind, best.of) == ("nonlinear", ("x", "u"))
+    assert best.elements[0].force_law is not None
+    assert best.elements[0].force_law.text == "coulomb"
+    assert abs((best.number or 0.0) / 0.8 - 1) < 0.01  # N, the truth; 1 % noise of 6 dwells of 1,024 samples
