@@ -749,6 +749,13 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
     names = tuple(content["order"])
     parameters, fit = content["parameters"], content["fit"]
     unknowns = [parameters[name] for name in names]
+    profiles = {}
+    for name, entry in zip(names, unknowns, strict=True):
+        if "profile" in entry:  # of which an end that is null is no limit on its side
+            roots = tuple(float(root) for root in entry["profile"]["roots"])
+            both = zip(entry["profile"]["values"], roots, strict=True)
+            at = tuple(nullable(value, math.copysign(math.inf, root)) for value, root in both)
+            profiles[name] = at, roots
     return Estimate(
         model=content["model"],
         method=content["method"],
@@ -781,22 +788,8 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         notes=_notices(content, "notes", "note_codes", "note_concerns"),
         rig=content.get("rig"),
         stated=tuple((str(a), float(b), float(c)) for a, b, c in content.get("stated", ())),
-        profiles={
-            name: _profile(entry["profile"])
-            for name, entry in zip(names, unknowns, strict=True)
-            if "profile" in entry
-        },
+        profiles=profiles,
     )
-
-
-def _profile(content: Mapping[str, Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Values and roots; an end that is null is no limit on its side."""
-    roots = tuple(float(root) for root in content["roots"])
-    values = tuple(
-        nullable(value, math.copysign(math.inf, root))
-        for value, root in zip(content["values"], roots, strict=True)
-    )
-    return values, roots
 
 
 def _numbers(values: Sequence[Any], missing: float = math.nan) -> Real:

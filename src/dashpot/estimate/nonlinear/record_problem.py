@@ -559,9 +559,13 @@ class RecordProblem:
         known = self.trail.errors.get(k)
         return np.zeros_like(self.inputs[k].spread) if known is None else known.at(psi)
 
+    def stacked(self, psi: Real) -> Real:
+        """Residuals of all records, one after another, (samples, channels)."""
+        return np.concatenate([residual for residual, _ in self.residuals(psi, slopes=False)])
+
     def misfit(self, psi: Real) -> float:
         """Sum of squared residuals at ψ (M,), inf where no motion follows."""
-        total = sum(float(np.sum(residual**2)) for residual, _ in self.residuals(psi, slopes=False))
+        total = float(np.sum(self.stacked(psi) ** 2))
         if self.inputs is not None:
             total += sum(float(np.sum(self.errors_at(k, psi) ** 2)) for k in range(len(self.records)))
         return total

@@ -86,12 +86,19 @@ def fit_records(
     data = data if exact_inputs else steadied(model, data)
     problem, psi = _begun(model, data)
     at_rest = None if still is None else noise_of_channels(model, records[0], still)
-    ended = None if exact_inputs else _despite_wander(problem, psi, data, at_rest)
-    if ended is None:
-        ended = _with_exact_inputs(problem, psi, progress)
-        if ended.converged and not exact_inputs:
-            ended = _with_true_inputs(ended, data, at_rest)
-    return _refined(ended) if ended.converged else ended
+    if not exact_inputs:
+        # Where noise of bases carries the rig far from where it was, the true inputs are unknown from the first.
+        held = problem.afresh()
+        begun = despite_wander(held, psi, data)
+        if begun is not None:
+            exact = FittedRecords(held, begun, True, 0, psi[None, : held.inner], held.bounds(psi))
+            ended = _with_true_inputs(exact, data, at_rest)
+            if ended.noise is not None:
+                return _refined(ended)
+    ended = _with_exact_inputs(problem, psi, progress)
+    if ended.converged and not exact_inputs:
+        ended = _with_true_inputs(ended, data, at_rest)
+    return _refined(ended)
 
 
 def _with_exact_inputs(problem: RecordProblem, psi: Real, progress: Progress | None) -> FittedRecords:
@@ -111,23 +118,9 @@ def _with_exact_inputs(problem: RecordProblem, psi: Real, progress: Progress | N
         problem, search = _with_finer_steps(problem, search, progress)
     if not (far or search.converged[0]):
         problem, search = _searched(*_released(before, psi), progress)
-    limits = problem.bounds(search.x[0])
-    return FittedRecords(
-        problem, search.x[0], bool(search.converged[0]), int(search.iterations[0]), search.history, limits
-    )
-
-
-def _despite_wander(
-    problem: RecordProblem, psi: Real, measured: Sequence[RecordData], at_rest: NoiseAtRest | None
-) -> FittedRecords | None:
-    """The fit where noise of bases carries the rig far from where it was; None where it does not."""
-    problem = problem.afresh()
-    begun = despite_wander(problem, psi, measured)
-    if begun is None:
-        return None
-    exact = FittedRecords(problem, begun, True, 0, psi[None, : problem.inner], problem.bounds(psi))
-    ended = _with_true_inputs(exact, measured, at_rest)
-    return None if ended.noise is None else ended
+    end, limits = search.x[0], problem.bounds(search.x[0])
+    converged, iterations = bool(search.converged[0]), int(search.iterations[0])
+    return FittedRecords(problem, end, converged, iterations, search.history, limits)
 
 
 def _with_true_inputs(
@@ -317,7 +310,7 @@ def _searched(
         end = problem.descend(psi, limits)
         psi = end.x[0]
         history.append(psi[: problem.inner])
-        ratio = _residuals_over_noise(problem, psi)
+        ratio = np.sqrt(np.mean(problem.stacked(psi) ** 2, axis=0))  # residuals over noise, (channels,)
         if not np.all(np.isfinite(ratio)):
             break
         problem = replace(problem, sd=np.maximum(problem.sd * ratio, EXACT * sizes))
@@ -326,12 +319,6 @@ def _searched(
         if len(problem.sd) == 1 or np.all(np.abs(ratio / ratio[0] - 1) < 0.02):
             break
     return problem, replace(end, history=np.array(history))
-
-
-def _residuals_over_noise(problem: RecordProblem, psi: Real) -> Real:
-    """Rms of the residuals of each channel over its standard deviation, (channels,)."""
-    left = np.concatenate([residual for residual, _ in problem.residuals(psi, slopes=False)])
-    return np.sqrt(np.mean(left**2, axis=0))
 
 
 def _with_finer_steps(
@@ -345,10 +332,7 @@ def _with_finer_steps(
         finer, psi = problem.finer(), search.x[0]
         if search.converged[0] or finer.steps > MOST_STEPS:
             break
-        coarse, fine = (
-            np.concatenate([residual for residual, _ in each.residuals(psi, slopes=False)])
-            for each in (problem, finer)
-        )
+        coarse, fine = problem.stacked(psi), finer.stacked(psi)
         with np.errstate(invalid="ignore"):  # a motion that does not close is no number
             if not np.sum((fine - coarse) ** 2) > 0.1 * np.sum(coarse**2):
                 break
@@ -357,10 +341,12 @@ def _with_finer_steps(
 
 
 def _refined(fitted: FittedRecords) -> FittedRecords:
-    """The fit with steps halved until that moves no unknown by 0.05 of its standard deviation.
+    """A fit that has converged with steps halved until that moves no unknown by 0.05 of its standard deviation.
 
     Kinks of laws make the integration's error fall with the square of the step only.
     """
+    if not fitted.converged:
+        return fitted
     problem, psi = fitted.problem, fitted.psi
     for _ in range(HALVINGS):
         finer = problem.finer()
@@ -377,7 +363,7 @@ def _refined(fitted: FittedRecords) -> FittedRecords:
         else:
             psi = finer.descend(psi, fitted.limits).x[0]
         if problem.inputs is None:
-            ratio = _residuals_over_noise(problem, psi)
+            ratio = np.sqrt(np.mean(problem.stacked(psi) ** 2, axis=0))
             if np.all(ratio < 0.5):  # most of what was left were errors of coarser steps
                 problem = replace(problem, sd=np.maximum(problem.sd * ratio, EXACT * problem.sizes()))
     history = np.concatenate([fitted.history, psi[None, : problem.inner]])
