@@ -444,7 +444,7 @@ def _piece_at(
         by_load, G = by_load * kappa, G * kappa
         force = None if force is None else force * kappa
         response = np.concatenate([G, by_load], axis=2) if view.gains or view.delays else None
-    F = _masked(_of_ends(piece, by_load, G, folded), pieces, piece)
+    F = _of_ends(pieces, piece, by_load, G, folded)
     data = np.broadcast_to(piece.y[:, :, None], (K, len(view.channels), 1, len(view.omega)))
     G = piece.weights.whitened(G)
     if piece.q is not None:
@@ -459,8 +459,10 @@ def _piece_at(
     )
 
 
-def _of_ends(piece: RecordPiece, by_load: Complex, G: Complex, folded: SampledLoads | None) -> Complex:
-    """Whitened columns of loads and polynomials in all records, (K, channels, f, lines)."""
+def _of_ends(
+    pieces: RecordPieces, piece: RecordPiece, by_load: Complex, G: Complex, folded: SampledLoads | None
+) -> Complex:
+    """Whitened columns of loads and polynomials in all records, (K, channels, f, lines), 0 where one lacks them."""
     loads = np.concatenate([by_load * piece.loaded, (piece.s * piece.loaded) * by_load], axis=2)
     if folded is not None:
         for record, part in piece.segments_with_loads:
@@ -471,23 +473,15 @@ def _of_ends(piece: RecordPiece, by_load: Complex, G: Complex, folded: SampledLo
             columns_times(G, np.broadcast_to(piece.by_input, (len(by_load), *piece.by_input.shape)))
         )
     white = piece.weights.whitened(np.concatenate(columns, axis=2))
-    if piece.columns is None:
-        return white
-    polynomials = np.broadcast_to(piece.columns, (len(by_load), *piece.columns.shape[1:]))
-    return np.concatenate([white, polynomials], axis=2)
-
-
-def _masked(columns: Complex, pieces: RecordPieces, piece: RecordPiece) -> Complex:
-    """The columns with 0 where a record has them not."""
-    if np.all(pieces.used) and all(record != NO_RECORD for record, _ in piece.segments):
-        return columns
-    columns = columns.copy()
+    if piece.columns is not None:
+        polynomials = np.broadcast_to(piece.columns, (len(by_load), *piece.columns.shape[1:]))
+        white = np.concatenate([white, polynomials], axis=2)
     for record, part in piece.segments:
         if record == NO_RECORD:
-            columns[..., part] = 0.0
+            white[..., part] = 0.0
         elif not np.all(pieces.used[record]):
-            columns[..., part] *= pieces.used[record][:, None]
-    return columns
+            white[..., part] *= pieces.used[record][:, None]
+    return white
 
 
 def _observed(piece: RecordPiece, p: Real, Z: Complex) -> tuple[Complex, Complex]:

@@ -164,7 +164,14 @@ def reconstruction(
     weakest = np.where(exact, np.max(np.abs(C), axis=-1), 1.0)
     weakest = np.where(weakest > 0, weakest, 1.0)
     C, y_size = C / weakest[..., None], y_size * weakest
-    _require_distinct(C, exact)
+    # No weights could tell exact channels apart that say the same thing more than once.
+    twice = np.sum(exact, axis=-1)
+    several = np.flatnonzero(np.any((twice > 1).reshape(-1, C.shape[-3]), axis=0))
+    if len(several):
+        s = np.linalg.svd((C * exact[..., None])[..., several, :, :], compute_uv=False)
+        expected = np.arange(s.shape[-1]) < twice[..., several, None]
+        if np.any(twice[..., several] > s.shape[-1]) or np.any(expected & (s < 1e-9)):
+            raise _contradiction()
     V = np.where(both, covariance / (y_size[..., :, None] * y_size[..., None, :]), np.eye(C.shape[-2]))
     count, q = C.shape[-2:]
     system = np.zeros((*V.shape[:-2], count + q, count + q), dtype=np.complex128)
@@ -179,19 +186,6 @@ def reconstruction(
         raise _contradiction() from error
     P: Complex = solved[..., count:, :]
     return P * used[:, None, :] * z_size[..., :, None] / y_size[..., None, :]
-
-
-def _require_distinct(C: Complex, exact: Bools) -> None:
-    """Raises DataError where exact channels say the same thing more than once: no weights could tell them apart."""
-    count = np.sum(exact, axis=-1)
-    several = np.flatnonzero(np.any((count > 1).reshape(-1, C.shape[-3]), axis=0))
-    if not len(several):
-        return
-    rows = (C * exact[..., None])[..., several, :, :]
-    s = np.linalg.svd(rows, compute_uv=False)
-    expected = np.arange(s.shape[-1]) < count[..., several, None]
-    if np.any(count[..., several] > s.shape[-1]) or np.any(expected & (s < 1e-9)):
-        raise _contradiction()
 
 
 def _contradiction() -> DataError:
