@@ -137,9 +137,10 @@ def outputs(model: Model, p: Real, channels: Sequence[Channel], omega: Real, dri
     r = len(model.displacement_inputs)
     view = observation_model(model, channels, omega)
     rig = transfer(view, p)
-    nominal = np.concatenate([np.zeros(view.m), view.nominal_calibrations])
-    kappa = calibration_factors(view, nominal, np.ones(len(channels)))
-    rig = replace(rig.calibrated(kappa[..., None], nominal), psi=None)
+    if view.gains or view.delays:
+        nominal = np.concatenate([np.zeros(view.m), view.nominal_calibrations])
+        kappa = calibration_factors(view, nominal, np.ones(len(channels)))
+        rig = replace(rig.calibrated(kappa[..., None], nominal), psi=None)
     q = np.broadcast_to(drive, (*np.broadcast_shapes(rig.X.shape[:-2], drive.shape[:-1]), drive.shape[-1]))
     Y = rig.amplitudes(q)
     relative = np.ones(view.m + view.gains + view.delays)
