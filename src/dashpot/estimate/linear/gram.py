@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real, hermitian
+from dashpot.arrays import Complex, Real, hermitian
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import kernel_rig
 from dashpot.model.network import Model
 from dashpot.model.observation import small
 from dashpot.numerics.kernel import kernel, threads
-from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult, QuadraticModel
+from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel
 from dashpot.numerics.small_systems import solve_small
 
 # The equation of motion in the compiled kernel: twins of `starts`, `equation_by_line`, `_sums` and
@@ -53,27 +53,6 @@ def compiled_sums(model: Model, states: States, theta: Real) -> QuadraticModel |
         kept = model, theta, QuadraticModel(*sums)
         states.compiled["sums"] = kept
     return kept[2]
-
-
-def compiled_search(
-    equation: Any,
-    model: Model,
-    states: States,
-    start: Real,
-    repeats: Ints,
-    far: float,
-    limit: int,
-    tolerance: float,
-) -> OptimizeResult:
-    """Minimise Σ eᴴ Ω(θ) e for some of the repeats, `start` being (K, unknowns) of all of them.
-
-    What runs off to `far` times the largest start has not converged.  Sums at the ends are kept where they are of all.
-    """
-    ends, sums = equation.search(start, repeats, far, limit, tolerance, PATIENCE, threads())
-    result = compiled_result(ends)
-    if len(repeats) == len(start):
-        states.compiled["sums"] = model, result.x, QuadraticModel(*sums)
-    return result
 
 
 def compiled_result(ends: tuple[Any, ...]) -> OptimizeResult:

@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.auxiliary_model import auxiliary, equation_sums, normal_equations
-from dashpot.estimate.linear.gram import compiled_equation, compiled_search, regressors
+from dashpot.estimate.linear.gram import compiled_equation, compiled_result, regressors
 from dashpot.estimate.linear.least_squares import (
     Sampled,
     least_squares_sums,
@@ -29,7 +29,8 @@ from dashpot.estimate.preparation.prepared import Prepared
 from dashpot.estimate.preparation.state_reconstruction import States
 from dashpot.model.dynamics import amplitudes, unit_forces
 from dashpot.model.network import Model
-from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
+from dashpot.numerics.kernel import threads
+from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult, QuadraticModel, minimise
 
 FAR = 1e9  # times the start
 
@@ -158,7 +159,11 @@ def search(
     """Minimise Σ eᴴ Ω(θ) e with the priors' rows, for some of the repeats; `start` is (K, unknowns) of all."""
     equation = compiled_equation(model, states)
     if equation is not None:
-        return compiled_search(equation, model, states, start, repeats, FAR, limit, tolerance)
+        ends, sums = equation.search(start, repeats, FAR, limit, tolerance, PATIENCE, threads())
+        result = compiled_result(ends)
+        if len(repeats) == len(start):  # the sums at the ends are kept
+            states.compiled["sums"] = model, result.x, QuadraticModel(*sums)
+        return result
     # With noise as large as the signal the likelihood may rise towards infinity: such a repeat has no answer.
     reach = FAR * np.where(np.isnan(start), 0.0, np.abs(start)).max(axis=0, initial=0.0)
     reach = np.where(reach > 0, reach, np.inf)

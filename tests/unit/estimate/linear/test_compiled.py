@@ -7,7 +7,7 @@ import pytest
 
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.auxiliary_model import equation_by_line, equation_covariance, equation_sums
-from dashpot.estimate.linear.gram import compiled_equation, compiled_search
+from dashpot.estimate.linear.gram import compiled_equation
 from dashpot.estimate.linear.instrumental_variables import OptimalIV, objective, search
 from dashpot.estimate.linear.least_squares import starts
 from dashpot.estimate.preparation.prepared import Prepared, prepare
@@ -81,7 +81,7 @@ def test_searches_take_the_same_steps(seed: int) -> None:
     with using("numpy"):
         twin = search(rig.model, data.seen_states, theta, rows, limit=200, tolerance=1e-9)
     equation = compiled_equation(rig.model, data.seen_states)
-    found = compiled_search(equation, rig.model, data.seen_states, theta, rows, 1e9, 200, 1e-9)
+    found = search(rig.model, data.seen_states, theta, rows, limit=200, tolerance=1e-9)
     kept = equation_sums(rig.model, data.seen_states, found.x)  # those of the search, not computed again
     sums = equation.evaluate(found.x, rows)
     for values, expected in zip((kept.cost, kept.gradient, kept.symmetric, kept.free), sums, strict=True):
