@@ -478,7 +478,9 @@ def unphysical(model: Model, estimate: Estimate) -> list[Notice]:
     names = tuple(name for name, held, value, sd in rows if held and value < -BEYOND * sd)
     if not names:
         return []
-    return [Notice("negative", f"{joined(names)} {'is' if len(names) == 1 else 'are'} negative", names)]
+    springs = {each.name for each in model.elements if each.kind is Kind.SPRING}
+    why = ", as springs are that stand for parts which bend" if springs.issuperset(names) else ""
+    return [Notice("negative", f"{joined(names)} {'is' if len(names) == 1 else 'are'} negative{why}", names)]
 
 
 def unstable(estimate: Estimate) -> list[Notice]:
