@@ -13,7 +13,7 @@ import numpy as np
 from dashpot import units
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
-from dashpot.check.explain.effect import Effect, Misfit, Phrase, said
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, said
 from dashpot.check.explain.problem import LineProblem
 from dashpot.errors import DashpotError
 from dashpot.model.network import Model
@@ -63,7 +63,7 @@ RATIOS_IN_WORDS = {
 }
 
 
-def number(value: float, form: str = ".4g") -> str:
+def rounded(value: float, form: str = ".4g") -> str:
     """A number in a sentence."""
     return f"{value:{form}}".replace("-", "−")
 
@@ -73,7 +73,7 @@ def known_ratio(factor: float) -> float | None:
     return next((ratio for ratio in RATIOS if abs(abs(factor) / ratio - 1) < CLOSE), None)
 
 
-def regained(channel: Channel, factor: float) -> Channel:
+def with_gain(channel: Channel, factor: float) -> Channel:
     """The channel with a gain `factor` times as large, known as well as it was."""
     prior = channel.gain_prior
     if channel.gain is not None or prior is None or prior.prior is None or prior.sd is None:
@@ -99,33 +99,33 @@ def _line(model: Model, channel: Channel) -> str:
 # A factor: another sign, unit or gain.
 
 
-def sign(misfit: Misfit) -> Iterator[Effect]:
+def sign(baseline: Baseline) -> Iterator[Effect]:
     """Each channel with the opposite sign."""
-    for c, channel in enumerate(misfit.problem.channels):
+    for c, channel in enumerate(baseline.problem.channels):
         yield Effect(
             "sign",
             (channel.name,),
             partial(times, c),
-            partial(turned, misfit.problem.model, channel),
+            partial(turned, baseline.problem.model, channel),
             (-1.0,),
         )
 
 
-def unit(misfit: Misfit) -> Iterator[Effect]:
+def unit(baseline: Baseline) -> Iterator[Effect]:
     """Each channel in another usual unit."""
-    for c, channel in enumerate(misfit.problem.channels):
+    for c, channel in enumerate(baseline.problem.channels):
         ratios = OF_FORCES if channel.quantity is Quantity.FORCE else RATIOS
-        words = partial(factor_in_words, misfit.problem.model, channel)
-        yield Effect("unit", (channel.name,), partial(times, c), words, ratios, share=misfit.share(c))
+        words = partial(factor_in_words, baseline.problem.model, channel)
+        yield Effect("unit", (channel.name,), partial(times, c), words, ratios, share=baseline.share(c))
 
 
-def gain(misfit: Misfit) -> Iterator[Effect]:
+def gain(baseline: Baseline) -> Iterator[Effect]:
     """Each channel with another gain."""
-    for c, channel in enumerate(misfit.problem.channels):
-        used, y, e = misfit.compared(c)
+    for c, channel in enumerate(baseline.problem.channels):
+        used, y, e = baseline.compared(c)
         found = (float(np.median((y / e).real)),) if np.sum(used) > 2 else ()
         begun = (*(each for each in found if each > 0), *GAINS)
-        words = partial(factor_in_words, misfit.problem.model, channel)
+        words = partial(factor_in_words, baseline.problem.model, channel)
         yield Effect(
             "gain",
             (channel.name,),
@@ -135,7 +135,7 @@ def gain(misfit: Misfit) -> Iterator[Effect]:
             GAIN_WIDTH,
             1.0,
             True,
-            share=misfit.share(c),
+            share=baseline.share(c),
         )
 
 
@@ -151,7 +151,7 @@ def turned(model: Model, channel: Channel, _: float) -> Phrase:
 
 
 def factor_in_words(model: Model, channel: Channel, factor: float) -> Phrase:
-    text = f"{channel.name} is {number(factor)} × what the model predicts"
+    text = f"{channel.name} is {rounded(factor)} × what the model predicts"
     for each in USUAL_UNITS[channel.quantity]:
         try:
             scale = units.scale(each, channel.quantity.value, each in ("deg", "rad", "rpm"))
@@ -162,7 +162,7 @@ def factor_in_words(model: Model, channel: Channel, factor: float) -> Phrase:
             stated = channel.unit if channel.unit else units.si_unit(channel.quantity.value)
             mended = replace(channel, unit=each, scale=scale)
             return Phrase(f"{text}. Are the data in {each}, not {stated}?", _line(model, mended), (mended,))
-    mended = regained(channel, factor)
+    mended = with_gain(channel, factor)
     for ratio, question in RATIOS_IN_WORDS.items():
         if abs(abs(factor) / ratio - 1) < CLOSE:
             text += f". {question}"
@@ -172,15 +172,15 @@ def factor_in_words(model: Model, channel: Channel, factor: float) -> Phrase:
 # A course over frequency: late, filtered, another derivative, phases the other way.
 
 
-def delay(misfit: Misfit) -> Iterator[Effect]:
+def delay(baseline: Baseline) -> Iterator[Effect]:
     """Each channel late or early."""
-    omega = misfit.problem.omega
+    omega = baseline.problem.omega
     period = 2 * np.pi / float(np.max(omega))
-    for c, channel in enumerate(misfit.problem.channels):
-        used, y, e = misfit.compared(c)
+    for c, channel in enumerate(baseline.problem.channels):
+        used, y, e = baseline.compared(c)
         found = (_lateness(y, e, omega[used]),) if np.sum(used) > 2 else ()
         begun = (*found, *(part * period for part in DELAYS))
-        words = partial(late, misfit.problem.model, channel)
+        words = partial(late, baseline.problem.model, channel)
         yield Effect(
             "delay",
             (channel.name,),
@@ -188,7 +188,7 @@ def delay(misfit: Misfit) -> Iterator[Effect]:
             words,
             begun,
             DELAY_WIDTH * period,
-            share=misfit.share(c),
+            share=baseline.share(c),
         )
 
 
@@ -220,11 +220,11 @@ def late(model: Model, channel: Channel, late: float) -> Phrase:
     return Phrase(text, _line(model, mended), (mended,))
 
 
-def quantity(misfit: Misfit) -> Iterator[Effect]:
+def derivative(baseline: Baseline) -> Iterator[Effect]:
     """Each channel, or all motions alike, as another derivative of the motion."""
-    channels, model = misfit.problem.channels, misfit.problem.model
+    channels, model = baseline.problem.channels, baseline.problem.model
     motions = [
-        c for c in np.flatnonzero(~misfit.inputs).tolist() if channels[c].quantity is not Quantity.FORCE
+        c for c in np.flatnonzero(~baseline.inputs).tolist() if channels[c].quantity is not Quantity.FORCE
     ]
     single = [(c,) for c, channel in enumerate(channels) if channel.quantity is not Quantity.FORCE]
     alike = len(motions) > 1 and len({channels[c].quantity for c in motions}) == 1
@@ -259,14 +259,14 @@ def _article(word: str) -> str:
     return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
 
 
-def conjugate(misfit: Misfit) -> Iterator[Effect]:
+def conjugate(baseline: Baseline) -> Iterator[Effect]:
     """The phases of one channel, or of all, of opposite sign: hardly where amplitudes were made of samples."""
-    channels = misfit.problem.channels
+    channels = baseline.problem.channels
     everything = tuple(range(len(channels)))
-    for chosen in (*(() if misfit.of_samples else ((),)), *((c,) for c in everything)):
+    for chosen in (*(() if baseline.of_samples else ((),)), *((c,) for c in everything)):
         of = tuple(channels[c].name for c in chosen)
         act, words = partial(conjugated, chosen or everything), partial(_opposite, of)
-        yield Effect("conjugate", of, act, words, share=0.01 if misfit.of_samples else 1.0)
+        yield Effect("conjugate", of, act, words, share=0.01 if baseline.of_samples else 1.0)
 
 
 def conjugated(chosen: tuple[int, ...], problem: LineProblem, _: float) -> LineProblem:
@@ -284,11 +284,11 @@ def _opposite(of: tuple[str, ...], _: float) -> Phrase:
     return Phrase(text, "change the sign of the imaginary parts")
 
 
-def radians(misfit: Misfit) -> Iterator[Effect]:
+def radians(baseline: Baseline) -> Iterator[Effect]:
     """All phases in radians, read as degrees."""
-    y = misfit.problem.y[misfit.problem.kept]
+    y = baseline.problem.y[baseline.problem.kept]
     small = np.max(np.abs(np.angle(y)), initial=0.0) < 1.01 * np.pi * np.pi / 180
-    if small and not misfit.of_samples:
+    if small and not baseline.of_samples:
         words = Phrase("the phases are radians, read as degrees", "give the phases in rad, as NAME_phase_rad")
         yield Effect("unit", (), _phases_times, partial(said, words), (180 / np.pi,))
 
@@ -300,13 +300,13 @@ def _phases_times(problem: LineProblem, factor: float) -> LineProblem:
 # Filters and ranges.
 
 
-def filtered(misfit: Misfit) -> Iterator[Effect]:
+def filtered(baseline: Baseline) -> Iterator[Effect]:
     """Each channel through a low-pass or a high-pass filter of first or second order."""
-    omega = misfit.problem.omega
+    omega = baseline.problem.omega
     if len(np.unique(omega)) < FEWEST:
         return
     corners = tuple(np.geomspace(0.1 * np.min(omega), 8 * np.max(omega), 8) / (2 * np.pi))
-    for c, channel in enumerate(misfit.problem.channels):
+    for c, channel in enumerate(baseline.problem.channels):
         for power in (1, -1):
             for order in (1, 2):
                 act = partial(_through, c, power, order)
@@ -328,13 +328,13 @@ def _filter(name: str, power: int, corner_hz: float) -> Phrase:
     return Phrase(text, f"leave {name} out, or repair its signal chain")
 
 
-def saturation(misfit: Misfit) -> Iterator[Effect]:
+def saturation(baseline: Baseline) -> Iterator[Effect]:
     """Each channel of the motion limited at some level: the fundamental of a clipped sine is too small."""
-    for c in np.flatnonzero(~misfit.inputs).tolist():
-        largest = float(np.max(np.abs(misfit.problem.y[:, c])))
+    for c in np.flatnonzero(~baseline.inputs).tolist():
+        largest = float(np.max(np.abs(baseline.problem.y[:, c])))
         if largest > 0:
             limits = tuple(largest * share for share in (0.8, 0.87, 0.95))
-            name = misfit.problem.channels[c].name
+            name = baseline.problem.channels[c].name
             yield Effect(
                 "saturation", (name,), partial(_unlimited, c), partial(limited, name), limits, 0.5, 1.0, True
             )
@@ -358,13 +358,13 @@ def limited(name: str, limit: float, unit: str = "(SI)") -> Phrase:
     return Phrase(text, f"drive less, widen the range, or leave {name} out if others show the motion")
 
 
-def gain_step(misfit: Misfit) -> Iterator[Effect]:
+def gain_step(baseline: Baseline) -> Iterator[Effect]:
     """Each channel with another gain from some line on, where the others say best."""
-    if not misfit.problem.runs:
+    if not baseline.problem.runs:
         return
-    hertz = misfit.problem.data.spectrum.frequency_hz
-    for c, channel in enumerate(misfit.problem.channels):
-        used, y, e = misfit.compared(c)
+    hertz = baseline.problem.data.spectrum.frequency_hz
+    for c, channel in enumerate(baseline.problem.channels):
+        used, y, e = baseline.compared(c)
         if np.sum(used) < FEWEST:
             continue
         ratio, lines = (y / e).real, np.flatnonzero(used)
@@ -420,9 +420,9 @@ def _other_range(name: str, hertz: float, factor: float) -> Phrase:
 # Two channels, another place, and a channel that is left out.
 
 
-def swap(misfit: Misfit) -> Iterator[Effect]:
+def swap(baseline: Baseline) -> Iterator[Effect]:
     """Any two channels, there at the same lines, exchanged."""
-    problem = misfit.problem
+    problem = baseline.problem
     for i, j in combinations(range(len(problem.channels)), 2):
         if np.array_equal(problem.kept[:, i], problem.kept[:, j]):
             pair = problem.channels[i], problem.channels[j]
@@ -444,12 +444,12 @@ def _swap(model: Model, first: Channel, second: Channel, _: float) -> Phrase:
     return Phrase(f"{first.name} and {second.name} are exchanged", f"[channels] {change}", mended)
 
 
-def crosstalk(misfit: Misfit) -> Iterator[Effect]:
+def crosstalk(baseline: Baseline) -> Iterator[Effect]:
     """A part of one channel in another, as large as the others say."""
-    problem = misfit.problem
+    problem = baseline.problem
     power = np.array([np.mean(np.abs(problem.y[:, c]) ** 2) for c in range(len(problem.channels))])
     for c, channel in enumerate(problem.channels):
-        used, y, e = misfit.compared(c)
+        used, y, e = baseline.compared(c)
         weight = 1 / problem.sd[used, c] ** 2
         for other in np.flatnonzero(power > 0).tolist():
             if other == c or not np.any(used):
@@ -473,14 +473,14 @@ def _cleared(c: int, other: int, problem: LineProblem, share: float) -> LineProb
 
 
 def _mixed(name: str, other: str, share: float) -> Phrase:
-    text = f"{name} contains {number(share, '.3g')} × {other} beside its own signal: cross-talk?"
-    return Phrase(text, f"subtract {number(share)} × {other} from {name}, or check cables and amplifier")
+    text = f"{name} contains {rounded(share, '.3g')} × {other} beside its own signal: cross-talk?"
+    return Phrase(text, f"subtract {rounded(share)} × {other} from {name}, or check cables and amplifier")
 
 
-def place(misfit: Misfit) -> Iterator[Effect]:
+def place(baseline: Baseline) -> Iterator[Effect]:
     """Each channel of the motion as one of another point."""
-    model, channels = misfit.problem.model, misfit.problem.channels
-    for c in np.flatnonzero(~misfit.inputs).tolist():
+    model, channels = baseline.problem.model, baseline.problem.channels
+    for c in np.flatnonzero(~baseline.inputs).tolist():
         channel = channels[c]
         if channel.quantity is Quantity.FORCE or len(channel.of) != 1:
             continue
@@ -497,14 +497,14 @@ def _mounted(c: int, mended: Channel, problem: LineProblem, _: float) -> LinePro
     return problem.of_rig(problem.model, channels)
 
 
-def left_out(misfit: Misfit) -> Iterator[Effect]:
+def left_out(baseline: Baseline) -> Iterator[Effect]:
     """Each channel left out."""
-    for c, channel in enumerate(misfit.problem.channels):
-        shows = misfit.silent.get(channel.name)
+    for c, channel in enumerate(baseline.problem.channels):
+        shows = baseline.silent.get(channel.name)
         name = channel.name
         why = shows or DISAGREES
         phrase = Phrase(f"{name} {why}", f"leave {name} out, or check its sensor and where it is mounted")
-        fit = misfit.without[c]
+        fit = baseline.without[c]
         if shows:  # what measured nothing need not show anything
             fit = replace(fit, problem=replace(fit.problem, lost=None))
         yield Effect("channel", (name,), partial(without, c), partial(said, phrase), found=fit)
@@ -517,7 +517,7 @@ def without(c: int, problem: LineProblem, _: float = 1.0) -> LineProblem:
     return problem.without(dropped)
 
 
-def in_words(
+def mistake_in_words(
     model: Model, channels: Sequence[Channel], kind: str, of: tuple[str, ...], size: float
 ) -> Phrase:
     """What a person reads of a sign, a unit or an exchange that was found without an effect."""
@@ -540,10 +540,10 @@ def in_data(kind: str, of: tuple[str, ...], size: float, where: str) -> str:
         case "swap":
             return f"exchange {names} in {where}"
         case "delay":
-            return f"shift {names} by {number(-1e3 * size)} ms in {where}"
+            return f"shift {names} by {rounded(-1e3 * size)} ms in {where}"
         case "frequency":
             return f"multiply the sampling rate of {where} by {size:.5g}"
         case "sign" | "unit" | "gain" if of:
-            return f"multiply {names} by {number(1 / factor, '.6g')} in {where}"
+            return f"multiply {names} by {rounded(1 / factor, '.6g')} in {where}"
         case _:
             return f"measure {names} again in {where}"

@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 
 from dashpot.arrays import Bools
-from dashpot.check.explain.channels import number
-from dashpot.check.explain.effect import Effect, Misfit, Phrase, as_is, said
-from dashpot.check.explain.problem import FEWER_DRAWS, Fit, LineProblem, fitted, replaced, searched
+from dashpot.check.explain.channels import rounded
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, said
+from dashpot.check.explain.problem import FEWER_DRAWS, FittedProblem, LineProblem, fitted, replaced, searched
 from dashpot.check.explain.rigs import missing_elements, points_of, stated_values
 from dashpot.data.spectrum import SettledDwell
 from dashpot.model.elements import Element
@@ -36,16 +36,16 @@ RATES_IN_WORDS = {
 }
 
 
-def dwell(misfit: Misfit) -> Iterator[Effect]:
+def dwell(baseline: Baseline) -> Iterator[Effect]:
     """Each of the worst dwells left out; of those that help most, another frequency, an exchange, phases or signs."""
-    problem = misfit.problem
+    problem = baseline.problem
     lines = len(problem.y)
     if not problem.runs or lines <= 3:
         return
-    worst = np.argsort(-misfit.as_is.problem.chi2_of_lines(misfit.as_is.psi))[:SUSPECTS].tolist()
+    worst = np.argsort(-baseline.as_is.problem.chi2_of_lines(baseline.as_is.psi))[:SUSPECTS].tolist()
     share, labels = 1 / lines, problem.labels
     # What drove the rig is still what the inputs' channels show.
-    motions = ~misfit.inputs if np.any(~misfit.inputs) else np.ones_like(misfit.inputs)
+    motions = ~baseline.inputs if np.any(~baseline.inputs) else np.ones_like(baseline.inputs)
     trials = [_without(line, motions, problem) for line in worst]
     ends = fitted(trials)
     order = sorted(range(len(worst)), key=lambda k: ends[k].chi2)
@@ -77,7 +77,7 @@ def dwell(misfit: Misfit) -> Iterator[Effect]:
                     )
                     act = partial(_exchanged, line, other)
                     yield Effect("frequency", pair, act, partial(said, phrase), share=share / lines)
-        if not misfit.of_samples:
+        if not baseline.of_samples:
             phrase = Phrase(
                 f"the phases of the dwell at {labels[line]} have the opposite sign",
                 f"conjugate the amplitudes at {labels[line]}",
@@ -91,7 +91,7 @@ def _without(line: int, motions: Bools, problem: LineProblem, _: float = 1.0) ->
     return problem.without((np.arange(len(problem.y)) == line)[:, None] & motions)
 
 
-def _own_frequency(end: Fit, problem: LineProblem, line: int) -> tuple[float, ...]:
+def _own_frequency(end: FittedProblem, problem: LineProblem, line: int) -> tuple[float, ...]:
     """Frequencies at which one line fits best by the fit without it."""
     stated = float(problem.data.spectrum.frequency_hz[line])
     points, decades = LABEL_STARTS
@@ -131,10 +131,10 @@ def _turned(line: int, problem: LineProblem, _: float) -> LineProblem:
     return problem.with_amplitudes(y, V)
 
 
-def clock(misfit: Misfit) -> Iterator[Effect]:
+def clock(baseline: Baseline) -> Iterator[Effect]:
     """All frequencies times one factor: another unit, a time base that is wrong, or slightly off."""
-    problem = misfit.problem
-    if misfit.fixed or problem.data.states is not None or not problem.runs:
+    problem = baseline.problem
+    if baseline.fixed or problem.data.states is not None or not problem.runs:
         yield Effect("frequency", (), _at_rate, _rate, RATES)
     else:  # where not all motion is seen, nothing leads from the rig as it is to that of another clock
         for rate in RATES:
@@ -161,16 +161,16 @@ def _rate(rate: float) -> Phrase:
     return Phrase(text, f"multiply the frequencies by {rate:.6g}")
 
 
-def hold(misfit: Misfit) -> Iterator[Effect]:
+def hold(baseline: Baseline) -> Iterator[Effect]:
     """Each input held from sample to sample, so that it is late by half a step and weaker at high frequencies."""
     steps = {
         float(step)
-        for each in misfit.problem.data.spectrum.stretches
+        for each in baseline.problem.data.spectrum.stretches
         if (step := getattr(each, "step_s", None)) is not None
     }
-    highest = float(np.max(misfit.problem.omega))
-    for c in np.flatnonzero(misfit.inputs).tolist():
-        name = misfit.problem.channels[c].name
+    highest = float(np.max(baseline.problem.omega))
+    for c in np.flatnonzero(baseline.inputs).tolist():
+        name = baseline.problem.channels[c].name
         words, act = partial(_held_words, name), partial(_held, c)
         if steps:
             yield Effect("hold", (name,), act, words, tuple(sorted(steps)))
@@ -197,9 +197,9 @@ ALL_AT_ONCE = 0.05  # of the probability of a rig that was changed: that no one 
 SPARE = 3.0  # real numbers for each unknown that a part must have
 
 
-def changed(misfit: Misfit) -> Iterator[Effect]:
+def changed(baseline: Baseline) -> Iterator[Effect]:
     """The rig another one in some of the runs: each experiment, or all from some run on, fitted by itself."""
-    problem = misfit.problem
+    problem = baseline.problem
     spectrum = problem.data.spectrum
     numbers = 2 * np.sum(problem.kept, axis=1) - 2 * len(problem.model.inputs)
     least = SPARE * len(problem.starts[0])
@@ -224,7 +224,9 @@ def changed(misfit: Misfit) -> Iterator[Effect]:
         key=lambda each: each[1][0].chi2 + each[1][1].chi2,
     )
     for (where, _), (first, second) in pairs[:NAMED]:
-        whole = Fit(problem, first.psi, first.chi2 + second.chi2, first.dof + second.dof, (first, second))
+        whole = FittedProblem(
+            problem, first.psi, first.chi2 + second.chi2, first.dof + second.dof, (first, second)
+        )
         subject = f"{where} show{'s' if where.startswith('experiment') else ''} another rig than the others"
         change = f"identify {where} by itself, or find out what was changed"
         yield Effect(
@@ -240,9 +242,9 @@ def changed(misfit: Misfit) -> Iterator[Effect]:
             chi2, fell = first.chi2 + other.chi2, second.chi2 - other.chi2
             extra = max(rise + fell, 0.0)  # for what else would have to be the same
             less = replace(problem, given_up=problem.given_up - extra / 2)
-            single = Fit(less, first.psi, chi2 + extra, whole.dof, (first, other))
+            single = FittedProblem(less, first.psi, chi2 + extra, whole.dof, (first, other))
             text = (
-                f"{subject}: {part.name} differs by {number(step, '+.3g')} {part.unit(problem.model.angles)}"
+                f"{subject}: {part.name} differs by {rounded(step, '+.3g')} {part.unit(problem.model.angles)}"
             )
             yield Effect(
                 "changed", points_of(part, problem.model), as_is, partial(said, Phrase(text, change)), (step,),
@@ -250,7 +252,7 @@ def changed(misfit: Misfit) -> Iterator[Effect]:
             )  # fmt: skip
 
 
-def _one_part_otherwise(first: Fit, second: Fit) -> list[tuple[Element, float, float]]:
+def _one_part_otherwise(first: FittedProblem, second: FittedProblem) -> list[tuple[Element, float, float]]:
     """Elements that may be otherwise in the second of two groups of lines, the best first.
 
     Each with its step, and by how much χ² of both together rises where all else is the same, by the parabolas about

@@ -11,7 +11,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex
 from dashpot.channel import Channel
-from dashpot.check.explain.problem import Fit, LineProblem
+from dashpot.check.explain.problem import FittedProblem, LineProblem
 from dashpot.errors import DashpotError, Problem
 from dashpot.estimate.assessment import Finding
 from dashpot.model.elements import Element
@@ -61,7 +61,7 @@ class Effect:
     of_ratio: bool = False
     unknown: str = ""
     others: tuple[tuple[str, float], ...] = ()
-    found: Fit | None = None
+    found: FittedProblem | None = None
     more: int = 0
     share: float = 1.0
 
@@ -81,7 +81,7 @@ class Effect:
 
 
 @dataclass(frozen=True)
-class Misfit:
+class Baseline:
     """What the kinds of effects go by: the problem as it is, fitted, and fitted without each channel.
 
     pool       all ψ that fits have led to
@@ -91,8 +91,8 @@ class Misfit:
     """
 
     problem: LineProblem
-    as_is: Fit
-    without: tuple[Fit, ...]
+    as_is: FittedProblem
+    without: tuple[FittedProblem, ...]
     silent: Mapping[str, str] = field(default_factory=dict)
     of_samples: bool = False
     fixed: bool = False
@@ -124,7 +124,7 @@ def as_is(problem: LineProblem, _: float) -> LineProblem:
     return problem
 
 
-Effects = Callable[[Misfit], Iterator[Effect]]
+Effects = Callable[[Baseline], Iterator[Effect]]
 
 Failure = TypeVar("Failure", bound=DashpotError)
 

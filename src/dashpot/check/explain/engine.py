@@ -19,8 +19,8 @@ from dashpot.arrays import Ints, Real
 from dashpot.check.discrepancy import blocks_of
 from dashpot.check.explain import channels, dwells, rigs
 from dashpot.check.explain import laws as laws_of_rig
-from dashpot.check.explain.effect import Effect, Effects, Misfit, Phrase
-from dashpot.check.explain.problem import Fit, LineProblem, fitted, judged, searched
+from dashpot.check.explain.effect import Baseline, Effect, Effects, Phrase
+from dashpot.check.explain.problem import FittedProblem, LineProblem, fitted, judged, searched
 from dashpot.errors import DashpotError, ModelError
 from dashpot.estimate.assessment import Finding
 from dashpot.estimate.inference.diagnostics import of_one_sign
@@ -30,7 +30,7 @@ from dashpot.model.modes import modes
 # The kinds of effects, each with its probability before the data: what people get wrong, by how often.
 KINDS: tuple[tuple[float, Effects], ...] = (
     (0.08, channels.sign), (0.10, channels.unit), (0.08, channels.gain), (0.08, channels.delay),
-    (0.04, channels.quantity), (0.04, channels.conjugate), (0.01, channels.radians), (0.04, channels.filtered),
+    (0.04, channels.derivative), (0.04, channels.conjugate), (0.01, channels.radians), (0.04, channels.filtered),
     (0.02, channels.saturation), (0.01, channels.gain_step), (0.06, channels.swap), (0.02, channels.crosstalk),
     (0.02, channels.place), (0.03, channels.left_out), (0.06, dwells.dwell), (0.04, dwells.clock),
     (0.02, dwells.hold), (0.02, dwells.changed), (0.10, rigs.element), (0.08, rigs.value), (0.01, rigs.hysteretic),
@@ -44,7 +44,7 @@ OF_DATA = (
     channels.unit,
     channels.gain,
     channels.delay,
-    channels.quantity,
+    channels.derivative,
     channels.swap,
     dwells.clock,
 )
@@ -72,7 +72,7 @@ EXCESSES = np.concatenate(
 )  # of the noise's variance over what is known of it
 
 
-Fitter = Callable[[Sequence[LineProblem]], list[Fit]]
+Fitter = Callable[[Sequence[LineProblem]], list[FittedProblem]]
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Cause:
 
     effect: Effect
     size: float
-    fit: Fit
+    fit: FittedProblem
     likelihood: float
     evidence: float
     possible: float = 0.0
@@ -115,7 +115,7 @@ class Explanation:
     nearest   the likeliest of what explains less than half, where that is likelier than any cause; else None
     """
 
-    as_is: Fit
+    as_is: FittedProblem
     causes: tuple[Cause, ...]
     unlisted: float
     nearest: Cause | None = None
@@ -132,13 +132,13 @@ def explain(
     of_samples  whether amplitudes were made of samples, so that their phases and frequencies are what they are
     laws        whether a nonlinear element is looked for
     """
-    misfit = _begun(problem, silent or {}, of_samples, seed)
-    first = _step(misfit, laws=laws)
+    baseline = _begun(problem, silent or {}, of_samples, seed)
+    first = _step(baseline, laws=laws)
     best = first.causes[0] if first.causes else first.nearest
     # Beside a law of its own every further trial is a search by harmonic balance.
     if best is None or len(best.fit.problem.model.nonlinear) or not _leaves_more_than_noise(best.fit):
         return first
-    second = _step(_continued(misfit, best))
+    second = _step(_continued(baseline, best))
     more = [
         each
         for each in second.causes
@@ -150,13 +150,13 @@ def explain(
     if first.causes:
         nearly_all = not _leaves_more_than_noise(both.fit) or both.explains >= NEARLY_ALL
         return replace(first, causes=(best, both, *first.causes[1:])[:MOST]) if nearly_all else first
-    together = _explained(misfit.as_is, log_possible(misfit.as_is), both)
+    together = _explained(baseline.as_is, log_possible(baseline.as_is), both)
     if together < NEARLY_ALL:
         return first
     return replace(first, causes=(best, both), unlisted=1 - both.odds)
 
 
-def _begun(problem: LineProblem, silent: Mapping[str, str], of_samples: bool, seed: int) -> Misfit:
+def _begun(problem: LineProblem, silent: Mapping[str, str], of_samples: bool, seed: int) -> Baseline:
     """The problem as it is and without each channel, searched from afar."""
     names = [channel.name for channel in problem.channels]
     without = [channels.without(c, problem, 1.0) for c in range(len(names))]
@@ -166,7 +166,9 @@ def _begun(problem: LineProblem, silent: Mapping[str, str], of_samples: bool, se
     ):  # no regression leads to the rig of an input that is turned, or in another unit
         inputs = [
             c
-            for c, at in enumerate(Misfit(problem, Fit(problem, problem.starts[0], 0.0, 0), ()).inputs)
+            for c, at in enumerate(
+                Baseline(problem, FittedProblem(problem, problem.starts[0], 0.0, 0), ()).inputs
+            )
             if at
         ]
         far += [channels.times(c, problem, factor) for c in inputs for factor in (-1.0, 1e3, 1e-3)]
@@ -174,15 +176,19 @@ def _begun(problem: LineProblem, silent: Mapping[str, str], of_samples: bool, se
     fits = searched([problem, *without, *far], seed)
     pool = _distinct([fit.psi for fit in fits])
     begun = problem.from_starts(pool)
-    return Misfit(begun, replace(fits[0], problem=begun), tuple(fits[1 : len(names) + 1]), silent, of_samples)
+    return Baseline(
+        begun, replace(fits[0], problem=begun), tuple(fits[1 : len(names) + 1]), silent, of_samples
+    )
 
 
-def _continued(misfit: Misfit, best: Cause) -> Misfit:
+def _continued(baseline: Baseline, best: Cause) -> Baseline:
     """From the best cause on: the problem with it mended."""
     mended = best.fit.problem.from_starts((best.fit.psi,))
     fits = fitted([mended, *(channels.without(c, mended, 1.0) for c in range(len(mended.channels)))])
     begun = mended.from_starts(_distinct([fit.psi for fit in fits]))
-    return Misfit(begun, replace(fits[0], problem=begun), tuple(fits[1:]), misfit.silent, misfit.of_samples)
+    return Baseline(
+        begun, replace(fits[0], problem=begun), tuple(fits[1:]), baseline.silent, baseline.of_samples
+    )
 
 
 def _distinct(ends: Sequence[Real]) -> list[Real]:
@@ -198,7 +204,7 @@ def _distinct(ends: Sequence[Real]) -> list[Real]:
     return kept or [ends[0]]
 
 
-def _leaves_more_than_noise(fit: Fit) -> bool:
+def _leaves_more_than_noise(fit: FittedProblem) -> bool:
     known = fit.problem.data.noise_known
     return known and fit.dof > 0 and bool(chdtrc(fit.dof, fit.chi2) < IMPROBABLE) and fit.reduced > 1.5
 
@@ -225,30 +231,30 @@ def explain_records(
     tried.sort(key=lambda each: -(each[3].roughly + log(each[1] * each[0].share)))
     (as_is,) = fitted([problem])
     without = fitted([channels.without(c, problem, 1.0) for c in range(len(problem.channels))])
-    misfit = Misfit(
+    baseline = Baseline(
         problem.from_starts(_distinct([as_is.psi, *(fit.psi for fit in without)])),
         as_is,
         tuple(without),
         silent or {},
         True,
     )
-    in_full: list[tuple[Effect, float, float, Fit]] = []
-    for effect, prior, size, starts in _chosen(misfit, tried):
+    in_full: list[tuple[Effect, float, float, FittedProblem]] = []
+    for effect, prior, size, starts in _chosen(baseline, tried):
         try:
-            supposed = effect.act(misfit.problem, size)
+            supposed = effect.act(baseline.problem, size)
         except DashpotError:
             continue
         begun = [
             psi for psi in (*starts, as_is.psi) if len(psi) == len(supposed.starts[0])
         ] or supposed.starts
         (fit,) = fitted([supposed.from_starts(begun)])
-        in_full.append((effect, prior, size, _on_the_same_data(misfit, fit)))
+        in_full.append((effect, prior, size, _on_the_same_data(baseline, fit)))
     of_records = ((0.10, rigs.element), (0.08, rigs.value), (0.01, rigs.hysteretic), (0.06, of_channel))
-    return _weighed_all(misfit, [*in_full, *_tried(misfit, of_records, fitted)], fitted)
+    return _weighed_all(baseline, [*in_full, *_tried(baseline, of_records, fitted)], fitted)
 
 
 def _chosen(
-    misfit: Misfit, tried: Sequence[tuple[Effect, float, float, Fit]]
+    baseline: Baseline, tried: Sequence[tuple[Effect, float, float, FittedProblem]]
 ) -> Iterator[tuple[Effect, float, float, tuple[Real, ...]]]:
     """Effects on whole records that are worth a fit with the transients of their ends, with starts of it.
 
@@ -256,17 +262,17 @@ def _chosen(
     (`tried`, the best first): the best of each kind, and a few more.
     """
     problem, of_lines = (
-        misfit.problem,
+        baseline.problem,
         [each for each in tried if not each[0].unknown and each[0].found is None],
     )
     for c, channel in enumerate(problem.channels):
         for word, kinds in CALIBRATIONS.items():
             if getattr(channel, word) is None:
                 continue
-            fit = _calibrated(misfit, c, word)
+            fit = _calibrated(baseline, c, word)
             size = float(fit.psi[-1])
-            for prior, kind in KINDS if fit.reduced < (1 - HINT) * misfit.as_is.reduced else ():
-                for effect in kind(misfit) if kind in kinds else ():
+            for prior, kind in KINDS if fit.reduced < (1 - HINT) * baseline.as_is.reduced else ():
+                for effect in kind(baseline) if kind in kinds else ():
                     near = [
                         each for each in effect.values if each * size > 0 and abs(log(each / size)) < NEAR
                     ]
@@ -284,13 +290,13 @@ def _chosen(
         yield effect, prior, size, (end.psi,)
 
 
-def _calibrated(misfit: Misfit, c: int, word: str) -> Fit:
+def _calibrated(baseline: Baseline, c: int, word: str) -> FittedProblem:
     """Whole records fitted with the gain or delay of channel c unknown, which stands last in ψ."""
-    problem = misfit.problem
+    problem = baseline.problem
     channel = problem.channels[c]
     opened = replace(channel, gain=None) if word == "gain" else replace(channel, delay=None)
     channels = tuple(opened if k == c else each for k, each in enumerate(problem.channels))
-    begun = problem.from_starts((misfit.as_is.psi, misfit.without[c].psi)).of_rig(problem.model, channels)
+    begun = problem.from_starts((baseline.as_is.psi, baseline.without[c].psi)).of_rig(problem.model, channels)
     turned = [np.append(psi[:-1], -1.0) for psi in begun.starts if word == "gain"]
     return fitted([begun.from_starts((*begun.starts, *turned))])[0]
 
@@ -300,48 +306,52 @@ def mistakes_of_data(problem: LineProblem) -> Explanation:
     """What may be wrong with the numbers of data that a rig, whose values stand, predicts badly."""
     names = [channel.name for channel in problem.channels]
     fits = judged([problem, *(channels.without(c, problem, 1.0) for c in range(len(names)))])
-    misfit = Misfit(problem, fits[0], tuple(fits[1:]), {}, True, True)
-    return _step(misfit, tuple((1 / len(OF_DATA), kind) for kind in OF_DATA), judged, laws=False)
+    baseline = Baseline(problem, fits[0], tuple(fits[1:]), {}, True, True)
+    return _step(baseline, tuple((1 / len(OF_DATA), kind) for kind in OF_DATA), judged, laws=False)
 
 
 def _step(
-    misfit: Misfit,
+    baseline: Baseline,
     kinds: tuple[tuple[float, Effects], ...] = KINDS,
     fit: Fitter = fitted,
     *,
     laws: bool = False,
 ) -> Explanation:
     """All effects of some kinds tried once on a problem."""
-    tried = _tried(misfit, kinds, fit)
-    if laws and not any(_settles(misfit, end) for *_, end in tried):
-        tried = _searched_afresh(misfit, tried)
-    if laws and not any(_settles(misfit, end) for *_, end in tried):
-        keeps_all = not any(end.reduced < _enough(misfit) for *_, end in tried)
-        found = laws_of_rig.nonlinear(misfit, thorough=keeps_all)
+    tried = _tried(baseline, kinds, fit)
+    if laws and not any(_settles(baseline, end) for *_, end in tried):
+        tried = _searched_afresh(baseline, tried)
+    if laws and not any(_settles(baseline, end) for *_, end in tried):
+        keeps_all = not any(end.reduced < _enough(baseline) for *_, end in tried)
+        found = laws_of_rig.nonlinear(baseline, thorough=keeps_all)
         tried += [
             (effect, OF_LAWS, effect.values[0], effect.found) for effect in found if effect.found is not None
         ]
-    return _weighed_all(misfit, tried, fit)
+    return _weighed_all(baseline, tried, fit)
 
 
-def _weighed_all(misfit: Misfit, tried: list[tuple[Effect, float, float, Fit]], fit: Fitter) -> Explanation:
+def _weighed_all(
+    baseline: Baseline, tried: list[tuple[Effect, float, float, FittedProblem]], fit: Fitter
+) -> Explanation:
     """The best of what was tried, their sizes sought closely, with their odds."""
     priors = {id(effect): prior for effect, prior, _, _ in tried}
     tried.sort(key=lambda each: -(each[3].roughly + log(each[1] * each[0].share)))
-    closely = _closely(misfit.problem, [(effect, size, end) for effect, _, size, end in tried[:CLOSELY]], fit)
-    block = _blocks(misfit.as_is)
+    closely = _closely(
+        baseline.problem, [(effect, size, end) for effect, _, size, end in tried[:CLOSELY]], fit
+    )
+    block = _blocks(baseline.as_is)
     weighed = [
         _weighed(effect, size, end, bend, priors[id(effect)], block)
         for effect, size, end, bend in closely
         if np.isfinite(end.chi2)
     ]
     causes = [cause for cause in weighed if cause is not None]
-    possible = log_possible(misfit.as_is)
-    as_is = log_likelihood(misfit.as_is, block) + possible
+    possible = log_possible(baseline.as_is)
+    as_is = log_likelihood(baseline.as_is, block) + possible
     weights = np.array([*(cause.evidence for cause in causes), as_is + log(UNLISTED)])
     odds = np.exp(weights - logsumexp(weights))
     causes = [
-        replace(cause, odds=float(chance), explains=_explained(misfit.as_is, possible, cause))
+        replace(cause, odds=float(chance), explains=_explained(baseline.as_is, possible, cause))
         for cause, chance in zip(causes, odds[:-1], strict=True)
     ]
     causes.sort(key=lambda each: -each.evidence)
@@ -354,35 +364,35 @@ def _weighed_all(misfit: Misfit, tried: list[tuple[Effect, float, float, Fit]], 
     listed = list(unique.values())
     total = np.cumsum([cause.odds for cause in listed])
     count = int(np.searchsorted(total, LISTED)) + 1 if len(listed) else 0
-    return Explanation(misfit.as_is, _grouped(listed[: min(count, MOST)]), unlisted, nearest)
+    return Explanation(baseline.as_is, _grouped(listed[: min(count, MOST)]), unlisted, nearest)
 
 
-def _enough(misfit: Misfit) -> float:
+def _enough(baseline: Baseline) -> float:
     """χ² over its degrees of freedom that leaves nothing to explain: noise, or next to nothing of a gross misfit."""
-    return max(ENOUGH, NEXT_TO_NOTHING * misfit.as_is.reduced)
+    return max(ENOUGH, NEXT_TO_NOTHING * baseline.as_is.reduced)
 
 
-def _settles(misfit: Misfit, end: Fit) -> bool:
+def _settles(baseline: Baseline, end: FittedProblem) -> bool:
     """Whether an effect explains all there is, keeping all data and one rig."""
-    return end.reduced < _enough(misfit) and end.problem.roughly_lost == 0.0 and not end.parts
+    return end.reduced < _enough(baseline) and end.problem.roughly_lost == 0.0 and not end.parts
 
 
 def _tried(
-    misfit: Misfit, kinds: tuple[tuple[float, Effects], ...], fit: Fitter
-) -> list[tuple[Effect, float, float, Fit]]:
+    baseline: Baseline, kinds: tuple[tuple[float, Effects], ...], fit: Fitter
+) -> list[tuple[Effect, float, float, FittedProblem]]:
     """Each effect with the prior of its kind, the best of its sizes, and the fit there."""
     suppositions: list[tuple[Effect, float, float, LineProblem]] = []
-    best: dict[int, tuple[Effect, float, float, Fit]] = {}
+    best: dict[int, tuple[Effect, float, float, FittedProblem]] = {}
     for prior, kind in kinds:
-        for effect in kind(misfit):
-            if effect.kind != "channel" and not misfit.silent.keys().isdisjoint(effect.of):
+        for effect in kind(baseline):
+            if effect.kind != "channel" and not baseline.silent.keys().isdisjoint(effect.of):
                 continue  # of what measured nothing no gain and no sign can be told
             if effect.found is not None:
                 best[id(effect)] = effect, prior, effect.values[0], effect.found
                 continue
             for size in effect.values:
                 try:
-                    suppositions.append((effect, prior, size, effect.act(misfit.problem, size)))
+                    suppositions.append((effect, prior, size, effect.act(baseline.problem, size)))
                 except DashpotError:  # a rig or channels that cannot be
                     continue
     # Of another rig each is followed to its end: from a rig that does not fit, the first steps say little.
@@ -391,7 +401,7 @@ def _tried(
     problems = [each[3] for each in suppositions]
     fits = [*fitted(problems[:count], kept=count), *fit(problems[count:])]
     for (effect, prior, size, _), fitted_end in zip(suppositions, fits, strict=True):
-        end = _on_the_same_data(misfit, fitted_end)
+        end = _on_the_same_data(baseline, fitted_end)
         there = best.get(id(effect))
         if there is None or end.roughly > there[3].roughly:
             best[id(effect)] = effect, prior, size, end
@@ -399,29 +409,29 @@ def _tried(
 
 
 def _searched_afresh(
-    misfit: Misfit, tried: list[tuple[Effect, float, float, Fit]]
-) -> list[tuple[Effect, float, float, Fit]]:
+    baseline: Baseline, tried: list[tuple[Effect, float, float, FittedProblem]]
+) -> list[tuple[Effect, float, float, FittedProblem]]:
     """The most hopeful of what changes the motion itself, searched from drawn rigs as well."""
     far = [k for k, (effect, *_) in enumerate(tried) if effect.kind in FAR and effect.found is None]
     far = sorted(far, key=lambda k: -tried[k][3].roughly)[:AFRESH]
-    problems = [tried[k][0].act(misfit.problem, tried[k][2]) for k in far]
-    alike = [k for k, problem in zip(far, problems, strict=True) if problem.view is misfit.problem.view]
-    problems = [problem for problem in problems if problem.view is misfit.problem.view]
+    problems = [tried[k][0].act(baseline.problem, tried[k][2]) for k in far]
+    alike = [k for k, problem in zip(far, problems, strict=True) if problem.view is baseline.problem.view]
+    problems = [problem for problem in problems if problem.view is baseline.problem.view]
     again = list(tried)
     for k, end in zip(alike, searched(problems), strict=True):
         effect, prior, size, before = tried[k]
         if end.chi2 < before.chi2:
-            again[k] = effect, prior, size, _on_the_same_data(misfit, end)
+            again[k] = effect, prior, size, _on_the_same_data(baseline, end)
     return again
 
 
-def _on_the_same_data(misfit: Misfit, end: Fit) -> Fit:
+def _on_the_same_data(baseline: Baseline, end: FittedProblem) -> FittedProblem:
     """The fit, charged for numbers that test the rig as it is and only give inputs here: they may be of any size."""
     problem = end.problem
     lost = 0 if problem.lost is None else np.count_nonzero(np.isfinite(problem.lost))
-    before = 0 if misfit.problem.lost is None else np.count_nonzero(np.isfinite(misfit.problem.lost))
-    more = max(len(end.psi) - len(misfit.as_is.psi), 0)
-    taken_up = misfit.as_is.dof - end.dof - 2 * (lost - before) - more
+    before = 0 if baseline.problem.lost is None else np.count_nonzero(np.isfinite(baseline.problem.lost))
+    more = max(len(end.psi) - len(baseline.as_is.psi), 0)
+    taken_up = baseline.as_is.dof - end.dof - 2 * (lost - before) - more
     if taken_up <= 0:
         return end
     on = problem.counted
@@ -438,7 +448,7 @@ class _Sought:
 
     effect: Effect
     size: float
-    fit: Fit
+    fit: FittedProblem
     bend: float = 0.0
     step: float = 0.0
 
@@ -446,7 +456,7 @@ class _Sought:
         """The size so far away on its scale."""
         return self.effect.size_at(self.effect.coordinate(self.size) + move, self.size)
 
-    def take(self, ends: Sequence[tuple[float, Fit]]) -> bool:
+    def take(self, ends: Sequence[tuple[float, FittedProblem]]) -> bool:
         """Go to the best of other sizes, if it is better; whether it was."""
         size, fit = min(ends, key=lambda end: end[1].chi2)
         better = fit.chi2 < self.fit.chi2
@@ -456,8 +466,8 @@ class _Sought:
 
 
 def _closely(
-    problem: LineProblem, found: Sequence[tuple[Effect, float, Fit]], refit: Fitter
-) -> list[tuple[Effect, float, Fit, float]]:
+    problem: LineProblem, found: Sequence[tuple[Effect, float, FittedProblem]], refit: Fitter
+) -> list[tuple[Effect, float, FittedProblem, float]]:
     """Sizes at the vertex of the parabola through χ² at three of them, and half of its curvature there.
 
     Of sizes that are unknowns of the problem the curvature is their own information.
@@ -497,7 +507,9 @@ def _closely(
     return [(each.effect, each.size, each.fit, each.bend) for each in every]
 
 
-def _weighed(effect: Effect, size: float, fit: Fit, bend: float, prior: float, block: Ints) -> Cause | None:
+def _weighed(
+    effect: Effect, size: float, fit: FittedProblem, bend: float, prior: float, block: Ints
+) -> Cause | None:
     """The cause with its evidence; None for a rig that cannot be built."""
     likelihood = log_likelihood(fit, block)
     possible = log_possible(fit, effect.unknown)
@@ -519,7 +531,7 @@ def _weighed(effect: Effect, size: float, fit: Fit, bend: float, prior: float, b
     return Cause(effect, size, fit, likelihood, evidence, possible)
 
 
-def _of_unknowns(effect: Effect, fit: Fit, scale: float) -> tuple[float, float | None]:
+def _of_unknowns(effect: Effect, fit: FittedProblem, scale: float) -> tuple[float, float | None]:
     """The size that is an unknown of the problem, and what the priors of all that the effect brings leave (Laplace).
 
     None where a part that must be positive is not.
@@ -548,7 +560,7 @@ def _of_unknowns(effect: Effect, fit: Fit, scale: float) -> tuple[float, float |
     return size, left
 
 
-def log_possible(fit: Fit, but: str = "") -> float:
+def log_possible(fit: FittedProblem, but: str = "") -> float:
     """ln of the probability that what must be positive of a rig is, as known as the fit leaves it; `but` may be not."""
     if fit.parts:
         return sum(log_possible(part, but) for part in fit.parts)
@@ -573,7 +585,7 @@ def log_possible(fit: Fit, but: str = "") -> float:
     return bending + max(float(np.sum(logs[held & ~springs])), IMPOSSIBLE)
 
 
-def _explained(as_is: Fit, possible: float, cause: Cause) -> float:
+def _explained(as_is: FittedProblem, possible: float, cause: Cause) -> float:
     """Share of the misfit that goes: of what is more than noise, or of all where no noise is known.
 
     A rig that cannot be built is a misfit, as improbable as it is.
@@ -602,7 +614,7 @@ def _alike(first: Cause, second: Cause) -> bool:
     return abs(first.likelihood - second.likelihood) < TOGETHER
 
 
-def _blocks(fit: Fit) -> Ints:
+def _blocks(fit: FittedProblem) -> Ints:
     """Lines that one discrepancy makes alike."""
     spectrum, model = fit.problem.data.spectrum, fit.problem.model
     try:
@@ -613,7 +625,7 @@ def _blocks(fit: Fit) -> Ints:
     return np.arange(spectrum.lines) if found is None else found
 
 
-def log_likelihood(fit: Fit, block: Ints) -> float:
+def log_likelihood(fit: FittedProblem, block: Ints) -> float:
     """ln p(data | fit), relative to the noise alone: noise larger than known, and discrepancy, averaged over.
 
     Of each channel a part ŷ a of its motion is left, a one complex number for each block of lines with a variance of
@@ -635,7 +647,7 @@ def log_likelihood(fit: Fit, block: Ints) -> float:
     return value if np.isfinite(value) else -np.inf
 
 
-def _of_channel(fit: Fit, c: int, block: Ints, used: float, log_v: Real) -> Real:
+def _of_channel(fit: FittedProblem, c: int, block: Ints, used: float, log_v: Real) -> Real:
     """ln p of one channel for each v and s; used: the part of each of its squares that is left to test the fit by."""
     problem = fit.problem
     on = problem.counted[:, c]
@@ -657,7 +669,7 @@ def _of_channel(fit: Fit, c: int, block: Ints, used: float, log_v: Real) -> Real
     return np.asarray(table - used * (len(z) - len(count)) * log_v[:, None] - rest / v)
 
 
-def _of_lost(fit: Fit, log_v: Real, prior_v: Real) -> float:
+def _of_lost(fit: FittedProblem, log_v: Real, prior_v: Real) -> float:
     """ln p of what is left out beside what it should be, in noise of any size."""
     problem = fit.problem
     if problem.lost is None:

@@ -17,8 +17,8 @@ from scipy.fft import next_fast_len
 from scipy.special import fdtrc
 
 from dashpot.arrays import Complex, Ints, Real, hermitian
-from dashpot.check.explain.effect import Effect, Misfit, Phrase, as_is
-from dashpot.check.explain.problem import Fit, LineProblem, descended
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is
+from dashpot.check.explain.problem import FittedProblem, LineProblem, descended
 from dashpot.check.explain.rigs import points_of
 from dashpot.check.explain.score import ScoreTest, score_tests, steadiness
 from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
@@ -102,7 +102,7 @@ class ScoredElement:
     dof: int
     value: float
     psi: Real | None = None
-    fit: Fit | None = None
+    fit: FittedProblem | None = None
 
     @property
     def p_value(self) -> float:
@@ -664,7 +664,11 @@ def fitted_in_full(
     fitted_element = replace(candidate.element, force_law=law.with_constants(constants))
     fall = max(chi2 - least, 0.0)
     dof = candidate.dof - len(law.constants)
-    fit = Fit(LineProblem(larger, sign, (best,)), best, chi2 - fall, dof) if np.isfinite(least) else None
+    fit = (
+        FittedProblem(LineProblem(larger, sign, (best,)), best, chi2 - fall, dof)
+        if np.isfinite(least)
+        else None
+    )
     return replace(
         candidate, element=fitted_element, fall=fall, chi2=chi2, value=values[element.name], fit=fit
     )
@@ -701,9 +705,9 @@ def nonlinear_finding(model: Model, scored: ScoredElement, remaining: float | No
     )
 
 
-def nonlinear(misfit: Misfit, *, thorough: bool) -> Iterator[Effect]:
+def nonlinear(baseline: Baseline, *, thorough: bool) -> Iterator[Effect]:
     """Nonlinear elements that the dwells call for, each as it was fitted in full."""
-    problem, psi = misfit.problem, misfit.as_is.psi
+    problem, psi = baseline.problem, baseline.as_is.psi
     if not np.all(np.isfinite(psi)):
         return
     model = problem.model
@@ -711,8 +715,8 @@ def nonlinear(misfit: Misfit, *, thorough: bool) -> Iterator[Effect]:
         if scored.fit is None or scored.element.force_law is None:
             continue
         # With laws, harmonics are data as well: without one the rig is as improbable as it is by its own lines.
-        plain = replace(misfit.as_is, chi2=scored.chi2, dof=scored.dof + 1)
-        anchor = misfit.as_is.roughly - plain.roughly if plain.dof != misfit.as_is.dof else 0.0
+        plain = replace(baseline.as_is, chi2=scored.chi2, dof=scored.dof + 1)
+        anchor = baseline.as_is.roughly - plain.roughly if plain.dof != baseline.as_is.dof else 0.0
         fit = replace(scored.fit, problem=replace(scored.fit.problem, given_up=anchor))
         yield Effect(
             "nonlinear", points_of(scored.element, model), as_is, partial(law_in_words, model, scored.element),

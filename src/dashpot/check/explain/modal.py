@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from dashpot.arrays import Real
-from dashpot.check.explain.channels import GAIN_WIDTH, RATIOS, number
+from dashpot.check.explain.channels import GAIN_WIDTH, RATIOS, rounded
 from dashpot.check.explain.dwells import RATES
 from dashpot.check.explain.effect import Phrase
 from dashpot.check.explain.engine import LARGEST, LIKELY, LISTED, MOST, UNLISTED
@@ -178,15 +178,15 @@ def _said(model: Model, cause: _Cause) -> Phrase:
         case "swap":
             return Phrase(f"{of[0]} and {of[1]} are exchanged", f"exchange {of[0]} and {of[1]} in the shapes")
         case "unit" | "gain":
-            text = f"{of[0]} is {number(size)} × what the model predicts in all mode shapes"
-            return Phrase(text, f"divide {of[0]} by {number(size)} in the shapes")
+            text = f"{of[0]} is {rounded(size)} × what the model predicts in all mode shapes"
+            return Phrase(text, f"divide {of[0]} by {rounded(size)} in the shapes")
         case "damping":
             word = "loss factors" if size == 2.0 else "per cent"
             return Phrase(
                 f"the damping ratios are {size:g} × what the model gives: {word}?", f"divide them by {size:g}"
             )
         case "frequency":
-            text = f"the modes are at {number(size)} × the stated frequencies. Are they in another unit?"
+            text = f"the modes are at {rounded(size)} × the stated frequencies. Are they in another unit?"
             return Phrase(text, f"multiply the frequencies by {size:.6g}")
         case "conjugate":
             text = "all phases have the opposite sign: the data use e^(−jωt)"

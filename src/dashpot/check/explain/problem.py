@@ -216,7 +216,7 @@ class LineProblem:
 
 
 @dataclass(frozen=True)
-class Fit:
+class FittedProblem:
     """Where a problem's fit ended: ψ (M,), χ² and its degrees of freedom.
 
     parts  fits of parts of the lines, each with a rig of its own; () where one rig is fitted to all
@@ -226,7 +226,7 @@ class Fit:
     psi: Real
     chi2: float
     dof: int
-    parts: tuple[Fit, ...] = ()
+    parts: tuple[FittedProblem, ...] = ()
 
     @property
     def reduced(self) -> float:
@@ -263,17 +263,17 @@ class Fit:
             every = replace(arranged, y=of.y[None], q=q)
             return of.y - predict(of.view, every, self.psi[None], of.sign[None]).r[0]
 
-    def again(self, problem: LineProblem) -> Fit:
+    def again(self, problem: LineProblem) -> FittedProblem:
         """The same values beside other data: not fitted."""
         return judged([replace(problem, starts=(self.psi,))])[0]
 
 
-def judged(problems: Sequence[LineProblem]) -> list[Fit]:
+def judged(problems: Sequence[LineProblem]) -> list[FittedProblem]:
     """Each problem at its first start, as it is."""
     return _fits(problems, _ended([each.from_starts(each.starts[:1]) for each in problems], 0))
 
 
-def fitted(problems: Sequence[LineProblem], kept: int = KEPT) -> list[Fit]:
+def fitted(problems: Sequence[LineProblem], kept: int = KEPT) -> list[FittedProblem]:
     """Each from the best of its starts or its own least squares; the hopeless after a few steps only."""
     if not problems:
         return []
@@ -289,7 +289,7 @@ def fitted(problems: Sequence[LineProblem], kept: int = KEPT) -> list[Fit]:
     return fits
 
 
-def searched(problems: Sequence[LineProblem], seed: int = 0, draws: int = DRAWS) -> list[Fit]:
+def searched(problems: Sequence[LineProblem], seed: int = 0, draws: int = DRAWS) -> list[FittedProblem]:
     """Each from its starts, its own least squares and drawn rigs: thorough, for the few that need it.
 
     All have the same view.
@@ -321,9 +321,9 @@ def searched(problems: Sequence[LineProblem], seed: int = 0, draws: int = DRAWS)
     return _fits(problems, long)
 
 
-def _fits(problems: Sequence[LineProblem], ends: Sequence[tuple[Real, float]]) -> list[Fit]:
+def _fits(problems: Sequence[LineProblem], ends: Sequence[tuple[Real, float]]) -> list[FittedProblem]:
     return [
-        Fit(each, x, cost, each.arranged().rows - len(x))
+        FittedProblem(each, x, cost, each.arranged().rows - len(x))
         for each, (x, cost) in zip(problems, ends, strict=True)
     ]
 

@@ -18,15 +18,15 @@ from dashpot.arrays import Bools, Ints, Real
 from dashpot.check.explain.channels import (
     RATIOS,
     conjugate,
+    derivative,
     in_data,
-    in_words,
-    quantity,
+    mistake_in_words,
     sign,
     swap,
     unit,
 )
-from dashpot.check.explain.effect import Misfit, with_likely_causes
-from dashpot.check.explain.problem import Fit, LineProblem
+from dashpot.check.explain.effect import Baseline, with_likely_causes
+from dashpot.check.explain.problem import FittedProblem, LineProblem
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError, Problem
 from dashpot.estimate.assessment import Finding
@@ -60,10 +60,10 @@ def mistakes_by_equation(data: Prepared, misfit: float) -> tuple[Finding, ...]:
     """
     start = np.zeros(len(data.view.names))
     base = LineProblem(data, np.ones(len(data.spectrum.channels)), (start,))
-    seen = Misfit(base, Fit(base, start, np.inf, 0), ())
+    seen = Baseline(base, FittedProblem(base, start, np.inf, 0), ())
     tried = [
         (effect, size, effect.act(base, size))
-        for kind in (sign, conjugate, unit, quantity, swap)
+        for kind in (sign, conjugate, unit, derivative, swap)
         for effect in kind(seen)
         for size in effect.values
     ]
@@ -178,7 +178,7 @@ def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:
     near.sort(key=lambda each: (_of_input(model, record, each[1][1]), KINDS.index(each[1][0]), each[0]))
     found = []
     for _, (kind, of, size) in near:
-        said = in_words(model, record.channels, kind, of, size)
+        said = mistake_in_words(model, record.channels, kind, of, size)
         number = None if kind == "swap" else size
         found.append(Finding(kind, of, said.text, said.change, None, number, said.channels))
     return tuple(found)

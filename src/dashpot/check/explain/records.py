@@ -16,9 +16,9 @@ import numpy as np
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.channel import Quantity
 from dashpot.check.explain.channels import DISAGREES, limited
-from dashpot.check.explain.effect import Effect, Misfit, Phrase, as_is, said
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, said
 from dashpot.check.explain.engine import Explanation, explain_records
-from dashpot.check.explain.problem import Fit, LineProblem
+from dashpot.check.explain.problem import FittedProblem, LineProblem
 from dashpot.check.explain.steady_lines import steady_lines, working_noise
 from dashpot.check.verdict import IN_TIME, clipped_at
 from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
@@ -70,21 +70,23 @@ def explained_records(
         part = LineProblem(
             prepare(model, quiet.select(chosen), states=False), sign, (estimate.values,), False
         )
-        return explain_records(lines, part, lambda misfit: _in_time(misfit, whole), silent=silent, seed=seed)
+        return explain_records(
+            lines, part, lambda baseline: _in_time(baseline, whole), silent=silent, seed=seed
+        )
     except DashpotError:
         return None
 
 
-def _in_time(misfit: Misfit, whole: LineProblem) -> Iterator[Effect]:
+def _in_time(baseline: Baseline, whole: LineProblem) -> Iterator[Effect]:
     """Each channel of the motion with an error of its own, by what it shows in time against all others."""
-    for c, (channel, fit) in enumerate(zip(misfit.problem.channels, misfit.without, strict=True)):
-        if misfit.inputs[c]:
+    for c, (channel, fit) in enumerate(zip(baseline.problem.channels, baseline.without, strict=True)):
+        if baseline.inputs[c]:
             continue
         kind, phrase = _shown(whole, c, fit)
         yield Effect(kind, (channel.name,), as_is, partial(said, phrase), found=fit)
 
 
-def _shown(whole: LineProblem, c: int, fit: Fit) -> tuple[str, Phrase]:
+def _shown(whole: LineProblem, c: int, fit: FittedProblem) -> tuple[str, Phrase]:
     """The kind of error of channel c, against the fit without it, in words."""
     name = whole.channels[c].name
     plain = (

@@ -12,8 +12,8 @@ import numpy as np
 from dashpot import units
 from dashpot.arrays import Real
 from dashpot.channel import Quantity
-from dashpot.check.explain.channels import CLOSE, number
-from dashpot.check.explain.effect import Effect, Misfit, Phrase, said
+from dashpot.check.explain.channels import CLOSE, rounded
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, said
 from dashpot.check.explain.problem import LineProblem, replaced, with_element_starts
 from dashpot.check.explain.score import score_tests
 from dashpot.model.elements import Element, Kind, between, mass
@@ -88,31 +88,31 @@ def scores(problem: LineProblem, psi: Real, elements: Sequence[Element]) -> dict
     return {test.name: (test.fall, test.step) for test in tests}
 
 
-def element(misfit: Misfit) -> Iterator[Effect]:
+def element(baseline: Baseline) -> Iterator[Effect]:
     """A missing spring, damper or mass."""
-    yield from _added(misfit, "element", missing_elements(misfit.problem.model))
+    yield from _added(baseline, "element", missing_elements(baseline.problem.model))
 
 
-def hysteretic(misfit: Misfit) -> Iterator[Effect]:
+def hysteretic(baseline: Baseline) -> Iterator[Effect]:
     """Hysteretic damping beside a spring."""
-    model = misfit.problem.model
+    model = baseline.problem.model
     joined = {frozenset(each.along) for each in model.elements if each.kind is Kind.SPRING}
     candidates = [
         each
         for each in missing_elements(model, (Kind.HYSTERETIC,))
         if each.kind is Kind.HYSTERETIC and frozenset(each.along) in joined
     ]
-    yield from _added(misfit, "hysteretic", candidates)
+    yield from _added(baseline, "hysteretic", candidates)
 
 
-def _added(misfit: Misfit, kind: str, candidates: list[Element]) -> Iterator[Effect]:
-    problem, model = misfit.problem, misfit.problem.model
-    promised = scores(problem, misfit.as_is.psi, candidates)
+def _added(baseline: Baseline, kind: str, candidates: list[Element]) -> Iterator[Effect]:
+    problem, model = baseline.problem, baseline.problem.model
+    promised = scores(problem, baseline.as_is.psi, candidates)
     chosen = sorted(
         (each for each in candidates if each.name in promised), key=lambda each: -promised[each.name][0]
     )
     for candidate in chosen[:FOLLOWED]:
-        width = ELEMENT_WIDTH * _typical(model, misfit.as_is.psi, candidate.kind)
+        width = ELEMENT_WIDTH * _typical(model, baseline.as_is.psi, candidate.kind)
         yield Effect(
             kind, points_of(candidate, model), partial(_with, candidate), partial(missing_in_words, model, candidate),
             (0.0, promised[candidate.name][1]), width, unknown=candidate.name, share=1 / len(candidates),
@@ -141,17 +141,17 @@ def missing_in_words(model: Model, element: Element, value: float) -> Phrase:
     where = " and ".join(points) if len(points) > 1 else f"{points[0]} and the ground"
     at = f"at {points[0]}" if element.kind is Kind.MASS else f"between {where}"
     word = "hysteretic element" if element.kind is Kind.HYSTERETIC else element.kind.value
-    text = f"a {word} {at} is missing: {number(value, '.3g')} {element.unit(model.angles)}"
+    text = f"a {word} {at} is missing: {rounded(value, '.3g')} {element.unit(model.angles)}"
     if element.kind is Kind.SPRING and value < 0 and len(points) > 1:
         text += " (negative: typical of bending of the parts in between)"
     return Phrase(text, f"[{element.kind.section}] {element_line(element)}", (), (element,))
 
 
-def value(misfit: Misfit) -> Iterator[Effect]:
+def value(baseline: Baseline) -> Iterator[Effect]:
     """A stated value that is another one, or is in another unit."""
-    problem, model = misfit.problem, misfit.problem.model
+    problem, model = baseline.problem, baseline.problem.model
     listed = stated_values(model)
-    promised = scores(problem, misfit.as_is.psi, listed)
+    promised = scores(problem, baseline.as_is.psi, listed)
     listed.sort(key=lambda each: -promised.get(each.name, (0.0, 0.0))[0])
     share = 1 / max(len(listed), 1)
     for each in listed[:FOLLOWED]:
@@ -189,7 +189,7 @@ def other_value(model: Model, element: Element, found: float) -> Phrase:
     name = element.name
     stated = _stated(model, name)
     assert stated.value is not None
-    text = f"{name} would be {number(found)} {stated.unit(model.angles)}, not {stated.value:g}"
+    text = f"{name} would be {rounded(found)} {stated.unit(model.angles)}, not {stated.value:g}"
     quantity, usual = USUAL.get(stated.kind, ("", ()))
     for unit in () if model.angles else usual:
         if abs(found / (stated.value * units.scale(unit, quantity, False)) - 1) < CLOSE:
@@ -217,9 +217,9 @@ BODY = 0.1  # of the typical mass, where the search begins
 BODY_DAMPING = 0.02  # damping ratio there
 
 
-def oscillator(misfit: Misfit) -> Iterator[Effect]:
+def oscillator(baseline: Baseline) -> Iterator[Effect]:
     """A body on a spring and a damper that the rig lacks, at each coordinate."""
-    problem, model = misfit.problem, misfit.problem.model
+    problem, model = baseline.problem, baseline.problem.model
     if model.angles:
         return
     names = {
@@ -228,7 +228,7 @@ def oscillator(misfit: Misfit) -> Iterator[Effect]:
         *(each.name for each in model.elements),
     }
     body = next(name for name in ("body", "body_2", "hidden_body") if name not in names)
-    typical = _typical(model, misfit.as_is.psi, Kind.MASS)
+    typical = _typical(model, baseline.as_is.psi, Kind.MASS)
     omega = problem.omega
     rates = np.geomspace(np.min(omega), np.max(omega), RESONANCES)
     middle = float(np.sqrt(rates[0] * rates[-1]))
@@ -265,15 +265,15 @@ def _beside_body(
 
 def _body(model: Model, parts: tuple[Element, ...], x: str, stiffness: float) -> Phrase:
     lines = "; ".join(f"[{each.kind.section}] {element_line(each)}" for each in parts)
-    text = f"a body on a spring at {x} is missing from the rig ({number(stiffness, '.3g')} N/m)"
+    text = f"a body on a spring at {x} is missing from the rig ({rounded(stiffness, '.3g')} N/m)"
     return Phrase(text, f'add a coordinate "{parts[0].name.removeprefix("m_")}"; {lines}')
 
 
-def unmeasured(misfit: Misfit) -> Iterator[Effect]:
+def unmeasured(baseline: Baseline) -> Iterator[Effect]:
     """A force at one coordinate that no channel measures, another one at each line."""
-    model = misfit.problem.model
-    motions = np.flatnonzero(~misfit.inputs)
-    if len(motions) < 3 or not misfit.problem.data.noise_known:  # it would take up what tests the rig
+    model = baseline.problem.model
+    motions = np.flatnonzero(~baseline.inputs)
+    if len(motions) < 3 or not baseline.problem.data.noise_known:  # it would take up what tests the rig
         return
     taken = {
         *model.coordinates,
@@ -292,13 +292,13 @@ def _pushed(larger: Model, problem: LineProblem, _: float) -> LineProblem:
     return problem.of_rig(larger)
 
 
-def residual(misfit: Misfit) -> Iterator[Effect]:
+def residual(baseline: Baseline) -> Iterator[Effect]:
     """What modes outside the band add to a channel: a compliance of higher ones, a mass line of lower ones."""
-    problem, model = misfit.problem, misfit.problem.model
+    problem, model = baseline.problem, baseline.problem.model
     channels = problem.channels
-    for source in np.flatnonzero(misfit.inputs).tolist():
+    for source in np.flatnonzero(baseline.inputs).tolist():
         force = set(channels[source].of) <= set(model.force_inputs)
-        for c in np.flatnonzero(~misfit.inputs).tolist():
+        for c in np.flatnonzero(~baseline.inputs).tolist():
             if channels[c].quantity is Quantity.FORCE:
                 continue
             size = float(np.sqrt(np.mean(np.abs(problem.y[:, c]) ** 2)))
