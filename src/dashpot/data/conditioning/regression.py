@@ -262,13 +262,6 @@ DITHERED = 0.7  # residual in steps of a converter from which on rounding is noi
 COARSEST = 0.22  # noise in steps below which the likelihood of cells is no parabola
 
 
-def clipped_moments(z: Real) -> tuple[Real, Real]:
-    """Of standard normal noise that is known to be beyond z: its mean, and how much of its variance that takes away."""
-    z = np.clip(z, -FAR, FAR)
-    mean = np.exp(-(z**2) / 2 - log_ndtr(-z)) / np.sqrt(2 * np.pi)
-    return mean, np.clip(mean * (mean - z), 0.0, 1.0)
-
-
 @dataclass(frozen=True)
 class PartlyMeasured:
     """The likeliest in a channel whose samples are not all measured: coefficients, their P, variance and freedom."""
@@ -327,7 +320,7 @@ def _partly_measured(
             within = np.abs(side) <= 1 if cell else np.abs(side) == 1
             A, e, side = A[within], e[within], side[within]
             low, high = np.where(side < 0, -np.inf, e - cell / 2), np.where(side > 0, np.inf, e + cell / 2)
-            L, a, b, aa, ab, bb = _between(tau * low, tau * high)
+            L, a, b, aa, ab, bb = in_between(tau * low, tau * high)
             low, high = np.where(side < 0, 0.0, low), np.where(side > 0, 0.0, high)
             cross = A.T @ (aa * low + ab * (low + high) + bb * high)
             square = -float(np.sum(aa * low**2 + 2 * ab * low * high + bb * high**2))
@@ -358,7 +351,7 @@ def _partly_measured(
     return PartlyMeasured(beta, P, 1 / tau**2, free, cell > 0)
 
 
-def _between(a: Real, b: Real) -> tuple[Real, Real, Real, Real, Real, Real]:
+def in_between(a: Real, b: Real) -> tuple[Real, Real, Real, Real, Real, Real]:
     """L = ln(Φ(b) − Φ(a)), −∂L/∂a, ∂L/∂b, and the second derivatives by aa, ab, bb."""
     flip = a + b > 0
     x, w = np.where(flip, -b, a), np.where(flip, -a, b)

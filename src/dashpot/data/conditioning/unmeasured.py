@@ -1,4 +1,4 @@
-"""Samples that are not measured: clipped at the limit of a channel's range, held or 0 where the channel missed them.
+"""Samples that are not measured: clipped at the limit of a channel's range, held, 0 or a spike where it missed them.
 
 In a dwell they are marked (`Record.status`): of clipped samples a regression then knows that the signal is beyond them,
 of missing ones nothing.  Which they are is told by the motion around them.  Whole records are cut where samples are
@@ -18,7 +18,7 @@ from scipy.special import fdtrc
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.data.conditioning.drive_frequency import at_frequencies, drive_frequencies
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
-from dashpot.data.conditioning.regression import basis, clipped_moments, solve, window
+from dashpot.data.conditioning.regression import basis, in_between, solve, window
 from dashpot.data.record import ABOVE, BELOW, MISSING, Record, at_limits, runs_of_one_value
 from dashpot.errors import DataError
 from dashpot.io.words import counted
@@ -29,6 +29,7 @@ ALIKE = 3  # samples at a limit of a channel of which no two others are alike
 DEPTH = 1e-3  # of a channel's range, by which the motion goes beyond a limit in the mean: less is no matter
 MOST = 0.6  # of a channel's samples: of one that clips more the rest says too little
 BEYOND = 4.0  # times the scatter of the motion around a run of one value by which that departs from it
+SPIKE = 10.0  # times that scatter by which a single sample does
 MOST_MISSING = 0.1  # of a channel's samples: a channel that misses more is at fault throughout
 PER_PERIOD = 0.5  # runs at the most: a mass that sticks rests twice in each period
 FREEDOM = 8  # samples that there must be around beside the parameters of the motion
@@ -54,7 +55,7 @@ def marked(dwells: Sequence[Record]) -> tuple[list[Record], list[Notice]]:
 
 
 def _with_missing(record: Record, notices: list[Notice]) -> Record:
-    """The dwell with those runs of one value marked that depart from the motion around them.
+    """The dwell with those runs of one value, and single samples, marked that depart from the motion around them.
 
     What a coarse converter repeats near a turning point departs by no more than a step, and what rests at the greatest
     or least value is clipped.
@@ -63,37 +64,51 @@ def _with_missing(record: Record, notices: list[Notice]) -> Record:
         return record
     still = record.values[1:] == record.values[:-1]
     # Two equal neighbours in a row anywhere: nearly no record has any, which spares it the rest.
-    suspect = np.flatnonzero(np.any(still[1:] & still[:-1], axis=0))
-    if not len(suspect):
-        return record
-    steps = rounding_steps([record])
+    held = np.any(still[1:] & still[:-1], axis=0)
+    most = max(1.0, PER_PERIOD * _periods(record))
     status = np.zeros(record.values.shape, dtype=np.int64)
-    for c in suspect.tolist():
-        column = record.values[:, c]
-        runs = list(runs_of_one_value(column, 3))
+    for c, column in enumerate(record.values.T):
+        runs = list(runs_of_one_value(column, 3)) if held[c] else []
+        spikes = [at for at in _spikes(column) if not any(begin <= at < end for begin, end in runs)]
+        runs += [(at, at + 1) for at in spikes] if len(spikes) <= most else []
+        if not runs:
+            continue
         trial = np.zeros(len(column), dtype=np.int64)
         for begin, end in runs:
             trial[begin:end] = MISSING
         if np.count_nonzero(trial) > MOST_MISSING * len(column):
             continue
         motion, scatter = _motion_there(record, c, trial)
-        missed = []
+        step, missed = rounding_steps([record])[c], []
         for begin, end in runs:
             away = np.abs(column[begin:end] - motion[begin:end])
             value, expected = column[begin], float(np.mean(motion[begin:end]))
             limit = (value == column.max() and expected > value) or (
                 value == column.min() and expected < value
             )
-            far = np.sqrt(np.mean(away**2)) > BEYOND * np.mean(scatter[begin:end]) and np.max(away) > steps[c]
+            times = BEYOND if end > begin + 1 else SPIKE
+            far = np.sqrt(np.mean(away**2)) > times * np.mean(scatter[begin:end]) and np.max(away) > step
             if far and not limit:
                 missed.append((begin, end))
-        if 0 < len(missed) <= max(1.0, PER_PERIOD * _periods(record)):
+        if 0 < len(missed) <= most:
             for begin, end in missed:
                 status[begin:end, c] = MISSING
             name, count = record.channels[c].name, sum(end - begin for begin, end in missed)
             text = f"{name} misses {counted(count, 'sample')} of the dwell at {record.frequency_hz:g} Hz"
-            notices.append(Notice("dropouts", f"{text} (held or 0): the other samples are used", (name,)))
+            notices.append(
+                Notice("dropouts", f"{text} (held, 0 or a spike): the other samples are used", (name,))
+            )
     return replace(record, status=status) if np.any(status) else record
+
+
+def _spikes(column: Real) -> list[int]:
+    """Samples that depart from the line between their neighbours far more than samples usually do."""
+    away = np.abs(column[1:-1] - (column[:-2] + column[2:]) / 2)
+    usual = float(np.median(away)) if len(away) else 0.0
+    around = np.pad(away, 1)
+    far = (away > 2 * SPIKE * usual) & (away >= np.maximum(around[:-2], around[2:])) & (usual > 0)
+    spikes: list[int] = (np.flatnonzero(far) + 1).tolist()
+    return spikes
 
 
 def _periods(record: Record) -> float:
@@ -232,11 +247,14 @@ def completed(record: Record) -> tuple[Record, Real]:
             sd = float(np.sqrt(found.covariance[0, 0, 0]))
             e = record.values[around, c] - motion
             side = np.where(np.abs(status[around]) == 1, status[around], 0)
-            mills, weight = clipped_moments(side * e / max(sd, 1e-13 * found.largest[0, 0]))
-            noise = np.resize(e[status[around] == 0], len(e)) * np.sqrt(1 - np.where(side, weight, 0.0))
+            z = side * e / max(sd, 1e-13 * float(found.largest[0, 0]))
+            _, mean, _, curvature, _, _ = in_between(z, np.full(len(z), np.inf))
+            noise = np.resize(e[status[around] == 0], len(e)) * np.sqrt(
+                np.clip(1 + np.where(side, curvature, 0.0), 0, 1)
+            )
             put_in = np.flatnonzero(status[inside]) + inside.start
             at = put_in - around.start
-            values[put_in, c] = (motion + side * np.where(side, mills, 0.0) * sd + noise)[at]
+            values[put_in, c] = (motion + side * np.where(side, mean, 0.0) * sd + noise)[at]
         measured = status == 0
         some, every = (np.linalg.inv(rows.T @ rows)[2:4, 2:4] for rows in (steady[measured], steady))
         ratio = np.max(np.linalg.eigvalsh(some)) / np.max(np.linalg.eigvalsh(every))

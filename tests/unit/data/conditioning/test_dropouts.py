@@ -43,7 +43,26 @@ def test_the_notice_says_channel_dwell_and_how_many() -> None:
     assert record.status is not None
     assert np.flatnonzero(record.status[:, 0]).tolist() == [*range(103, 115), *range(301, 306)]
     assert notice.of == ("x1",)
-    assert notice.text == "x1 misses 17 samples of the dwell at 3 Hz (held or 0): the other samples are used"
+    assert notice.text.startswith("x1 misses 17 samples of the dwell at 3 Hz (")
+
+
+def test_a_spike_is_a_sample_that_is_missed() -> None:
+    """Two spikes of half the amplitude, fifty deviations: the amplitude is that of the samples beside them."""
+    sound = dwell(3)
+    values = np.array(sound.values)
+    values[[77, 310], 0] += 0.5
+    lines, whole = spectrum([replace(sound, values=values)]), spectrum([sound])
+    assert [note.of for note in lines.notes if note.code == "dropouts"] == [("x1",)]
+    sd = np.sqrt(whole.covariance[0, 0, 0].real)
+    assert abs(lines.amplitudes[0, 0] - whole.amplitudes[0, 0]) < 0.3 * sd
+    assert lines.covariance[0, 0, 0].real == pytest.approx(sd**2, rel=0.1)
+
+
+def test_knocks_of_every_period_are_motion() -> None:
+    sound = dwell(3)
+    values = np.array(sound.values)
+    values[7::40, 0] += 0.5
+    assert marked([replace(sound, values=values)])[1] == []
 
 
 def rounded(y: Real) -> Real:
