@@ -261,10 +261,11 @@ def _chosen(
     Gains and delays by the records themselves, each as an unknown of its own; all else by the lines without transients
     (`tried`, the best first): the best of each kind, and a few more.
     """
-    problem, of_lines = (
-        baseline.problem,
-        [each for each in tried if not each[0].unknown and each[0].found is None],
-    )
+    problem = baseline.problem
+    again = ("element", "value", "hysteretic")  # tried on the records themselves
+    of_lines = [
+        each for each in tried if each[0].found is None and not (each[0].unknown and each[0].kind in again)
+    ]
     for c, channel in enumerate(problem.channels):
         for word, kinds in CALIBRATIONS.items():
             if getattr(channel, word) is None:
