@@ -227,7 +227,7 @@ def solve(
     rounded = False if record.cell is None else record.cell > 0
     shown, partly, times = np.ones(channels), np.zeros(channels, dtype=bool), np.zeros(channels)
     for c in np.flatnonzero(~record.whole_channels | rounded).tolist():
-        found = _partly_measured(record, c, pieces)
+        found = _partly_measured(record, c, f, pieces)
         if found is None:
             continue
         P = P if np.any(partly) else np.array(P)
@@ -274,7 +274,7 @@ class PartlyMeasured:
 
 
 def _partly_measured(
-    record: Record, c: int, pieces: Callable[[], Iterator[tuple[slice, Real]]]
+    record: Record, c: int, f: float, pieces: Callable[[], Iterator[tuple[slice, Real]]]
 ) -> PartlyMeasured | None:
     """A channel with samples that are clipped, missing or rounded to cells; None where all are as good as measured.
 
@@ -291,12 +291,10 @@ def _partly_measured(
     for rows, A in pieces():
         some = A[seen[rows]]
         gram, right = gram + some.T @ some, right + some.T @ y[rows][seen[rows]]
-    beta: Real = cholesky_solve(factor(gram, record, record.frequency_hz or 0.0), right[None, :, None])[
-        0, :, 0
-    ]
+    beta: Real = cholesky_solve(factor(gram, record, f), right[None, :, None])[0, :, 0]
     left = sum(float(np.sum((y[rows] - A @ beta)[seen[rows]] ** 2)) for rows, A in pieces())
     terms, count = len(beta), int(np.count_nonzero(seen))
-    variance = left / (count - terms)
+    variance = left / max(count - terms, 1)
     if np.sqrt(variance) > DITHERED * cell:
         cell = 0.0
     if not cell and np.all(seen):
@@ -330,9 +328,13 @@ def _partly_measured(
         return float(total), slope, info
 
     total, slope, info = at(beta, tau)
+    inverse = None
     for _ in range(TURNS):
-        step = np.linalg.solve(info, slope)
-        if step @ slope < 1e-12 or 1 / tau < COARSEST * cell:
+        inverse = _inverse(info)
+        if inverse is None or 1 / tau < COARSEST * cell:
+            break
+        step = inverse @ slope
+        if step @ slope < 1e-12:
             break
         other, found = (beta, tau), (total, slope, info)
         for _ in range(TURNS):
@@ -343,12 +345,29 @@ def _partly_measured(
                     break
             step = step / 2
         (beta, tau), (total, slope, info) = other, found
-    inverse = np.linalg.inv(info)
-    free = float(tau**2 / (2 * inverse[-1, -1]))
-    if cell and (1 / tau < COARSEST * cell or free < 1 or np.any(np.diagonal(inverse) <= 0)):
-        return _partly_measured(replace(record, cell=None), c, pieces)
+    free = 0.0 if inverse is None else float(tau**2 / (2 * inverse[-1, -1]))
+    if cell and (free < 1 or 1 / tau < COARSEST * cell):
+        return _partly_measured(replace(record, cell=None), c, f, pieces)
+    if inverse is None:
+        raise DataError(
+            f"the samples that {record.channels[c].name} did measure cannot tell its motion at {f:g} Hz",
+            record.source,
+            "leave the channel out, or widen its range",
+        )
     P: Real = (inverse + inverse.T)[:-1, :-1] / 2
     return PartlyMeasured(beta, P, 1 / tau**2, free, cell > 0)
+
+
+def _inverse(information: Real) -> Real | None:
+    """Its inverse; None where it is not positive definite, or no number."""
+    size = np.sqrt(np.maximum(np.diagonal(information), 0.0))
+    if not (np.all(np.isfinite(information)) and np.all(size > 0)):
+        return None
+    scaled = information / np.outer(size, size)
+    if np.linalg.eigvalsh(scaled)[0] < 1e-12:
+        return None
+    inverse: Real = np.linalg.inv(scaled) / np.outer(size, size)
+    return inverse
 
 
 def in_between(a: Real, b: Real) -> tuple[Real, Real, Real, Real, Real, Real]:

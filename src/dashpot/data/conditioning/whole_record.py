@@ -203,12 +203,18 @@ def whole_record(
     if np.any(h != 1):
         X, V = X * h, V * h[:, :, None] * np.conj(h)[:, None, :]
     return Spectrum(
-        record.channels, frequency, X, V, np.full(lines, samples), np.full(lines, dof), (kind,) * lines,
+        record.channels,
+        frequency,
+        X,
+        V,
+        np.full(lines, samples),
+        np.full(lines, dof),
+        (kind,) * lines,
         np.full(lines, record.experiment),
         stretch=np.zeros(lines, dtype=np.int64),
         notes=_notices(record, folded),
         stretches=(WholeRecord(duration, samples, loads, polynomial, ramp and _drift_shows(first, lines)),),
-    )  # fmt: skip
+    )
 
 
 def _lines_of(source: str, band_hz: tuple[float, float] | None, samples: int, step: float) -> tuple[int, int]:

@@ -8,6 +8,7 @@ import pytest
 from dashpot.data.conditioning.harmonic_fit import distinct_phases, rounding_steps
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
+from dashpot.errors import DataError
 from tests.unit.data.conditioning.signals import X1, U, wave
 
 STEP = 0.01
@@ -101,3 +102,20 @@ def test_turning_points_of_a_coarse_converter_are_no_missed_samples() -> None:
             values = wave(t, 4.0, [1.0, np.exp(0.3j)])
             values = np.round(values * 2 ** (bits - 1)) / 2 ** (bits - 1)
             assert "dropouts" not in [note.code for note in spectrum([Record((X1, U), t, values, 4.0)]).notes]
+
+
+def test_codes_that_tell_too_little_are_no_failure() -> None:
+    """One, two and three codes, 12 to 60 samples, with and without noise and limits: a line, or a reasoned refusal."""
+    rng = np.random.default_rng(5)
+    for _ in range(60):
+        t = np.arange(rng.integers(12, 61)) / 80.0
+        values = wave(t, 4.0, [STEP * rng.uniform(0, 2), 1.0]) + STEP * rng.choice(
+            [0, 0.1, 0.4]
+        ) * rng.normal(size=(len(t), 2))
+        values[:, 0] = np.clip(np.round(values[:, 0] / STEP), -1, rng.integers(0, 3)) * STEP
+        try:
+            lines = spectrum([Record((X1, U), t, values, 4.0), dwell(2.0, 0.3)])
+        except DataError:
+            continue
+        assert np.all(np.isfinite(lines.amplitudes))
+        assert np.all(np.isfinite(lines.covariance))
