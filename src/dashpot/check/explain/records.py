@@ -23,7 +23,7 @@ from dashpot.check.explain.steady_lines import steady_lines, working_noise
 from dashpot.check.verdict import IN_TIME, clipped_at
 from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
 from dashpot.errors import DashpotError
-from dashpot.estimate.inference.time_course import change_notice, time_changes
+from dashpot.estimate.inference.time_course import Kind, TimeChange, change_notice, time_changes
 from dashpot.estimate.likelihood.descent import loudest
 from dashpot.estimate.likelihood.objective import record_fit
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
@@ -70,9 +70,12 @@ def explained_records(
         part = LineProblem(
             prepare(model, quiet.select(chosen), states=False), sign, (estimate.values,), False
         )
-        return explain_records(
-            lines, part, lambda baseline: _in_time(baseline, whole), silent=silent, seed=seed
-        )
+
+        def in_time(baseline: Baseline) -> Iterator[Effect]:
+            yield from _in_time(baseline, whole)
+            yield from _stepping(baseline, whole, chosen)
+
+        return explain_records(lines, part, in_time, silent=silent, seed=seed)
     except DashpotError:
         return None
 
@@ -93,30 +96,19 @@ def _shown(whole: LineProblem, c: int, fit: FittedProblem) -> tuple[str, Phrase]
         "channel",
         Phrase(f"{name} {DISAGREES}", f"leave {name} out, or check its sensor and where it is mounted"),
     )
-    without = whole.without(np.broadcast_to(np.arange(len(whole.channels)) == c, whole.kept.shape))
-    arranged = without.arranged()
-    if arranged.ends is None:
-        return plain
-    with np.errstate(all="ignore"):
-        found = record_fit(without.view, arranged, fit.psi[None], without.sign[None])
-        predicted: Complex = np.einsum("lq,lq->l", found.rig.G[0, :, c], found.motion[0])
     spectrum, y = whole.data.spectrum, whole.y[:, c]
-    if not np.all(np.isfinite(predicted)):
+    predicted = _by_all_others(whole, c, fit.psi)
+    if predicted is None:
         return plain
-    predicted = predicted + _of_its_ends(replace(spectrum, amplitudes=whole.y), c, predicted)
     unit = channel_unit(whole.model, spectrum.channels[c])
     for number in spectrum.records:
-        its = np.flatnonzero(spectrum.stretch == number)
-        stretch = spectrum.stretches[number]
-        assert isinstance(stretch, WholeRecord)
-        order = stretch.orders(spectrum.frequency_hz[its])
-        samples = 2 * (int(np.max(order)) + 1)
+        its, order, samples, step_s = _samples_of(spectrum, number)
         shown, should = (history_of_lines(values[its], order, samples) for values in (y, predicted))
         end = clipped_at(shown, should, 2 * len(its))
         if end is not None:
             return "saturation", limited(name, end, unit)
         gain = float(shown @ should / (should @ should)) if np.any(should) else 0.0
-        zero = _wander(shown - gain * should, stretch.duration_s, unit)
+        zero = _wander(shown - gain * should, step_s * samples, unit)
         if zero is not None:
             return "channel", Phrase(f"{name} {zero}", f"leave {name} out, or repair its signal chain")
     single = replace(spectrum, amplitudes=whole.y)
@@ -133,6 +125,105 @@ def _shown(whole: LineProblem, c: int, fit: FittedProblem) -> tuple[str, Phrase]
     notice = change_notice(named[0], len(spectrum.records))
     question, remedy = IN_TIME[notice.code]
     return "time", Phrase(f"{notice.text}: {question}", remedy)
+
+
+def _by_all_others(whole: LineProblem, c: int, psi: Real) -> Complex | None:
+    """What the rig at ψ (M,) makes of channel c by all other channels, (lines,); None where that cannot be told."""
+    without = whole.without(np.broadcast_to(np.arange(len(whole.channels)) == c, whole.kept.shape))
+    arranged = without.arranged()
+    if arranged.ends is None:
+        return None
+    with np.errstate(all="ignore"):
+        found = record_fit(without.view, arranged, psi[None], without.sign[None])
+        predicted: Complex = np.einsum("lq,lq->l", found.rig.G[0, :, c], found.motion[0])
+    if not np.all(np.isfinite(predicted)):
+        return None
+    return predicted + _of_its_ends(replace(whole.data.spectrum, amplitudes=whole.y), c, predicted)
+
+
+# A clock or a gain of one channel that steps: from some time on the channel shows what it should earlier or later, or
+# times a number.  Sums up to each sample say at which, for every size at once.
+
+SLIPS = np.concatenate([np.arange(-24, 0), np.arange(1, 25)]) / 2  # sampling steps
+STEPPED = 0.5  # of what is wrong with a channel that a step must leave at the most to be tried
+
+
+def _stepping(baseline: Baseline, whole: LineProblem, chosen: Ints) -> Iterator[Effect]:
+    """Each channel of the motion with a clock or a gain that steps once; chosen: the lines of the baseline's problem."""
+    spectrum, motions = whole.data.spectrum, np.flatnonzero(~baseline.inputs).tolist()
+    for c in motions:
+        best: tuple[float, TimeChange] | None = None
+        for psi in (baseline.without[c].psi, baseline.as_is.psi):
+            predicted = _by_all_others(whole, c, psi)
+            for number in spectrum.records if predicted is not None else ():
+                assert predicted is not None
+                found = _best_step(spectrum, whole.y[:, c], predicted, number, spectrum.channels[c].name)
+                best = found if best is None or found[0] < best[0] else best
+        if best is not None and best[0] < STEPPED:
+            change = best[1]
+            act, words = (
+                partial(_before_step, whole, chosen, c, change),
+                partial(_step_in_words, spectrum, change),
+            )
+            yield Effect("time", change.channels, act, words, (change.size,), more=2, share=1 / len(motions))
+
+
+def _best_step(
+    spectrum: Spectrum, y: Complex, predicted: Complex, number: int, name: str
+) -> tuple[float, TimeChange]:
+    """The step that leaves least of what is wrong with a channel (lines,) in a record, and that share."""
+    its, order, samples, step_s = _samples_of(spectrum, number)
+    shown, should = (history_of_lines(values[its], order, samples) for values in (y, predicted))
+    before = np.concatenate([[0.0], np.cumsum((shown - should) ** 2)])
+    found: list[tuple[float, TimeChange]] = []
+    edge = max(samples // 20, 1)  # what is otherwise from the first sample on is no step
+
+    def add(kind: Kind, left: Real, sizes: Real | float) -> None:
+        k = int(np.argmin(left[edge:-edge])) + edge
+        size = float(np.broadcast_to(sizes, left.shape)[k])
+        found.append((float(left[k] / before[-1]), TimeChange(kind, (name,), number, k * step_s, size)))
+
+    for slip in SLIPS * step_s:
+        later = history_of_lines(y[its] * np.exp(-1j * spectrum.omega[its] * slip), order, samples)
+        away = np.concatenate([[0.0], np.cumsum((later - should) ** 2)])
+        add("clock", before + away[-1] - away, -slip)
+    yy, ye, ee = (
+        np.concatenate([np.cumsum(part[::-1])[::-1], [0.0]]) for part in (shown**2, shown * should, should**2)
+    )
+    with np.errstate(all="ignore"):
+        add("gain", np.nan_to_num(before + yy - ye**2 / ee, nan=np.inf), ye / ee)
+    return min(found, key=lambda each: each[0])
+
+
+def _samples_of(spectrum: Spectrum, number: int) -> tuple[Ints, Ints, int, float]:
+    """The lines of a record, their orders, and the samples by which they are shown in time, with their step in s."""
+    its, stretch = np.flatnonzero(spectrum.stretch == number), spectrum.stretches[number]
+    assert isinstance(stretch, WholeRecord)
+    order = stretch.orders(spectrum.frequency_hz[its])
+    samples = 2 * (int(np.max(order)) + 1)
+    return its, order, samples, stretch.duration_s / samples
+
+
+def _before_step(
+    whole: LineProblem, chosen: Ints, c: int, change: TimeChange, problem: LineProblem, size: float
+) -> LineProblem:
+    """The problem where channel c is from the step on what it was before."""
+    spectrum, y = whole.data.spectrum, whole.y[:, c]
+    its, order, samples, step_s = _samples_of(spectrum, change.record)
+    mended = y[its] * np.exp(1j * spectrum.omega[its] * size) if change.kind == "clock" else y[its] / size
+    more = history_of_lines(mended - y[its], order, samples)
+    more[: round(change.time_s / step_s)] = 0.0
+    added = np.zeros(len(y), dtype=np.complex128)
+    added[its] = np.fft.rfft(more)[order] * (2 / samples)
+    mended_y = np.array(problem.y)
+    mended_y[:, c] += added[chosen]
+    return problem.with_amplitudes(mended_y)
+
+
+def _step_in_words(spectrum: Spectrum, change: TimeChange, size: float) -> Phrase:
+    notice = change_notice(replace(change, size=size), len(spectrum.records))
+    question, remedy = IN_TIME[notice.code]
+    return Phrase(f"{notice.text}: {question}", remedy)
 
 
 def _of_its_ends(spectrum: Spectrum, c: int, predicted: Complex) -> Complex:
