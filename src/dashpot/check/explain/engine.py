@@ -210,6 +210,9 @@ def _leaves_more_than_noise(fit: FittedProblem) -> bool:
 
 
 IN_FULL = 4  # effects on whole records beside the best of each kind that few lines call for
+TOLD_APART = (
+    10.0  # of log evidence by few lines between forms of one channel's mistake: the less likely is left
+)
 HINT = 0.3  # of the misfit that an unknown gain or delay must explain to be looked at
 NEAR = 0.2  # nepers within which a gain is taken for a usual ratio
 CALIBRATIONS = {"gain": (channels.sign, channels.unit, channels.gain), "delay": (channels.delay,)}
@@ -228,7 +231,7 @@ def explain_records(
     """
     rough = _begun(lines, silent or {}, True, seed)
     tried = _tried(rough, KINDS, fitted)
-    tried.sort(key=lambda each: -(each[3].roughly + log(each[1] * each[0].share)))
+    tried.sort(key=_rough_evidence, reverse=True)
     (as_is,) = fitted([problem])
     without = fitted([channels.without(c, problem, 1.0) for c in range(len(problem.channels))])
     baseline = Baseline(
@@ -284,11 +287,19 @@ def _chosen(
                             else min(near, key=lambda each: abs(log(each / size)))
                         )
                         yield effect, prior, sought, (fit.psi[:-1],)
+    # Ends, which the lines do without, make forms of one channel's mistake alike that these tell apart.
+    likeliest = {each[0].of: _rough_evidence(each) for each in reversed(of_lines)}
+    of_lines = [each for each in of_lines if _rough_evidence(each) > likeliest[each[0].of] - TOLD_APART]
     best = {each[0].kind: each for each in reversed(of_lines)}
     for effect, prior, size, end in {
         id(each[0]): each for each in (*best.values(), *of_lines[:IN_FULL])
     }.values():
         yield effect, prior, size, (end.psi,)
+
+
+def _rough_evidence(tried: tuple[Effect, float, float, FittedProblem]) -> float:
+    effect, prior, _, end = tried
+    return end.roughly + log(prior * effect.share)
 
 
 def _calibrated(baseline: Baseline, c: int, word: str) -> FittedProblem:
@@ -336,7 +347,7 @@ def _weighed_all(
 ) -> Explanation:
     """The best of what was tried, their sizes sought closely, with their odds."""
     priors = {id(effect): prior for effect, prior, _, _ in tried}
-    tried.sort(key=lambda each: -(each[3].roughly + log(each[1] * each[0].share)))
+    tried.sort(key=_rough_evidence, reverse=True)
     closely = _closely(
         baseline.problem, [(effect, size, end) for effect, _, size, end in tried[:CLOSELY]], fit
     )
