@@ -149,7 +149,7 @@ STEPPED = 0.5  # of what is wrong with a channel that a step must leave at the m
 
 
 def _stepping(baseline: Baseline, whole: LineProblem, chosen: Ints) -> Iterator[Effect]:
-    """Each channel of the motion with a clock or a gain that steps once; chosen: the lines of the baseline's problem."""
+    """Each channel of the motion with a clock or gain that steps once; chosen: the lines of the baseline's problem."""
     spectrum, motions = whole.data.spectrum, np.flatnonzero(~baseline.inputs).tolist()
     for c in motions:
         best: tuple[float, TimeChange] | None = None
