@@ -478,9 +478,28 @@ def unphysical(model: Model, estimate: Estimate) -> list[Notice]:
     names = tuple(name for name, held, value, sd in rows if held and value < -BEYOND * sd)
     if not names:
         return []
-    springs = {each.name for each in model.elements if each.kind is Kind.SPRING}
-    why = ", as springs are that stand for parts which bend" if springs.issuperset(names) else ""
+    why = ", as springs are that stand for parts which bend" if _stand_beside(model, names) else ""
     return [Notice("negative", f"{joined(names)} {'is' if len(names) == 1 else 'are'} negative{why}", names)]
+
+
+def _stand_beside(model: Model, names: Sequence[str]) -> bool:
+    """Whether all of these are springs between points that other springs join as well, one after the other."""
+    springs = {
+        each.name: {*each.along, "ground"} if len(each.along) < 2 else {*each.along}
+        for each in model.elements
+        if each.kind is Kind.SPRING
+    }
+    if not springs.keys() >= set(names):
+        return False
+    joined_points = [springs[name] for name in springs.keys() - set(names)]
+    for name in names:
+        start, *others = sorted(springs[name])
+        reached = {start}
+        while more := [points for points in joined_points if points & reached and not points <= reached]:
+            reached = reached.union(*more)
+        if not reached.issuperset(others):
+            return False
+    return True
 
 
 def unstable(estimate: Estimate) -> list[Notice]:

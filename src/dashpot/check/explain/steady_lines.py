@@ -70,14 +70,20 @@ def steady_lines(model: Model, spectrum: Spectrum) -> Spectrum:
 def working_noise(spectrum: Spectrum) -> Real:
     """Variance of each line, (lines, channels): no more than the quietest record has of noise read from residuals.
 
-    The residuals of a rig that does not fit are no noise.
+    The quietest as it stands or in proportion to its motion, whichever is more: the residuals of a rig that does not
+    fit are no noise.
     """
     variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
-    size = np.nanmean(np.abs(spectrum.amplitudes) ** 2, axis=0)
-    quietest = np.min(np.where(np.isfinite(variance), variance, np.inf), axis=0)
+    power = np.nan_to_num(np.abs(spectrum.amplitudes) ** 2)
+    record = np.unique(spectrum.stretch, return_inverse=True)[1]
+    size = np.stack([np.mean(power[record == k], axis=0) for k in range(np.max(record) + 1)])[record]
+    known = np.where(np.isfinite(variance), variance, np.inf)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        in_proportion = np.min(np.where(size > 0, known / size, np.inf), axis=0) * size
+    quietest = np.fmax(np.min(known, axis=0), in_proportion)
     from_fit = np.array([kind in (RESIDUAL, FLOOR) for kind in spectrum.noise])
     working = np.where(from_fit[:, None], np.minimum(variance, quietest), variance)
-    return np.nan_to_num(working) + LEAST**2 * np.nan_to_num(size)
+    return np.nan_to_num(working) + LEAST**2 * np.mean(power, axis=0)
 
 
 def _frequencies(
