@@ -210,9 +210,7 @@ def _leaves_more_than_noise(fit: FittedProblem) -> bool:
 
 
 IN_FULL = 4  # effects on whole records beside the best of each kind that few lines call for
-TOLD_APART = (
-    10.0  # of log evidence by few lines between forms of one channel's mistake: the less likely is left
-)
+TOLD_APART = 10.0  # of log evidence by few lines between forms of one channel's mistake: one of them is left
 HINT = 0.3  # of the misfit that an unknown gain or delay must explain to be looked at
 NEAR = 0.2  # nepers within which a gain is taken for a usual ratio
 CALIBRATIONS = {"gain": (channels.sign, channels.unit, channels.gain), "delay": (channels.delay,)}
@@ -273,20 +271,20 @@ def _chosen(
         for word, kinds in CALIBRATIONS.items():
             if getattr(channel, word) is None:
                 continue
-            fit = _calibrated(baseline, c, word)
-            size = float(fit.psi[-1])
-            for prior, kind in KINDS if fit.reduced < (1 - HINT) * baseline.as_is.reduced else ():
+            fit, size, psi = _calibrated(baseline, c, word)
+            if fit.reduced > (1 - HINT) * baseline.as_is.reduced:
+                continue
+            for prior, kind in KINDS:
                 for effect in kind(baseline) if kind in kinds else ():
+                    if effect.of != (channel.name,):
+                        continue
                     near = [
                         each for each in effect.values if each * size > 0 and abs(log(each / size)) < NEAR
                     ]
-                    if effect.of == (channel.name,) and (near or effect.width is not None):
-                        sought = (
-                            size
-                            if effect.width is not None
-                            else min(near, key=lambda each: abs(log(each / size)))
-                        )
-                        yield effect, prior, sought, (fit.psi[:-1],)
+                    if effect.width is not None:
+                        yield effect, prior, size, (psi,)
+                    elif near:
+                        yield effect, prior, min(near, key=lambda each: abs(log(each / size))), (psi,)
     # Ends, which the lines do without, make forms of one channel's mistake alike that these tell apart.
     likeliest = {each[0].of: _rough_evidence(each) for each in reversed(of_lines)}
     of_lines = [each for each in of_lines if _rough_evidence(each) > likeliest[each[0].of] - TOLD_APART]
@@ -302,15 +300,16 @@ def _rough_evidence(tried: tuple[Effect, float, float, FittedProblem]) -> float:
     return end.roughly + log(prior * effect.share)
 
 
-def _calibrated(baseline: Baseline, c: int, word: str) -> FittedProblem:
-    """Whole records fitted with the gain or delay of channel c unknown, which stands last in ψ."""
-    problem = baseline.problem
-    channel = problem.channels[c]
+def _calibrated(baseline: Baseline, c: int, word: str) -> tuple[FittedProblem, float, Real]:
+    """Whole records fitted with the gain or delay of channel c unknown, that size, and ψ (M,) without it."""
+    problem, channel = baseline.problem, baseline.problem.channels[c]
     opened = replace(channel, gain=None) if word == "gain" else replace(channel, delay=None)
-    channels = tuple(opened if k == c else each for k, each in enumerate(problem.channels))
-    begun = problem.from_starts((baseline.as_is.psi, baseline.without[c].psi)).of_rig(problem.model, channels)
-    turned = [np.append(psi[:-1], -1.0) for psi in begun.starts if word == "gain"]
-    return fitted([begun.from_starts((*begun.starts, *turned))])[0]
+    mended = tuple(opened if k == c else each for k, each in enumerate(problem.channels))
+    begun = problem.from_starts((baseline.as_is.psi, baseline.without[c].psi)).of_rig(problem.model, mended)
+    at = begun.view.names.index(f"{channel.name}.{word}")
+    turned = [np.where(np.arange(len(psi)) == at, -1.0, psi) for psi in begun.starts if word == "gain"]
+    (fit,) = fitted([begun.from_starts((*begun.starts, *turned))])
+    return fit, float(fit.psi[at]), np.delete(fit.psi, at)
 
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
@@ -357,7 +356,12 @@ def _weighed_all(
         for effect, size, end, bend in closely
         if np.isfinite(end.chi2)
     ]
-    causes = [cause for cause in weighed if cause is not None]
+    causes: list[Cause] = []
+    for cause in sorted((each for each in weighed if each is not None), key=lambda each: -each.evidence):
+        if not any(
+            _same(cause, other) for other in causes
+        ):  # else a fit that began elsewhere has come to the same
+            causes.append(cause)
     possible = log_possible(baseline.as_is)
     as_is = log_likelihood(baseline.as_is, block) + possible
     weights = np.array([*(cause.evidence for cause in causes), as_is + log(UNLISTED)])
@@ -366,7 +370,6 @@ def _weighed_all(
         replace(cause, odds=float(chance), explains=_explained(baseline.as_is, possible, cause))
         for cause, chance in zip(causes, odds[:-1], strict=True)
     ]
-    causes.sort(key=lambda each: -each.evidence)
     nearest = causes[0] if causes and causes[0].explains < LIKELY and causes[0].odds > odds[-1] else None
     causes = [cause for cause in causes if cause.explains >= LIKELY]
     unlisted = max(1 - sum(cause.odds for cause in causes), 0.0)
@@ -377,6 +380,18 @@ def _weighed_all(
     total = np.cumsum([cause.odds for cause in listed])
     count = int(np.searchsorted(total, LISTED)) + 1 if len(listed) else 0
     return Explanation(baseline.as_is, _grouped(listed[: min(count, MOST)]), unlisted, nearest)
+
+
+def _same(first: Cause, second: Cause) -> bool:
+    """Whether two causes are one, of one size."""
+    one, other = first.effect, second.effect
+    alike = (one.kind, one.of, one.unknown, one.width is None) == (
+        other.kind,
+        other.of,
+        other.unknown,
+        other.width is None,
+    )
+    return alike and abs(first.size - second.size) <= 0.01 * abs(first.size)
 
 
 def _enough(baseline: Baseline) -> float:
