@@ -167,7 +167,7 @@ def _with_causes(
     """The assessment with what may be the matter.
 
     Nonlinear elements that whole records call for stand first, unless a cause of the list explains more than they;
-    changes in the course of a record, which have no odds, last.
+    so do changes in the course of a record and channels that end, unless a cause explains nearly all.
     """
     found = diagnose(model, spectrum, estimate, seed=seed)
     best = found[0] if found else None
@@ -182,9 +182,10 @@ def _with_causes(
         return replace(assessment, verdict="does not fit", reasons=reasons, findings=(*laws, *listed))
     named = {(each.kind, each.of) for each in found}
     in_time = tuple(each for each in assessment.findings if (each.kind, each.of) not in named)
-    if found and found[0].kind == "unexplained" and in_time:
-        found = ()
-    return replace(assessment, findings=(*found, *in_time))
+    if explains >= MOSTLY:
+        return replace(assessment, findings=(*found, *in_time))
+    kept = found if not in_time else tuple(each for each in found if each.kind != "unexplained")
+    return replace(assessment, findings=(*in_time, *kept))
 
 
 def _with_causes_of_much(
