@@ -28,7 +28,7 @@ from dashpot.app.memory import (
     secure_room,
 )
 from dashpot.app.report_files import ARGUMENTS
-from dashpot.app.signals import Ended, answered, end_on_signals, leave_signals, request_lost
+from dashpot.app.signals import ANSWERED, Ended, answered, end_on_signals, leave_signals, request_lost
 from dashpot.errors import DashpotError, printable
 from dashpot.io import ledger
 
@@ -256,4 +256,10 @@ def main() -> None:
     except (Ended, KeyboardInterrupt) as asked:  # in the moments before the run and after it
         leave_signals()
         code = _stopped(asked)
+    if code - 128 in ANSWERED:
+        # All is unwound and told.  On its way down the interpreter may abort where threads of a library still work.
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(code)
     sys.exit(code)
