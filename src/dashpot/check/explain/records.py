@@ -7,7 +7,7 @@ gain changed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -18,7 +18,7 @@ from dashpot.channel import Quantity
 from dashpot.check.explain.channels import DISAGREES, limited
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, said
 from dashpot.check.explain.engine import Explanation, explain_records
-from dashpot.check.explain.problem import FittedProblem, LineProblem
+from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.steady_lines import steady_lines, working_noise
 from dashpot.check.verdict import IN_TIME, clipped_at
 from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
@@ -57,11 +57,10 @@ def explained_records(
     if RESIDUAL in spectrum.noise:
         variance = working_noise(spectrum)[:, :, None] * np.eye(len(spectrum.channels))
         quiet = replace(spectrum, covariance=variance.astype(np.complex128))
-    power = np.sum(
-        np.abs(np.nan_to_num(quiet.amplitudes)) ** 2 / np.maximum(working_noise(quiet), 1e-300), axis=1
-    )
     chosen = np.arange(quiet.lines)
     if quiet.lines > MOST_LINES:
+        noise = np.maximum(working_noise(quiet), 1e-300)
+        power = np.sum(np.abs(np.nan_to_num(quiet.amplitudes)) ** 2 / noise, axis=1)
         chosen = loudest(quiet.frequency_hz, power, MOST_LINES // 30)
     (sign,) = quiet.signs(estimate.signs)
     try:
@@ -70,36 +69,38 @@ def explained_records(
         part = LineProblem(
             prepare(model, quiet.select(chosen), states=False), sign, (estimate.values,), False
         )
-
-        def in_time(baseline: Baseline) -> Iterator[Effect]:
-            yield from _in_time(baseline, whole)
-            yield from _stepping(baseline, whole, chosen)
-
+        in_time = partial(_in_time, whole, chosen)
         return explain_records(lines, part, in_time, silent=silent, seed=seed)
     except DashpotError:
         return None
 
 
-def _in_time(baseline: Baseline, whole: LineProblem) -> Iterator[Effect]:
-    """Each channel of the motion with an error of its own, by what it shows in time against all others."""
+def _in_time(whole: LineProblem, chosen: Ints, baseline: Baseline) -> Iterator[Effect]:
+    """Each channel of the motion with an error of its own, by what it shows in time against all others.
+
+    chosen: the lines of the baseline's problem.
+    """
     for c, (channel, fit) in enumerate(zip(baseline.problem.channels, baseline.without, strict=True)):
         if baseline.inputs[c]:
             continue
-        kind, phrase = _shown(whole, c, fit)
+        predicted = _by_all_others(whole, c, fit.psi)
+        kind, phrase = _shown(whole, c, predicted)
         yield Effect(kind, (channel.name,), as_is, partial(said, phrase), found=fit)
+        share = 1 / np.count_nonzero(~baseline.inputs)
+        beside = (predicted, _by_all_others(whole, c, baseline.as_is.psi))
+        yield from _stepping(whole, chosen, c, [each for each in beside if each is not None], share)
 
 
-def _shown(whole: LineProblem, c: int, fit: FittedProblem) -> tuple[str, Phrase]:
-    """The kind of error of channel c, against the fit without it, in words."""
+def _shown(whole: LineProblem, c: int, predicted: Complex | None) -> tuple[str, Phrase]:
+    """The kind of error of channel c, against what all others make of it, in words."""
     name = whole.channels[c].name
     plain = (
         "channel",
         Phrase(f"{name} {DISAGREES}", f"leave {name} out, or check its sensor and where it is mounted"),
     )
-    spectrum, y = whole.data.spectrum, whole.y[:, c]
-    predicted = _by_all_others(whole, c, fit.psi)
     if predicted is None:
         return plain
+    spectrum, y = whole.data.spectrum, whole.y[:, c]
     unit = channel_unit(whole.model, spectrum.channels[c])
     for number in spectrum.records:
         its, order, samples, step_s = _samples_of(spectrum, number)
@@ -122,9 +123,7 @@ def _shown(whole: LineProblem, c: int, fit: FittedProblem) -> tuple[str, Phrase]
     ]
     if not named:
         return plain
-    notice = change_notice(named[0], len(spectrum.records))
-    question, remedy = IN_TIME[notice.code]
-    return "time", Phrase(f"{notice.text}: {question}", remedy)
+    return "time", _change_in_words(spectrum, named[0], named[0].size)
 
 
 def _by_all_others(whole: LineProblem, c: int, psi: Real) -> Complex | None:
@@ -148,24 +147,23 @@ SLIPS = np.concatenate([np.arange(-24, 0), np.arange(1, 25)]) / 2  # sampling st
 STEPPED = 0.5  # of what is wrong with a channel that a step must leave at the most to be tried
 
 
-def _stepping(baseline: Baseline, whole: LineProblem, chosen: Ints) -> Iterator[Effect]:
-    """Each channel of the motion with a clock or gain that steps once; chosen: the lines of the baseline's problem."""
-    spectrum, motions = whole.data.spectrum, np.flatnonzero(~baseline.inputs).tolist()
-    for c in motions:
-        best: tuple[float, TimeChange] | None = None
-        for psi in (baseline.without[c].psi, baseline.as_is.psi):
-            predicted = _by_all_others(whole, c, psi)
-            for number in spectrum.records if predicted is not None else ():
-                assert predicted is not None
-                found = _best_step(spectrum, whole.y[:, c], predicted, number, spectrum.channels[c].name)
-                best = found if best is None or found[0] < best[0] else best
-        if best is not None and best[0] < STEPPED:
-            change = best[1]
-            act, words = (
-                partial(_before_step, whole, chosen, c, change),
-                partial(_step_in_words, spectrum, change),
-            )
-            yield Effect("time", change.channels, act, words, (change.size,), more=2, share=1 / len(motions))
+def _stepping(
+    whole: LineProblem, chosen: Ints, c: int, predicted: Sequence[Complex], share: float
+) -> Iterator[Effect]:
+    """Channel c with a clock or gain that steps once, against what all others make of it."""
+    spectrum, name = whole.data.spectrum, whole.channels[c].name
+    steps = [
+        _best_step(spectrum, whole.y[:, c], each, number, name)
+        for each in predicted
+        for number in spectrum.records
+    ]
+    left, change = min(steps, key=lambda each: each[0], default=(np.inf, None))
+    if change is not None and left < STEPPED:
+        act, words = (
+            partial(_before_step, whole, chosen, c, change),
+            partial(_change_in_words, spectrum, change),
+        )
+        yield Effect("time", change.channels, act, words, (change.size,), more=2, share=share)
 
 
 def _best_step(
@@ -220,7 +218,7 @@ def _before_step(
     return problem.with_amplitudes(mended_y)
 
 
-def _step_in_words(spectrum: Spectrum, change: TimeChange, size: float) -> Phrase:
+def _change_in_words(spectrum: Spectrum, change: TimeChange, size: float) -> Phrase:
     notice = change_notice(replace(change, size=size), len(spectrum.records))
     question, remedy = IN_TIME[notice.code]
     return Phrase(f"{notice.text}: {question}", remedy)
