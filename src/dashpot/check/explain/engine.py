@@ -209,6 +209,8 @@ def _leaves_more_than_noise(fit: FittedProblem) -> bool:
     return known and fit.dof > 0 and bool(chdtrc(fit.dof, fit.chi2) < IMPROBABLE) and fit.reduced > 1.5
 
 
+ON_RECORDS = (rigs.element, rigs.value, rigs.hysteretic)  # kinds that are tried on the records themselves
+CHANGED_CHANNEL = 0.06  # that a channel has an error that shows in time alone
 IN_FULL = 4  # effects on whole records beside the best of each kind that few lines call for
 TOLD_APART = 10.0  # of log evidence by few lines between forms of one channel's mistake: one of them is left
 HINT = 0.3  # of the misfit that an unknown gain or delay must explain to be looked at
@@ -250,7 +252,8 @@ def explain_records(
         ] or supposed.starts
         (fit,) = fitted([supposed.from_starts(begun)])
         in_full.append((effect, prior, size, _on_the_same_data(baseline, fit)))
-    of_records = ((0.10, rigs.element), (0.08, rigs.value), (0.01, rigs.hysteretic), (0.06, of_channel))
+    again = tuple((prior, kind) for prior, kind in KINDS if kind in ON_RECORDS)
+    of_records = (*again, (CHANGED_CHANNEL, of_channel))
     return _weighed_all(baseline, [*in_full, *_tried(baseline, of_records, fitted)], fitted)
 
 
@@ -263,28 +266,36 @@ def _chosen(
     (`tried`, the best first): the best of each kind, and a few more.
     """
     problem = baseline.problem
-    again = ("element", "value", "hysteretic")  # tried on the records themselves
+    again = {kind.__name__ for kind in ON_RECORDS}
     of_lines = [
         each for each in tried if each[0].found is None and not (each[0].unknown and each[0].kind in again)
     ]
-    for c, channel in enumerate(problem.channels):
-        for word, kinds in CALIBRATIONS.items():
-            if getattr(channel, word) is None:
+    known = [
+        (c, word)
+        for c, channel in enumerate(problem.channels)
+        for word in CALIBRATIONS
+        if getattr(channel, word) is not None
+    ]
+    opened = [(c, word, *_calibrated(baseline, c, word)) for c, word in known]
+    opened = [each for each in opened if each[2].reduced <= (1 - HINT) * baseline.as_is.reduced]
+    forms = {
+        word: [
+            (prior, effect)
+            for prior, kind in KINDS
+            if kind in CALIBRATIONS[word]
+            for effect in kind(baseline)
+        ]
+        for word in {each[1] for each in opened}
+    }
+    for c, word, _, size, psi in opened:
+        for prior, effect in forms[word]:
+            if effect.of != (problem.channels[c].name,):
                 continue
-            fit, size, psi = _calibrated(baseline, c, word)
-            if fit.reduced > (1 - HINT) * baseline.as_is.reduced:
-                continue
-            for prior, kind in KINDS:
-                for effect in kind(baseline) if kind in kinds else ():
-                    if effect.of != (channel.name,):
-                        continue
-                    near = [
-                        each for each in effect.values if each * size > 0 and abs(log(each / size)) < NEAR
-                    ]
-                    if effect.width is not None:
-                        yield effect, prior, size, (psi,)
-                    elif near:
-                        yield effect, prior, min(near, key=lambda each: abs(log(each / size))), (psi,)
+            near = [each for each in effect.values if each * size > 0 and abs(log(each / size)) < NEAR]
+            if effect.width is not None:
+                yield effect, prior, size, (psi,)
+            elif near:
+                yield effect, prior, min(near, key=lambda each: abs(log(each / size))), (psi,)
     # Ends, which the lines do without, make forms of one channel's mistake alike that these tell apart.
     likeliest = {each[0].of: _rough_evidence(each) for each in reversed(of_lines)}
     of_lines = [each for each in of_lines if _rough_evidence(each) > likeliest[each[0].of] - TOLD_APART]
