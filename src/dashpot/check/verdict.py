@@ -483,23 +483,12 @@ def unphysical(model: Model, estimate: Estimate) -> list[Notice]:
 
 
 def _stand_beside(model: Model, names: Sequence[str]) -> bool:
-    """Whether all of these are springs between points that other springs join as well, one after the other."""
-    springs = {
-        each.name: {*each.along, "ground"} if len(each.along) < 2 else {*each.along}
-        for each in model.elements
-        if each.kind is Kind.SPRING
-    }
-    if not springs.keys() >= set(names):
-        return False
-    joined_points = [springs[name] for name in springs.keys() - set(names)]
-    for name in names:
-        start, *others = sorted(springs[name])
-        reached = {start}
-        while more := [points for points in joined_points if points & reached and not points <= reached]:
-            reached = reached.union(*more)
-        if not reached.issuperset(others):
-            return False
-    return True
+    """Whether all of these are springs whose elongation follows from those of the other springs."""
+    springs = np.array([each.kind is Kind.SPRING for each in model.elements])
+    named = np.array([each.name in names for each in model.elements])
+    points = np.concatenate([model.B, model.D], axis=1)
+    others, every = (np.linalg.matrix_rank(points[chosen]) for chosen in (springs & ~named, springs))
+    return not np.any(named & ~springs) and bool(others == every)
 
 
 def unstable(estimate: Estimate) -> list[Notice]:
