@@ -24,6 +24,21 @@ x1 = { of = "x1", unit = "mm", noise = 0.02 }
 x2 = { of = "x2", unit = "mm", noise = 0.02 }
 u = { of = "u", unit = "mm" }
 """
+# The same with nothing known, its channels to follow.
+OPEN = """\
+coordinates = ["x1", "x2"]
+[inputs]
+u = { kind = "displacement" }
+[masses]
+m1 = { at = "x1" }
+m2 = { at = "x2" }
+[springs]
+k1 = { between = ["x1", "x2"] }
+k2 = { between = ["x2", "u"] }
+[dampers]
+c1 = { between = ["x1", "x2"] }
+c2 = { between = ["x2", "u"] }
+"""
 VALUES = {"m1": 3.0, "c1": 20.0, "c2": 30.0}
 TWO_SCENARIOS = """\
 name = "noise"

@@ -16,6 +16,7 @@ from dashpot.model.rigfile import Rig, parse_rig
 from dashpot.study.montecarlo import Task, repeats_of, summarise
 from dashpot.study.scenario import Scenario
 from dashpot.study.simulate import Dwells, dwells, simulate_spectrum
+from tests.two_masses import OPEN
 
 RIG = """
 coordinates = ["x"]
@@ -191,20 +192,9 @@ def test_pulls_of_tight_statements_are_standard_normal_where_the_noise_is_known(
     assert abs(np.std(found.pulls[:, 2]) - 1) < 4 / np.sqrt(2 * draws)
 
 
-SHARED = """
-coordinates = ["x1", "x2"]
-[inputs]
-u = { kind = "displacement" }
-[masses]
-m1 = { at = "x1" }
-m2 = { at = "x2" }
-[springs]
-k1 = { between = ["x1", "x2"] }
-k2 = { between = ["x2", "u"] }
-[dampers]
-c1 = { between = ["x1", "x2"] }
-c2 = { between = ["x2", "u"] }
-[calibrations]
+SHARED = (
+    OPEN
+    + """[calibrations]
 calibrator = { value = 1, sd = "1 %" }
 [channels]
 x1 = { of = "x1", noise = 1e-5, gain = { of = "calibrator" } }
@@ -212,6 +202,7 @@ x2 = { of = "x2", noise = 1e-5, gain = { of = "calibrator" } }
 u = { of = "u" }
 F = { of = "u", quantity = "force", noise = 0.01 }
 """
+)
 
 
 def test_a_shared_calibration_is_one_unknown_and_same_gain_as_is_the_same() -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.two_masses import OPEN
 from tests.unit.app.conftest import Command
 
 RIG = """
@@ -75,20 +76,8 @@ def test_design_and_study_know_the_calibration_as_well_as_it_is_stated(stated: C
 def test_a_wrong_statement_is_explained_and_its_line_keeps_the_sd(
     dashpot: Command, true: float, kind: str, line: str
 ) -> None:
-    rig = """
-coordinates = ["x1", "x2"]
-[inputs]
-u = { kind = "displacement" }
-[masses]
-m1 = { at = "x1", value = 3 }
-m2 = { at = "x2" }
-[springs]
-k1 = { between = ["x1", "x2"] }
-k2 = { between = ["x2", "u"] }
-[dampers]
-c1 = { between = ["x1", "x2"] }
-c2 = { between = ["x2", "u"] }
-[channels]
+    rig = OPEN.replace('m1 = { at = "x1" }', 'm1 = { at = "x1", value = 3 }')
+    rig += """[channels]
 x1 = { of = "x1", noise = 1e-5, gain = GAIN }
 x2 = { of = "x2", noise = 1e-5 }
 u = { of = "u", noise = 1e-6 }

@@ -13,21 +13,10 @@ import numpy as np
 from dashpot.channel import Channel
 from dashpot.data.readers import read, write_records
 from dashpot.data.record import Record
+from tests.two_masses import OPEN
 
-RIG = """
-coordinates = ["x1", "x2"]
-[inputs]
-u = { kind = "displacement" }
-[masses]
-m1 = { at = "x1", value = 1.0 }
-m2 = { at = "x2" }
-[springs]
-k1 = { between = ["x1", "x2"] }
-k2 = { between = ["x2", "u"] }
-[dampers]
-c1 = { between = ["x1", "x2"] }
-c2 = { between = ["x2", "u"] }
-[channels]
+RIG = OPEN.replace('m1 = { at = "x1" }', 'm1 = { at = "x1", value = 1.0 }')
+RIG += """[channels]
 x1 = { of = "x1", unit = "mm" }
 x2 = { of = "x2", unit = "mm" }
 u = { of = "u", unit = "mm" }
