@@ -7,8 +7,11 @@ import pytest
 from scipy.signal import butter, lfilter
 
 import dashpot
-from dashpot.channel import Quantity
+from dashpot.channel import Channel, Quantity
+from dashpot.check.explain.steady_lines import working_noise
 from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum, WholeRecord
+from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Model
 from tests.whole_rigs import chain, record_of
 
@@ -118,3 +121,45 @@ def test_a_sensor_that_ends_drifts_or_spikes_is_named_first(
     assert first.kind in kind
     assert first.of == ("x2_dis",)
     assert word in first.text
+
+
+def test_a_slip_of_few_samples_is_mended_and_not_left_out(test_of_three: tuple[Model, Record]) -> None:
+    """Its size comes from the channel itself, which a fit without the channel does not have."""
+    model, record = test_of_three
+    step = float(record.time[1] - record.time[0])
+    first = dashpot.identify(model, slipped(record, 8), diagnose=True).assessment.findings[0]
+    assert (first.kind, first.of) == ("time", ("x2_dis",))
+    assert first.number == pytest.approx(8 * step, abs=0.5 * step)  # s; slips are tried by half steps
+
+
+def test_a_body_that_the_rig_lacks_is_named_in_a_whole_record() -> None:
+    model, truth = chain(2, 0.03, base=True, seed=3)
+    parts = (
+        mass("mb", "body", value=0.15),
+        between("kb", Kind.SPRING, "body", "x2", value=0.15 * 60.0**2),  # rad/s, between the two modes
+        between("cb", Kind.DAMPER, "body", "x2", value=0.5),
+    )
+    larger = replace(model, coordinates=(*model.coordinates, "body"), elements=(*model.elements, *parts))
+    test = record_of(larger, truth, "random", decay_times=6, seen=model.coordinates, seed=2)
+    record = test.noisy(np.random.default_rng(5), 0.01 * test.size * [1, 1, 0])
+    first = dashpot.identify(model, record, diagnose=True).assessment.findings[0]
+    assert (first.kind, first.of) == ("oscillator", ("x2",))
+    assert first.number == pytest.approx(0.15 * 60.0**2, rel=0.1)
+
+
+@pytest.mark.parametrize("proportional", [False, True])
+def test_the_noise_of_the_quietest_record_holds_for_all_as_it_stands_or_in_proportion(
+    proportional: bool,
+) -> None:
+    """Of two sound records; a third whose residuals are a misfit counts no more noise than they have."""
+    size = np.array([1.0, 10.0, 10.0])
+    true = 0.01 * size**2 if proportional else np.full(3, 0.01)
+    residual = true * [1, 1, 100]
+    channels = (Channel("x", {"x": 1.0}),)
+    record = WholeRecord(2.0, 200)
+    found = Spectrum(
+        channels, np.array([1.0, 1.0, 1.0]), size[:, None].astype(complex), residual[:, None, None].astype(complex),
+        np.full(3, 200), np.full(3, np.inf), ("residual",) * 3, np.zeros(3, dtype=np.int64),
+        stretch=np.arange(3), stretches=(record,) * 3,
+    )  # fmt: skip
+    assert working_noise(found)[:, 0] == pytest.approx(true, rel=0.01)  # beside what every line has
