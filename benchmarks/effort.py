@@ -26,7 +26,7 @@ from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.explain.examine import examined
 from dashpot.errors import DashpotError, IdentifiabilityError
 from dashpot.estimate.automatic import identify_automatically
-from dashpot.estimate.modal.identify_modal import identify_modal
+from dashpot.estimate.modal import identify_modal
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.study.simulate import dwells, simulate_spectrum

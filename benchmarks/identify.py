@@ -31,7 +31,7 @@ from dashpot.model.dynamics import response
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.numerics.blas_threads import THREADS, one_blas_thread
-from dashpot.reproduce.yamane1989.rig import paper_model, paper_prints
+from dashpot.reproduce.yamane1989 import paper_model, paper_prints
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the record of the peers
 from benchmarks.peers import CHANNELS as RECORDED

@@ -21,7 +21,7 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.gram import compiled_equation, compiled_search
 from dashpot.estimate.linear.instrumental_variables import FAR, OptimalIV
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.numerics.harmonic_sums import even_gram, harmonic_sums
 from dashpot.numerics.kernel import kernel, using
 

@@ -19,7 +19,7 @@ from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
 from dashpot.model.observation import observation_model, transfer
-from dashpot.reproduce.yamane1989.rig import paper_model, paper_prints, true_rig
+from dashpot.reproduce.yamane1989 import paper_model, paper_prints, true_rig
 
 RATE = 360.0  # samples a second, about 20 in a cycle of the faster mode
 DRIVEN = 0.25  # of the rate: the base moves up to there

@@ -34,7 +34,7 @@ from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
-from dashpot.reproduce.yamane1989.rig import paper_model, paper_prints, true_rig
+from dashpot.reproduce.yamane1989 import paper_model, paper_prints, true_rig
 
 RIG, TRUTH = paper_model(), dict(paper_prints().values)
 NAMES, TRUE = tuple(TRUTH), np.array(list(TRUTH.values()))

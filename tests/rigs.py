@@ -17,7 +17,7 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ModelError
 from dashpot.estimate.linear.gram import regressors
-from dashpot.estimate.preparation.state_reconstruction import States, states_if_seen
+from dashpot.estimate.preparation import States, states_if_seen
 from dashpot.model.dynamics import response, unit_forces
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.modes import modes

@@ -105,7 +105,7 @@ def _table(head: str, rows: list[tuple[str, str]]) -> list[str]:
 
 def notices() -> str:
     """A section for each place where notices arise: code, what it says, what to do."""
-    from dashpot.present.notices import notice_guide
+    from dashpot.present.words import notice_guide
 
     lines = []
     for place in dict.fromkeys(entry.place for entry in notice_guide().values()):

@@ -24,8 +24,7 @@ from dashpot.check.explain.effect import with_likely_causes
 from dashpot.check.explain.examine import diagnose as diagnosis
 from dashpot.check.explain.examine import examined
 from dashpot.check.explain.record_channels import require_sound_channels
-from dashpot.check.identifiability import Structure, structure
-from dashpot.check.nonlinear_structure import nonlinear_structure
+from dashpot.check.identifiability import Structure, nonlinear_structure, structure
 from dashpot.check.verdict import examined_records, with_causes
 from dashpot.data import readers
 from dashpot.data.conditioning.settings import Conditioning
@@ -124,7 +123,7 @@ def identify(
         data = read_modes(data, model.coordinates, _channels(rig))
     if isinstance(data, ModalData):
         from dashpot.check.modal_verdict import examined_modes
-        from dashpot.estimate.modal.identify_modal import identify_modal  # loads scipy.optimize
+        from dashpot.estimate.modal import identify_modal  # loads scipy.optimize
 
         estimate = identify_modal(model, data, seed=seed)
         return _of_rig(rig, examined_modes(model, data, estimate, seed=seed) if judged else estimate)
@@ -290,7 +289,7 @@ def draw(
     Raises UsageError where the rig has too many bodies for a drawing, or no such mode, ModelError or DataError where
     the rig or its channels cannot be.
     """
-    from dashpot.check.data_findings import doubtful, undetermined
+    from dashpot.check.evidence import doubtful, undetermined
     from dashpot.present.schematic.drawing import mode_drawing, numbered_mode, schematic
 
     model, channels = _model(rig), _channels(rig)

@@ -12,8 +12,8 @@ import numpy as np
 import openpyxl
 
 from dashpot.app.cli import run
-from dashpot.data.readers.uff.modes import NodalMode
-from dashpot.data.readers.uff.writer import write_universal_file
+from dashpot.data.readers.uff import NodalMode
+from dashpot.data.readers.uff_writer import write_universal_file
 from tests import two_masses
 from tests.unit.data.readers.attacks import ATTACKS, write_hdf5
 from tests.unit.data.readers.famos_bytes import dwell

@@ -12,7 +12,7 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.model.observation import observation_model
 from tests.partly_seen import Bench
 from tests.rigs import channels, covariance, noisy, random_rig

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dashpot.data.modal_data import ModalData
-from dashpot.estimate.modal.identify_modal import identify_modal
+from dashpot.estimate.modal import identify_modal
 from dashpot.model.modes import mode_sensitivities, modes
 from tests.rigs import PAPER_KINDS, Rig, random_rig
 

@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.reproduce.yamane1989.reproduction import rms_spread
-from dashpot.reproduce.yamane1989.rig import paper_prints, tables_study
+from dashpot.reproduce.yamane1989 import paper_prints, rms_spread, tables_study
 from dashpot.study import montecarlo
 from dashpot.study.scenario import scenarios
 

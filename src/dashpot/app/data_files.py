@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from dashpot.app import options as opt
-from dashpot.app.progress import progress
+from dashpot.app.workers import progress
 from dashpot.errors import DataError, UsageError, printable
 
 if TYPE_CHECKING:

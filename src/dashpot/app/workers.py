@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import signal
+import sys
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -22,7 +23,6 @@ from dashpot.numerics.blas_threads import THREADS
 
 if TYPE_CHECKING:
     from concurrent.futures import ProcessPoolExecutor
-
 
 LOCAL = "local"  # in place of a scheduler's address: one is begun on this machine
 PATIENCE = 20.0  # s, for a scheduler to answer
@@ -305,3 +305,29 @@ def _require_alike(workers: dict[str, dict[str, str]], address: str) -> None:
             if has.get(name) != value:
                 what = f"the worker {worker} has {name} {has.get(name)}, here it is {value}"
                 raise UsageError(what, address, "install the same versions on all machines")
+
+
+Report = Callable[[int, int], None]
+
+
+@contextmanager
+def progress(what: str, quiet: bool = False) -> Iterator[Report]:
+    """A function (done, all) that moves a bar; until it is called the bar runs to and fro beside the time gone by.
+
+    Without a terminal nothing is shown.
+    """
+    if quiet or not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    counted = "{task.fields[count]}"
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn(counted), TimeElapsedColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=None, count="")
+
+        def move(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total, count=f"{done}/{total}")
+
+        yield move

@@ -10,8 +10,14 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
-from dashpot.check.identifiability import Structure, determines, is_large, parallel_unknowns, structure
-from dashpot.check.nonlinear_structure import blind_laws
+from dashpot.check.identifiability import (
+    Structure,
+    blind_laws,
+    determines,
+    is_large,
+    parallel_unknowns,
+    structure,
+)
 from dashpot.check.structure import Deficiency, lines_of, require_scale
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError, Problem

@@ -1,12 +1,17 @@
-"""What there is to show of an estimate beside its values: residuals, responses, histories, profiles."""
+"""What data say beside the values of an estimate: collinearity, profiles, what errors of known parameters do."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from dashpot.check.data_findings import Collinearity, collinearity
-from dashpot.check.profile import Profile, chi2_surface, profile
+import numpy as np
+
+from dashpot.arrays import Ints, Real, freeze
+from dashpot.channel import Channel
+from dashpot.check.identifiability import structure
+from dashpot.check.profile import Profile, Surface, chi2_surface, profile
 from dashpot.check.residuals import (
     DwellHistory,
     FrequencyResponse,
@@ -16,13 +21,320 @@ from dashpot.check.residuals import (
     residuals,
     responses_of_channels,
 )
+from dashpot.check.sensitivity import KnownErrors, known_errors
 from dashpot.check.validation import RecordPrediction, validate
 from dashpot.data.conditioning.used_dwells import UsedDwell
+from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
-from dashpot.errors import DashpotError, DataError
+from dashpot.errors import DashpotError, DataError, IdentifiabilityError
 from dashpot.estimate.registry import AUTOMATIC  # those that end in the minimum of χ²
 from dashpot.estimate.result import Estimate
+from dashpot.io.words import listed
 from dashpot.model.network import Model
+
+# Which parameters are in doubt: intervals tell little of them, or the channels cannot determine them.
+
+
+MOST = 0.5  # half an interval over the value
+
+
+def doubtful(estimate: Estimate, level: float = 0.95) -> tuple[str, ...]:
+    """Names of the unknowns whose interval at `level` reaches further than half their value to a side.
+
+    All of them where the iteration did not converge (no batch axes).
+    """
+    if not bool(estimate.converged):
+        return estimate.names
+    low, high = estimate.interval(level)
+    half = np.maximum(high - estimate.values, estimate.values - low)
+    with np.errstate(invalid="ignore"):
+        good = half <= MOST * np.abs(estimate.values)
+    return tuple(name for name, kept in zip(estimate.names, good.tolist(), strict=True) if not kept)
+
+
+def undetermined(model: Model, channels: Sequence[Channel]) -> tuple[str, ...]:
+    """Names of the unknowns that no data of these channels can determine.
+
+    None where the rig has no steady response, or is nonlinear: ranks say nothing of those.
+    """
+    if not model.unknowns or not channels or len(model.nonlinear):
+        return ()
+    try:
+        judged = structure(model, channels)
+    except IdentifiabilityError:
+        return ()
+    return tuple(dict.fromkeys(name for part in judged.deficiencies for name in part.names))
+
+
+# Collinearity in the data at hand: combinations of unknowns that widen the intervals, and lines that carry
+# nothing.
+#
+# The correlation-scaled information has eigenvalues; a small one belongs to a combination that is hardly
+# seen, and adds 1/eigenvalue to the variance of what takes part in it (Belsley, Kuh and Welsch 1980,
+# chapter 3).
+
+
+WEAK = 10.0  # times the interval is wider, from which a combination is told
+PART = 0.5  # of a variance that a combination must make up for an unknown to be named with it
+IDLE = 0.01  # of an even share of the information below which a line carries nothing
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A combination of unknowns that the data hardly see.
+
+    names: those that have at least half of their variance from it; direction (names,): relative changes (δθ/θ, s for
+    delays), the largest 1; spread: relative standard deviation along it; widening (names,): factor by which the
+    interval is wider than were all other unknowns known; best: the unknown whose value would help most, and
+    narrowing: what remains of the intervals of `names` then (mean of the factors).
+    """
+
+    names: tuple[str, ...]
+    direction: Real
+    spread: float
+    widening: Real
+    best: str
+    narrowing: float
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+@dataclass(frozen=True)
+class Collinearity:
+    """Weak combinations, the weakest first, and what each line contributes.
+
+    shares (lines, M): part of the information on each unknown (tr C I_l, unknown by unknown; a column sums to 1, less
+    what priors tell); idle: lines that carry nothing for any unknown.
+    """
+
+    names: tuple[str, ...]
+    combinations: tuple[Combination, ...]
+    shares: Real
+    idle: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def collinearity(base: Surface, covariance: Real) -> Collinearity:
+    """What the first repeat of a surface determines badly; `covariance` (M, M) is the estimate's.
+
+    Combinations count that inflate an interval tenfold or more over what it were with all other unknowns known.
+    Raises IdentifiabilityError where nothing is known of an unknown, or the information is not a finite number.
+    """
+    total = np.sum(base.information[0], axis=0) + np.diag(base.view.prior_precision)
+    known = np.all(np.isfinite(total), axis=-1) & (np.diagonal(total) > 0)
+    if not np.all(known):
+        lost = [name for name, fine in zip(base.view.names, known, strict=True) if not fine]
+        raise IdentifiabilityError(
+            f"at the estimated values the data say nothing about {listed(lost)}",
+            cure="check units and signs of the channels, or give values",
+        )
+    sd = np.sqrt(np.diagonal(total))
+    values, vectors = np.linalg.eigh(total / np.outer(sd, sd))
+    values = np.maximum(values, 1e-15)
+    combinations = _combinations(base, covariance, sd, values, vectors)
+    # Part of each line (lines, M, M) in the information on each unknown, (lines, M)
+    scale = np.outer(sd, sd)
+    C = np.diag(1 / sd**2) if values[0] <= 1e-14 else np.linalg.inv(total / scale) / scale
+    shares = np.einsum("jk,lki,ij->lj", C, base.information[0], C) / np.diagonal(C)
+    lines = len(shares)
+    idle = tuple(int(line) for line in np.flatnonzero(np.all(shares < IDLE / lines, axis=1)))
+    return Collinearity(base.view.names, combinations, shares, idle)
+
+
+def _combinations(
+    base: Surface, covariance: Real, sd: Real, values: Real, vectors: Real
+) -> tuple[Combination, ...]:
+    """From eigenvalues (M,) and vectors (M, M) of the information scaled by `sd` (M,)."""
+    names = base.view.names
+    parts = vectors**2 / values  # of the variance of each unknown, (unknowns, combinations)
+    inflation = np.sum(parts, axis=1)
+    portion = parts / inflation[:, None]
+    spread = np.sqrt(np.diagonal(covariance) / (inflation / sd**2))  # what the noise basis multiplies
+    delays = np.arange(len(names)) >= len(names) - base.view.delays
+    size = np.where(delays | (base.psi[0] == 0), 1.0, np.abs(base.psi[0]))
+    combinations = []
+    for k in np.argsort(values):
+        if values[k] * WEAK**2 > 1:
+            break
+        members = np.flatnonzero((portion[:, k] > PART) & (inflation > WEAK**2))
+        if not len(members):
+            continue
+        relative = (vectors[:, k] / sd / size * np.where(base.psi[0] < 0, -1, 1))[members]
+        peak = relative[np.argmax(np.abs(relative))]
+        best, narrowing = _best(covariance, members)
+        along = float(abs(peak) / np.sqrt(values[k]) * np.mean(spread[members]))
+        combinations.append(
+            Combination(
+                tuple(names[i] for i in members), relative / peak, along, np.sqrt(inflation[members]), names[best],
+                narrowing,
+            )
+        )  # fmt: skip
+    return tuple(combinations)
+
+
+def _best(covariance: Real, members: Ints) -> tuple[int, float]:
+    """(the unknown whose value would narrow the intervals of `members` most, mean remaining factor of the others)."""
+    variance = np.diagonal(covariance)
+    best, least = int(members[0]), np.inf
+    for i in members:
+        left = variance[members] - covariance[members, i] ** 2 / variance[i]
+        factor = np.sqrt(np.maximum(left, 0.0) / variance[members])
+        others = factor[members != i]
+        mean = float(np.mean(others)) if len(others) else 0.0
+        if mean < least:
+            best, least = int(i), mean
+    return best, least
+
+
+def shares_by_band(found: Collinearity, frequency_hz: Real, most: int = 120) -> tuple[Real, Real]:
+    """Middles (bands,), Hz, and shares (bands, M) in the order of frequency; lines of one frequency are one band.
+
+    Neighbouring frequencies are added up where there are more than `most`.
+    """
+    unique, place = np.unique(frequency_hz, return_inverse=True)
+    each = max(1, -(-len(unique) // most))
+    bands = np.zeros((-(-len(unique) // each), len(found.names)))
+    np.add.at(bands, place // each, found.shares)
+    middles = np.array([float(np.median(unique[k * each : (k + 1) * each])) for k in range(len(bands))])
+    return middles, bands
+
+
+# What a spectrum or a record holds, channel by channel.
+
+
+@dataclass(frozen=True)
+class ChannelSummary:
+    """Amplitudes of one channel in `unit`: smallest, largest, and the median of the noise; NaN where not measured."""
+
+    name: str
+    low: float
+    high: float
+    noise: float
+    typical: float
+    unit: str
+
+    @property
+    def measured(self) -> bool:
+        """Whether there is any amplitude of it."""
+        return bool(np.isfinite(self.high))
+
+
+def channel_summaries(spectrum: Spectrum, units: Sequence[str]) -> tuple[ChannelSummary, ...]:
+    """Range of |X| over lines and repeats, median amplitude and median sd of each channel; SI units by channel."""
+    magnitude, sd = np.abs(spectrum.amplitudes), np.broadcast_to(spectrum.sd(), spectrum.amplitudes.shape)
+    summaries = []
+    for i, channel in enumerate(spectrum.channels):
+        size, noise = magnitude[..., i], sd[..., i]
+        finite = np.isfinite(size)
+        if not np.any(finite):
+            numbers = (np.nan,) * 4
+        else:
+            shown = size[finite]
+            numbers = (np.min(shown), np.max(shown), np.median(noise[finite]), np.median(shown))
+        low, high, typical_noise, typical = map(float, numbers)
+        summaries.append(ChannelSummary(channel.name, low, high, typical_noise, typical, units[i]))
+    return tuple(summaries)
+
+
+def span_of(record: Record) -> tuple[float, float]:
+    """Duration, s, and mean sampling rate, Hz (NaN of a single sample)."""
+    duration = float(record.time[-1] - record.time[0])
+    return duration, (len(record.time) - 1) / duration if duration > 0 else np.nan
+
+
+@dataclass(frozen=True)
+class DataFindings:
+    """An estimate and what was asked of the data; `known_errors` None where it was not asked."""
+
+    estimate: Estimate
+    collinearity: Collinearity
+    profiles: tuple[Profile, ...]
+    known_errors: KnownErrors | None
+
+
+def data_findings(
+    model: Model, spectrum: Spectrum, estimate: Estimate, profiled: Sequence[str], level: float, known: bool
+) -> DataFindings:
+    """Collinearity, the profiles of the unknowns `profiled` at `level` and, with `known`, what known errors do.
+
+    Raises UsageError where there is no such unknown, IdentifiabilityError where nothing is known of one.
+    """
+    return DataFindings(
+        estimate,
+        collinearity(chi2_surface(model, spectrum, estimate), estimate.covariance),
+        tuple(profile(model, spectrum, name, level, estimate) for name in profiled),
+        known_errors(model, spectrum, estimate) if known else None,
+    )
+
+
+# The same as plain content for JSON: numbers, texts, lists and tables; None for what is not finite.
+
+
+def findings_content(found: DataFindings, spectrum: Spectrum) -> dict[str, Any]:
+    """What data say, each part that was asked for."""
+    content: dict[str, Any] = {"data": collinearity_content(found.collinearity, spectrum)}
+    if found.profiles:
+        content["profiles"] = [profile_content(entry) for entry in found.profiles]
+    if found.known_errors is not None:
+        content["known_errors"] = known_content(found.known_errors)
+    return content
+
+
+def collinearity_content(found: Collinearity, spectrum: Spectrum) -> dict[str, Any]:
+    """Weak combinations and what each line contributes."""
+    return {
+        "weak_combinations": [
+            {
+                "unknowns": dict(zip(entry.names, entry.direction.tolist(), strict=True)),
+                "relative_sd": entry.spread,
+                "widening": dict(zip(entry.names, entry.widening.tolist(), strict=True)),
+                "best_to_know": entry.best,
+                "intervals_then": entry.narrowing,
+            }
+            for entry in found.combinations
+        ],
+        "lines": [
+            {
+                "frequency_hz": float(f),
+                "shares": dict(zip(found.names, row, strict=True)),
+                "idle": line in found.idle,
+            }
+            for line, (f, row) in enumerate(zip(spectrum.frequency_hz, found.shares.tolist(), strict=True))
+        ],
+    }
+
+
+def profile_content(found: Profile) -> dict[str, Any]:
+    """Both intervals of one unknown and the curve; an end that does not exist is null (no batch axes)."""
+    return {
+        "name": found.name,
+        "unit": found.unit,
+        "level": found.level,
+        "value": float(found.value),
+        "interval": [float(found.lower), float(found.upper)],
+        "normal_interval": [float(found.normal_lower), float(found.normal_upper)],
+        "normal_misleads": bool(found.misleads),
+        "better_fit_met": bool(found.improved),
+        "curve": [[x, y] for x, y in zip(found.points.tolist(), found.rise.tolist(), strict=True)],
+    }
+
+
+def known_content(found: KnownErrors) -> dict[str, Any]:
+    """Per cent of each unknown for one per cent of each known parameter, and the slopes themselves."""
+    return {
+        "percent_per_percent": {
+            name: dict(zip(found.unknowns, row, strict=True))
+            for name, row in zip(found.known, found.relative.tolist(), strict=True)
+        },
+        "slopes": {
+            name: dict(zip(found.unknowns, row, strict=True))
+            for name, row in zip(found.known, found.slopes.tolist(), strict=True)
+        },
+    }
+
 
 MOST_PROFILED = 12  # unknowns whose profile is computed: with more, or with more amplitudes than this,
 MOST_AMPLITUDES = 3000  # profiles take longer than a report is worth

@@ -10,7 +10,7 @@ from dashpot.check.explain.modal import diagnose_modes
 from dashpot.check.verdict import doubts_about, rejected, unphysical, unstable, worst_of
 from dashpot.data.modal_data import ModalData
 from dashpot.estimate.assessment import Assessment, Judgement, Misfit
-from dashpot.estimate.modal.mode_search import mode_residuals
+from dashpot.estimate.modal import mode_residuals
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 

@@ -17,15 +17,15 @@ from dashpot.data.spectrum import SettledDwell, Spectrum
 from dashpot.errors import DashpotError, DataError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.flat_valley import flat_valley
-from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.descent import Stage
+from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import (
     bounds,
     local,
     measured,
     per_line,
 )
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.estimate.registry import AUTOMATIC  # those that end in the minimum of χ²
 from dashpot.estimate.result import MISFIT, Estimate
 from dashpot.model.network import Model

@@ -14,13 +14,13 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze, hermitian
 from dashpot.channel import Channel, Quantity
-from dashpot.data.calibration import calibration, real_factor
 from dashpot.data.conditioning.used_dwells import UsedDwell
+from dashpot.data.record import calibration, real_factor
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.likelihood.objective import FLOOR, measured, predict
 from dashpot.estimate.likelihood.record_sums import shown_by_ends
 from dashpot.estimate.nonlinear.objective import predicted_lines
-from dashpot.estimate.preparation.prepared import Prepared, working_covariance
+from dashpot.estimate.preparation import Prepared, working_covariance
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import no_steady_response
 from dashpot.model.network import Model

@@ -149,7 +149,7 @@ def _ends(model: Model, name: str) -> list[Node]:
     return [("element", element) for element in touching]
 
 
-GOLDEN = 0.6180339887498949
+GOLDEN = (np.sqrt(5) - 1) / 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ from dashpot.estimate.nonlinear.record_problem import (
     known_inputs,
 )
 from dashpot.estimate.nonlinear.records import NoiseAtRest, noise_of_channels
-from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation import Prepared
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, channel_unit, observation_model

@@ -42,7 +42,7 @@ from dashpot.estimate.nonlinear.record_inference import (
 )
 from dashpot.estimate.nonlinear.search import linear_rig
 from dashpot.estimate.nonlinear.whole_record import fit_records
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.elements import Kind

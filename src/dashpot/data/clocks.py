@@ -10,12 +10,11 @@ import numpy as np
 
 from dashpot.arrays import Bools, Real
 from dashpot.channel import Channel
-from dashpot.data.calibration import calibrated
 from dashpot.data.conditioning.drive_frequency import OWN, refine_frequency
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.transients import settled, without_start
-from dashpot.data.record import Record
+from dashpot.data.record import Record, calibrated
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 from dashpot.io.words import counted

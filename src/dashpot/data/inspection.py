@@ -14,10 +14,9 @@ import numpy as np
 
 from dashpot.arrays import Real, freeze
 from dashpot.channel import Quantity
-from dashpot.data.readers.columns import Columns, bare, factors
+from dashpot.data.readers.columns import Columns, bare, factors, frequency_column, read_time, time_column
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.registry import reader_of
-from dashpot.data.readers.time_columns import frequency_column, read_time, time_column
 from dashpot.data.record import samples_at_limit
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.toml_document import toml_key

@@ -13,9 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from dashpot.arrays import Complex, Ints
-from dashpot.data.calibration import calibrated
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
-from dashpot.data.record import Record
+from dashpot.data.record import Record, calibrated
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 from dashpot.notices import Notice

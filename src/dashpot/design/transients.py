@@ -22,7 +22,7 @@ from dashpot.design.plan import Plan
 from dashpot.design.test_setup import TestSetup
 from dashpot.errors import DashpotError
 from dashpot.estimate.likelihood.objective import local, measured
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Model
 from dashpot.model.observation import noise_sd, observation_model, small

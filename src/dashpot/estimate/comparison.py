@@ -91,7 +91,7 @@ def compare(
     if spectrum is not None:
         jobs |= {name: partial(identify, model, spectrum, method) for name, method in methods.items()}
     if modal is not None:
-        from dashpot.estimate.modal.identify_modal import identify_modal  # loads scipy.optimize
+        from dashpot.estimate.modal import identify_modal  # loads scipy.optimize
 
         jobs[MODAL] = partial(identify_modal, model, modal, seed=seed)
     ruled_out = {} if refused is None else dict(refused)

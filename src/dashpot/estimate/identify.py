@@ -33,8 +33,7 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.likelihood.table_noise import with_residual_noise
 from dashpot.estimate.method import Method, Traits, require_suited
-from dashpot.estimate.preparation.prepared import prepare
-from dashpot.estimate.preparation.state_reconstruction import unseen
+from dashpot.estimate.preparation import prepare, unseen
 from dashpot.estimate.registry import AUTOMATIC, method_class
 from dashpot.estimate.registry import method as method_named
 from dashpot.estimate.result import MISFIT, RESIDUALS, SENSOR_NOISE, Estimate, Fit, estimate_of

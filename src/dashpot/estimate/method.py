@@ -11,7 +11,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.errors import UsageError
-from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation import Prepared
 from dashpot.notices import Notice
 
 

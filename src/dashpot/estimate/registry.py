@@ -22,7 +22,7 @@ METHODS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "cls": ("linear.total_least_squares", "CompensatedLeastSquares"),
         "iv": ("linear.instrumental_variables", "InstrumentalVariables"),
         "oiv": ("linear.instrumental_variables", "OptimalIV"),
-        "oiv+": ("linear.definite", "DefiniteOptimalIV"),
+        "oiv+": ("linear.instrumental_variables", "DefiniteOptimalIV"),
         "ml": ("likelihood.maximum_likelihood", "MaximumLikelihood"),
     }
 )

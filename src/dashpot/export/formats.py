@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
+from xml.sax.saxutils import quoteattr
 
 from dashpot.errors import UsageError
 
@@ -132,3 +133,23 @@ FORMATS: tuple[ExportFormat, ...] = (
     ExportFormat("fmu", (".fmu",), "fmu.write_fmu", ("given",)),
     ExportFormat("mujoco", (".xml",), "mujoco.write_mujoco"),
 )
+
+
+def distinct(names: Iterable[str], between: str = "_", taken: Iterable[str] = ()) -> list[str]:
+    """The names, made different from each other and from those `taken` by a number behind what is `between`."""
+    given, out = set(taken), []
+    for name in names:
+        unique, count = name, 1
+        while unique in given:
+            count += 1
+            unique = f"{name}{between}{count}"
+        given.add(unique)
+        out.append(unique)
+    return out
+
+
+def xml_tag(name: str, attributes: Mapping[str, object], inside: str | None = None) -> str:
+    """<name attribute="…"/>, or around what is inside; attributes that are None are left out."""
+    given = [f"{key}={quoteattr(str(value))}" for key, value in attributes.items() if value is not None]
+    head = " ".join([name, *given])
+    return f"<{head}/>" if inside is None else f"<{head}>{inside}</{name}>"

@@ -14,10 +14,9 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.errors import ModelError, printable
-from dashpot.export.formats import ExportOptions, Written
+from dashpot.export.formats import ExportOptions, Written, distinct, xml_tag
 from dashpot.export.identified_rig import INSTEAD, IdentifiedRig
 from dashpot.export.state_space import SUFFIXES
-from dashpot.export.texts import distinct, xml_tag
 from dashpot.io.atomic import write_text
 from dashpot.model.dynamics import matrices
 from dashpot.model.modes import modes

@@ -12,9 +12,8 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.data.readers.text import write_rows
-from dashpot.export.formats import ExportOptions, Written
+from dashpot.export.formats import ExportOptions, Written, distinct
 from dashpot.export.identified_rig import IdentifiedRig
-from dashpot.export.texts import distinct
 from dashpot.io.atomic import write_bytes, write_text
 from dashpot.io.json_document import to_json
 from dashpot.model.dynamics import matrices

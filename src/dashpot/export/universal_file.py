@@ -7,9 +7,8 @@ import numpy as np
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.check.residuals import calibrations_of, residuals
-from dashpot.data.readers.uff.function import FRF, NodalFunction, NodePoint
-from dashpot.data.readers.uff.modes import NodalMode
-from dashpot.data.readers.uff.writer import write_universal_file
+from dashpot.data.readers.uff import FRF, NodalFunction, NodalMode, NodePoint
+from dashpot.data.readers.uff_writer import write_universal_file
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 from dashpot.export.formats import ExportOptions, Written

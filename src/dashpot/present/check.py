@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from dashpot.channel import Channel
-from dashpot.check.data_findings import Collinearity, Combination, DataFindings, doubtful, shares_by_band
+from dashpot.check.evidence import Collinearity, Combination, DataFindings, doubtful, shares_by_band
 from dashpot.check.identifiability import Structure
 from dashpot.check.profile import Profile
 from dashpot.check.sensitivity import KnownErrors

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dashpot.channel import Channel
-from dashpot.check.data_findings import doubtful
 from dashpot.check.element_evidence import ElementComparison, ElementEvidence
+from dashpot.check.evidence import doubtful
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from dashpot.check.data_findings import channel_summaries, span_of
+from dashpot.check.evidence import channel_summaries, span_of
 from dashpot.data.inspection import InspectedColumn, InspectedPart, Inspection
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum

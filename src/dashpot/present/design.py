@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from dashpot.design.advise import Answer
+from dashpot.design.advise import Answer, phase_deg
 from dashpot.design.allocation import Criterion, ExpectedPrecision
 from dashpot.design.plan import Plan
-from dashpot.design.plan_files import phase_deg
 from dashpot.design.test_setup import drive_units
 from dashpot.design.transients import UnsettledTest
 from dashpot.io.words import counted, joined

@@ -9,8 +9,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from dashpot.estimate.likelihood.input_noise import INPUT_NOISE
-from dashpot.estimate.linear.definite import FreeMatrices
+from dashpot.estimate.likelihood.record_noise import INPUT_NOISE
+from dashpot.estimate.linear.instrumental_variables import FreeMatrices
 from dashpot.estimate.result import MISFIT, RESIDUALS, Estimate, ModeValues
 from dashpot.io.words import joined
 from dashpot.model.matrix_elements import Letter
@@ -24,9 +24,20 @@ from dashpot.present.document import (
     printed,
     section,
 )
-from dashpot.present.notices import OPTIONS, with_remedy
 from dashpot.present.verdict import fit_paragraphs
-from dashpot.present.words import aligned, alike, capitalised, flush, percent, plain, rounded, sentence, short
+from dashpot.present.words import (
+    OPTIONS,
+    aligned,
+    alike,
+    capitalised,
+    flush,
+    percent,
+    plain,
+    rounded,
+    sentence,
+    short,
+    with_remedy,
+)
 
 UNITS = {False: {"M": "kg", "C": "N·s/m", "K": "N/m"}, True: {"M": "kg·m²", "C": "N·m·s/rad", "K": "N·m/rad"}}
 MOST_ROWS = 200  # of tied or of known parameters; of more the table shows the first few

@@ -8,8 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dashpot.channel import Channel
-from dashpot.check.data_findings import Collinearity, doubtful, undetermined
-from dashpot.check.evidence import Evidence, evidence_of, residuals_of
+from dashpot.check.evidence import Collinearity, Evidence, doubtful, evidence_of, residuals_of, undetermined
 from dashpot.check.residuals import DwellHistory, Residuals, correlation, responses_of_channels
 from dashpot.check.validation import RecordPrediction
 from dashpot.data.conditioning.used_dwells import UsedDwell

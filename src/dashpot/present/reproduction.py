@@ -29,7 +29,7 @@ from dashpot.present.figures.style import method_colour, png, write_pictures
 from dashpot.present.page import image_picture, page_html
 from dashpot.present.schematic.drawing import true_rig_picture
 from dashpot.present.words import capitalised
-from dashpot.reproduce.yamane1989.reproduction import (
+from dashpot.reproduce.yamane1989 import (
     FIGURE2_PARAMETERS,
     FIGURE3_PARAMETERS,
     EigenvalueEntry,
@@ -37,8 +37,8 @@ from dashpot.reproduce.yamane1989.reproduction import (
     PrintedColumn,
     Reproduction,
     TableEntry,
+    true_rig,
 )
-from dashpot.reproduce.yamane1989.rig import true_rig
 
 KINDS = {"relative": "noise in proportion to the amplitude", "constant": "noise of constant size"}
 LEGEND = (

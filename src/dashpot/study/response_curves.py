@@ -11,8 +11,15 @@ from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.channel import Channel
 from dashpot.errors import UsageError
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.backbone import backbone, channel_harmonics, swing
-from dashpot.model.nonlinear.continuation import ResponseBranch, amplitude_sweep, followed, frequency_sweep
+from dashpot.model.nonlinear.continuation import (
+    ResponseBranch,
+    amplitude_sweep,
+    backbone,
+    channel_harmonics,
+    followed,
+    frequency_sweep,
+    swing,
+)
 from dashpot.model.nonlinear.harmonic_balance import periodic_response, truncation
 from dashpot.model.nonlinear.harmonics import Drive, complex_of
 

@@ -34,12 +34,10 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import response, unit_forces
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.backbone import channel_harmonics
-from dashpot.model.nonlinear.continuation import grown_from_rest
+from dashpot.model.nonlinear.continuation import channel_harmonics, grown_from_rest
 from dashpot.model.nonlinear.harmonic_balance import Periodic, periodic_response, settled_orders
 from dashpot.model.nonlinear.harmonics import Drive
-from dashpot.model.nonlinear.integration import Integrator, forcing
-from dashpot.model.nonlinear.moving_base import moving_rig
+from dashpot.model.nonlinear.integration import Integrator, forcing, moving_rig
 from dashpot.model.nonlinear.shooting import integrate
 from dashpot.model.observation import (
     ObservationModel,

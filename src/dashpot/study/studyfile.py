@@ -24,8 +24,22 @@ from pydantic import BeforeValidator, ConfigDict, Field, create_model
 
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.registry import METHODS
-from dashpot.io.toml_document import Place, Report, TomlDocument, Wanted, parse_toml, read_toml
-from dashpot.io.toml_tables import Entry, GivenAmount, Text, number, one_of, share, validated, wrong
+from dashpot.io.toml_document import (
+    Entry,
+    GivenAmount,
+    Place,
+    Report,
+    Text,
+    TomlDocument,
+    Wanted,
+    number,
+    one_of,
+    parse_toml,
+    read_toml,
+    share,
+    validated,
+    wrong,
+)
 from dashpot.io.words import did_you_mean, listed, written
 from dashpot.model.rigfile import read_rig
 from dashpot.quantities import Amount, frequencies

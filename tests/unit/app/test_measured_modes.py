@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from dashpot.data.readers.modes import read_modes
-from dashpot.estimate.modal.identify_modal import identify_modal
+from dashpot.estimate.modal import identify_modal
 from dashpot.estimate.result import Estimate
 from dashpot.export.formats import export_rig
 from dashpot.model.rigfile import read_rig

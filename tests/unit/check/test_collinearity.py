@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.data_findings import collinearity
+from dashpot.check.evidence import collinearity
 from dashpot.check.profile import chi2_surface
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify

@@ -9,7 +9,7 @@ import pytest
 from dashpot.check.modal_verdict import examined_modes
 from dashpot.data.modal_data import ModalData
 from dashpot.estimate.assessment import Assessment
-from dashpot.estimate.modal.identify_modal import identify_modal
+from dashpot.estimate.modal import identify_modal
 from dashpot.model.elements import Kind, between
 from dashpot.model.network import Model
 from tests.unit.estimate.modal.test_identify_modal import chain, measured

@@ -7,7 +7,7 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.check.deficiencies import require_identifiable
-from dashpot.check.nonlinear_structure import blind_laws, nonlinear_structure
+from dashpot.check.identifiability import blind_laws, nonlinear_structure
 from dashpot.check.verdict import several_motions
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.identify import identify

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
-from dashpot.design.advise import Question, answer, choose, compare_tests
+from dashpot.design.advise import Question, answer, answer_to_json, choose, compare_tests, plan_to_csv
 from dashpot.design.allocation import Criterion
 from dashpot.design.plan import Budget, plan
-from dashpot.design.plan_files import answer_to_json, plan_to_csv
 from dashpot.design.test_setup import band_grid, even_schedule, nominal_setup
 from dashpot.errors import UsageError
 from dashpot.quantities import frequencies

@@ -13,7 +13,7 @@ from dashpot.check.structure import require_scale_seen
 from dashpot.estimate import registry
 from dashpot.estimate.identify import automatic
 from dashpot.estimate.method import Method, Solution, Traits
-from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation import Prepared
 from dashpot.estimate.registry import METHODS, method, method_class
 from tests.partly_seen import noisy_base
 

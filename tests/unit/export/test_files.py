@@ -11,8 +11,7 @@ from scipy.io import mmread
 from scipy.linalg import expm
 
 from dashpot.data.readers.datafile import open_file
-from dashpot.data.readers.uff.modes import modes_of
-from dashpot.data.readers.uff.reader import functions_of
+from dashpot.data.readers.uff import functions_of, modes_of
 from dashpot.errors import DataError, ModelError, UsageError
 from dashpot.export.formats import FORMATS, ExportOptions, export_rig, format_of
 from dashpot.export.identified_rig import identified_rig

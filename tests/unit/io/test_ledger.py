@@ -14,8 +14,8 @@ OWN = {
     "export/fmu.py",
     "io/atomic.py",
     "io/guarded.py",
-    "present/notices.py",
-    "reproduce/yamane1989/rig.py",
+    "present/words.py",
+    "reproduce/yamane1989.py",
     "study/blocks.py",
     "study/montecarlo.py",
 }

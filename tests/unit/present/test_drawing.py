@@ -10,7 +10,7 @@ import pytest
 
 import dashpot
 from dashpot import Estimate, Kind, Model, UsageError, between, mass, parse_rig
-from dashpot.check.data_findings import doubtful, undetermined
+from dashpot.check.evidence import doubtful, undetermined
 from dashpot.present.estimate import parameter_rows
 from dashpot.present.schematic.drawing import mode_drawing, numbered_mode, schematic
 from dashpot.present.schematic.labels import elongation, law_in_symbols

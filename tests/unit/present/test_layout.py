@@ -12,7 +12,7 @@ import pytest
 from dashpot import Element, Estimate, Input, Kind, Model, between, mass, parse_rig, read_rig
 from dashpot.channel import Channel, Quantity
 from dashpot.present.schematic.drawing import Drawing, folded, schematic
-from dashpot.present.schematic.shapes import Box, Part, Text, stroke, text_width
+from dashpot.present.schematic.symbols import Box, Part, Text, stroke, text_width
 from tests import rigs
 from tests.unit.present.conftest import RIG
 

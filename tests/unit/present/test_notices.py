@@ -3,7 +3,7 @@
 import ast
 from pathlib import Path
 
-from dashpot.present.notices import REMEDIED, notice_guide
+from dashpot.present.words import REMEDIED, notice_guide
 
 SOURCE = Path(__file__).parents[3] / "src" / "dashpot"
 # Codes that are composed when they are given, and places that pass on the codes of others.

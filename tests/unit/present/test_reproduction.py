@@ -13,7 +13,7 @@ from dashpot.present.reproduction import (
     reproduction_document,
     write_reproduction,
 )
-from dashpot.reproduce.yamane1989.reproduction import reproduce
+from dashpot.reproduce.yamane1989 import reproduce
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,15 @@ import pytest
 
 from dashpot.errors import UsageError
 from dashpot.model.modes import modes
-from dashpot.reproduce.yamane1989.reproduction import eigenvalues, farther, reproduce, rms_spread
-from dashpot.reproduce.yamane1989.rig import paper_model, paper_prints, tables_study
+from dashpot.reproduce.yamane1989 import (
+    eigenvalues,
+    farther,
+    paper_model,
+    paper_prints,
+    reproduce,
+    rms_spread,
+    tables_study,
+)
 from dashpot.study.montecarlo import run_scenarios
 from dashpot.study.scenario import scenarios
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dashpot.errors import UsageError
-from dashpot.reproduce.yamane1989 import rig as yamane1989
+from dashpot.reproduce import yamane1989
 from dashpot.study.montecarlo import run_study
 from dashpot.study.scenario import scenarios
 from dashpot.study.studyfile import parse_study, read_study

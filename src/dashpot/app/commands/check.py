@@ -6,8 +6,8 @@ from typing import Annotated
 
 from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions
-from dashpot.app.progress import progress
 from dashpot.app.report_files import ReportFile
+from dashpot.app.workers import progress
 from dashpot.errors import UsageError
 
 WITH_DATA = "With DATA"
@@ -40,8 +40,8 @@ def command(
     found and what would help; 5 not enough memory.
     """
     from dashpot.api import check, identify
-    from dashpot.check.data_findings import data_findings, findings_content
     from dashpot.check.deficiencies import require_full_rank, structure_content
+    from dashpot.check.evidence import data_findings, findings_content
     from dashpot.io.json_document import to_json
     from dashpot.model.rigfile import read_rig
 

@@ -9,9 +9,9 @@ import click
 
 from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions, tell_notes
-from dashpot.app.parameters import true_values
-from dashpot.app.progress import progress
+from dashpot.app.options import true_values
 from dashpot.app.report_files import ReportFile
+from dashpot.app.workers import progress
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.registry import METHODS, methods_for
 from dashpot.quantities import Amount

@@ -11,9 +11,9 @@ import click
 
 from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions
-from dashpot.app.parameters import drive_amplitude, input_is_angular, parameter_values
-from dashpot.app.progress import progress
+from dashpot.app.options import drive_amplitude, input_is_angular, parameter_values
 from dashpot.app.report_files import ReportFile
+from dashpot.app.workers import progress
 from dashpot.errors import UsageError
 from dashpot.io.words import PICTURES
 from dashpot.quantities import Amount, frequencies
@@ -181,8 +181,7 @@ def command(
     """
     from dashpot.app.workers import shared_out
     from dashpot.check.structure import require_scale
-    from dashpot.design.advise import answer
-    from dashpot.design.plan_files import answer_to_json, plan_to_csv
+    from dashpot.design.advise import answer, answer_to_json, plan_to_csv
     from dashpot.design.test_setup import drive_units
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import read_rig

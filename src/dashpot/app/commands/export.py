@@ -8,8 +8,8 @@ import click
 
 from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions, estimate_and_rig
-from dashpot.app.parameters import parameter_values
-from dashpot.app.progress import progress
+from dashpot.app.options import parameter_values
+from dashpot.app.workers import progress
 from dashpot.errors import UsageError, printable
 from dashpot.export.formats import contents
 from dashpot.quantities import Amount

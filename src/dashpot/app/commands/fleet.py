@@ -11,7 +11,7 @@ import click
 from dashpot.app import options as opt
 from dashpot.app.cli import resumable
 from dashpot.app.data_files import RecordOptions
-from dashpot.app.progress import progress
+from dashpot.app.workers import progress
 from dashpot.errors import printable
 
 FLEET = "The fleet"

@@ -12,8 +12,8 @@ import click
 from dashpot.app import options as opt
 from dashpot.app.commands.validate import predictions_of
 from dashpot.app.data_files import RecordOptions, part_of, require_bounds_held, require_each_once, tell_notes
-from dashpot.app.progress import progress
 from dashpot.app.report_files import ReportFile
+from dashpot.app.workers import progress
 from dashpot.errors import DashpotError, DataError, Problem, UsageError
 
 if TYPE_CHECKING:
@@ -325,7 +325,7 @@ def _show(rig: Rig, found: Identified, level: float, matrices: bool) -> None:
     say(estimate_document(found.estimate, level, untried=found.untried), apart=True)
     # Free matrices are what the rig is, as long as no hysteretic damper, which is in none of them, stands beside them.
     if matrices or (free_names(rig.model) and not len(rig.model.by_matrix["H"])):
-        from dashpot.estimate.linear.definite import matrices_of
+        from dashpot.estimate.linear.instrumental_variables import matrices_of
         from dashpot.present.document import Document
         from dashpot.present.estimate import matrix_sections
 

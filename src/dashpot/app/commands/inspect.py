@@ -8,7 +8,7 @@ import click
 
 from dashpot.app import options as opt
 from dashpot.app.data_files import reading_of
-from dashpot.app.progress import progress
+from dashpot.app.workers import progress
 
 
 @opt.dashpot_command("dashpot inspect run.tdms", "dashpot inspect *.mat --channels channels.toml")

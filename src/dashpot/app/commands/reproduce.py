@@ -7,8 +7,8 @@ from typing import Annotated
 import click
 
 from dashpot.app import options as opt
-from dashpot.app.progress import progress
 from dashpot.app.report_files import ReportFile, write_report
+from dashpot.app.workers import progress
 from dashpot.errors import printable
 
 
@@ -39,7 +39,7 @@ def command(
     from dashpot.app.workers import cores, mapping
     from dashpot.present.document import say
     from dashpot.present.reproduction import reproduction_document, write_reproduction
-    from dashpot.reproduce.yamane1989.reproduction import reproduce
+    from dashpot.reproduce.yamane1989 import reproduce
 
     # Draws below which starting processes costs more than they save
     count = workers if workers is not None else 1 if draws < 200 else cores()

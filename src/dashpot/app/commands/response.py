@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, cast
 
 from dashpot.app import options as opt
-from dashpot.app.parameters import input_amplitudes, parameter_values
-from dashpot.app.progress import progress
+from dashpot.app.options import input_amplitudes, parameter_values
+from dashpot.app.workers import progress
 from dashpot.errors import UsageError
 from dashpot.quantities import Amount
 

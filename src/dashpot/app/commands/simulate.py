@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from dashpot.app import options as opt
-from dashpot.app.parameters import input_amplitudes, parameter_values
-from dashpot.app.progress import progress
+from dashpot.app.options import input_amplitudes, parameter_values
+from dashpot.app.workers import progress
 from dashpot.errors import DataError, UsageError, printable
 from dashpot.quantities import Amount
 

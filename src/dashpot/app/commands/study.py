@@ -11,8 +11,8 @@ import click
 from dashpot.app import options as opt
 from dashpot.app.cli import resumable
 from dashpot.app.data_files import tell_notes
-from dashpot.app.progress import progress
 from dashpot.app.report_files import ReportFile
+from dashpot.app.workers import progress
 from dashpot.errors import printable
 
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions, estimate_and_rig
-from dashpot.app.progress import progress
 from dashpot.app.report_files import ReportFile
+from dashpot.app.workers import progress
 from dashpot.errors import UsageError
 from dashpot.io.words import PICTURES
 

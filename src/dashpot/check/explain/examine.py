@@ -35,7 +35,7 @@ from dashpot.estimate.inference.time_course import TIME_CHANGES
 from dashpot.estimate.likelihood.global_search import candidates
 from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.nonlinear.search import linear_rig, starting_points
-from dashpot.estimate.preparation.prepared import Prepared, prepare
+from dashpot.estimate.preparation import Prepared, prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input, observation_model

@@ -26,7 +26,7 @@ from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
 from dashpot.estimate.inference.time_course import UNEVEN
-from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import (
     RecordFit,
     estimated_inputs,
@@ -41,8 +41,7 @@ from dashpot.estimate.linear.least_squares import equation
 from dashpot.estimate.nonlinear.objective import dwells_of
 from dashpot.estimate.nonlinear.regression import MeasuredMotion, measured_motion, regressors_of
 from dashpot.estimate.nonlinear.search import lost_dwells_regained, measured_branches_regained
-from dashpot.estimate.preparation.prepared import Prepared, prepare
-from dashpot.estimate.preparation.state_reconstruction import States
+from dashpot.estimate.preparation import Prepared, States, prepare
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.elements import Element, Kind, between

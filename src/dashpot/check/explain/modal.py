@@ -28,7 +28,7 @@ from dashpot.check.explain.score import score_tests
 from dashpot.data.modal_data import ModalData
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
-from dashpot.estimate.modal.mode_search import (
+from dashpot.estimate.modal import (
     ModeProblem,
     like_parts,
     mode_residuals,

@@ -21,7 +21,7 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 

@@ -14,13 +14,12 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.channel import Channel
-from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.descent import Stage, descend_all
 from dashpot.estimate.likelihood.global_search import candidates, seen_directly
+from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import directly_driven, local, measured, predict
 from dashpot.estimate.linear.least_squares import compensated
-from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.estimate.preparation.state_reconstruction import states_if_seen
+from dashpot.estimate.preparation import Prepared, states_if_seen
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, calibration_factors, observation_model, transfer

@@ -35,8 +35,7 @@ from dashpot.estimate.nonlinear.record_problem import begun_problem
 from dashpot.estimate.nonlinear.record_regression import WeakForm, weak_form
 from dashpot.estimate.nonlinear.records import RecordData, RecordedMotion, arranged, recorded_motion
 from dashpot.estimate.nonlinear.search import harmonics_left
-from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.estimate.preparation.state_reconstruction import states_if_seen
+from dashpot.estimate.preparation import Prepared, states_if_seen
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
 

@@ -27,7 +27,7 @@ from dashpot.estimate.inference.time_course import Kind, TimeChange, change_noti
 from dashpot.estimate.likelihood.descent import loudest
 from dashpot.estimate.likelihood.objective import record_fit
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import channel_unit

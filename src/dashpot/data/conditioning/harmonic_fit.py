@@ -12,7 +12,6 @@ from scipy.special import bdtrc, chdtrc, digamma, fdtr, fdtrc, polygamma
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel
-from dashpot.data.calibration import real_factor
 from dashpot.data.conditioning.regression import (
     DITHERED,
     basis,
@@ -35,7 +34,7 @@ from dashpot.data.conditioning.settings import (
     Noise,
     conditioning_of,
 )
-from dashpot.data.record import Record
+from dashpot.data.record import Record, real_factor
 from dashpot.data.spectrum import Moments, Spectrum
 from dashpot.errors import DataError
 from dashpot.notices import Notice

@@ -11,7 +11,6 @@ from scipy import fft
 from scipy.special import fdtrc
 
 from dashpot.arrays import Bools, Complex, Real
-from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.clock import with_even_stamps
 from dashpot.data.conditioning.drive_frequency import LEVEL as WANDER_LEVEL
 from dashpot.data.conditioning.drive_frequency import LEVEL_DRIVE_FADING as FADING_LEVEL
@@ -52,7 +51,7 @@ from dashpot.data.conditioning.transients import (
 from dashpot.data.conditioning.unmeasured import completed, marked, notices_of_doubt
 from dashpot.data.conditioning.whole_record import AT_REST, whole_records
 from dashpot.data.periods import average_periods
-from dashpot.data.record import Record
+from dashpot.data.record import Record, calibration
 from dashpot.data.spectrum import SettledDwell, Spectrum, concatenate
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.words import counted

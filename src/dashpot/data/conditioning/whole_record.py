@@ -16,10 +16,9 @@ from scipy import fft
 
 from dashpot.arrays import Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel, Quantity
-from dashpot.data.calibration import calibration
 from dashpot.data.conditioning.clock import even_step, fewest_samples
 from dashpot.data.conditioning.still import Still, variance_at_rest
-from dashpot.data.record import Record, runs_of_one_value
+from dashpot.data.record import Record, calibration, runs_of_one_value
 from dashpot.data.spectrum import Spectrum, WholeRecord, concatenate
 from dashpot.errors import DataError
 from dashpot.io.words import counted, joined

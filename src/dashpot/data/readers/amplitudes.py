@@ -19,11 +19,10 @@ import numpy as np
 from dashpot import units
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.channel import Channel
-from dashpot.data.calibration import calibrated, calibration
-from dashpot.data.readers.columns import LARGEST, Columns, bare
+from dashpot.data.readers.columns import FREQUENCY, LARGEST, Columns, bare, frequency_column, frequency_scale
 from dashpot.data.readers.records import EXPERIMENT, check_frequency, whole_numbers
 from dashpot.data.readers.text import write_rows
-from dashpot.data.readers.time_columns import FREQUENCY, frequency_column, frequency_scale
+from dashpot.data.record import calibrated, calibration
 from dashpot.data.spectrum import SettledDwell, Spectrum, Stretch, WholeRecord, concatenate
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.words import listed, shown

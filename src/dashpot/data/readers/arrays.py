@@ -9,8 +9,16 @@ from typing import Any
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.data.readers.columns import LARGEST, MOST_COLUMNS, Columns, bare, columns_of_block
-from dashpot.data.readers.time_columns import FREQUENCY, TIME, TIME_NAMES
+from dashpot.data.readers.columns import (
+    FREQUENCY,
+    LARGEST,
+    MOST_COLUMNS,
+    TIME,
+    TIME_NAMES,
+    Columns,
+    bare,
+    columns_of_block,
+)
 from dashpot.errors import DataError
 from dashpot.io.words import shown
 from dashpot.notices import Notice

@@ -13,9 +13,8 @@ import numpy as np
 
 from dashpot.channel import Channel
 from dashpot.data.readers.arrays import ArrayColumns, parts_of_variables
-from dashpot.data.readers.columns import bare
+from dashpot.data.readers.columns import TIME, TIME_NAMES, bare, time_column
 from dashpot.data.readers.records import Circumstances, read_records
-from dashpot.data.readers.time_columns import TIME, TIME_NAMES, time_column
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.io.words import counted, listed, shown

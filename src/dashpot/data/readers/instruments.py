@@ -25,9 +25,9 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.data.readers.arrays import ArrayColumns, Streamed
+from dashpot.data.readers.columns import LONGEST, TIME
 from dashpot.data.readers.datafile import SUBSTITUTED, DataFile, whole_lines
 from dashpot.data.readers.text import LOOKED_AT, Text, TextTable, open_table, text_of
-from dashpot.data.readers.time_columns import LONGEST, TIME
 from dashpot.errors import DataError
 from dashpot.notices import Notice
 

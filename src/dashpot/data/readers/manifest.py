@@ -46,8 +46,7 @@ from dashpot.data.readers.records import Circumstances, read_records
 from dashpot.data.readers.registry import reader_of
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError
-from dashpot.io.toml_document import Report, Wanted, read_toml
-from dashpot.io.toml_tables import Entry, validated, wrong
+from dashpot.io.toml_document import Entry, Report, Wanted, read_toml, validated, wrong
 from dashpot.io.words import did_you_mean, listed, shown
 from dashpot.quantities import quantity
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from dashpot.data.readers.arrays import LONG, ArrayColumns, Streamed, array_columns
+from dashpot.data.readers.columns import TIME
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.time_columns import TIME
 from dashpot.errors import DataError
 
 

@@ -25,9 +25,14 @@ from dashpot.data.readers.arrays import ArrayColumns
 from dashpot.data.readers.columns import LARGEST, Columns, bare
 from dashpot.data.readers.datafile import DataFile, open_file
 from dashpot.data.readers.text import open_table
-from dashpot.data.readers.uff.function import UffStream, dataset_starts, skip_dataset
-from dashpot.data.readers.uff.modes import USUAL_SD, read_uff_modes
-from dashpot.data.readers.uff.reader import is_universal
+from dashpot.data.readers.uff import (
+    USUAL_SD,
+    UffStream,
+    dataset_starts,
+    is_universal,
+    read_uff_modes,
+    skip_dataset,
+)
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.json_document import from_json
 from dashpot.io.ledger import noted

@@ -16,17 +16,19 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.channel import Channel
-from dashpot.data.readers.columns import LARGEST, Columns, whole_block
-from dashpot.data.readers.text import write_rows
-from dashpot.data.readers.time_columns import (
+from dashpot.data.readers.columns import (
     FREQUENCY,
+    LARGEST,
     TIME,
+    Columns,
     check_range,
     frequency_column,
     frequency_scale,
     read_time,
     time_column,
+    whole_block,
 )
+from dashpot.data.readers.text import write_rows
 from dashpot.data.record import Record, samples_at_limit
 from dashpot.errors import DataError
 from dashpot.io.words import shown

@@ -18,7 +18,7 @@ from dashpot.data.readers.mdf import read_mdf
 from dashpot.data.readers.numpy_files import is_numpy, read_numpy
 from dashpot.data.readers.tdms import read_tdms
 from dashpot.data.readers.text import is_text, read_text
-from dashpot.data.readers.uff.reader import is_universal, read_universal
+from dashpot.data.readers.uff import is_universal, read_universal
 from dashpot.data.readers.wav import is_wav, read_wav
 from dashpot.errors import DataError
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from dashpot.data.readers.arrays import OF_ALL, PIECE, ArrayColumns, Streamed, array_columns, step_of, steps
+from dashpot.data.readers.columns import TIME, TIME_NAMES
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.time_columns import TIME, TIME_NAMES
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
 

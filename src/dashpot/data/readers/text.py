@@ -20,9 +20,17 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from dashpot.arrays import Bools, Real
-from dashpot.data.readers.columns import LARGEST, MOST_COLUMNS, Columns, bare, columns_of_block, is_unit
+from dashpot.data.readers.columns import (
+    LARGEST,
+    MOST_COLUMNS,
+    Columns,
+    bare,
+    columns_of_block,
+    is_date,
+    is_timestamp,
+    is_unit,
+)
 from dashpot.data.readers.datafile import PIECE, SUBSTITUTED, DataFile, open_file, whole_lines
-from dashpot.data.readers.time_columns import is_date, is_timestamp
 from dashpot.errors import DataError
 from dashpot.io.atomic import write_bytes
 from dashpot.io.ledger import noted

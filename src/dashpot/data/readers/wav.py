@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 
 from dashpot.data.readers.arrays import PIECE, ArrayColumns, Streamed, array_columns, steps
+from dashpot.data.readers.columns import TIME
 from dashpot.data.readers.datafile import DataFile
 from dashpot.data.readers.guarded import damaged
-from dashpot.data.readers.time_columns import TIME
 from dashpot.errors import DataError
 from dashpot.units import SHARE
 

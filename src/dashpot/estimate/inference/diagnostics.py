@@ -20,7 +20,7 @@ from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_passes import EndsFitted, RecordPieces
 from dashpot.estimate.likelihood.record_sums import ends_fitted, information_under
 from dashpot.estimate.method import HeldBounds, Method, Solution
-from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation import Prepared
 from dashpot.estimate.result import Fit
 from dashpot.io.words import joined, with_values
 from dashpot.model.dynamics import matrices

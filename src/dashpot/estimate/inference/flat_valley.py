@@ -16,7 +16,7 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real
 from dashpot.errors import IdentifiabilityError
-from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import local
 from dashpot.io.words import joined, with_values
 from dashpot.model.observation import ObservationModel, small

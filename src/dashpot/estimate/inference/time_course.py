@@ -26,7 +26,7 @@ from dashpot.estimate.likelihood.record_noise import RESIDUAL, residuals_of_reco
 from dashpot.estimate.likelihood.record_passes import RecordPieces
 from dashpot.estimate.likelihood.record_sums import record_residuals, rows_by_line
 from dashpot.estimate.method import Solution
-from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation import Prepared
 from dashpot.io.words import joined
 from dashpot.model.observation import small
 from dashpot.notices import Notice

@@ -32,7 +32,7 @@ from dashpot.estimate.linear.auxiliary_model import equation_by_line, equation_s
 from dashpot.estimate.linear.instrumental_variables import likeliest
 from dashpot.estimate.method import Method, Solution, Traits
 from dashpot.estimate.nonlinear.objective import NonlinearPart
-from dashpot.estimate.preparation.prepared import (
+from dashpot.estimate.preparation import (
     NoiseQuality,
     Prepared,
     interval_dof,

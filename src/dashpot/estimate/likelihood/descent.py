@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
-from dashpot.estimate.likelihood.chunks import Measured
-from dashpot.estimate.likelihood.compiled import compiled_cost, compiled_output
+from dashpot.estimate.likelihood.measured import Measured, compiled_cost, compiled_output
 from dashpot.estimate.likelihood.objective import bounds, local, measured
 from dashpot.estimate.linear.gram import compiled_result
-from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation import Prepared
 from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.model.reduced import ReducedRig
 from dashpot.numerics.kernel import threads

@@ -12,7 +12,6 @@ from dashpot.channel import Quantity
 from dashpot.data.modal_data import ModalData, of_eigenvalues
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import ConvergenceError, DashpotError
-from dashpot.estimate.likelihood.chunks import Measured, Piece, Sums, pieces
 from dashpot.estimate.likelihood.descent import (
     NEAR_END,
     ROUGH,
@@ -22,10 +21,11 @@ from dashpot.estimate.likelihood.descent import (
     descend_all,
     thinned,
 )
+from dashpot.estimate.likelihood.measured import Measured, Piece, Sums, pieces
 from dashpot.estimate.likelihood.objective import directly_driven, measured, predict
 from dashpot.estimate.linear.least_squares import starts as equation_starts
 from dashpot.estimate.linear.least_squares import where_finite
-from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation import Prepared
 from dashpot.model.dynamics import amplitudes, unit_forces
 from dashpot.model.elements import Kind
 from dashpot.model.matrix_elements import free_names
@@ -298,7 +298,7 @@ def _rigs(data: Prepared, effort: Effort) -> Real:
     none = np.empty((0, len(view.names)))
     if view.gains or view.delays or np.any(view.flips) or not moves_freely(view.model, data.spectrum):
         return none
-    from dashpot.estimate.modal.mode_search import rigs_with  # loads scipy.optimize
+    from dashpot.estimate.modal import rigs_with  # loads scipy.optimize
 
     poles, shown = free_modes(data)
     try:

@@ -27,8 +27,7 @@ from dashpot.estimate.linear.auxiliary_model import equation_covariance
 from dashpot.estimate.linear.least_squares import compensated, equation, where_finite, without_noise
 from dashpot.estimate.method import HeldBounds, Method, Solution, Traits
 from dashpot.estimate.nonlinear.search import search_harmonics
-from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.estimate.preparation.state_reconstruction import States
+from dashpot.estimate.preparation import Prepared, States
 from dashpot.model.dynamics import stiffness
 from dashpot.model.network import Model
 from dashpot.model.reduced import extended_basis, line_motions, reduced

@@ -21,11 +21,17 @@ from dashpot.estimate.likelihood.boundary_loads import (
     record_ends,
     whitener,
 )
-from dashpot.estimate.likelihood.chunks import Measured, Piece, Sums, pieces
-from dashpot.estimate.likelihood.compiled import compiled_local, compiled_output
+from dashpot.estimate.likelihood.measured import (
+    Measured,
+    Piece,
+    Sums,
+    compiled_local,
+    compiled_output,
+    pieces,
+)
 from dashpot.estimate.likelihood.record_sums import by_record_line, ends_rank, record_sums
 from dashpot.estimate.nonlinear.objective import nonlinear_part, predict_harmonics
-from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation import Prepared
 from dashpot.model.matrix_elements import free_names
 from dashpot.model.observation import (
     ObservationModel,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real
-from dashpot.estimate.likelihood.compiled import kernel_channels
+from dashpot.estimate.likelihood.measured import kernel_channels
 from dashpot.estimate.likelihood.record_passes import (
     EndProducts,
     EndsFitted,

@@ -19,7 +19,7 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, predict
 from dashpot.estimate.likelihood.record_noise import noise_is_sought, with_record_noise
 from dashpot.estimate.method import Method
-from dashpot.estimate.preparation.prepared import Prepared, prepare
+from dashpot.estimate.preparation import Prepared, prepare
 from dashpot.model.network import Model
 from dashpot.model.observation import calibrated_transfer
 from dashpot.notices import Notice

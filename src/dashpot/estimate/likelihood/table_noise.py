@@ -17,13 +17,13 @@ import numpy as np
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.data.spectrum import FITTED, Spectrum, flattened, in_chunks
 from dashpot.errors import DashpotError
-from dashpot.estimate.likelihood.chunks import Measured
 from dashpot.estimate.likelihood.descent import Likelihood
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.likelihood.record_noise import with_record_noise
 from dashpot.estimate.method import Method, Solution
-from dashpot.estimate.preparation.prepared import (
+from dashpot.estimate.preparation import (
     Prepared,
     prepare,
     with_exact_calibrations,

@@ -13,7 +13,7 @@ from dashpot.estimate.linear.gram import (
     regressors,
     weighted_normal,
 )
-from dashpot.estimate.preparation.state_reconstruction import States
+from dashpot.estimate.preparation import States
 from dashpot.model.dynamics import stiffness, unit_forces
 from dashpot.model.network import Model
 from dashpot.numerics.kernel import threads

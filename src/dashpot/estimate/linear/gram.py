@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dashpot.arrays import Complex, Real, hermitian
-from dashpot.estimate.preparation.state_reconstruction import States
+from dashpot.estimate.preparation import States
 from dashpot.model.dynamics import kernel_rig
 from dashpot.model.network import Model
 from dashpot.model.observation import small

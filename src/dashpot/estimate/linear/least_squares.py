@@ -21,8 +21,7 @@ from dashpot.estimate.linear.gram import (
 )
 from dashpot.estimate.method import Method, Solution, Traits, closed_form
 from dashpot.estimate.nonlinear.regression import harmonic_equations, harmonic_least_squares
-from dashpot.estimate.preparation.prepared import Prepared, without_priors
-from dashpot.estimate.preparation.state_reconstruction import States, reconstruction, unseen
+from dashpot.estimate.preparation import Prepared, States, reconstruction, unseen, without_priors
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.network import Model
 from dashpot.numerics.kernel import threads

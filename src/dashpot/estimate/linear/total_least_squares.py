@@ -31,8 +31,7 @@ from dashpot.estimate.linear.least_squares import (
     without_noise,
 )
 from dashpot.estimate.method import Method, Solution, Traits
-from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.estimate.preparation.state_reconstruction import States
+from dashpot.estimate.preparation import Prepared, States
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled, solve_small

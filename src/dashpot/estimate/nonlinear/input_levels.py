@@ -17,7 +17,7 @@ import numpy as np
 from dashpot.arrays import Bools, Real
 from dashpot.data.conditioning.still import HALF_WINDOW, QUIETEST, smoothed, variance_at_rest
 from dashpot.data.conditioning.whole_record import TOP, white_floor
-from dashpot.estimate.likelihood.input_noise import ROOM, SHOWS, STAYS
+from dashpot.estimate.likelihood.record_noise import ROOM, SHOWS, STAYS
 from dashpot.estimate.nonlinear.record_problem import (
     LinearisedRecord,
     NotSolvedError,
@@ -26,7 +26,7 @@ from dashpot.estimate.nonlinear.record_problem import (
 )
 from dashpot.estimate.nonlinear.records import NoiseAtRest, RecordData, base_travel, in_pieces
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.tangent import FEWEST
+from dashpot.model.nonlinear.shooting import FEWEST
 from dashpot.numerics.levenberg_marquardt import OptimizeResult
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 

@@ -16,8 +16,7 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen, hermitian
 from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord
 from dashpot.errors import ConvergenceError, DataError
-from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.estimate.preparation.state_reconstruction import States, states_if_seen
+from dashpot.estimate.preparation import Prepared, States, states_if_seen
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.compiled import compiled_channels, compiled_rig
 from dashpot.model.nonlinear.continuation import grown_from_rest
@@ -38,7 +37,7 @@ from dashpot.model.observation import (
 )
 
 if TYPE_CHECKING:
-    from dashpot.estimate.likelihood.chunks import Measured
+    from dashpot.estimate.likelihood.measured import Measured
 
 FEWEST = {True: 7, False: 15}  # harmonics to begin with, of laws that are smooth and that are not
 

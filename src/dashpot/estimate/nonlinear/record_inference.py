@@ -13,7 +13,7 @@ from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.estimate.inference.diagnostics import held as of_bounds
 from dashpot.estimate.inference.diagnostics import require_determined, require_traces, unseen_laws
-from dashpot.estimate.likelihood.input_noise import counted_as_exact
+from dashpot.estimate.likelihood.record_noise import counted_as_exact
 from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.nonlinear.input_levels import (
     DRAWS,

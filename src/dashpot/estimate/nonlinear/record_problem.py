@@ -29,10 +29,15 @@ from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import operated_states
-from dashpot.model.nonlinear.integration import Integrator, Motion, forcing
-from dashpot.model.nonlinear.moving_base import does_nothing, moving_rig
-from dashpot.model.nonlinear.shooting import integrate, segment_length, segments_of
-from dashpot.model.nonlinear.tangent import ChainSolver, Tangent, tangent
+from dashpot.model.nonlinear.integration import Integrator, Motion, does_nothing, forcing, moving_rig
+from dashpot.model.nonlinear.shooting import (
+    ChainSolver,
+    Tangent,
+    integrate,
+    segment_length,
+    segments_of,
+    tangent,
+)
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
 from dashpot.unknowns import bounds_of, prior_mean, prior_precision
 

@@ -16,8 +16,7 @@ from dashpot.errors import DataError
 from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.force_law import ForceLaw
-from dashpot.model.nonlinear.integration import Integrator, Motion
-from dashpot.model.nonlinear.moving_base import NO_BASES, Bases, bases_of
+from dashpot.model.nonlinear.integration import NO_BASES, Bases, Integrator, Motion, bases_of
 from dashpot.model.observation import measures_input, observation_model
 from dashpot.unknowns import Unknown
 

@@ -15,8 +15,7 @@ from dashpot.errors import DataError, UsageError
 from dashpot.estimate.linear.gram import known_side, regressors
 from dashpot.estimate.method import Solution, closed_form
 from dashpot.estimate.nonlinear.objective import DwellLines, dwells_of, measured_elongations
-from dashpot.estimate.preparation.prepared import Prepared
-from dashpot.estimate.preparation.state_reconstruction import States
+from dashpot.estimate.preparation import Prepared, States
 from dashpot.io.words import joined
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.network import Model

@@ -30,7 +30,7 @@ from dashpot.estimate.nonlinear.regression import (
     scale_of_lines,
     weighted_normal_equations,
 )
-from dashpot.estimate.preparation.prepared import Prepared
+from dashpot.estimate.preparation import Prepared
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate
@@ -42,8 +42,8 @@ from dashpot.numerics.levenberg_marquardt import OptimizeResult
 from dashpot.numerics.small_systems import scaled_inverse
 
 if TYPE_CHECKING:
-    from dashpot.estimate.likelihood.chunks import Measured
     from dashpot.estimate.likelihood.descent import Likelihood
+    from dashpot.estimate.likelihood.measured import Measured
 
 
 # Where the search for the parameters of a nonlinear rig begins.

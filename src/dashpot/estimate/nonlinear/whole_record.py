@@ -39,7 +39,7 @@ from dashpot.estimate.nonlinear.records import (
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
-from dashpot.model.nonlinear.moving_base import moving_rig
+from dashpot.model.nonlinear.integration import moving_rig
 from dashpot.numerics.levenberg_marquardt import OptimizeResult
 from dashpot.numerics.small_systems import solve_scaled
 

@@ -1,16 +1,289 @@
-"""Whole motions by multiple shooting (THEORY §9).
+"""Motions by multiple shooting, and how they change with the samples of the inputs, to first order (THEORY §9).
 
-A record is cut into segments that are integrated side by side from states of their own; the jumps between them are
-closed by Newton's method over the chain of segments.  That is the same motion as one long integration, in as many
-array operations as one segment has samples.  Source: Bock and Plitt (1984), 9th IFAC World Congress.
+The linearised motion is a chain of small matrices, one from each sample to the next; the cubics between the samples of
+the inputs are linear in these.  Both are carried forwards and, transposed, backwards, at the cost of a banded solve.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy import sparse
+from scipy.linalg import solve_banded
+from scipy.linalg.blas import dtbsv
+from scipy.sparse.linalg import splu
 
 from dashpot.arrays import Ints, Real
 from dashpot.model.nonlinear.integration import Integrator, Motion, PointForces
+
+FEWEST = 4  # samples of a record whose inputs may move
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """The linearised motion: step (samples − 1, x, x) from each sample to the next, driven (samples − 1, x, 4 q) by the
+    cubics of the interval's q inputs; shown (samples, channels, x) and direct (samples, channels, 4 q): what channels
+    show of the state, and of the cubics of the interval that a sample begins (the last one: ends).
+    """
+
+    step: Real
+    driven: Real
+    shown: Real
+    direct: Real
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.shown)
+
+    def times(self, change: Real) -> Real:
+        """What the channels show of changed inputs (samples, q, K), from the same start; (samples, channels, K)."""
+        N, q, K = change.shape
+        c = spline_coefficients(change.reshape(N, -1)).reshape(N - 1, 4 * q, K)
+        states = np.zeros((N, self.step.shape[1], K))
+        states[1:] = self.driven @ c
+        states = self._carried(states, transposed=False)
+        outputs: Real = self.shown @ states
+        outputs[:-1] += self.direct[:-1] @ c
+        outputs[-1] += self.direct[-1] @ c[-1]
+        return outputs
+
+    def transposed(self, outputs: Real) -> Real:
+        """The transpose of `times`: (samples, channels, K) to (samples, q, K)."""
+        N, _, K = outputs.shape
+        states = self._carried(np.swapaxes(self.shown, 1, 2) @ outputs, transposed=True)
+        c = np.swapaxes(self.driven, 1, 2) @ states[1:]
+        c += np.swapaxes(self.direct[:-1], 1, 2) @ outputs[:-1]
+        c[-1] += self.direct[-1].T @ outputs[-1]
+        change = spline_transposed(c.reshape(N - 1, 4, -1))
+        return change.reshape(N, -1, K)
+
+    def _carried(self, loads: Real, *, transposed: bool) -> Real:
+        """States (samples, x, K) that follow from loads at the samples along the chain, or against it, transposed."""
+        N, x, K = loads.shape
+        ab = np.zeros((2 * x, N * x), order="F")
+        for row in range(x):
+            for column in range(x):
+                ab[x + row - column, column : (N - 1) * x : x] = -self.step[:, row, column]
+        flat = np.asfortranarray(loads.reshape(N * x, K))
+        for k in range(K):
+            flat[:, k] = dtbsv(2 * x - 1, ab, flat[:, k], lower=1, trans=int(transposed), diag=1)
+        return flat.reshape(N, x, K)
+
+
+def tangent(
+    machine: Integrator, motion: Motion, on_x: Real, on_q: Real, derivative: tuple[int, ...]
+) -> Tangent:
+    """Of a motion of a rig, as channels show it: on_x (channels, n), on_q (channels, r + s), derivative (channels,).
+
+    Raises numpy's LinAlgError where the forces of a step have no one answer.
+    """
+    N, n, h = machine.drive.intervals + 1, machine.model.n, machine.drive.step_s
+    q = machine.drive.coefficients.shape[-1]
+    state = motion.state[:-1]
+    slope = np.zeros((N - 1, machine.states, machine.states + 4 * q))
+    slope[:, range(machine.states), range(machine.states)] = 1.0
+    known = _forces_of_intervals(machine, motion)
+    for sub, moved in enumerate(machine.input_loads()):
+        index = np.arange(N - 1) * machine.substeps + sub
+        guess = None if known is None else (known[0][:, sub], known[1][:, sub])
+        stepped = machine.advance(state, slope, index, False, guess, moved)
+        state, slope = stepped.state, stepped.slope
+    shown, direct = np.zeros((N, len(derivative), machine.states)), np.zeros((N, len(derivative), 4 * q))
+    by_state, by_input = _accelerations(machine, motion) if 2 in derivative else (None, None)
+    r = machine.model.D.shape[1]
+    for c, power in enumerate(derivative):
+        if power < 2:
+            shown[:, c, power * n : (power + 1) * n] = on_x[c]
+        elif by_state is not None and by_input is not None:
+            shown[:, c] = on_x[c] @ by_state
+            direct[:, c] = on_x[c] @ by_input
+        direct[:, c] += _input_itself(N, h, power, np.where(np.arange(q) < r, on_q[c], 0.0))
+    return Tangent(slope[..., : machine.states], slope[..., machine.states :], shown, direct)
+
+
+def _input_itself(N: int, h: float, power: int, on_q: Real) -> Real:
+    """What a channel shows of the inputs themselves, or their rates, along the cubics; (samples, 4 q)."""
+    at = np.zeros((N, 4))
+    at[:-1, power] = (1.0, 1.0, 2.0)[power]
+    at[-1] = ((1, 1, 1, 1), (0, 1, 2, 3), (0, 0, 2, 6))[power]
+    return (at[:, :, None] / h**power * on_q).reshape(N, -1)
+
+
+def _accelerations(machine: Integrator, motion: Motion) -> tuple[Real, Real]:
+    """Slopes of the accelerations along the state, (samples, n, x), and along the cubics, (samples, n, 4 q)."""
+    x = machine.states
+    slope = np.zeros((len(motion.state), x, x + machine.directions))
+    slope[:, range(x), range(x)] = 1.0
+    by_all = machine.acceleration(
+        Motion(motion.state, slope, motion.starts, True, None, motion.at, motion.forces)
+    )[1]
+    assert by_all is not None
+    return by_all[..., :x], machine.acceleration_by_inputs(motion)
+
+
+def _forces_of_intervals(machine: Integrator, motion: Motion) -> PointForces | None:
+    """The forces that a motion was found with, (samples − 1, substeps, …); None where it does not tell."""
+    steps = len(motion.forces)
+    if not steps or steps % machine.substeps:
+        return None
+    S = len(motion.starts)
+    parts = []
+    for part in range(2):
+        each = np.stack([motion.forces[k][part] for k in range(steps)], axis=1)
+        parts.append(each.reshape(S * steps // machine.substeps, machine.substeps, *each.shape[2:]))
+    return parts[0][: machine.drive.intervals], parts[1][: machine.drive.intervals]
+
+
+def spline_coefficients(values: Real) -> Real:
+    """Cubics of the spline through values (samples, K), (samples − 1, 4, K): powers of the share of the interval.
+
+    That of `propagation.forcing`: the third derivative is continuous at the second and the last sample but one.
+    """
+    steps = np.diff(values, axis=0)
+    right = np.empty_like(values)
+    right[1:-1] = 3 * (steps[1:] + steps[:-1])
+    right[0], right[-1] = (5 * steps[0] + steps[1]) / 2, (5 * steps[-1] + steps[-2]) / 2
+    rate = solve_banded((1, 1), spline_matrix(len(values), transposed=False), right)
+    bend, twist = 3 * steps - 2 * rate[:-1] - rate[1:], rate[:-1] + rate[1:] - 2 * steps
+    return np.stack([values[:-1], rate[:-1], bend, twist], axis=1)
+
+
+def spline_transposed(c: Real) -> Real:
+    """The transpose of `spline_coefficients`: (samples − 1, 4, K) to (samples, K)."""
+    N = len(c) + 1
+    values, rate = np.zeros((N, c.shape[2])), np.zeros((N, c.shape[2]))
+    values[:-1] = c[:, 0]
+    rate[:-1] = c[:, 1] - 2 * c[:, 2] + c[:, 3]
+    rate[1:] += c[:, 3] - c[:, 2]
+    steps = 3 * c[:, 2] - 2 * c[:, 3]
+    right = solve_banded((1, 1), spline_matrix(N, transposed=True), rate)
+    steps[1:] += 3 * right[1:-1]
+    steps[:-1] += 3 * right[1:-1]
+    steps[0] += 2.5 * right[0]
+    steps[1] += 0.5 * right[0]
+    steps[-1] += 2.5 * right[-1]
+    steps[-2] += 0.5 * right[-1]
+    values[1:] += steps
+    values[:-1] -= steps
+    return values
+
+
+def spline_matrix(N: int, *, transposed: bool) -> Real:
+    """Bands (3, samples) of the equations for the rates of a cubic spline at its samples."""
+    above, below = np.ones(N - 1), np.ones(N - 1)
+    above[0] = below[-1] = 2.0
+    bands = np.zeros((3, N))
+    bands[0, 1:], bands[2, :-1] = (below, above) if transposed else (above, below)
+    bands[1] = 4.0
+    bands[1, 0] = bands[1, -1] = 1.0
+    return bands
+
+
+# Residuals of a linearised motion whose inputs have white noise, decorrelated by one sparse factorisation.
+#
+# V = I + W L σ² Lᵀ W, L the tangent of a motion. With the states, the cubics of the inputs and what is
+# carried back against time as further unknowns, V z = b is a system that couples each sample with the next
+# alone.
+
+
+class ChainSolver:
+    """V⁻¹ for weights of the channels (channels,) and standard deviations of the inputs' noise (q,), above 0."""
+
+    def __init__(self, tangent: Tangent, weight: Real, sd: Real) -> None:
+        N, c, x = tangent.shown.shape
+        q = len(sd)
+        F = sparse.eye_array(N * x) - sparse.csr_array(_blocks(tangent.step, 1, 0, N, N))
+        D = sparse.csr_array(_blocks(tangent.driven, 1, 0, N, N - 1))
+        W = sparse.diags_array(np.tile(weight, N))
+        every: Ints = np.arange(N)
+        at: Ints = np.minimum(every, N - 2)
+        Sx = W @ sparse.csr_array(_blocks(tangent.shown, 0, 0, N, N))
+        Sc = W @ sparse.csr_array(_placed(tangent.direct, every, at, N, N - 1))
+        T, R, Cy, Cs = _spline(N, q)
+        y_shown, s_shown = Sc @ Cy, Sc @ Cs
+        precision = sparse.diags_array(np.tile(1 / sd**2, N))
+        one = sparse.eye_array(N * c)
+        grid = [  # unknown: z, X, λ, y, s, μ
+            [one, Sx, None, y_shown, s_shown, None],
+            [None, F, None, -(D @ Cy), -(D @ Cs), None],
+            [-Sx.T, None, F.T, None, None, None],
+            [-y_shown.T, None, -(D @ Cy).T, precision, None, -R.T],
+            [None, None, None, -R, T, None],
+            [-s_shown.T, None, -(D @ Cs).T, None, None, T.T],
+        ]
+        sizes = (c, x, x, q, q, q)
+        # Numbers of the unknowns, sample by sample; each kind is stacked over the samples
+        first = np.concatenate([[0], np.cumsum(np.array(sizes) * N)])
+        parts = [
+            first[kind] + np.arange(N)[:, None] * size + np.arange(size) for kind, size in enumerate(sizes)
+        ]
+        self._order = np.concatenate(parts, axis=1).ravel()
+        self._shape = (N, c)
+        whole = sparse.block_array(grid, format="csc")[:, self._order][self._order]
+        self._factors = splu(sparse.csc_matrix(whole), permc_spec="NATURAL")
+
+    def solve(self, columns: Real) -> Real:
+        """V⁻¹ of columns (samples, channels, K)."""
+        N, c = self._shape
+        right = np.zeros((len(self._order), columns.shape[2]))
+        right[: N * c] = columns.reshape(N * c, -1)
+        solved = np.empty_like(right)
+        solved[self._order] = self._factors.solve(np.ascontiguousarray(right[self._order]))
+        return solved[: N * c].reshape(columns.shape)
+
+
+def _blocks(blocks: Real, down: int, right: int, rows: int, columns: int) -> sparse.coo_array:
+    """Block k (count, height, width) in block row k + down and block column k + right."""
+    k: Ints = np.arange(len(blocks))
+    return _placed(blocks, k + down, k + right, rows, columns)
+
+
+def _placed(blocks: Real, at_row: Ints, at_column: Ints, rows: int, columns: int) -> sparse.coo_array:
+    _, height, width = blocks.shape
+    i = at_row[:, None, None] * height + np.arange(height)[:, None] + 0 * np.arange(width)
+    j = at_column[:, None, None] * width + np.arange(width) + 0 * np.arange(height)[:, None]
+    return sparse.coo_array((blocks.ravel(), (i.ravel(), j.ravel())), (rows * height, columns * width))
+
+
+def _spline(N: int, q: int) -> tuple[sparse.csr_array, ...]:
+    """T s = R y for the rates s of a spline at its samples, and its cubics c = Cy y + Cs s, (…, q) interleaved."""
+    rows = np.arange(N)
+    bands = spline_matrix(N, transposed=False)
+    T = _banded(N, (rows[:-1], rows, rows[1:]), (1, 0, -1), (bands[0, 1:], bands[1], bands[2, :-1]))
+    inner, three, first = rows[1:-1], np.full(N - 2, 3.0), np.array([-2.5, 2.0, 0.5])
+    R = _banded(N, (inner, inner), (1, -1), (three, -three)) + _banded(
+        N,
+        tuple(np.array([row]) for row in (0, 0, 0, N - 1, N - 1, N - 1)),
+        (0, 1, 2, 0, -1, -2),
+        tuple(np.array([value]) for value in (*first, *-first)),
+    )
+    k = np.arange(N - 1)
+    now = sparse.csr_array((np.ones(N - 1), (k, k)), (N - 1, N))
+    later = sparse.csr_array((np.ones(N - 1), (k, k + 1)), (N - 1, N))
+    step = later - now
+    powers = [sparse.csr_array(np.eye(4)[:, [m]]) for m in range(4)]
+    Cy = sparse.kron(now, powers[0]) + sparse.kron(step, 3 * powers[2] - 2 * powers[3])
+    Cs = sparse.kron(now, powers[1] - 2 * powers[2] + powers[3]) + sparse.kron(later, powers[3] - powers[2])
+    each = sparse.eye_array(q)
+    return tuple(sparse.csr_array(sparse.kron(matrix, each)) for matrix in (T, R, Cy, Cs))
+
+
+def _banded(
+    N: int, rows: tuple[Ints, ...], offsets: tuple[int, ...], values: tuple[Real, ...]
+) -> sparse.csr_array:
+    """Values in some rows (…,), each beside the diagonal by an offset."""
+    columns = [row + offset for row, offset in zip(rows, offsets, strict=True)]
+    at = (np.concatenate(rows), np.concatenate(columns))
+    return sparse.csr_array((np.concatenate(values), at), (N, N))
+
+
+# Whole motions by multiple shooting (THEORY §9).
+#
+# A record is cut into segments that are integrated side by side from states of their own; the jumps between them are
+# closed by Newton's method over the chain of segments.  That is the same motion as one long integration, in as many
+# array operations as one segment has samples.  Source: Bock and Plitt (1984), 9th IFAC World Congress.
 
 
 def segment_length(intervals: int) -> int:

@@ -11,16 +11,18 @@ from pydantic import BeforeValidator, Field
 
 from dashpot.channel import Quantity
 from dashpot.errors import DashpotError, ModelError, UsageError
-from dashpot.io.toml_document import Place, Report, TomlDocument
-from dashpot.io.toml_tables import (
+from dashpot.io.toml_document import (
     DIGITS,
     AnyEntry,
     Entry,
     GivenAmount,
     Names,
     Number,
+    Place,
+    Report,
     Share,
     Text,
+    TomlDocument,
     given_amount,
     number,
     one_of,

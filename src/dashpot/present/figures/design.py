@@ -13,9 +13,8 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from matplotlib.transforms import Bbox
 
 from dashpot.arrays import Complex, Real
-from dashpot.design.advise import Answer
+from dashpot.design.advise import Answer, phase_deg
 from dashpot.design.plan import Plan, plan_curves
-from dashpot.design.plan_files import phase_deg
 from dashpot.io.words import counted
 from dashpot.present.figures.style import (
     COLOURS,

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel
-from dashpot.check.data_findings import doubtful as doubtful_of
+from dashpot.check.evidence import doubtful as doubtful_of
 from dashpot.errors import UsageError
 from dashpot.estimate.result import Estimate
 from dashpot.model.modes import modes
@@ -21,7 +21,7 @@ from dashpot.present.schematic.bodies import Connections, connections, forest
 from dashpot.present.schematic.files import svg_document, write_drawing
 from dashpot.present.schematic.labels import BADGES, Knowledge, Labels, labels
 from dashpot.present.schematic.placing import Placed, Placer
-from dashpot.present.schematic.shapes import (
+from dashpot.present.schematic.symbols import (
     MARGIN,
     SMALL,
     TITLE,

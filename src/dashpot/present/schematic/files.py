@@ -16,7 +16,7 @@ from dashpot.errors import printable
 from dashpot.io.atomic import write_bytes
 from dashpot.io.words import PICTURES, chosen_format
 from dashpot.present.figures.style import DPI, style
-from dashpot.present.schematic.shapes import Part, Shape, Text
+from dashpot.present.schematic.symbols import Part, Shape, Text
 
 # Blue, orange and grey are told apart by all kinds of colour vision; weight and dashes tell the same without colour.
 COLOURS: Mapping[str, str] = {

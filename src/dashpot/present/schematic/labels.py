@@ -13,7 +13,7 @@ from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.present.estimate import parameter_rows
 from dashpot.present.schematic.bodies import Body, Push
-from dashpot.present.schematic.shapes import SMALL, TEXT, Line, Tone, shortened
+from dashpot.present.schematic.symbols import SMALL, TEXT, Line, Tone, shortened
 from dashpot.present.words import plain, short
 
 Knowledge = Literal["unknown", "known", "doubtful"]

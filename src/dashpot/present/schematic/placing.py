@@ -17,7 +17,7 @@ from dashpot.model.network import Model
 from dashpot.present.schematic import symbols
 from dashpot.present.schematic.bodies import Body, Branch, Forest, Lane, Link, Push
 from dashpot.present.schematic.labels import Labels
-from dashpot.present.schematic.shapes import (
+from dashpot.present.schematic.symbols import (
     FIXED,
     MARGIN,
     SMALL,

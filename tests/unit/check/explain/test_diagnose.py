@@ -19,7 +19,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import applied, assessment_from
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.global_search import candidates
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.model.elements import Kind, between
 from dashpot.model.network import Model
 from tests import partly_seen, rigs

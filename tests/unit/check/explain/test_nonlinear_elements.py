@@ -17,7 +17,7 @@ from dashpot.check.explain.laws import (
 )
 from dashpot.estimate.assessment import applied
 from dashpot.estimate.identify import identify
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.force_law import force_law

@@ -9,7 +9,7 @@ from dashpot.check.explain.examine import diagnose, examined
 from dashpot.check.explain.record_channels import mistakes_by_equation
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from tests.nonlinear_rigs import motions, settled, two_masses
 
 FREQUENCIES = np.linspace(4, 12, 14)

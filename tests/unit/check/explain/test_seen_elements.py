@@ -9,7 +9,7 @@ from dashpot.check.explain.examine import diagnose
 from dashpot.check.explain.laws import seen_candidates
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.model.elements import Kind, between
 from dashpot.model.nonlinear.force_law import Constant, force_law
 from tests.nonlinear_rigs import motions, settled, two_masses

@@ -72,7 +72,7 @@ def mdf(path: Path, columns: dict[str, Real], times: Real) -> None:
 
 
 def uff(path: Path, columns: dict[str, Real], times: Real) -> None:
-    from dashpot.data.readers.uff.writer import write_uff_records
+    from dashpot.data.readers.uff_writer import write_uff_records
 
     channels = tuple(Channel(name, {name: 1}) for name in columns)
     write_uff_records([Record(channels, times, np.stack(list(columns.values()), axis=-1))], path)

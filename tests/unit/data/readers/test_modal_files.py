@@ -9,9 +9,8 @@ import pytest
 
 from dashpot.channel import Channel
 from dashpot.data.readers.modes import holds_modes, modes_and_notes, read_modes
-from dashpot.data.readers.uff.function import FRF, NodalFunction, NodePoint
-from dashpot.data.readers.uff.modes import NodalMode
-from dashpot.data.readers.uff.writer import write_universal_file
+from dashpot.data.readers.uff import FRF, NodalFunction, NodalMode, NodePoint
+from dashpot.data.readers.uff_writer import write_universal_file
 from dashpot.errors import DataError
 
 

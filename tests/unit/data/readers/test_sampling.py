@@ -7,8 +7,8 @@ import pytest
 
 from dashpot.data.inspection import inspect_file
 from dashpot.data.readers import read
-from dashpot.data.readers.uff.function import TIME_RESPONSE, NodalFunction, NodePoint
-from dashpot.data.readers.uff.writer import write_functions
+from dashpot.data.readers.uff import TIME_RESPONSE, NodalFunction, NodePoint
+from dashpot.data.readers.uff_writer import write_functions
 from dashpot.errors import DataError
 from tests.unit.data.readers.written import CHANNELS
 

@@ -7,10 +7,10 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.readers import read
+from dashpot.data.readers.columns import seconds_of
 from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.registry import reader_of
 from dashpot.data.readers.text import open_table
-from dashpot.data.readers.time_columns import seconds_of
 from dashpot.errors import DataError
 
 MM = (Channel("x1", {"x1": 1}, unit="mm", scale=1e-3), Channel("u", {"u": 1}, unit="mm", scale=1e-3))

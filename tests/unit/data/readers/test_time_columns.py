@@ -4,7 +4,7 @@ import pytest
 
 from dashpot.channel import Channel
 from dashpot.data.readers import read
-from dashpot.data.readers.time_columns import is_timestamp, seconds_of
+from dashpot.data.readers.columns import is_timestamp, seconds_of
 from dashpot.errors import DataError
 
 X = (Channel("x", {"x": 1}),)

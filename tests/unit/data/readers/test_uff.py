@@ -6,10 +6,18 @@ import pytest
 from dashpot.channel import Channel, Quantity
 from dashpot.data.readers import read
 from dashpot.data.readers.datafile import open_file
-from dashpot.data.readers.uff.function import FRF, TIME_RESPONSE, NodalFunction, NodePoint, from_ibm, from_vax
-from dashpot.data.readers.uff.modes import NodalMode, modes_of
-from dashpot.data.readers.uff.reader import functions_of
-from dashpot.data.readers.uff.writer import write_functions, write_modes, write_uff_records
+from dashpot.data.readers.uff import (
+    FRF,
+    TIME_RESPONSE,
+    NodalFunction,
+    NodalMode,
+    NodePoint,
+    from_ibm,
+    from_vax,
+    functions_of,
+    modes_of,
+)
+from dashpot.data.readers.uff_writer import write_functions, write_modes, write_uff_records
 from dashpot.errors import DashpotError, DataError
 from tests.unit.data.readers.written import CHANNELS, packed, recording
 

@@ -204,7 +204,7 @@ def _mdf(path: Path, records: list[Record]) -> None:
 def _uff(
     path: Path, records: list[Record], *, binary: bool = True, double: bool = True, little: bool = True
 ) -> None:
-    from dashpot.data.readers.uff.writer import write_uff_records
+    from dashpot.data.readers.uff_writer import write_uff_records
 
     write_uff_records(records, path, binary=binary, double=double, little=little)
 

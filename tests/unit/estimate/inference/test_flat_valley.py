@@ -17,7 +17,7 @@ from dashpot.estimate.inference.uncertainty import linearise
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from tests import rigs

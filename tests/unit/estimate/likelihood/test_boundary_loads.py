@@ -11,7 +11,7 @@ from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.spectrum import Spectrum, WholeRecord, concatenate
 from dashpot.estimate.likelihood.boundary_loads import record_ends
 from dashpot.estimate.likelihood.objective import measured, predict
-from dashpot.estimate.preparation.prepared import Prepared, prepare
+from dashpot.estimate.preparation import Prepared, prepare
 from dashpot.model.dynamics import dynamic_stiffness, stiffness
 from dashpot.model.observation import observation_model
 from tests.whole_rigs import WholeTest, chain, record_of

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashpot.estimate.likelihood import chunks
-from dashpot.estimate.likelihood.chunks import pieces
+from dashpot.estimate.likelihood import measured as chunks
 from dashpot.estimate.likelihood.global_search import candidates
+from dashpot.estimate.likelihood.measured import pieces
 from dashpot.estimate.likelihood.objective import local, measured, per_line
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.model.observation import observation_model
 from tests.partly_seen import BENCHES, noisy_base
 

@@ -8,11 +8,11 @@ import pytest
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood.compiled import compiled_cost, compiled_local, compiled_output
 from dashpot.estimate.likelihood.descent import Likelihood
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.measured import compiled_cost, compiled_local, compiled_output
 from dashpot.estimate.likelihood.objective import directly_driven, local, measured, per_line
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.numerics.kernel import using
 from tests.kernels import apart, compiled, instruction_sets, instructions
 from tests.networks import network

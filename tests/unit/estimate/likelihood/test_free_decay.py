@@ -13,7 +13,7 @@ from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.global_search import decay_minima, free_modes
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.modes import modes

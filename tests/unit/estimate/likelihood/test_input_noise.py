@@ -10,11 +10,10 @@ from dashpot.channel import Quantity
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.spectrum import SettledDwell, Spectrum
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood.input_noise import _slopes
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import estimated_inputs, measured
-from dashpot.estimate.likelihood.record_noise import with_record_noise
-from dashpot.estimate.preparation.prepared import Prepared, flattened
+from dashpot.estimate.likelihood.record_noise import _slopes, with_record_noise
+from dashpot.estimate.preparation import Prepared, flattened
 from dashpot.model.observation import observation_model, transfer
 from tests.whole_rigs import WholeTest, chain, record_of
 

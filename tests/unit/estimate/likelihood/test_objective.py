@@ -10,7 +10,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import directly_driven, local, measured, predict
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.model import dynamics as sparse_dynamics
 from dashpot.model import observation
 from dashpot.model.elements import Kind, between, mass

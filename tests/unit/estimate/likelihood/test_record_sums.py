@@ -13,10 +13,10 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.estimate.likelihood import record_passes, record_sums
 from dashpot.estimate.likelihood import record_passes as record_pieces
-from dashpot.estimate.likelihood.chunks import Measured
+from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, per_line, predict
 from dashpot.estimate.likelihood.record_sums import compiled_passes, shown_by_ends
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.numerics.kernel import using
 from tests.kernels import apart, compiled, instruction_sets, instructions

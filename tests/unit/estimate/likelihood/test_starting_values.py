@@ -4,7 +4,7 @@ import numpy as np
 
 from dashpot.estimate.likelihood.global_search import _response
 from dashpot.estimate.likelihood.objective import measured, predict
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.model.observation import observation_model
 from tests.partly_seen import calibrations, reaction
 

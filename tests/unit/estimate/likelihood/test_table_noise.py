@@ -11,7 +11,7 @@ from dashpot.check.verdict import assess
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.table_noise import doubts_of_weights, with_residual_noise
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.estimate.registry import method
 from tests.two_masses import PUSHED
 from tests.unit.data.test_local_noise import RIG, functions

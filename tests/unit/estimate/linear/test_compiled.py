@@ -10,7 +10,7 @@ from dashpot.estimate.linear.auxiliary_model import equation_by_line, equation_c
 from dashpot.estimate.linear.gram import compiled_equation
 from dashpot.estimate.linear.instrumental_variables import OptimalIV, objective, search
 from dashpot.estimate.linear.least_squares import starts
-from dashpot.estimate.preparation.prepared import Prepared, prepare
+from dashpot.estimate.preparation import Prepared, prepare
 from dashpot.numerics.kernel import using
 from tests.kernels import apart, compiled, instruction_sets, instructions
 from tests.rigs import Rig, channels, covariance, noisy, random_rig

@@ -10,8 +10,14 @@ from dashpot.channel import Quantity
 from dashpot.errors import IdentifiabilityError, ModelError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.auxiliary_model import auxiliary
-from dashpot.estimate.linear.definite import DefiniteOptimalIV, FreeMatrices, _Cone, _nearest, matrices_of
-from dashpot.estimate.linear.instrumental_variables import OptimalIV
+from dashpot.estimate.linear.instrumental_variables import (
+    DefiniteOptimalIV,
+    FreeMatrices,
+    OptimalIV,
+    _Cone,
+    _nearest,
+    matrices_of,
+)
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Kind, between, mass

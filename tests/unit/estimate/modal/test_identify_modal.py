@@ -9,8 +9,7 @@ from scipy.optimize import least_squares
 
 from dashpot.data.modal_data import ModalData, of_eigenvalues
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
-from dashpot.estimate.modal.identify_modal import identify_modal
-from dashpot.estimate.modal.mode_search import like_parts
+from dashpot.estimate.modal import identify_modal, like_parts
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.modes import mode_sensitivities, modes
 from dashpot.model.network import Input, Model

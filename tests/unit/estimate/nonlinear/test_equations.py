@@ -9,7 +9,7 @@ import pytest
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.nonlinear.regression import harmonic_equations
-from dashpot.estimate.preparation.prepared import prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.model.elements import Kind, between
 from dashpot.model.nonlinear.force_law import force_law
 from tests.nonlinear_rigs import motions, noisy, settled, two_masses

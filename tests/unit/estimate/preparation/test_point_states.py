@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Quantity
-from dashpot.estimate.preparation.state_reconstruction import reconstruction, states_by_point
+from dashpot.estimate.preparation import reconstruction, states_by_point
 from dashpot.model.observation import observation_model
 from dashpot.numerics.kernel import using
 from tests.kernels import compiled

@@ -4,7 +4,7 @@ import numpy as np
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.preparation.prepared import working_covariance
+from dashpot.estimate.preparation import working_covariance
 from dashpot.model.observation import observation_model
 from tests.networks import network
 

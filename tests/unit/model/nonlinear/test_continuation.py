@@ -13,13 +13,15 @@ from dashpot.model.elements import Kind, between
 from dashpot.model.modes import modes
 from dashpot.model.nonlinear import continuation
 from dashpot.model.nonlinear import continuation as stability
-from dashpot.model.nonlinear.backbone import backbone, channel_harmonics, swing
 from dashpot.model.nonlinear.continuation import (
     amplitude_sweep,
+    backbone,
+    channel_harmonics,
     floquet_multipliers,
     followed,
     frequency_sweep,
     stable_motions,
+    swing,
 )
 from dashpot.model.nonlinear.force_law import force_law
 from dashpot.model.nonlinear.harmonic_balance import periodic_response

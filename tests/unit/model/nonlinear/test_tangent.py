@@ -6,10 +6,10 @@ import pytest
 from dashpot.channel import Channel, Quantity
 from dashpot.estimate.nonlinear.records import RecordData, shown_outputs
 from dashpot.model.nonlinear.integration import Integrator, Motion, forcing
-from dashpot.model.nonlinear.shooting import integrate
-from dashpot.model.nonlinear.tangent import (
+from dashpot.model.nonlinear.shooting import (
     ChainSolver,
     Tangent,
+    integrate,
     spline_coefficients,
     spline_transposed,
     tangent,

@@ -16,12 +16,22 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel
-from dashpot.data.readers import arrays, arrow_files, datafile, hdf5, mdf, numpy_files, read, tdms, text, wav
+from dashpot.data.readers import (
+    arrays,
+    arrow_files,
+    datafile,
+    hdf5,
+    mdf,
+    numpy_files,
+    read,
+    tdms,
+    text,
+    uff,
+    wav,
+)
 from dashpot.data.readers import matlab as matlab_vectors
-from dashpot.data.readers.uff import function
-from dashpot.data.readers.uff.function import TIME_RESPONSE, NodalFunction, NodePoint
-from dashpot.data.readers.uff.reader import functions_of
-from dashpot.data.readers.uff.writer import write_functions
+from dashpot.data.readers.uff import TIME_RESPONSE, NodalFunction, NodePoint, functions_of
+from dashpot.data.readers.uff_writer import write_functions
 from dashpot.errors import DataError
 from dashpot.io.atomic import Scratch
 from tests.unit.data.readers import written
@@ -31,7 +41,7 @@ from tests.unit.data.readers.written import CHANNELS, WRITERS, as_read, recordin
 @pytest.fixture
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything is large: pieces of 100 numbers, text in blocks of 4 kB."""
-    for module in (arrays, arrow_files, function, hdf5, matlab_vectors, mdf, numpy_files, tdms, wav):
+    for module in (arrays, arrow_files, hdf5, matlab_vectors, mdf, numpy_files, tdms, uff, wav):
         for name, value in (("PIECE", 100), ("LONG", 200)):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, value)
@@ -144,7 +154,7 @@ def test_long_functions_of_universal_files_are_not_held(
     ]
     write_functions(written, path, binary=binary)
     (held,) = as_read(path)
-    monkeypatch.setattr(function, "LONG", 200)
+    monkeypatch.setattr(uff, "LONG", 200)
     assert all(read_back.long is not None for read_back in functions_of(datafile.open_file(path)))
     (record,) = as_read(path)
     assert np.array_equal(record.values, held.values)

@@ -13,8 +13,8 @@ import pytest
 from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.readers import read, write_amplitudes, write_records
-from dashpot.data.readers.uff.function import FRF, NodalFunction, NodePoint
-from dashpot.data.readers.uff.writer import write_functions
+from dashpot.data.readers.uff import FRF, NodalFunction, NodePoint
+from dashpot.data.readers.uff_writer import write_functions
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from tests.unit.data.readers.column_files import TABLES, famos, hdf5, mat, mdf, npz, tdms, uff

@@ -19,7 +19,7 @@ from dashpot.estimate.linear.auxiliary_model import auxiliary, information
 from dashpot.estimate.linear.gram import gram, gram_force, known_side, regressors
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
-from dashpot.estimate.preparation.prepared import channels_correlate, noise_quality
+from dashpot.estimate.preparation import channels_correlate, noise_quality
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import dynamic_stiffness, response, sensitivities, stiffness, unit_forces
 from dashpot.model.elements import Element, Kind, between, mass

@@ -20,7 +20,7 @@ from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.force_law import Constant, force_law
-from dashpot.model.nonlinear.moving_base import bases_of, moving_rig
+from dashpot.model.nonlinear.integration import bases_of, moving_rig
 from dashpot.study.simulate import driven_record
 from tests.networks import network
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from dashpot.data.readers.uff.function import (
+from dashpot.data.readers.uff import (
     EXACT,
     FRF,
     LINES,
@@ -16,9 +16,9 @@ from dashpot.data.readers.uff.function import (
     OF_TIME,
     TIME_RESPONSE,
     NodalFunction,
+    NodalMode,
     NodePoint,
 )
-from dashpot.data.readers.uff.modes import NodalMode
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.io.atomic import write_bytes

@@ -1,20 +1,26 @@
-"""Dataset 58: a function at a node, such as samples over time or a frequency response."""
+"""Universal files: datasets 58 (functions at nodes) and 55 (modes), and their functions as parts of records."""
 
 from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from dashpot.arrays import Complex, Real, freeze, frozen
-from dashpot.data.readers.arrays import LONG, PIECE, Streamed, steps
+from dashpot.channel import Channel, Quantity
+from dashpot.data.modal_data import ModalData, independent_modes
+from dashpot.data.readers.arrays import LONG, PIECE, ArrayColumns, Streamed, array_columns, steps
+from dashpot.data.readers.columns import FREQUENCY, TIME
 from dashpot.data.readers.datafile import DataFile
 from dashpot.errors import DataError
+from dashpot.io.words import listed, shown
+from dashpot.notices import Notice
 
 # Floating-point numbers of old machines: IBM System/370 and DEC VAX.
 
@@ -274,8 +280,8 @@ def read_function(stream: UffStream, start: DatasetStart) -> NodalFunction:
         reference,
         abscissa,
         ordinate,
-        _label(lines[8]),
-        _label(lines[9]),
+        _text_of(lines[8]),
+        _text_of(lines[9]),
         ids,
         shape.even,
         kinds[3],
@@ -289,7 +295,7 @@ def _words(line: bytes, start: int, end: int) -> str:
     return "" if text == "NONE" else text
 
 
-def _label(line: bytes) -> str:
+def _text_of(line: bytes) -> str:
     """The units label of an axis."""
     return _words(line, 46, 67)
 
@@ -437,3 +443,331 @@ def _floats(raw: Any, layout: _Layout, width: int) -> Real:
     if layout.floats == 3:
         return from_ibm(np.frombuffer(data, dtype=f"{mark}u{width}"), width)
     return from_vax(np.frombuffer(data, dtype="<u2"), width)
+
+
+NORMAL, FIRST_ORDER, SECOND_ORDER = 2, 3, 7  # analysis types
+REAL, COMPLEX = 2, 5  # data types
+
+
+@dataclass(frozen=True)
+class NodalMode:
+    """One mode: eigenvalue in rad/s, nodes, and shapes (nodes, 3) or (nodes, 6): X, Y, Z (and rotations)."""
+
+    eigenvalue: complex
+    nodes: tuple[int, ...]
+    shapes: Complex
+    ids: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def frequency_hz(self) -> float:
+        """Undamped natural frequency."""
+        return abs(self.eigenvalue) / (2 * np.pi)
+
+    @property
+    def damping_ratio(self) -> float:
+        """Share of critical damping."""
+        return -self.eigenvalue.real / abs(self.eigenvalue) if self.eigenvalue else 0.0
+
+
+def modes_of(file: DataFile) -> Iterator[NodalMode]:
+    """All modes of a universal file; other datasets are passed over.
+
+    Raises DataError, with the line, for what is damaged or cut off.
+    """
+    with file.reading() as raw:
+        stream = UffStream(raw, file)
+        for start in dataset_starts(stream):
+            mode = _mode(stream, start) if start.number == 55 else None
+            if start.number != 55:
+                skip_dataset(stream)
+            if mode is not None:
+                yield mode
+
+
+def _mode(stream: UffStream, start: DatasetStart) -> NodalMode | None:
+    """A mode; None where the dataset holds something else."""
+    ids = tuple(stream.line().decode("utf-8", errors="replace").strip() for _ in range(5))
+    try:
+        _, analysis, _, _, data_type, per_node = (int(field) for field in _cut(stream.line(), 10)[:6])
+    except ValueError:
+        raise stream.wrong("the header of data at nodes is damaged") from None
+    if analysis not in (NORMAL, FIRST_ORDER, SECOND_ORDER) or data_type not in (REAL, COMPLEX):
+        skip_dataset(stream)
+        return None
+    stream.line()
+    eigenvalue = _eigenvalue(stream, analysis)
+    nodes, table = _at_nodes(stream, per_node * (2 if data_type == COMPLEX else 1))
+    shape = table[:, 0::2] + 1j * table[:, 1::2] if data_type == COMPLEX else table.astype(complex)
+    return NodalMode(eigenvalue, nodes, shape, tuple("" if i == "NONE" else i for i in ids))
+
+
+def _eigenvalue(stream: UffStream, analysis: int) -> complex:
+    """The eigenvalue in rad/s; of a normal mode from its frequency in Hz and its damping ratio."""
+    values = _numbers(stream, stream.line())
+    if len(values) < 2:
+        raise stream.wrong("the eigenvalue is missing")
+    if analysis != NORMAL:
+        return complex(values[0], values[1])
+    damping = values[2] if len(values) > 2 else 0.0
+    omega = 2 * np.pi * values[0]
+    return complex(-damping * omega, omega * np.sqrt(max(0.0, 1 - damping**2)))
+
+
+def _at_nodes(stream: UffStream, size: int) -> tuple[tuple[int, ...], Real]:
+    """Nodes and the numbers at each, (nodes, size), to the end of the dataset."""
+    nodes, rows = [], []
+    while (line := stream.line()).strip() != MARK:
+        try:
+            nodes.append(int(line[:10]))
+        except ValueError:
+            raise stream.wrong("the number of a node should stand here") from None
+        numbers: list[float] = []
+        while len(numbers) < size:
+            more = _numbers(stream, stream.line())
+            if not more:
+                raise stream.wrong(f"{size} numbers should stand here")
+            numbers += more
+        if len(numbers) != size:
+            raise stream.wrong(f"{size} numbers should stand here, not {len(numbers)}")
+        rows.append(numbers)
+    return tuple(nodes), np.array(rows, dtype=float).reshape(len(nodes), size)
+
+
+def _cut(line: bytes, width: int) -> list[bytes]:
+    return [line[i : i + width] for i in range(0, len(line.rstrip()), width)]
+
+
+def _numbers(stream: UffStream, line: bytes) -> list[float]:
+    """Numbers in 13 columns each."""
+    try:
+        return [float(field.replace(b"D", b"E")) for field in _cut(line, 13) if field.strip()]
+    except ValueError:
+        raise stream.wrong("something that is not a number stands among the values") from None
+
+
+# Modes of universal files (dataset 55) as modal data of a rig's coordinates.
+
+
+USUAL_SD = 0.01, 0.2, 0.05  # relative: of frequencies, damping ratios, shapes against their largest entry
+Place = tuple[int, int]  # node, direction from 1 (+X) on
+
+
+def read_uff_modes(
+    file: DataFile,
+    coordinates: Sequence[str],
+    channels: Iterable[Channel],
+    relative_sd: tuple[float, float, float],
+) -> tuple[ModalData, list[Notice]]:
+    """Modes with shapes at those coordinates that have a node, and what was assumed.
+
+    A node and its direction belong to a coordinate by its name (3+Z, or 3), by that of a channel that shows this
+    coordinate alone, or by the list that dashpot writes; where none fits and there are as many as coordinates, in
+    their order.  The file has no standard deviations: `relative_sd` gives them.  Raises DataError.
+    """
+    measured = [mode for mode in modes_of(file) if mode.eigenvalue.imag > 0]
+    if not measured:
+        raise DataError("the file has no oscillating mode", file.name, "export datasets 55 of modes")
+    shares = "{:g} % of frequencies, {:g} % of damping ratios, {:g} % of a shape's largest entry"
+    text = (
+        f"the file has no standard deviations: assumed are {shares.format(*(100 * x for x in relative_sd))}"
+    )
+    notes = [Notice("modes_without_sd", text, ())]
+    places = _places(measured)
+    matched = _matched(measured, places, coordinates, channels)
+    if not matched:
+        if len(places) != len(coordinates):
+            raise DataError(
+                f"no node is a coordinate of the rig: there are {listed(map(_label, places))}",
+                file.name,
+                'list channels of these names in the rig file, such as "3+Z" = { of = "x1" }',
+            )
+        matched = {name: (place, 1.0) for name, place in zip(coordinates, places, strict=True)}
+        pairs = ", ".join(f"{_label(place)} = {shown(name)}" for name, (place, _) in matched.items())
+        text = f"nodes are taken for coordinates in their order: {pairs}"
+        notes.append(Notice("modes_in_order", text, tuple(coordinates)))
+    points = tuple(name for name in coordinates if name in matched)
+    shapes: Complex = np.full((len(measured), len(points)), np.nan + 0j)
+    for k, mode in enumerate(measured):
+        for c, name in enumerate(points):
+            (node, direction), factor = matched[name]
+            if node in mode.nodes and direction <= mode.shapes.shape[1]:
+                shapes[k, c] = mode.shapes[mode.nodes.index(node), direction - 1] / factor
+    frequency = np.array([mode.frequency_hz for mode in measured])
+    damping = np.array([mode.damping_ratio or np.nan for mode in measured])
+    largest = np.max(np.abs(np.nan_to_num(shapes)), axis=1, initial=0.0)
+    spread = relative_sd[2] * np.broadcast_to(largest[:, None], shapes.shape)
+    of_frequency, of_damping = (frequency, relative_sd[0] * frequency), (damping, relative_sd[1] * damping)
+    return independent_modes(points, of_frequency, of_damping, (shapes, spread)), notes
+
+
+def _places(found: Sequence[NodalMode]) -> list[Place]:
+    """Nodes and directions that move in some mode, in order."""
+    places: set[Place] = set()
+    for mode in found:
+        size = np.abs(mode.shapes)
+        moving = size > 1e-9 * np.max(size, initial=0.0)  # else the direction was not measured
+        places.update((mode.nodes[row], column + 1) for row, column in np.argwhere(moving).tolist())
+    return sorted(places)
+
+
+def _label(place: Place) -> str:
+    return f"{place[0]}{DIRECTIONS.get(place[1], '')}"
+
+
+def _matched(
+    modes: Sequence[NodalMode],
+    places: Sequence[Place],
+    coordinates: Sequence[str],
+    channels: Iterable[Channel],
+) -> dict[str, tuple[Place, float]]:
+    """Place and factor of each coordinate that has one by its names.
+
+    A coordinate goes by its own name and by those of channels that show it alone; a place by node and direction and,
+    where the node moves in one direction, by the node alone and the name that the file lists for it.
+    """
+    names = {name: (name, 1.0) for name in coordinates}
+    for channel in channels:
+        if channel.quantity is not Quantity.FORCE and len(channel.of) == 1:
+            ((point, factor),) = channel.of.items()
+            if point in coordinates:
+                names.setdefault(channel.name, (point, factor))
+    pairs = (re.findall(r"(\d+) = ([^,]+)", text) for mode in modes for text in mode.ids[2:])
+    listed_names = dict(pair for each in pairs for pair in each)
+    nodes = [node for node, _ in places]
+    matched: dict[str, tuple[Place, float]] = {}
+    for place in places:
+        node, texts = str(place[0]), [_label(place)]
+        if nodes.count(place[0]) == 1:
+            texts += [node, listed_names.get(node, "").strip()]
+        for text in texts:
+            if text in names:
+                point, factor = names[text]
+                matched.setdefault(point, (place, factor))
+    return matched
+
+
+KINDS = (TIME_RESPONSE, FRF, TRANSMISSIBILITY, SPECTRUM)
+
+
+def is_universal(file: DataFile) -> bool:
+    """The first lines are the mark of a dataset and its number."""
+    lines = file.head[:1000].split(b"\n", 3)
+    lines = [line for line in lines if line.strip()]
+    if len(lines) < 2 or lines[0].strip() != MARK or not lines[0].startswith(b"  "):
+        return False
+    return lines[1][:6].strip().isdigit()
+
+
+def read_universal(file: DataFile) -> Iterator[ArrayColumns]:
+    """Samples over time, spectra and frequency responses.
+
+    A column has the name of ID line 1 where that differs among the functions, else of the entity, else its node and
+    direction, such as 3+Z; FRFs are OUT/IN.  The third axis, where it is a frequency, is the drive frequency.
+    Raises DataError, with the line, for what is damaged or cut off.
+    """
+    count = 0
+    held: list[NodalFunction] = []
+    others: set[int] = set()
+    for function in functions_of(file, others):
+        if function.kind not in KINDS:
+            continue
+        if held and not _together(held, function):
+            count += 1
+            yield _part(file.name, count, held)
+            held = []
+        held.append(function)
+    if held:
+        yield _part(file.name, count + 1, held)
+    elif not count:
+        cure = "export samples over time, spectra or frequency responses (dataset 58)"
+        what = "the file holds no samples, spectra or frequency responses"
+        if 55 in others:
+            what, cure = (
+                f"{what}, but modes (dataset 55)",
+                "identify a rig that has their coordinates by it",
+            )
+        raise DataError(what, file.name, cure)
+
+
+def functions_of(file: DataFile, others: set[int] | None = None) -> Iterator[NodalFunction]:
+    """All functions of a universal file (datasets 58 and 58b); the numbers of other datasets go to `others`.
+
+    Raises DataError where the file is damaged or cut off.
+    """
+    with file.reading() as raw:
+        stream = UffStream(raw, file)
+        before: NodalFunction | None = None
+        for start in dataset_starts(stream):
+            if start.number == 58:
+                function = read_function(stream, start)
+                if before is not None and function.beside(before):
+                    function = replace(function, abscissa=before.abscissa)  # shared, not held twice
+                before = function
+                yield function
+            else:
+                skip_dataset(stream)
+                if others is not None:
+                    others.add(start.number)
+
+
+def _together(held: Sequence[NodalFunction], function: NodalFunction) -> bool:
+    """Whether a function belongs to those before it: the same kind and abscissa, and another measurement."""
+    first = held[0]
+    return (
+        (first.kind == TIME_RESPONSE) == (function.kind == TIME_RESPONSE)
+        and (first.z_kind, first.z_value) == (function.z_kind, function.z_value)
+        and _measured(function) not in [_measured(other) for other in held]
+        and function.beside(first)
+    )
+
+
+def _measured(function: NodalFunction) -> tuple[NodePoint, NodePoint, tuple[str, ...]]:
+    return function.response, function.reference, function.ids[:1]
+
+
+def _part(source: str, number: int, functions: Sequence[NodalFunction]) -> ArrayColumns:
+    """Functions over one abscissa as columns."""
+    place = source if number == 1 else f"{source} (part {number})"
+    first = functions[0]
+    columns: dict[str, Any] = {FREQUENCY: first.abscissa}
+    units: dict[str, str | None] = {}
+    if first.kind == TIME_RESPONSE:
+        columns = {TIME: first.abscissa if first.long is None else first.long.time}
+        if first.z_kind == OF_FREQUENCY and first.z_value > 0:
+            columns[FREQUENCY] = steps(first.z_value, 0.0, len(columns[TIME]))
+    for function, name in zip(functions, _column_names(functions), strict=True):
+        values: dict[str, Any] = {name: function.ordinate if function.long is None else function.long.values}
+        if function.kind != TIME_RESPONSE:
+            values = {f"{name}_re": function.ordinate.real, f"{name}_im": np.imag(function.ordinate)}
+        for column, numbers in values.items():
+            if column in columns:
+                raise DataError(f"{column} is there twice", place, "give each function a point of its own")
+            columns[column] = numbers
+            units[column] = function.unit or None
+    return array_columns(place, columns, units)
+
+
+def _column_names(functions: Sequence[NodalFunction]) -> list[str]:
+    """ID line 1 where it tells the functions apart, else the response; of FRFs OUT/IN."""
+    responses = _names([f.response for f in functions])
+    references = _names([f.reference for f in functions])
+    titles = [f.ids[0] if f.ids else "" for f in functions]
+    titled = len(set(titles)) == len(titles) and all(titles)
+    names = []
+    for function, response, reference, title in zip(functions, responses, references, titles, strict=True):
+        name = title if titled else response
+        if function.kind in (FRF, TRANSMISSIBILITY):
+            name = title if titled and title.count("/") == 1 else f"{response}/{reference}"
+        names.append(name)
+    return names
+
+
+def _names(points: Sequence[NodePoint]) -> list[str]:
+    """Names of points: the entities where they tell the points apart, else nodes and directions."""
+    entities = {point.entity for point in points}
+    if "" not in entities and len(entities) == len(set(points)):
+        return [point.entity for point in points]
+    return [point.name for point in points]

@@ -1,1 +1,0 @@
-"""Physical parameters from measured modes."""

@@ -1,1 +1,0 @@
-"""Yamane (1989): its tables, figures and rig."""
