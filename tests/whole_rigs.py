@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
-from dashpot.arrays import Complex, Real
+from dashpot.arrays import Bools, Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
 from dashpot.model.dynamics import matrices
@@ -228,10 +228,10 @@ class Twin:
     chi2: float
 
 
-def twin(test: WholeTest, record: Record, sd: Real, start: Real) -> Twin:
+def twin(test: WholeTest, record: Record, sd: Real, start: Real, there: Bools | None = None) -> Twin:
     """Least squares of the samples over θ, the unknown starting state and the offset of each channel, inputs exact.
 
-    Slow, and nobody's code path.
+    there (samples, channels): which of them are measured.  Slow, and nobody's code path.
 
     The inputs are splines through the record's own samples; the last channels are those of the inputs (displacement
     or force), which have no noise.
@@ -242,7 +242,9 @@ def twin(test: WholeTest, record: Record, sd: Real, start: Real) -> Twin:
     outputs = record.channels[: len(record.channels) - count]
     view = observation_model(model, outputs, np.ones(1))
     inputs = record.values[:, len(outputs) :] if count else np.zeros((len(record.time), 0))
-    weight = 1 / np.asarray(sd)[: len(outputs)]
+    weight = np.broadcast_to(1 / np.asarray(sd)[: len(outputs)], (len(record.time), len(outputs)))
+    if there is not None:
+        weight = weight * there[:, : len(outputs)]
 
     def residuals(x: Real) -> Real:
         theta = x[: len(start)] * start
@@ -253,7 +255,7 @@ def twin(test: WholeTest, record: Record, sd: Real, start: Real) -> Twin:
             channel_samples(view, p, steps.motion(np.zeros_like(inputs), each)) for each in np.eye(2 * model.n)
         ])  # fmt: skip
         r = ((record.values[:, : len(outputs)] - forced) * weight).ravel()
-        offsets = np.tile(np.eye(len(outputs)), (len(record.time), 1))
+        offsets = (np.eye(len(outputs)) * (weight * sd[: len(outputs)])[..., None]).reshape(-1, len(outputs))
         A = np.concatenate([(free * weight).reshape(2 * model.n, -1).T, offsets], axis=1)
         size = np.linalg.norm(A, axis=0)
         state = np.linalg.lstsq(A / size, r, rcond=1e-12)[0]

@@ -16,6 +16,7 @@ from scipy.fft import next_fast_len
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel
+from dashpot.data.record import calibration
 from dashpot.errors import DataError
 from dashpot.io.json_document import optional_library
 from dashpot.notices import Notice
@@ -76,6 +77,30 @@ class SettledDwell:
         return np.rint(np.asarray(frequency_hz) / self.fundamental_hz).astype(np.int64)
 
 
+@dataclass(frozen=True, eq=False)
+class Unmeasured:
+    """Samples of a whole record that one channel has not measured: what is put in for them is off by unknowns.
+
+    channel      with what is left of its known gain, sign and delay
+    samples      (k,) their numbers
+    mean, precision  (k,), (k, k) of the unknowns, as much as is known beside the record's lines: in the channel's unit,
+                 inverse covariance
+    """
+
+    channel: Channel
+    samples: Ints
+    mean: Real
+    precision: Real
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    def columns(self, omega: Real, record: WholeRecord) -> Complex:
+        """Amplitudes at ω (lines,), rad/s, per unit of each unknown: (lines, k)."""
+        turn = np.exp(-1j * omega[:, None] * record.step_s * self.samples) * (2 / record.samples)
+        return calibration((self.channel,), omega / (2 * np.pi)) * turn
+
+
 @dataclass(frozen=True)
 class WholeRecord:
     """Lines k / T of one stretch of samples, whose motion need not return to where it began.
@@ -87,8 +112,7 @@ class WholeRecord:
     polynomial   how many of the columns 1, jω, (jω)², … each output channel has for what the ends of the record alias
     ramp         whether each output channel has the column 1/jω of a linear drift as well
     drive_hz     drive frequency of a dwell that may have settled, which is then steady motion at that frequency
-    weaker       channels some of whose samples were put in by estimate and tell nothing: name, and times what the
-                 variance of an amplitude would be had they been measured
+    unmeasured   of each channel that has not measured all samples which, unknowns in its lines
     """
 
     duration_s: float
@@ -97,7 +121,7 @@ class WholeRecord:
     polynomial: int = 4
     ramp: bool = False
     drive_hz: float | None = None
-    weaker: tuple[tuple[str, float], ...] = ()
+    unmeasured: tuple[Unmeasured, ...] = ()
 
     def __post_init__(self) -> None:
         if not (0 < self.duration_s < np.inf and self.samples > 0 and 0 <= self.polynomial <= MOST_TERMS):
@@ -155,6 +179,14 @@ def joined_stretches(
             stretches.append(value)
         lines.append(number[stretch])
     return np.concatenate(lines) if lines else np.zeros(0, dtype=np.int64), tuple(stretches)
+
+
+def taken_as_measured(spectrum: Spectrum) -> Spectrum:
+    """The same, with what is put in for samples that are not measured counting as measured: for first fits."""
+    if not any(value.unmeasured for value in spectrum.stretches if isinstance(value, WholeRecord)):
+        return spectrum
+    plain = (replace(v, unmeasured=()) if isinstance(v, WholeRecord) else v for v in spectrum.stretches)
+    return replace(spectrum, stretches=tuple(plain))
 
 
 def selected(stretch: Ints, stretches: tuple[Stretch, ...]) -> tuple[Ints, tuple[Stretch, ...]]:

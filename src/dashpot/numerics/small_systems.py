@@ -60,6 +60,45 @@ def independent(products: Real, squares: Real | None = None) -> tuple[Real, Ints
     return unit[..., :, None] * vectors * scale[..., None, :], np.sum(kept, axis=-1)
 
 
+def with_known_last(products: Real, squares: Real, precision: Real, count: int) -> tuple[Real, Ints]:
+    """As `independent`, of N + precision, where the last `count` columns do not depend on each other.
+
+    These, which may be many, go by a triangular factor.  (B, rank), the rank without them; squares (..., columns) of
+    N's columns, precision (columns, columns) or with leading axes.
+    """
+    N = np.where(np.isfinite(products), products, 0.0) + precision
+    size = np.nan_to_num(squares) + np.diagonal(precision, axis1=-2, axis2=-1)
+    unit = np.where(size > 0, 1 / np.sqrt(np.where(size > 0, size, 1.0)), 0.0)
+    N = N * unit[..., :, None] * unit[..., None, :]
+    first = N.shape[-1] - count
+    # Of records with fewer such columns the others are 0; what is left of two that are nearly one is rounding
+    spare = np.where(unit[..., first:, None] > 0, 1e-11, 1.0) * np.eye(count)
+    inverse = np.linalg.inv(np.linalg.cholesky(N[..., first:, first:] + spare))
+    across = inverse @ N[..., first:, :first]
+    rest = N[..., :first, :first] - np.swapaxes(across, -1, -2) @ across
+    own, rank = independent(rest, np.diagonal(N, axis1=-2, axis2=-1)[..., :first])
+    B = np.zeros(N.shape)
+    B[..., :first, :first] = own
+    back = np.swapaxes(inverse, -1, -2)
+    B[..., first:, :first] = -back @ across @ own
+    B[..., first:, first:] = back
+    return unit[..., :, None] * B, rank
+
+
+def whitening_steps(B: Real, precision: Real) -> tuple[Real, Real]:
+    """(B, step) of columns that are known beforehand as well as `precision` says, (..., columns, columns).
+
+    B Bᵀ = (N + precision)⁻¹ is given and turned so that Bᵀ precision B = λ is diagonal.  What the columns F leave of
+    the products of rows is that of 1 − F B Bᵀ Fᵀ; 1 − F B step Bᵀ Fᵀ, with step = 1 / (1 + √λ), is its root, and makes
+    rows white.  It is 1 in directions of which nothing is known.
+    """
+    known, turn = np.linalg.eigh(np.swapaxes(B, -1, -2) @ precision @ B)
+    return B @ turn, 1 / (1 + np.sqrt(np.clip(known, 0.0, 1.0)))
+
+
+FREE = 0.97  # step from which on a column that is known beforehand takes a degree of freedom: known to a thousandth
+
+
 def solve_small(matrix: Complex, right: Complex) -> Complex:
     """matrix⁻¹ right for stacks of small matrices (..., n, n) and right sides (..., n, k); NaN where singular.
 

@@ -48,7 +48,7 @@ from dashpot.data.conditioning.transients import (
     transients_matter,
     without_start,
 )
-from dashpot.data.conditioning.unmeasured import completed, marked, notices_of_doubt
+from dashpot.data.conditioning.unmeasured import expected, marked, notices_of_doubt
 from dashpot.data.conditioning.whole_record import AT_REST, whole_records
 from dashpot.data.periods import average_periods
 from dashpot.data.record import Record, calibration
@@ -425,15 +425,14 @@ def _evened(dwells: Sequence[Record], settings: Conditioning) -> tuple[Sequence[
 def _as_whole(
     dwells: Sequence[Record], at_hz: Sequence[float | None], settings: Conditioning, why: str
 ) -> Spectrum:
-    """Dwells as whole records, which need every sample: others than are measured by the motion around, at `at_hz`."""
-    complete = [completed(replace(record, frequency_hz=f)) for record, f in zip(dwells, at_hz, strict=True)]
+    """Dwells as whole records; the motion around, at `at_hz`, begins the samples that are not measured."""
+    begun = [expected(replace(record, frequency_hz=f)) for record, f in zip(dwells, at_hz, strict=True)]
     return dwells_with_transients(
-        [replace(full, frequency_hz=of.frequency_hz) for (full, _), of in zip(complete, dwells, strict=True)],
+        [replace(full, frequency_hz=of.frequency_hz) for full, of in zip(begun, dwells, strict=True)],
         settings.band,
         settings.still,
         why=why,
         slopes=settings.degree > 0,
-        weaker=[times for _, times in complete],
     )
 
 
@@ -580,7 +579,7 @@ def _lines(
         fit.dof[wanted],
         (fit.noise,) * len(wanted),
         np.full(len(wanted), record.experiment),
-        second_moments(completed(record)[0], settings.drift) if with_moments else None,
+        second_moments(expected(record), settings.drift) if with_moments else None,
         (*notes, *fit.notes, *other_motion(record, fit, wanted)),
         stretches=(SettledDwell(fit.frequency_hz if len(wanted) > 1 else None),),
     )

@@ -542,16 +542,13 @@ def dwells_with_transients(
     *,
     why: str = "not settled",
     slopes: bool = False,
-    weaker: Sequence[Real] | None = None,
 ) -> Spectrum:
     """Lines of each dwell with boundary loads of its own, and a column for a slope of each output where `slopes`.
 
-    A note says `why`.  weaker: times the variance that the channels of each dwell would have with all samples.  Raises
-    as `whole_record`.
+    A note says `why`.  Raises as `whole_record`.
     """
     spectra = []
-    each = [np.ones(len(record.channels)) for record in records] if weaker is None else weaker
-    for record, times in zip(records, each, strict=True):
+    for record in records:
         if len(record.time) < FEWEST_OF_A_DWELL:
             raise DataError(
                 f"a dwell of {len(record.time)} samples is too short to separate its transient from its motion",
@@ -563,8 +560,7 @@ def dwells_with_transients(
         if lines.lines < SHORT:
             lines = whole_record(record, band_hz=band_hz, still=still, polynomial=2)
         (whole,) = (value for value in lines.stretches if isinstance(value, WholeRecord))
-        fewer = tuple((record.channels[c].name, float(times[c])) for c in np.flatnonzero(times > 1))
-        dwell = replace(whole, drive_hz=record.frequency_hz, ramp=slopes, weaker=fewer)
+        dwell = replace(whole, drive_hz=record.frequency_hz, ramp=slopes)
         lines = replace(lines, stretches=(dwell,))
         spectra.append(_with_sine_floor(lines, record) if still is None else lines)
     dwells = "one dwell is" if len(spectra) == 1 else f"{len(spectra)} dwells are"
@@ -594,7 +590,7 @@ def _beside_the_sine(record: Record, f: float) -> Real:
     By a polynomial of fewer degrees than it has periods, that neither harmonics nor slopes can look like.
     """
     fit = fit_harmonics(record, orders=(1,), drift=1, noise="white")
-    variance: Real = np.diagonal(fit.residual_covariance).real
+    variance: Real = np.diagonal(fit.residual_covariance).real.copy()
     samples, terms = len(record.time), 2 + 2 * len(fit.orders)
     degree = min(MOST_BENDS, int(fit.periods), (samples - terms) // 6)
     if degree < 1 or samples > CHUNK:
@@ -602,5 +598,10 @@ def _beside_the_sine(record: Record, f: float) -> Real:
     steady = basis(record.time, f, fit.orders, 1, *window(record.time))
     bends = legvander(np.linspace(-1, 1, samples), degree)[:, 1:]
     A = np.concatenate([steady, steady[:, 2:3] * bends, steady[:, 3:4] * bends], axis=1)
-    rest = record.values - A @ np.linalg.lstsq(A, record.values, rcond=None)[0]
-    return np.asarray(np.sum(rest**2, axis=0) / (samples - A.shape[1]))
+    for c, y in enumerate(record.values.T):
+        measured = slice(None) if record.status is None else record.status[:, c] == 0
+        rows, some = A[measured], y[measured]
+        if len(some) > A.shape[1]:
+            rest = some - rows @ np.linalg.lstsq(rows, some, rcond=None)[0]
+            variance[c] = rest @ rest / (len(some) - A.shape[1])
+    return variance

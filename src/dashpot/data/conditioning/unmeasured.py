@@ -1,8 +1,8 @@
 """Samples that are not measured: clipped at the limit of a channel's range, held, 0 or a spike where it missed them.
 
 In a dwell they are marked (`Record.status`): of clipped samples a regression then knows that the signal is beyond them,
-of missing ones nothing.  Which they are is told by the motion around them.  Whole records are cut where samples are
-missing; of dwells with transients, whose lines need every sample, the motion around stands in for them.
+of missing ones nothing.  Which they are is told by the motion around them.  In dwells with transients they are
+unknowns in the lines.
 """
 
 from __future__ import annotations
@@ -220,19 +220,16 @@ def _motion_there(record: Record, c: int, status: Ints) -> tuple[Real, Real]:
     return motion, scatter
 
 
-def completed(record: Record) -> tuple[Record, Real]:
-    """A dwell with what is expected where it is not measured, for lines that need every sample; (channels,) what that
-    makes of the variance of amplitudes.
+def expected(record: Record) -> Record:
+    """A dwell with what the motion around says of samples that are not measured, and how well (`Record.sd`).
 
-    Expected is the most likely motion around, and of clipped samples what noise adds beyond their limit; with the noise
-    of others in as far as it is not known.  The greatest variance of the fundamental is that of the samples measured
-    over that of all, and of what noise is put in.
+    A missing sample is as little known as if nothing stood there.  Of a clipped one the likelihood of being beyond its
+    limit is a parabola about that motion: a sample of another value, with more noise.
     """
-    times = np.ones(len(record.channels))
     if record.status is None:
-        return record, times
+        return record
     values, f = np.array(record.values), record.frequency_hz or 0.0
-    steady = basis(record.time, f, (1, 2), 1, *window(record.time))
+    sd = np.where(record.status != 0, np.inf, 0.0)
     for c in np.flatnonzero(~record.whole_channels).tolist():
         status = record.status[:, c]
         for around, inside, A in _surroundings(record, c, status):
@@ -244,22 +241,16 @@ def completed(record: Record) -> tuple[Record, Real]:
             except DataError:
                 continue
             motion = A @ found.coefficients[0, :, 0]
-            sd = float(np.sqrt(found.covariance[0, 0, 0]))
-            e = record.values[around, c] - motion
+            noise = max(float(np.sqrt(found.covariance[0, 0, 0])), 1e-13 * float(found.largest[0, 0]))
             side = np.where(np.abs(status[around]) == 1, status[around], 0)
-            z = side * e / max(sd, 1e-13 * float(found.largest[0, 0]))
-            _, mean, _, curvature, _, _ = in_between(z, np.full(len(z), np.inf))
-            noise = np.resize(e[status[around] == 0], len(e)) * np.sqrt(
-                np.clip(1 + np.where(side, curvature, 0.0), 0, 1)
-            )
-            put_in = np.flatnonzero(status[inside]) + inside.start
-            at = put_in - around.start
-            values[put_in, c] = (motion + side * np.where(side, mean, 0.0) * sd + noise)[at]
-        measured = status == 0
-        some, every = (np.linalg.inv(rows.T @ rows)[2:4, 2:4] for rows in (steady[measured], steady))
-        ratio = np.max(np.linalg.eigvalsh(some)) / np.max(np.linalg.eigvalsh(every))
-        times[c] = ratio + np.mean(~measured)
-    return replace(record, values=values, status=None), times
+            beyond = side * (record.values[around, c] - motion) / noise
+            _, slope, _, curvature, _, _ = in_between(beyond, np.full(len(beyond), np.inf))
+            weight = np.where(side, np.clip(-curvature, 1e-12, 1 - 1e-9), 1e-12)
+            at = np.flatnonzero(status[inside]) + inside.start
+            its = at - around.start
+            values[at, c] = (motion + np.where(side, side * slope / weight * noise, 0.0))[its]
+            sd[at, c] = np.where(side, noise * np.sqrt(1 / weight - 1), np.inf)[its]
+    return replace(record, values=values, sd=sd)
 
 
 FEW = 2.0  # periods, in which a transient under a clipped sine is not to be told from it

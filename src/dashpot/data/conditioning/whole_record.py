@@ -17,9 +17,9 @@ from scipy import fft
 from dashpot.arrays import Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning.clock import even_step, fewest_samples
-from dashpot.data.conditioning.still import Still, variance_at_rest
+from dashpot.data.conditioning.still import HALF_WINDOW, Still, smoothed, variance_at_rest
 from dashpot.data.record import Record, calibration, runs_of_one_value
-from dashpot.data.spectrum import Spectrum, WholeRecord, concatenate
+from dashpot.data.spectrum import Spectrum, Unmeasured, WholeRecord, concatenate
 from dashpot.errors import DataError
 from dashpot.io.words import counted, joined
 from dashpot.notices import Notice
@@ -176,7 +176,8 @@ def whole_record(
     Without `band_hz` the lines reach from the first to where nothing stands out of the noise any more, and to 0.9 of
     half the sampling rate at most.  The covariance is that of a record at `still`, else the white floor of each channel
     (0 where it has none), which the residuals of a fit replace.  The offset is in the DC line alone, which is left out;
-    with `ramp` each output has a column for a linear drift where there are lines enough to pay for it.
+    with `ramp` each output has a column for a linear drift where there are lines enough to pay for it.  What stands for
+    samples that are not measured (`Record.status`) is unknown in the lines.
     Raises DataError for uneven samples, a band without lines or without signal, and channels that do not move.
     """
     if record.values.ndim != 2:
@@ -187,6 +188,7 @@ def whole_record(
     duration = samples * step
     _require_motion(record)
     first, last = _lines_of(record.source, band_hz, samples, step)
+    record = _with_likely(record)
     X, floor, folded = _amplitudes(record, first, last, stated=band_hz is not None)
     if band_hz is None:
         X = X[: _moving(X, record.source, last / duration)]
@@ -212,8 +214,68 @@ def whole_record(
         np.full(lines, record.experiment),
         stretch=np.zeros(lines, dtype=np.int64),
         notes=_notices(record, folded),
-        stretches=(WholeRecord(duration, samples, loads, polynomial, ramp and _drift_shows(first, lines)),),
+        stretches=(
+            WholeRecord(
+                duration,
+                samples,
+                loads,
+                polynomial,
+                ramp and _drift_shows(first, lines),
+                unmeasured=_unmeasured(record, remaining, last),
+            ),
+        ),
     )
+
+
+def _with_likely(record: Record) -> Record:
+    """The record with values that are likely for samples not measured, as `Record.sd` has them, else of a motion that
+    is as loud at each frequency as the channel is."""
+    if record.status is None or record.sd is not None:
+        return record
+    values = np.array(record.values)
+    for c in np.flatnonzero(~record.whole_channels).tolist():
+        at, there = np.flatnonzero(record.status[:, c]), np.flatnonzero(record.status[:, c] == 0)
+        values[at, c] = np.interp(at, there, values[there, c])
+        values[at, c] += _told_by_lines(values[:, c], at, 0, np.zeros(len(at)))[0]
+    return replace(record, values=values)
+
+
+def _unmeasured(likely: Record, remaining: Sequence[Channel], last: int) -> tuple[Unmeasured, ...]:
+    """What is known of samples that are not measured: by `Record.sd`, and by lines above the `last` of the band, which
+    hold noise alone.  remaining: channels with what is left of their known delays."""
+    if likely.status is None:
+        return ()
+    found = []
+    for c in np.flatnonzero(~likely.whole_channels).tolist():
+        at = np.flatnonzero(likely.status[:, c])
+        known = np.zeros(len(at)) if likely.sd is None else 1 / likely.sd[at, c] ** 2
+        found.append(Unmeasured(remaining[c], at, *_told_by_lines(likely.values[:, c], at, last, known)))
+    return tuple(found)
+
+
+def _told_by_lines(column: Real, at: Ints, last: int, known: Real) -> tuple[Real, Real]:
+    """Mean (k,) and inverse covariance (k, k) of what is to be added to the samples `at` (k,) of a channel.
+
+    By lines above the `last`, of which each is as loud as those beside it; by what is known of each, inverse variances
+    (k,); and by the channel's size, which it does not exceed.
+    """
+    samples, lines = len(column), len(column) // 2 - last
+    precision = np.diag(known + 1 / np.ptp(np.delete(column, at)) ** 2)
+    filled = np.array(column)
+    if len(at) > lines:  # as loud as they are for the unknowns' sake
+        return filled[at] - column[at], precision
+    own = precision
+    for _ in range(3):
+        Y = fft.rfft(filled - filled.mean()) - leaked_by_a_step(filled) * samples / 2
+        power = np.abs(Y[last + 1 :]) ** 2 / (1 - len(at) / (2 * lines))
+        loudness = smoothed(power.astype(np.complex128), HALF_WINDOW).real
+        weight = np.zeros(len(Y))
+        weight[last + 1 :] = 1 / np.maximum(loudness, 1e-20 * np.max(np.abs(Y)) ** 2)
+        # Real errors beside lines whose real and imaginary parts have half of the power each
+        precision = own + samples * fft.irfft(weight, samples)[np.abs(at[:, None] - at)]
+        away = samples * fft.irfft(weight * Y, samples)[at] + own @ (filled - column)[at]
+        filled[at] -= np.linalg.solve(precision, away)
+    return filled[at] - column[at], precision
 
 
 def _lines_of(source: str, band_hz: tuple[float, float] | None, samples: int, step: float) -> tuple[int, int]:
@@ -375,8 +437,14 @@ def _aligned(record: Record, step: float) -> tuple[Record, tuple[Channel, ...]]:
     count = len(record.time) - int(first.max())
     if count < fewest_samples(record):
         raise DataError("a channel is later than the record is long", record.source, "correct its delay")
-    values = np.stack([record.values[s : s + count, c] for c, s in enumerate(first)], axis=-1)
-    return replace(record, time=record.time[:count], values=values), remaining
+
+    def shifted(of: np.ndarray) -> np.ndarray:
+        return np.stack([of[s : s + count, c] for c, s in enumerate(first)], axis=-1)
+
+    sd, status = (None if of is None else shifted(of) for of in (record.sd, record.status))
+    return replace(
+        record, time=record.time[:count], values=shifted(record.values), sd=sd, status=status
+    ), remaining
 
 
 def _drift_shows(first: int, lines: int) -> bool:

@@ -6,6 +6,9 @@ what they add to velocities and accelerations, is known where no input is elsewh
 linearly; they are projected out of each record after the inputs have been out of each line, by a basis that leaves out
 columns which depend on each other.
 
+Samples that a channel has not measured are unknowns beside them: an error of what is put in for each is one column
+e^{−jωt} in all lines of that channel, so that the fit is the one of the samples that are there.
+
 The loads are force inputs of a larger rig, one at every coordinate, so that its transfer gives their response, and its
 unit forces are those of the whole motion.  Slopes by the driven motion alone lead the iteration astray: slowly, and
 with a spread of up to twice what it states.
@@ -25,7 +28,14 @@ from dashpot.errors import DataError
 from dashpot.model.dynamics import matrices
 from dashpot.model.network import Input
 from dashpot.model.observation import ObservationModel, observation_model, small
-from dashpot.numerics.small_systems import orthonormal, real_rows, scaled_inverse
+from dashpot.numerics.small_systems import (
+    FREE,
+    orthonormal,
+    real_rows,
+    scaled_inverse,
+    whitening_steps,
+    with_known_last,
+)
 
 # What sampling folds back of the motion that the ends of a record leave free (THEORY §8).
 #
@@ -132,6 +142,49 @@ def _powers(s: Complex) -> Complex:
     return s ** np.arange(POWERS)[:, None]
 
 
+@dataclass(frozen=True)
+class UnmeasuredColumns:
+    """Those of one record: channel (k,), columns (lines of the record, k), and what is known beforehand, (k, k)."""
+
+    channel: Ints
+    columns: Complex
+    precision: Real
+
+    @staticmethod
+    def of(value: WholeRecord, spectrum: Spectrum, lines: Ints) -> UnmeasuredColumns:
+        """With the noise of lines counted as |Δ|², so that half of the precision is added to products of columns."""
+        each = value.unmeasured
+        counts = [len(part.samples) for part in each]
+        precision, first = np.zeros((sum(counts), sum(counts))), 0
+        for part, count in zip(each, counts, strict=True):
+            own = slice(first, first + count)
+            precision[own, own], first = part.precision / 2, own.stop
+        columns = [np.zeros((len(lines), 0)), *(part.columns(spectrum.omega[lines], value) for part in each)]
+        channel = [spectrum.index(part.channel.name) for part in each]
+        return UnmeasuredColumns(
+            np.repeat(np.array(channel, dtype=np.int64), counts), np.concatenate(columns, axis=1), precision
+        )
+
+    def in_channels(self, channels: int) -> Complex:
+        """(lines of the record, channels, k)."""
+        out = np.zeros((len(self.columns), channels, len(self.channel)), dtype=np.complex128)
+        out[:, self.channel, np.arange(len(self.channel))] = self.columns
+        return out
+
+
+def with_means_of_unmeasured(spectrum: Spectrum) -> Complex:
+    """Amplitudes, 0 where there are none, beside which samples that are not measured are off by 0 in the mean."""
+    y: Complex = np.nan_to_num(spectrum.amplitudes)
+    for number, value in enumerate(spectrum.stretches):
+        if isinstance(value, WholeRecord) and value.unmeasured:
+            lines = np.flatnonzero(spectrum.stretch == number)
+            for of in value.unmeasured:
+                y[..., lines, spectrum.index(of.channel.name)] += (
+                    of.columns(spectrum.omega[lines], value) @ of.mean
+                )
+    return y
+
+
 RAMP = -1  # the power of jω that a linear drift has
 
 
@@ -150,6 +203,7 @@ class RecordEnds:
              where the channel is one of the data
     sampled  (records, channels): where all that sampling folds back is known from the free motion (`sampled_loads`)
     step, highest (records,) sampling step, s, and highest ω, rad/s
+    unmeasured of each record
     """
 
     rig: ObservationModel
@@ -165,6 +219,7 @@ class RecordEnds:
     sampled: Bools
     step: Real
     highest: Real
+    unmeasured: tuple[UnmeasuredColumns, ...]
 
     @property
     def n(self) -> int:
@@ -175,6 +230,11 @@ class RecordEnds:
     def count(self) -> int:
         """Columns: two loads for each coordinate, and the polynomials."""
         return 2 * self.n + len(self.channel)
+
+    @property
+    def missing(self) -> int:
+        """Unknowns of the record that has most samples which are not measured."""
+        return max(len(of.channel) for of in self.unmeasured)
 
     def sampled_loads(self, psi: Real) -> SampledLoads | None:
         """What sampling adds to the loads of a rig with unknowns ψ (K, M); None where it is known of no channel."""
@@ -228,7 +288,8 @@ def record_ends(
     records = [
         (value, np.flatnonzero(spectrum.stretch == number))
         for number, value in enumerate(spectrum.stretches)
-        if isinstance(value, WholeRecord) and (value.loads or value.polynomial or value.ramp)
+        if isinstance(value, WholeRecord)
+        and (value.loads or value.polynomial or value.ramp or value.unmeasured)
     ]
     if not records:
         return None
@@ -275,6 +336,7 @@ def record_ends(
         sampled,
         np.array([value.step_s for value, _ in records]),
         highest,
+        tuple(UnmeasuredColumns.of(value, spectrum, lines) for value, lines in records),
     )
 
 
@@ -325,30 +387,52 @@ def _require_lines(
 class Projector:
     """Least squares on the columns of each record, real coefficients.
 
-    lines: of each record; bases: (Q, B) of each as `orthonormal` gives them, the columns having unit noise and the
-    inputs taken out; rank (K,) of all records together
+    lines: of each record; bases: (Q, B, step) of each as `orthonormal` and `with_prior` give them, the columns having
+    unit noise and the inputs taken out; rank (K,) of all records together
     """
 
     lines: tuple[Ints, ...]
-    bases: tuple[tuple[Real, Real], ...]
+    bases: tuple[tuple[Real, Real, Real], ...]
     rank: Ints
 
-    def coefficients(self, sides: Complex) -> Real:
-        """Of each line's record, (K, lines, columns, sides), 0 at lines of no record; `sides` with unit noise."""
+    def coefficients(self, sides: Complex, *, white: bool = False) -> Real:
+        """Of each line's record, (K, lines, columns, sides), 0 at lines of no record; `sides` with unit noise.
+
+        white: those by which what is left is white, where samples that are not measured are known in part.
+        """
         columns = self.bases[0][1].shape[-2]
         out = np.zeros((*sides.shape[:2], columns, sides.shape[-1]))
-        for lines, (Q, B) in zip(self.lines, self.bases, strict=True):
-            solved = B @ (np.swapaxes(Q, -1, -2) @ real_rows(sides[:, lines]))
+        for lines, (Q, B, step) in zip(self.lines, self.bases, strict=True):
+            by_direction = np.swapaxes(Q, -1, -2) @ real_rows(sides[:, lines])
+            solved = B @ (by_direction * step[..., None] if white else by_direction)
             out[:, lines] = solved[:, None]
         return out
 
 
 def projector(ends: RecordEnds, whitened: Complex) -> Projector:
-    """The projection on columns (K, lines, rows, columns) that have unit noise, the inputs taken out."""
+    """The projection on columns (K, lines, rows, columns) that have unit noise, the inputs taken out.
+
+    Columns behind those of the ends are of samples that are not measured.
+    """
     bases, rank = [], np.zeros(len(whitened), dtype=np.int64)
+    more = whitened.shape[-1] - ends.count
     for record, lines in enumerate(ends.lines):
-        Q, B, kept = orthonormal(real_rows(whitened[:, lines] * ends.used(record)))
-        bases.append((Q, B))
+        of = ends.unmeasured[record]
+        used = np.concatenate([ends.used(record), np.arange(more) < len(of.channel)])
+        rows = real_rows(whitened[:, lines] * used)
+        if not more:
+            Q, B, kept = orthonormal(rows)
+            step = np.ones(B.shape[::2])
+        else:
+            precision = np.zeros((len(used), len(used)))
+            its = slice(ends.count, ends.count + len(of.channel))
+            precision[its, its] = of.precision
+            squares = np.sum(rows**2, axis=-2)
+            B, kept = with_known_last(np.swapaxes(rows, -1, -2) @ rows, squares, precision, more)
+            B, step = whitening_steps(B, precision)
+            kept = kept + len(of.channel) - np.sum(step <= FREE, axis=-1)
+            Q = rows @ B
+        bases.append((Q, B, step))
         rank += kept
     return Projector(ends.lines, tuple(bases), rank)
 

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real, hermitian, random_generator
+from dashpot.data.spectrum import taken_as_measured
 from dashpot.estimate.likelihood.boundary_loads import RecordEnds, projector
 from dashpot.estimate.likelihood.descent import ROUGH, Effort, Likelihood
 from dashpot.estimate.likelihood.global_search import (
@@ -227,6 +228,13 @@ class MaximumLikelihood(Method):
         lack the harmonics or the motions that its search needs.
         """
         likelihood = Likelihood.of(data, self.effort)
+        if not self.start and likelihood.exact.ends is not None and likelihood.exact.ends.missing:
+            # What is put in for samples that are not measured is near enough to search with
+            first = self.solve(replace(data, spectrum=taken_as_measured(data.spectrum)))
+            sign = data.spectrum.signs(first.signs)[0]
+            near = replace(self, start=tuple(first.theta[0].tolist()), start_sign=tuple(sign.tolist()))
+            found = near.solve(data)
+            return replace(found, warnings=(*first.warnings, *found.warnings))
         view, warnings = likelihood.view, tuple[Notice, ...]()
         if likelihood.exact.nonlinear is not None:
             minimum, exact, warnings = search_harmonics(likelihood)

@@ -20,6 +20,7 @@ from dashpot.estimate.likelihood.boundary_loads import (
     projector,
     record_ends,
     whitener,
+    with_means_of_unmeasured,
 )
 from dashpot.estimate.likelihood.measured import (
     Measured,
@@ -113,11 +114,13 @@ def measured(data: Prepared, softness: float = 0.0) -> Measured:
 def _measured(data: Prepared, softness: float) -> Measured:
     view, spectrum = data.view, data.spectrum
     present = np.all(np.isfinite(spectrum.amplitudes), axis=0)
-    y = np.nan_to_num(spectrum.amplitudes)
+    y = with_means_of_unmeasured(spectrum)
     V = data.covariance
     diagonal = np.diagonal(V, axis1=-2, axis2=-1).real
     silent = np.all(diagonal == 0, axis=0)
-    exact = present & silent & view.inputs_alone & view.is_direct
+    missing = {of.channel.name for value in spectrum.stretches for of in getattr(value, "unmeasured", ())}
+    whole = np.array([channel.name not in missing for channel in spectrum.channels])
+    exact = present & silent & view.inputs_alone & view.is_direct & whole
     by_channel = inputs_by_channel(view, exact)
     q = None if by_channel is None else np.einsum("lqc,...lc->...lq", by_channel, y)
     if q is not None:
@@ -236,7 +239,8 @@ class RecordFit:
     motion   (K, lines, r + s + n) inputs q̂ and loads
     r        (K, lines, channels) what they leave of the data
     G        (K, lines, channels, r + s); half: its W G (Gᴴ W G)⁻¹ where the inputs are estimated, else None
-    columns  (K, lines, channels, 2 n + polynomials) of the ends, free: what the inputs leave of them
+    columns  (K, lines, channels, 2 n + polynomials) of the ends
+    free     (K, lines, channels, 2 n + polynomials + k): what the inputs leave of them, and of samples not measured
     loads    (K, lines, 2 n + polynomials) coefficients of the columns
     """
 
@@ -255,7 +259,7 @@ class RecordFit:
     def left_of(self, columns: Complex) -> Complex:
         """What inputs and ends cannot do of columns in the channels, (K, lines, channels, any number)."""
         columns = _without_inputs(columns, self.G, self.half)
-        return columns - self.free @ self.of_ends.coefficients(self.root @ columns)
+        return columns - self.free @ self.of_ends.coefficients(self.root @ columns, white=True)
 
 
 def _without_inputs(columns: Complex, G: Complex, half: Complex | None) -> Complex:
@@ -277,15 +281,24 @@ def record_fit(view: ObservationModel, data: Measured, psi: Real, sign: Real) ->
         for record in np.flatnonzero(ends.loads).tolist():
             at = ends.lines[record]
             columns[:, at, :, : 2 * n] += np.moveaxis(folded.at(record, ends.s[at]), -1, 1)
-    free = _without_inputs(columns, G, half)
+    every = columns
+    if ends.missing:
+        unmeasured = np.zeros((*columns.shape[1:3], ends.missing), dtype=np.complex128)
+        for lines, of in zip(ends.lines, ends.unmeasured, strict=True):
+            unmeasured[lines, :, : len(of.channel)] = of.in_channels(columns.shape[2])
+        unmeasured = np.broadcast_to(unmeasured, (len(columns), *unmeasured.shape))
+        every = np.concatenate([columns, unmeasured], axis=-1)
+    free = _without_inputs(every, G, half)
     of_ends = projector(ends, root @ free)
     residual = data.y - np.einsum("...cq,...q->...c", G, driven)
-    loads = of_ends.coefficients(root @ residual[..., None])[..., 0]
-    residual = residual - np.einsum("...cz,...z->...c", free, loads)
+    found = of_ends.coefficients(root @ residual[..., None])[..., 0]
+    white = of_ends.coefficients(root @ residual[..., None], white=True)[..., 0]
+    residual = residual - np.einsum("...cz,...z->...c", free, white)
+    loads = found[..., : ends.count]
     load = loads[..., :n] + ends.s[:, None] * loads[..., n : 2 * n]
     q = driven + np.einsum("lqp,...lp->...lq", ends.by_input, loads[..., 2 * n :])
     if half is not None:
-        q = q - np.einsum("...cq,...cz,...z->...q", np.conj(half), columns, loads)
+        q = q - np.einsum("...cq,...cz,...z->...q", np.conj(half), every, found)
     motion = np.concatenate([q, load], axis=-1)
     return RecordFit(rig, motion, residual, root, G, half, columns, free, loads, of_ends, folded)
 

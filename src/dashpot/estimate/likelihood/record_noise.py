@@ -17,7 +17,7 @@ from scipy.special import chdtri
 from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices, hermitian
 from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.conditioning.whole_record import FLOOR
-from dashpot.data.spectrum import Spectrum, WholeRecord, flattened, in_chunks
+from dashpot.data.spectrum import Spectrum, WholeRecord, flattened, in_chunks, taken_as_measured
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.descent import Likelihood, thinned
 from dashpot.estimate.likelihood.global_search import LocalMinima, decay_minima, seen_directly
@@ -282,20 +282,13 @@ def noise_from_residuals(
     begun: LocalMinima | None = None
     psi, sign = np.zeros((1, 0)), np.ones((1, len(spectrum.channels)))
     used, dof = 0.0, np.array(spectrum.dof)
-    # Times the variance that lines would have were all samples measured, (lines, channels)
-    weaker = np.ones((spectrum.lines, len(spectrum.channels)))
-    for number, value in enumerate(spectrum.stretches):
-        if isinstance(value, WholeRecord) and value.weaker:
-            each = dict(value.weaker)
-            weaker[spectrum.stretch == number] = [
-                each.get(channel.name, 1.0) for channel in spectrum.channels
-            ]
     for turn in range(12):  # at most
         data = Prepared(view, spectrum, V, None, True, np.ones(1, dtype=bool))
         likelihood = Likelihood.of(data, method.effort)
         exact = likelihood.exact
         if begun is None:
-            begun = _begun(likelihood, method)
+            as_measured = replace(data, spectrum=taken_as_measured(spectrum))
+            begun = _begun(Likelihood.of(as_measured, method.effort), method)
             psi, sign = begun.psi[:1], begun.sign[:1]
         else:
             psi = likelihood.descend_in(exact, psi, sign, STEPS, near=1e-3).x
@@ -312,7 +305,6 @@ def noise_from_residuals(
         power, inputs = _own_power(likelihood, sought, residual, inputs, psi, sign)
         left = max(1 - used, 0.1)
         variance, dof = _smoothed(spectrum, power / left, sought, outputs, left)
-        variance *= weaker
         of_inputs = np.maximum(inputs.level / spectrum.samples[:, None], floor)
         before = np.diagonal(V[0], axis1=-2, axis2=-1).real.copy()
         variance = np.where(changes, np.where(outputs, variance, of_inputs), before)

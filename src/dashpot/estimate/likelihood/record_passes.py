@@ -16,7 +16,7 @@ from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.estimate.likelihood.boundary_loads import RecordEnds, SampledLoads
 from dashpot.model.dynamics import stiffness_over_lines
 from dashpot.model.observation import ObservationModel, calibration_factors, calibration_slopes
-from dashpot.numerics.small_systems import independent
+from dashpot.numerics.small_systems import FREE, independent, whitening_steps
 
 # Lines of whole records in pieces: what stays the same while a search moves through the unknowns.
 #
@@ -71,7 +71,8 @@ class RecordPiece:
     q         (K or 1, r + s, lines) where exact channels give the inputs, else None
     loaded    (lines,) whether the line's record has boundary loads
     by_input  (r + s, polynomials, lines) of exact inputs that follow from a channel's polynomial, else None
-    columns   (K or 1, channels, polynomials, lines): polynomials that are fitted with the loads, whitened
+    columns   (K or 1, channels, polynomials + k, lines): those fitted with the loads, and samples that are not
+              measured, whitened
     basis     (K or 1, channels, terms, lines): orthonormal polynomials of each channel in each record, taken out first
     """
 
@@ -129,8 +130,20 @@ class RecordPieces:
 
     @property
     def count(self) -> int:
-        """Columns that are fitted together: two loads for each coordinate, and polynomials."""
-        return 2 * self.ends.rig.model.n + len(self.of_inputs) + len(self.fitted)
+        """Columns fitted together: two loads for each coordinate, polynomials, and samples that are not measured."""
+        return 2 * self.ends.rig.model.n + len(self.of_inputs) + len(self.fitted) + self.ends.missing
+
+    @cached_property
+    def precision(self) -> Real | None:
+        """What is known of the columns beforehand, (records, columns, columns); None where it is nothing."""
+        if not self.ends.missing:
+            return None
+        out = np.zeros((len(self.ends.lines), self.count, self.count))
+        first = self.count - self.ends.missing
+        for number, of in enumerate(self.ends.unmeasured):
+            its = slice(first, first + len(of.channel))
+            out[number, its, its] = of.precision
+        return out
 
     @cached_property
     def terms(self) -> int:
@@ -147,7 +160,9 @@ class RecordPieces:
         """Which columns each record has, (records, columns)."""
         n, ends = self.ends.rig.model.n, self.ends
         loads = np.repeat(ends.loads[:, None], 2 * n, axis=1)
-        return np.concatenate([loads, ends.terms[:, self.of_inputs], ends.terms[:, self.fitted]], axis=1)
+        counts = np.array([len(of.channel) for of in ends.unmeasured])
+        its = np.arange(ends.missing) < counts[:, None]
+        return np.concatenate([loads, ends.terms[:, self.of_inputs], ends.terms[:, self.fitted], its], axis=1)
 
     def __iter__(self) -> Iterator[RecordPiece]:
         for number in range(len(self._parts)):
@@ -166,7 +181,8 @@ class RecordPieces:
     def _constant(self) -> int:
         """Complex numbers of all pieces."""
         view = self.ends.rig
-        each = len(view.channels) * (2 + self.terms + len(self.fitted)) + len(view.model.elements) + 4
+        fitted = len(self.fitted) + self.ends.missing
+        each = len(view.channels) * (2 + self.terms + fitted) + len(view.model.elements) + 4
         return len(view.omega) * each * len(self.W)
 
     @cached_property
@@ -229,10 +245,17 @@ class RecordPieces:
         by_input = columns = basis = None
         if len(self.of_inputs):
             by_input = np.moveaxis(ends.by_input[lines][:, :, self.of_inputs], 0, -1)
-        if len(self.fitted):  # polynomials with the loads
-            columns = np.zeros((1, len(view.channels), len(self.fitted), len(s)), dtype=np.complex128)
+        if len(self.fitted) or ends.missing:  # columns with the loads
+            fitted = len(self.fitted)
+            columns = np.zeros((1, len(view.channels), fitted + ends.missing, len(s)), dtype=np.complex128)
             powers = _powers(s, ends.power[self.fitted])
-            columns[0, ends.channel[self.fitted], np.arange(len(self.fitted))] = powers
+            columns[0, ends.channel[self.fitted], np.arange(fitted)] = powers
+            number = np.arange(len(ends.s))[lines]
+            for record, part in segments:
+                if record != NO_RECORD and len(ends.unmeasured[record].channel):
+                    of, at = ends.unmeasured[record], np.searchsorted(ends.lines[record], number[part])
+                    its = fitted + np.arange(len(of.channel))
+                    columns[0, of.channel[:, None], its[:, None], np.arange(len(s))[part]] = of.columns[at].T
             columns = weights.whitened(columns)
         if self.terms:  # orthonormal polynomials of each channel in each record
             assert weights.sd is not None
@@ -549,16 +572,43 @@ def adjoint_times(columns: Complex, values: Complex) -> Complex:
 class EndsFitted:
     """What the first pass found of each record's ends.
 
-    z (K, records, f) coefficients of loads and polynomials, t (K, records, channels, terms) of each channel's own
-    polynomials; B (K, records, f, f) makes what those leave of the columns orthonormal; shared (K, records, channels,
-    terms, f): how the columns stand in the channel's own polynomials
+    z (K, records, f) coefficients of loads and the other columns, t (K, records, channels, terms) of each channel's own
+    polynomials; B (K, records, f, f) makes what those leave of the columns orthonormal, with what is known of them
+    beforehand; shared (K, records, channels, terms, f): how the columns stand in the channel's own polynomials
+    side (K, records, f), own (K, records, channels, terms): products of the residual, of which z and t are made
+    others (K,): rank without the columns of samples that are not measured
     """
 
+    pieces: RecordPieces
     z: Real
     t: Real
     B: Real
     shared: Real
-    rank: Ints
+    side: Real
+    own: Real
+    others: Ints
+
+    @cached_property
+    def steps(self) -> tuple[Real, Real | float]:
+        """B and step of each of its directions by which what is left is white (`whitening_steps`)."""
+        known = self.pieces.precision
+        return (self.B, 1.0) if known is None else whitening_steps(self.B, known)
+
+    @property
+    def rank(self) -> Ints:
+        """How many degrees of freedom the columns take, (K,): those of samples of which something is known none."""
+        if not self.pieces.ends.missing:
+            return self.others
+        count = sum(len(of.channel) for of in self.pieces.ends.unmeasured)
+        return self.others + count - np.sum(np.less_equal(self.steps[1], FREE), axis=(-2, -1))
+
+    def whitening(self, side: Real, own: Real) -> tuple[Real, Real]:
+        """Coefficients (K, records, f, w) of columns with such products with rows, and of the polynomials, by which
+        what is left of the rows is white."""
+        B, step = self.steps
+        along = np.swapaxes(B, -1, -2) @ side
+        z = B @ (along * np.broadcast_to(step, along.shape[:-1])[..., None])
+        return z, own - self.shared @ z[:, :, None]
 
     @property
     def covariance(self) -> Real:
@@ -588,8 +638,7 @@ class EndProducts:
 
     def coefficients(self, fit: EndsFitted) -> tuple[Real, Real]:
         """Of the columns (K, records, f, w) and of the channels' own polynomials (K, records, channels, terms, w)."""
-        z = fit.B @ (np.swapaxes(fit.B, -1, -2) @ self.left(fit.shared))
-        return z, self.basis - fit.shared @ z[:, :, None]
+        return fit.whitening(self.left(fit.shared), self.basis)
 
 
 @dataclass(frozen=True)
@@ -649,7 +698,12 @@ class NumpyPasses:
         ends = self.pieces.ends
         residual = np.empty((len(self.psi), len(ends.rig.omega), len(ends.rig.channels)), dtype=np.complex128)
         for at in self._each():
-            left = at.residual - _at_ends(at.piece, at.columns, fit.z[..., None], fit.t[..., None])[:, :, 0]
+            left = (
+                at.residual
+                - _at_ends(at.piece, at.columns, *fit.whitening(fit.side[..., None], fit.own[..., None]))[
+                    :, :, 0
+                ]
+            )
             residual[:, at.piece.lines] = np.swapaxes(left, -1, -2)
         return residual
 
@@ -682,7 +736,10 @@ def _slopes_and_residual(at: PieceAt, fit: EndsFitted) -> Complex:
     for record, part in at.piece.segments:
         if record != NO_RECORD:
             z[..., part] = fit.z[:, record, :, None]
-    ends = _at_ends(at.piece, at.columns, fit.z[..., None], fit.t[..., None])
+    # What is known of samples that are not measured counts with the products of the rows: they stay in
+    z_free = np.array(fit.z[..., None])
+    z_free[:, :, f - fit.pieces.ends.missing :] = 0.0
+    ends = _at_ends(at.piece, at.columns, z_free, fit.t[..., None])
     return np.concatenate([at.slopes(z), at.residual[:, :, None] - ends], axis=2)
 
 

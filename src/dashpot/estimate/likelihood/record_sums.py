@@ -24,7 +24,7 @@ from dashpot.estimate.likelihood.record_passes import (
 from dashpot.model.dynamics import kernel_rig
 from dashpot.model.observation import calibrated_transfer
 from dashpot.numerics.kernel import kernel, threads
-from dashpot.numerics.small_systems import independent
+from dashpot.numerics.small_systems import independent, with_known_last
 
 # The passes over the lines of whole records in the compiled kernel: twins of those in `record_passes.py`.
 
@@ -35,8 +35,8 @@ LANES = 8  # lines that the kernel may take at once: records are filled up to a 
 def compiled_passes(pieces: RecordPieces, psi: Real, sign: Real) -> CompiledPasses | None:
     """The kernel's passes at ψ (K, M) with signs (K, channels); None where NumPy is to do the work or must."""
     core = kernel()
-    # Kernels before 0.2 know settled lines only.
-    if core is None or not hasattr(core, "Records"):
+    # Kernels before 0.2 know settled lines only, and none samples that are not measured.
+    if core is None or not hasattr(core, "Records") or pieces.ends.missing:
         return None
     if id(core) not in pieces.compiled:
         pieces.compiled[id(core)] = _records(core, pieces)
@@ -158,13 +158,12 @@ Passes = NumpyPasses | CompiledPasses
 
 @dataclass(frozen=True)
 class RecordSums:
-    """Cost (K,), minus half its slope (K, M) and information (K, M, M) of all lines at K values of ψ, priors left out;
-    rank (K,): how many independent columns the ends have taken out of the data."""
+    """Cost (K,), minus half its slope (K, M) and information (K, M, M) of all lines at K values of ψ, priors left
+    out."""
 
     cost: Real
     gradient: Real
     information: Real
-    rank: Ints
 
 
 def record_sums(pieces: RecordPieces, psi: Real, sign: Real) -> RecordSums:
@@ -175,7 +174,7 @@ def record_sums(pieces: RecordPieces, psi: Real, sign: Real) -> RecordSums:
     M = psi.shape[-1]
     # Where the ends explain more than there is, what is left is rounding of numbers that are far too large.
     lost = left[:, M, M] < -1e-6 * products[:, M, M]
-    return RecordSums(np.where(lost, np.inf, left[:, M, M]), left[:, :M, M], left[:, :M, :M], fit.rank)
+    return RecordSums(np.where(lost, np.inf, left[:, M, M]), left[:, :M, M], left[:, :M, :M])
 
 
 def by_record_line(pieces: RecordPieces, psi: Real, sign: Real) -> tuple[Real, Real, Real]:
@@ -224,7 +223,7 @@ def shown_by_ends(pieces: RecordPieces, psi: Real, sign: Real) -> Complex:
     loads = np.zeros((*fit.z.shape[:2], ends.count))  # and polynomials, in the order of the ends
     loads[..., : 2 * n] = fit.z[..., : 2 * n]
     loads[..., 2 * n + pieces.of_inputs] = fit.z[..., 2 * n : first_input]
-    loads[..., 2 * n + pieces.fitted] = fit.z[..., first_input:]
+    loads[..., 2 * n + pieces.fitted] = fit.z[..., first_input : first_input + len(pieces.fitted)]
     if pieces.terms:
         powers = (pieces.orthogonal[0] @ fit.t[..., None])[..., 0]
         alone = np.setdiff1d(np.arange(len(ends.channel)), pieces.of_inputs)
@@ -272,12 +271,17 @@ def _fit(pieces: RecordPieces, passes: Passes) -> EndsFitted:
         with np.errstate(over="ignore", invalid="ignore"):
             f, of = pieces.count, passes.of_columns()
             shared = of.basis[..., :f]
-            left = of.left(shared)
-            B, rank = independent(left[..., :f], np.diagonal(of.columns[..., :f], axis1=-2, axis2=-1))
-            z = (B @ (np.swapaxes(B, -1, -2) @ left[..., f, None]))[..., 0]
-            t = of.basis[..., f] - (shared @ z[:, :, None, :, None])[..., 0]
+            left, known = of.left(shared), pieces.precision
+            size = np.diagonal(of.columns[..., :f], axis1=-2, axis2=-1)
+            if known is None:
+                B, rank = independent(left[..., :f], size)
+            else:
+                B, rank = with_known_last(left[..., :f], size, known, pieces.ends.missing)
             total = np.sum(rank, axis=-1) + (pieces.orthogonal[1] if pieces.terms else 0)
-            pieces.latest["fit"] = EndsFitted(z, t, B, shared, total)
+            side, own = left[..., f], of.basis[..., f]
+            z = (B @ (np.swapaxes(B, -1, -2) @ side[..., None]))[..., 0]
+            t = own - (shared @ z[:, :, None, :, None])[..., 0]
+            pieces.latest["fit"] = EndsFitted(pieces, z, t, B, shared, side, own, total)
     return pieces.latest["fit"]
 
 

@@ -8,7 +8,7 @@ import pytest
 from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.lines import spectrum
-from dashpot.data.conditioning.unmeasured import completed, marked
+from dashpot.data.conditioning.unmeasured import expected, marked
 from dashpot.data.record import Record
 from dashpot.data.spectrum import WholeRecord
 
@@ -154,7 +154,7 @@ def test_what_stands_in_for_clipped_samples_follows_a_transient() -> None:
         record, motion = unsettled(rng, 8, 0.9)
         [clipped], notices = marked([record])
         assert len(notices) == 1
-        values = completed(clipped)[0].values[:, 0]
+        values = expected(clipped).values[:, 0]
         off.append(np.sqrt(np.mean((values - motion)[values != record.values[:, 0]] ** 2)))
     assert np.mean(off) < 0.1
 
@@ -163,9 +163,13 @@ def test_whole_records_know_what_their_clipped_samples_do_not_tell() -> None:
     record, _ = unsettled(np.random.default_rng(15), 8, 0.9)
     (whole,) = spectrum([record]).stretches
     assert isinstance(whole, WholeRecord)
-    ((name, times),) = whole.weaker
-    assert name == "x1"
-    assert 1.2 < times < 3.0
+    (unmeasured,) = whole.unmeasured
+    assert unmeasured.channel.name == "x1"
+    assert np.array_equal(unmeasured.samples, np.flatnonzero(np.abs(record.values[:, 0]) == 0.9))
+    # Next to the limit it is known that the signal is beyond it, else hardly more than from nothing
+    sd = 1 / np.sqrt(np.diagonal(unmeasured.precision))
+    assert np.min(sd) < 0.05
+    assert np.max(sd) > 0.1
 
 
 @pytest.mark.parametrize("limit", [0.8, np.inf])

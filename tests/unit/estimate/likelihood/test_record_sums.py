@@ -109,7 +109,7 @@ def numbers_of(given: Case) -> tuple[Real, ...]:
     return (
         sums.cost[:, None], sums.gradient / size / root[:, None] + 1, sums.information / both,
         information / both[:, None], scores / size[:, None] / root[:, None, None] + 1, cost, np.abs(white),
-        white.real + root[:, None, None], rank[:, None], sums.rank[:, None],
+        white.real + root[:, None, None], rank[:, None],
     )  # fmt: skip
 
 
