@@ -250,10 +250,10 @@ class RecordPieces:
             columns = np.zeros((1, len(view.channels), fitted + ends.missing, len(s)), dtype=np.complex128)
             powers = _powers(s, ends.power[self.fitted])
             columns[0, ends.channel[self.fitted], np.arange(fitted)] = powers
-            number = np.arange(len(ends.s))[lines]
+            numbers = np.arange(len(ends.s))[lines]
             for record, part in segments:
                 if record != NO_RECORD and len(ends.unmeasured[record].channel):
-                    of, at = ends.unmeasured[record], np.searchsorted(ends.lines[record], number[part])
+                    of, at = ends.unmeasured[record], np.searchsorted(ends.lines[record], numbers[part])
                     its = fitted + np.arange(len(of.channel))
                     columns[0, of.channel[:, None], its[:, None], np.arange(len(s))[part]] = of.columns[at].T
             columns = weights.whitened(columns)
