@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dashpot.estimate.preparation.prepared import Prepared, prepare
 
 from dashpot.arrays import Real
 from dashpot.data.conditioning.whole_record import whole_record
@@ -13,6 +12,7 @@ from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.estimate.likelihood.boundary_loads import with_means_of_unmeasured
 from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, per_line, predict
 from dashpot.estimate.likelihood.record_sums import record_residuals
+from dashpot.estimate.preparation import Prepared, prepare
 from dashpot.model.observation import calibrated_transfer
 from tests.whole_rigs import WholeTest, chain, record_of
 
