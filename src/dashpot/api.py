@@ -31,6 +31,7 @@ from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.still import Still
 from dashpot.data.modal_data import ModalData
 from dashpot.data.readers import Reading
+from dashpot.data.readers.experiments import Experiments
 from dashpot.data.readers.in_memory import records_of
 from dashpot.data.readers.modes import holds_modes, read_modes
 from dashpot.data.record import Record
@@ -46,6 +47,7 @@ from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import method_class, methods_for
 from dashpot.estimate.result import Estimate, Origin, Value
+from dashpot.experiment import RUNS
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
 from dashpot.model.network import Model
@@ -79,8 +81,10 @@ def read(
     `frequency_hz` is the drive frequency of time records without such a column.  Raises DataError, one problem for
     each cause, with file, row and column.
     """
-    listed = channels.channels if isinstance(channels, Rig) else channels
-    return readers.read(paths, listed, frequency_hz=frequency_hz)
+    if isinstance(channels, Rig):
+        by = channels.experiments
+        return readers.read(paths, channels.channels, frequency_hz=frequency_hz, experiments=by)
+    return readers.read(paths, channels, frequency_hz=frequency_hz)
 
 
 @one_blas_thread()
@@ -227,7 +231,7 @@ def check(
     Raises IdentifiabilityError where the rig has no steady response, DataError where the data do not suit the rig.
     """
     spectrum = None if data is None else _spectrum(rig, data, frequency_hz, None, [])
-    channels = rig.channels if spectrum is None else spectrum.channels
+    channels = rig.all_channels if spectrum is None else spectrum.channels
     if len(rig.model.nonlinear):
         return nonlinear_structure(rig.model, channels, spectrum)
     return structure(rig.model, channels, spectrum, seed)
@@ -642,11 +646,12 @@ def _reading(rig: Rig | Model, data: Data, frequency_hz: float | None) -> Readin
         )
     several: list[Any] = [data] if single else list(cast("Sequence[Any]", data))
     if several and all(isinstance(item, str | os.PathLike) for item in several):
-        return read(several, _channels(rig), frequency_hz=frequency_hz)
+        return read(several, rig if isinstance(rig, Rig) else _channels(rig), frequency_hz=frequency_hz)
     records: list[Record] = []
     for item in several:
         if not isinstance(item, Record):
-            records += records_of(item, _channels(rig), frequency_hz=frequency_hz, source=type(item).__name__)
+            named = rig if isinstance(rig, Rig) else _channels(rig)
+            records += records_of(item, named, frequency_hz=frequency_hz, source=type(item).__name__)
         else:
             records.append(_calibrated(rig, item))
     return Reading(tuple(records), None, ())
@@ -657,7 +662,11 @@ def _calibrated(rig: Rig | Model, record: Record) -> Record:
 
     Where that measures the same.
     """
-    stated = {channel.name: channel for channel in rig.channels} if isinstance(rig, Rig) else {}
+    stated: dict[str, Channel] = {}
+    if isinstance(rig, Rig):
+        kind = record.experiment // RUNS
+        own = Experiments(rig.channels, rig.experiments).named(kind if kind <= len(rig.experiments) else 0)
+        stated = {channel.column: channel for channel in own}
 
     def as_stated(channel: Channel) -> Channel:
         other = stated.get(channel.name, channel)

@@ -41,7 +41,8 @@ class Channel:
     input (the applied force), one displacement input (the reaction force that moves it) or elements (the force in
     them).  `noise` (in `unit`) and `relative_noise` (of the amplitude) are standard deviations of one sample, `rate`
     is in Hz; they serve simulation and design, never identification.  `same_gain_as` names the channel whose unknown
-    gain this one shares (the same amplifier in another experiment).
+    gain this one shares (the same amplifier in another experiment).  `only`: the experiment of the rig file that the
+    channel belongs to, where it takes the place of the one that its column is named like.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Channel:
     same_gain_as: str | None = None
     gain_prior: Unknown | None = None
     delay_prior: Unknown | None = None
+    only: str | None = None
 
     def __post_init__(self) -> None:
         try:
@@ -65,6 +67,11 @@ class Channel:
         except (TypeError, ValueError):
             cure = 'give points with factors, such as {"x1": 1}'
             raise UsageError(f"channel {self.name} measures {self.of!r}", cure=cure) from None
+
+    @property
+    def column(self) -> str:
+        """Name of its column in data files."""
+        return self.name if self.only is None else self.name.removesuffix(f"@{self.only}")
 
     @property
     def factor(self) -> float:

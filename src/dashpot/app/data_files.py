@@ -102,11 +102,11 @@ class RecordOptions:
 
         Raises DataError, and UsageError for a file given twice and for --frequency unused.
         """
-        from dashpot.data.readers import read
+        from dashpot.api import read
 
         require_each_once(paths)
         with progress(reading_of(paths), self.quiet):
-            reading = read(paths, rig.channels, frequency_hz=self.frequency)
+            reading = read(paths, rig, frequency_hz=self.frequency)
         if self.frequency is not None and all(one.frequency_hz != self.frequency for one in reading.records):
             cause = "--frequency is for records that name no drive frequency, and these data name theirs"
             raise UsageError(cause, cure="leave it out")

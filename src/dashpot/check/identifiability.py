@@ -180,7 +180,7 @@ def parallel_unknowns(model: Model, channels: Sequence[Channel]) -> tuple[tuple[
         if element.name in free and element.force_law is None:
             first = element.along[min(element.along)]
             ratios = frozenset((point, round(part / first, 12)) for point, part in element.along.items())
-            groups.setdefault((element.kind, abs(first), ratios), []).append(element.name)
+            groups.setdefault((element.kind, element.only, abs(first), ratios), []).append(element.name)
     return tuple(tuple(names) for names in groups.values() if len(names) > 1)
 
 
@@ -195,12 +195,12 @@ def _lines_enough(
 
     Each further line at random adds no more than the one before, so where twice as many add nothing, none will.
     """
-    most = enough_lines(model, len(channels), unknowns)
+    most = enough_lines(model, channels, unknowns)
     if _work(model) <= MANY:
         return most
     count, before = 2 * -(-unknowns // (2 * max(len(channels), 1))) + 2, -1
     while count < len(most.frequency):
-        lines = generic_lines(model, len(channels), count, conjugates=False)
+        lines = generic_lines(model, channels, count, conjugates=False)
         rank = field.rank(exact(model, channels, lines, rng).rows)
         if rank in (before, unknowns):
             return lines
@@ -279,13 +279,7 @@ def _lines_missing(
 ) -> int | None:
     """How many more lines, with all channels and inputs, would do."""
     for more in range(1, M + 1):
-        top = int(np.max(lines.frequency)) + 1
-        extra = generic_lines(model, len(channels), more)
-        longer = LinePattern(
-            np.concatenate([lines.frequency, top + extra.frequency]),
-            np.concatenate([lines.present, extra.present]),
-            np.concatenate([lines.driven, extra.driven]),
-        )
+        longer = lines + generic_lines(model, channels, more)
         if field.rank(exact(model, channels, longer, rng).rows) == M:
             return more
     return None

@@ -96,7 +96,12 @@ class Residuals:
 
 
 def channel_response(
-    model: Model, p: Real, channels: Sequence[Channel], omega: Real, calibrations: Calibrations | None = None
+    model: Model,
+    p: Real,
+    channels: Sequence[Channel],
+    omega: Real,
+    calibrations: Calibrations | None = None,
+    experiment: Ints | None = None,
 ) -> Complex:
     """G(ω), (lines, channels, inputs): amplitude of each channel per unit of each input, U first, then f; SI units.
 
@@ -104,7 +109,7 @@ def channel_response(
     1, 1 and 0, for known calibrations have been taken out of a Spectrum.  Raises DataError where a channel measures
     what the rig has not.
     """
-    view = observation_model(model, channels, omega)
+    view = observation_model(model, channels, omega, experiment)
     psi, sign = of_channels(view, np.zeros(view.m), calibrations)
     G = transfer(view, p).G
     if not np.all(np.isfinite(G)):
@@ -128,7 +133,9 @@ def residuals(
     """
     known = spectrum.noise_known
     y = spectrum.amplitudes
-    V = working_covariance(observation_model(model, spectrum.channels, spectrum.omega), spectrum)
+    V = working_covariance(
+        observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment), spectrum
+    )
     if not known:
         # V with zeros where nothing was measured (sizes of absent channels mean nothing)
         V = np.where(np.isfinite(V), V, 0.0) + 0 * np.nan_to_num(y)[..., None]
@@ -174,7 +181,7 @@ def _predicted(
         floor = FLOOR * np.max(np.abs(np.nan_to_num(y)), axis=0, initial=0.0)
         return predicted, V + np.diag(floor**2), v
     p = model.parameters(np.asarray(theta, dtype=float))
-    G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations)
+    G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations, spectrum.experiment)
     transients = _transients(model, theta, spectrum, V, calibrations)
     predicted, spread, v = _project(G, y - transients, V)
     return predicted + transients, spread, v
@@ -186,7 +193,7 @@ def _transients(
     """What the two ends of whole records add to the channels, (lines, channels); 0 at settled lines."""
     if not spectrum.carries_loads:
         return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128)
-    view = observation_model(model, spectrum.channels, spectrum.omega)
+    view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
     psi, sign = of_channels(view, np.asarray(theta, dtype=float), calibrations)
     single = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
     exact = measured(Prepared(view, single, V[None], None, True, np.ones(1, dtype=bool)))
@@ -444,7 +451,8 @@ def _steady(model: Model, estimate: Estimate, spectrum: Spectrum, found: Residua
     if not spectrum.carries_loads:
         return found.measured
     p = model.parameters(estimate.values[: len(model.unknowns)])
-    G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations_of(model, estimate))
+    calibrations = calibrations_of(model, estimate)
+    G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations, spectrum.experiment)
     return found.measured - found.predicted + np.einsum("lci,li->lc", G, found.inputs)
 
 

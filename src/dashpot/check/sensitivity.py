@@ -62,7 +62,7 @@ def known_errors(
     identifications for each known parameter.  Raises UsageError where nothing is known.
     """
     exact = [e for e in model.elements if e.value is not None and e.sd is None and e.value != 0]
-    view = observation_model(model, spectrum.channels, spectrum.omega)
+    view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
     uncertain = [u for u in view.unknowns if u.sd is not None]
     if not exact and not uncertain:
         raise UsageError("no parameter of the rig is known", cure="there is nothing whose error could matter")

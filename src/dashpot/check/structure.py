@@ -19,6 +19,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError, ModelError, Problem
 from dashpot.estimate.method import Method
+from dashpot.experiment import RUNS, channels_of
 from dashpot.io.words import listed, with_values
 from dashpot.model.elements import Law
 from dashpot.model.modes import typical_sizes
@@ -156,8 +157,9 @@ GOLDEN = (np.sqrt(5) - 1) / 2
 class LinePattern:
     """The lines of a test: which share a frequency, what is measured, what is driven; inputs are (U, f).
 
-    frequency (lines,) numbers the distinct frequencies; present (lines, channels); driven (lines, inputs).  With
-    `conjugates`, each is measured amplitudes, which are two points of the field; else each is one point of its own.
+    frequency (lines,) numbers the distinct frequencies; present (lines, channels); driven (lines, inputs); experiment
+    (lines,) in which one each was measured, of a rig that differs by experiment.  With `conjugates`, each is measured
+    amplitudes, which are two points of the field; else each is one point of its own.
     Patterns of the same numbers are equal, and serve as keys.
     """
 
@@ -165,13 +167,15 @@ class LinePattern:
     present: Bools
     driven: Bools
     conjugates: bool = True
+    experiment: Ints | None = None
 
     def __post_init__(self) -> None:
         freeze(self)
 
     @cached_property
     def _numbers(self) -> tuple[object, ...]:
-        arrays = (self.frequency, self.present, self.driven)
+        arrays = [self.frequency, self.present, self.driven]
+        arrays += [] if self.experiment is None else [self.experiment]
         return (self.conjugates, *((array.shape, array.tobytes()) for array in arrays))
 
     def __eq__(self, other: object) -> bool:
@@ -184,16 +188,38 @@ class LinePattern:
         """`count` of the lines at the most, evenly spread over them."""
         some = np.unique(np.linspace(0, len(self.frequency) - 1, count).astype(int))
         frequency = np.unique(self.frequency[some], return_inverse=True)[1]
-        return LinePattern(frequency, self.present[some], self.driven[some], self.conjugates)
+        experiment = None if self.experiment is None else self.experiment[some]
+        return LinePattern(frequency, self.present[some], self.driven[some], self.conjugates, experiment)
+
+    def __add__(self, other: LinePattern) -> LinePattern:
+        """These lines and others, at frequencies of their own."""
+        here, there = self.experiment, other.experiment
+        return LinePattern(
+            np.concatenate([self.frequency, int(np.max(self.frequency)) + 1 + other.frequency]),
+            np.concatenate([self.present, other.present]),
+            np.concatenate([self.driven, other.driven]),
+            self.conjugates,
+            None if here is None or there is None else np.concatenate([here, there]),
+        )
 
 
-def generic_lines(model: Model, channels: int, count: int, conjugates: bool = True) -> LinePattern:
-    """`count` lines of different frequencies with every channel measured and every input driven."""
-    present, driven = np.ones((count, channels), dtype=bool), np.ones((count, len(model.inputs)), dtype=bool)
-    return LinePattern(np.arange(count), present, driven, conjugates)
+def generic_lines(
+    model: Model, channels: Sequence[Channel], count: int, conjugates: bool = True
+) -> LinePattern:
+    """`count` lines of different frequencies with every channel measured and every input driven.
+
+    As many again for each experiment of the rig, with the channels that there are in it.
+    """
+    kinds = (None, *model.experiments)
+    lines = count * len(kinds)
+    there = np.array([[c in channels_of(channels, kind) for c in channels] for kind in kinds], dtype=bool)
+    present = np.repeat(there.reshape(len(kinds), len(channels)), count, axis=0)
+    driven = np.ones((lines, len(model.inputs)), dtype=bool)
+    experiment = np.repeat(np.arange(len(kinds)), count) * RUNS if model.experiments else None
+    return LinePattern(np.arange(lines), present, driven, conjugates, experiment)
 
 
-def enough_lines(model: Model, channels: int, unknowns: int) -> LinePattern:
+def enough_lines(model: Model, channels: Sequence[Channel], unknowns: int) -> LinePattern:
     """Points enough that more add nothing: one equation at each may be all, and undamped rigs know s² alone."""
     hysteretic = any(element.law.hysteretic for element in model.elements)
     return generic_lines(model, channels, (unknowns + 2) * (2 if hysteretic else 1), conjugates=False)
@@ -212,7 +238,8 @@ def lines_of(model: Model, spectrum: Spectrum) -> LinePattern:
             if measures_input(model, channel) and set(channel.of) == {name}:
                 driven[:, j] &= ~(present & quiet & zero)[:, c]
     _, frequency = np.unique(spectrum.frequency_hz, return_inverse=True)
-    return LinePattern(frequency.astype(np.int64), present, driven)
+    experiment = spectrum.experiment // RUNS * RUNS if model.experiments else None
+    return LinePattern(frequency.astype(np.int64), present, driven, experiment=experiment)
 
 
 @dataclass(frozen=True)
@@ -244,13 +271,16 @@ def exact(model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np
     column = np.where(np.any(model.T, axis=1), np.argmax(model.T != 0, axis=1), -1)
     p = np.where(column >= 0, times * psi[column] % PRIME, field.residues(model.p0.tolist()))
     s = rng.integers(1, PRIME, int(np.max(lines.frequency)) + 1)[lines.frequency]
-    present, driven = lines.present, lines.driven
+    present, driven, experiment = lines.present, lines.driven, lines.experiment
     j = np.where(np.arange(len(s)) % 2, PRIME - ROOT, ROOT)
     if lines.conjugates:
         s = np.concatenate([s, PRIME - s])
         j = np.repeat([ROOT, PRIME - ROOT], len(lines.frequency))
         present, driven = np.concatenate([present, present]), np.concatenate([driven, driven])
+        experiment = None if experiment is None else np.concatenate([experiment, experiment])
     law = np.stack([_law_in_field(element.law, s, j) for element in model.elements], axis=-1)
+    for rig, some in model.by_experiment(experiment):
+        law[some] *= rig.acts
     G, y, J = _channels(model, view, p, law, s, driven, rng)
     by_theta = np.zeros((*y.shape, m), dtype=np.int64)
     for e in np.flatnonzero(column >= 0):
@@ -454,7 +484,7 @@ def floating(
     omega = grid[lines.frequency]
     shape = lines.driven.shape
     q = np.exp(rng.uniform(-0.5, 0.5, shape) + 2j * np.pi * rng.random(shape)) * lines.driven
-    view = observation_model(model, channels, omega)
+    view = observation_model(model, channels, omega, lines.experiment)
     rig = calibrated_transfer(view, psi, np.ones(len(channels)))
     G, y, J = rig.G, rig.amplitudes(q), rig.slopes(q)
     level = np.maximum(np.abs(y), 1e-6 * np.max(np.abs(y), axis=0, initial=0.0))
@@ -600,7 +630,7 @@ class Deficient:
     def _numbers(self, vector: Ints, power: int, draws: int) -> Real:
         """The constants of a direction whose unknowns are known, (M,), the largest 1."""
         support = np.flatnonzero(vector)
-        lines = enough_lines(self.model, len(self.channels), len(self.names))
+        lines = enough_lines(self.model, self.channels, len(self.names))
         scale = np.where(self.psi == 0, 1.0, self.psi)
         rows = []
         for turn in range(draws):
@@ -639,7 +669,7 @@ class Deficient:
         scale = np.where(self.psi == 0, 1.0, self.psi)
         for channel in _candidates(self.model, self.channels)[:40]:  # further sensors tried as a cure
             more = (*self.channels, channel)
-            lines = enough_lines(self.model, len(more), len(self.names))
+            lines = enough_lines(self.model, more, len(self.names))
             slopes = floating(self.model, more, lines, self.psi, self.rate, self.rng)
             size = float(np.max(np.linalg.norm(slopes * scale, axis=0)))
             for k, deficiency in enumerate(found):

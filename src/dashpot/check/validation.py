@@ -117,7 +117,7 @@ def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Reco
 
     Raises DataError where the channels do not give the inputs, or do not match the estimate's rig.
     """
-    view = observation_model(model, spectrum.channels, spectrum.omega)
+    view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
     estimate.require_unknowns(view.names, ())
     outputs = ~view.inputs_alone
     V, known = _weights(spectrum, outputs)
@@ -173,7 +173,8 @@ def _noise_of_inputs(
         theta = estimate.values[: len(model.unknowns)]
         return noise_of_measured_inputs(model, theta, spectrum, V, calibrations_of(model, estimate)) * outputs
     p = model.parameters(estimate.values[: len(model.unknowns)])
-    G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations_of(model, estimate))
+    calibrations = calibrations_of(model, estimate)
+    G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations, spectrum.experiment)
     there = np.isfinite(spectrum.amplitudes) & ~outputs
     H = G @ np.linalg.pinv(
         np.where(there[..., None], G, 0.0)

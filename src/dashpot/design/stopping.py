@@ -121,7 +121,9 @@ def amplitude_from(model: Model, spectrum: Spectrum) -> float | None:
     """Median amplitude of the inputs in data, m or N; None where no channel shows one, or inputs are of both kinds."""
     if model.displacement_inputs and model.force_inputs:
         return None
-    per_unit = np.abs(observation_model(model, spectrum.channels, spectrum.omega).direct_q).sum(axis=-1)
+    per_unit = np.abs(
+        observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment).direct_q
+    ).sum(axis=-1)
     sizes: list[float] = []
     for i, channel in enumerate(spectrum.channels):
         if len(channel.of) == 1 and measures_input(model, channel):

@@ -127,7 +127,7 @@ def automatic(model: Model, spectrum: Spectrum, *, bounded: bool = False) -> Met
     Where unknowns have bounds, or are to have some (`bounded`), it must be one that holds them; where there are whole
     records, one that knows their transients; where there are nonlinear elements, one that is efficient for them.
     """
-    view = observation_model(model, spectrum.channels, spectrum.omega)
+    view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
     bounded = bounded or bool(np.any(np.isfinite(model.bounds)))
     by_output = not view.is_direct.all() or bool(unseen(view, spectrum))
     transients = spectrum.carries_loads

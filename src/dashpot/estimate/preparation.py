@@ -158,7 +158,12 @@ class Prepared:
 
     def of_rig(self, model: Model) -> Prepared:
         """The same data of a rig with the same coordinates and inputs."""
-        return replace(self, view=observation_model(model, self.spectrum.channels, self.spectrum.omega))
+        return replace(
+            self,
+            view=observation_model(
+                model, self.spectrum.channels, self.spectrum.omega, self.spectrum.experiment
+            ),
+        )
 
     def without_priors(self) -> Prepared:
         """With the uncertain known values of rig and channels taken as exact."""
@@ -201,7 +206,7 @@ def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False, states: 
     if not known and FITTED not in flat.noise:
         nothing = np.full_like(flat.covariance, np.nan)
         flat = replace(flat, covariance=nothing, noise=("unknown",) * flat.lines)
-    view = observation_model(model, flat.channels, flat.omega)
+    view = observation_model(model, flat.channels, flat.omega, flat.experiment)
     V = flat.covariance if known else working_covariance(view, flat)
     V = V if V.ndim == 4 else V[None]
     correlated = np.atleast_1d(channels_correlate(flat)) if known else np.ones(len(V), dtype=bool)
@@ -309,13 +314,14 @@ class States:
     reconstruction: Complex
     n: int
     r: int
+    experiment: Ints | None = None
     compiled: dict[object, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def rows(self, rows: Ints) -> States:
         """Some of the repeats, rows (k,); what all repeats share stays shared."""
         covariance = self.covariance if len(self.covariance) == 1 else self.covariance[rows]
         P = self.reconstruction if len(self.reconstruction) == 1 else self.reconstruction[rows]
-        return States(self.omega, self.z[rows], covariance, P, self.n, self.r)
+        return States(self.omega, self.z[rows], covariance, P, self.n, self.r, self.experiment)
 
     def lines(self, lines: Ints) -> States:
         """Some of the lines, (l,)."""
@@ -326,6 +332,7 @@ class States:
             self.reconstruction[:, lines],
             self.n,
             self.r,
+            None if self.experiment is None else self.experiment[lines],
         )
 
     @property
@@ -441,7 +448,8 @@ def states_if_seen(view: ObservationModel, spectrum: Spectrum, covariance: Compl
     if by_point is None:
         P = reconstruction(view, spectrum, covariance)
         by_point = (P @ y[..., None])[..., 0], P @ covariance @ hermitian(P), P
-    return States(spectrum.omega, *by_point, view.model.n, len(view.model.displacement_inputs))
+    moved = len(view.model.displacement_inputs)
+    return States(spectrum.omega, *by_point, view.model.n, moved, view.experiment)
 
 
 def require_seen(view: ObservationModel, spectrum: Spectrum) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from dashpot.arrays import Complex, Real
+from dashpot.arrays import Complex, Ints, Real
 from dashpot.errors import ModelError
 from dashpot.model.elements import MATRICES
 from dashpot.model.network import Model
@@ -41,9 +41,16 @@ def solve_stiffness(model: Model, weight: Complex, right: Complex) -> Complex:
     return factors.solve(np.asarray(right, dtype=np.complex128))
 
 
-def sparse_amplitudes(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None) -> Complex:
+def sparse_amplitudes(
+    model: Model,
+    p: Real,
+    omega: Real,
+    U: Complex,
+    f: Complex | None = None,
+    experiment: Ints | None = None,
+) -> Complex:
     """As `dynamics.amplitudes`, line by line in the sparse pattern: X (..., lines, n), NaN without steady response."""
-    B, D, factors = model.sparse_B, model.sparse_D, model.factors(omega)
+    B, D, factors = model.sparse_B, model.sparse_D, model.factors(omega, experiment)
     lead = np.broadcast_shapes(p.shape[:-1], U.shape[:-2], () if f is None else f.shape[:-2])
     lines = len(omega)
     count = int(np.prod(lead, dtype=int))
@@ -102,29 +109,36 @@ def matrices(model: Model, p: Real) -> Matrices:
     return Matrices(inner["M"], inner["C"], inner["K"], inner["H"], driven["C"], driven["K"], driven["M"])
 
 
-def stiffness(model: Model, p: Real, omega: Real) -> Complex:
-    """Bᵀ diag(p φ) [B | D]: dynamic stiffness and, behind it, −R of the inputs; (..., lines, n, n + r), N/m."""
+def stiffness(model: Model, p: Real, omega: Real, experiment: Ints | None = None) -> Complex:
+    """Bᵀ diag(p φ) [B | D]: dynamic stiffness and, behind it, −R of the inputs; (..., lines, n, n + r), N/m.
+
+    `experiment` (lines,) says in which one the lines were measured, of a rig that differs by experiment.
+    """
     n, r = model.n, model.D.shape[1]
     total = np.zeros((*p.shape[:-1], len(omega), n * (n + r)), dtype=np.complex128)
-    for letter, members in model.by_matrix.items():
-        if len(members):
-            total += MATRICES[letter].factor(omega)[:, None] * _assemble(model, p, letter)[..., None, :]
+    for rig, lines in model.by_experiment(experiment):
+        for letter, members in rig.by_matrix.items():
+            if len(members):
+                factor = MATRICES[letter].factor(omega[lines])[:, None]
+                total[..., lines, :] += factor * _assemble(rig, p, letter)[..., None, :]
     return total.reshape(*total.shape[:-1], n, n + r)
 
 
-def stiffness_over_lines(model: Model, p: Real, omega: Real) -> Complex:
+def stiffness_over_lines(model: Model, p: Real, omega: Real, experiment: Ints | None = None) -> Complex:
     """As `stiffness` with the lines last, (..., n, n + r, lines): for sums over many lines."""
     n, r = model.n, model.D.shape[1]
     total = np.zeros((*p.shape[:-1], n * (n + r), len(omega)), dtype=np.complex128)
-    for letter, members in model.by_matrix.items():
-        if len(members):
-            total += _assemble(model, p, letter)[..., :, None] * MATRICES[letter].factor(omega)
+    for rig, lines in model.by_experiment(experiment):
+        for letter, members in rig.by_matrix.items():
+            if len(members):
+                factor = MATRICES[letter].factor(omega[lines])
+                total[..., lines] += _assemble(rig, p, letter)[..., :, None] * factor
     return total.reshape(*total.shape[:-2], n, n + r, len(omega))
 
 
-def dynamic_stiffness(model: Model, p: Real, omega: Real) -> Complex:
+def dynamic_stiffness(model: Model, p: Real, omega: Real, experiment: Ints | None = None) -> Complex:
     """Bᵀ diag(p φ) B, shape (..., lines, n, n), N/m."""
-    return stiffness(model, p, omega)[..., : model.n]
+    return stiffness(model, p, omega, experiment)[..., : model.n]
 
 
 def no_steady_response() -> ModelError:
@@ -135,11 +149,18 @@ def no_steady_response() -> ModelError:
     )
 
 
-def amplitudes(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None) -> Complex:
+def amplitudes(
+    model: Model,
+    p: Real,
+    omega: Real,
+    U: Complex,
+    f: Complex | None = None,
+    experiment: Ints | None = None,
+) -> Complex:
     """As `response`, (..., lines, n), with NaN where there is no steady response: searches pass through anything."""
     if model.n >= FROM:
-        return sparse_amplitudes(model, p, omega, U, f)
-    both = stiffness(model, p, omega)
+        return sparse_amplitudes(model, p, omega, U, f, experiment)
+    both = stiffness(model, p, omega, experiment)
     force = -np.einsum("...ij,...j->...i", both[..., model.n :], U)
     if f is not None:
         force = force + np.einsum("ij,...j->...i", model.S, f)
@@ -166,9 +187,9 @@ def elongations(model: Model, X: Complex, U: Complex) -> Complex:
     return flat.reshape(*X.shape[:-1], len(model.elements)) + U @ model.D.T
 
 
-def unit_forces(model: Model, omega: Real, X: Complex, U: Complex) -> Complex:
+def unit_forces(model: Model, omega: Real, X: Complex, U: Complex, experiment: Ints | None = None) -> Complex:
     """a_i = φ_i(ω) (b_i·X + d_i·U), shape (..., lines, elements), N per unit of p_i.  THEORY (E)."""
-    return model.factors(omega) * elongations(model, X, U)
+    return model.factors(omega, experiment) * elongations(model, X, U)
 
 
 def sensitivities(model: Model, p: Real, omega: Real, X: Complex, U: Complex) -> Complex:
@@ -181,12 +202,14 @@ def sensitivities(model: Model, p: Real, omega: Real, X: Complex, U: Complex) ->
     return -solve_small(dynamic_stiffness(model, p, omega), forces)
 
 
-def kernel_rig(kernel: Any, model: Model, omega: Real) -> Any | None:
+def kernel_rig(kernel: Any, model: Model, omega: Real, experiment: Ints | None = None) -> Any | None:
     """A rig at its lines as the compiled kernel takes it, None of nonlinear rigs; the last ones are kept.
 
-    omega (lines,), rad/s.
+    omega (lines,), rad/s.  None as well where the rig differs by the experiment of the lines.
     """
     if len(model.nonlinear):
+        return None
+    if experiment is not None and model.experiments and np.any(model.kind_of(experiment)):
         return None
     key = (kernel, omega.tobytes())
     if key not in model.views:

@@ -108,7 +108,8 @@ class Element:
     where the method can.  `same_as` ties the parameter to another element's: p = times · p(same_as).  `free`: no part
     of the rig but of a free matrix, so that its parameter may have any sign.  `force_law`: a nonlinear law in place of
     that of its kind, with any sign of its parameter.  `block`: name of the matrix that it is an entry of; the element
-    of that name is attached to nothing and carries the factor, which has no unit.
+    of that name is attached to nothing and carries the factor, which has no unit.  `only`: the experiment of the rig
+    that it belongs to, where it takes the place of the element `stands_for`, or is added to the rig.
     """
 
     name: str
@@ -124,6 +125,8 @@ class Element:
     free: bool = False
     force_law: ForceLaw | None = None
     block: str | None = None
+    only: str | None = None
+    stands_for: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", Kind(self.kind))
@@ -182,6 +185,8 @@ class Element:
                 self.free,
                 self.force_law,
                 self.block,
+                self.only,
+                self.stands_for,
             ),
         )
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
@@ -16,8 +16,9 @@ from typing import Any, Literal
 import numpy as np
 from scipy import sparse
 
-from dashpot.arrays import Complex, Ints, Real, frozen
+from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.errors import ModelError, Problem, UsageError, printable
+from dashpot.experiment import kind_of
 from dashpot.io.words import counted, listed, shown
 from dashpot.model.elements import MATRICES, Element, Kind
 from dashpot.model.nonlinear.force_law import Constant, ForceLaw, unit_of
@@ -320,6 +321,9 @@ class Model:
 
     `angles` names the coordinates and displacement inputs that are angles (rad); elements that join only angles have
     parameters in kg·m², N·m·s/rad and N·m/rad.  `name` is kept on one line, control characters escaped.
+    `experiments` names those in which the rig is otherwise: some elements belong to one of them only.  A Model is the
+    rig as it stands in one of them, number `standing`, 0 of none; `standing_in` gives the others, with all the same
+    elements and unknowns.
 
     Raises ModelError with every problem found, each placed at the name of what is wrong.
     """
@@ -329,9 +333,11 @@ class Model:
     elements: tuple[Element, ...]
     name: str = ""
     angles: frozenset[str] = frozenset()
+    experiments: tuple[str, ...] = ()
+    standing: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("coordinates", "inputs", "elements"):
+        for name in ("coordinates", "inputs", "elements", "experiments"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(self, "angles", frozenset(self.angles))
         object.__setattr__(self, "name", printable(" ".join(self.name.split())))
@@ -414,6 +420,45 @@ class Model:
                 S[index[coordinate], column] = factor
         return frozen(S, np.float64)
 
+    # Experiments in which some elements are others
+
+    @cached_property
+    def acts(self) -> Bools:
+        """Which elements there are in the experiment that the rig stands in, (elements,)."""
+        here = self.experiments[self.standing - 1] if self.standing else None
+        replaced = {e.stands_for for e in self.elements if here is not None and e.only == here}
+        own = [e.only == here or (e.only is None and e.name not in replaced) for e in self.elements]
+        return frozen(own, np.bool_)
+
+    def standing_in(self, number: int) -> Model:
+        """The rig as it stands in one of its experiments, by number from 1; 0: in none of them."""
+        if number not in self._standings:
+            self._standings[number] = replace(self, standing=number)
+        return self._standings[number]
+
+    @cached_property
+    def _standings(self) -> dict[int, Model]:
+        return {self.standing: self}
+
+    def by_experiment(self, experiment: Ints | None) -> Iterator[tuple[Model, slice | Ints]]:
+        """The rig of each experiment, with the lines whose `experiment` (lines,) it is, numbered as in `experiment.py`.
+
+        All lines are of the rig as it stands where it has no experiments, or none is said.
+        """
+        if experiment is None or not self.experiments or not len(experiment):
+            yield self, slice(None)
+            return
+        kind = self.kind_of(experiment)
+        present = np.unique(kind)
+        for number in present.tolist():
+            lines = slice(None) if len(present) == 1 else np.flatnonzero(kind == number)
+            yield self.standing_in(number), lines
+
+    def kind_of(self, experiment: Ints) -> Ints:
+        """Number from 1 of the rig's experiment that lines are of, (lines,), 0 of none."""
+        kind = kind_of(experiment)
+        return np.where(kind <= len(self.experiments), kind, 0)
+
     # Laws
 
     @cached_property
@@ -425,7 +470,12 @@ class Model:
     def _by_kind(self) -> Mapping[Kind, Ints]:
         return {
             kind: frozen(
-                [i for i, e in enumerate(self.elements) if e.kind is kind and e.force_law is None], np.int64
+                [
+                    i
+                    for i, e in enumerate(self.elements)
+                    if e.kind is kind and e.force_law is None and self.acts[i]
+                ],
+                np.int64,
             )
             for kind in dict.fromkeys(self.kinds)
         }
@@ -452,11 +502,17 @@ class Model:
         ends = np.cumsum([0, *counts])
         return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
 
-    def factors(self, omega: Real) -> Complex:
-        """φ_i(ω) for `omega` of shape (lines,) in rad/s; shape (lines, elements); 0 for nonlinear elements."""
+    def factors(self, omega: Real, experiment: Ints | None = None) -> Complex:
+        """φ_i(ω) for `omega` of shape (lines,) in rad/s; shape (lines, elements); 0 for nonlinear elements.
+
+        0 as well for elements that are not there in the `experiment` of a line, (lines,).
+        """
         phi = np.zeros((*omega.shape, len(self.elements)), dtype=np.complex128)
-        for kind, chosen in self._by_kind.items():
-            phi[..., chosen] = kind.law.factor(omega)[..., None]
+        for rig, lines in self.by_experiment(experiment):
+            part = np.zeros((*omega[lines].shape, len(self.elements)), dtype=np.complex128)
+            for kind, chosen in rig._by_kind.items():
+                part[..., chosen] = kind.law.factor(omega[lines])[..., None]
+            phi[lines] = part
         return phi
 
     def pole_factors(self, poles: Complex) -> Complex:
@@ -647,10 +703,14 @@ class Model:
 
     @cached_property
     def by_matrix(self) -> Mapping[str, Ints]:
-        """Indices of the elements that enter M, C, K and the hysteretic H, (elements,) each."""
+        """Indices of the elements that are there and enter M, C, K and the hysteretic H, (elements,) each."""
         return {
             letter: frozen(
-                [i for i, e in enumerate(self.elements) if e.law.matrix == letter and e.force_law is None],
+                [
+                    i
+                    for i, e in enumerate(self.elements)
+                    if e.law.matrix == letter and e.force_law is None and self.acts[i]
+                ],
                 np.int64,
             )
             for letter in MATRICES
@@ -658,9 +718,11 @@ class Model:
 
     @cached_property
     def letters(self) -> Ints:
-        """Index in MATRICES of the matrix that each element enters, −1 for nonlinear elements; (elements,)."""
+        """Index in MATRICES of the matrix that each element enters, −1 of nonlinear and absent ones; (elements,)."""
         index = {letter: k for k, letter in enumerate(MATRICES)}
-        return frozen([-1 if e.force_law else index[e.law.matrix] for e in self.elements], np.int64)
+        linear = [e.force_law is None and bool(self.acts[i]) for i, e in enumerate(self.elements)]
+        letters = [index[e.law.matrix] for e in self.elements]
+        return frozen(np.where(linear, letters, -1), np.int64)
 
     @cached_property
     def products(self) -> Mapping[str, Real | sparse.csr_array]:
@@ -690,7 +752,7 @@ class Model:
         return Recent()
 
     def __getstate__(self) -> dict[str, object]:
-        names = ("coordinates", "inputs", "elements", "name", "angles")
+        names = ("coordinates", "inputs", "elements", "name", "angles", "experiments", "standing")
         return {name: getattr(self, name) for name in names}
 
     def __hash__(self) -> int:

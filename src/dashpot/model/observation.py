@@ -46,12 +46,18 @@ def channel_incidence(model: Model, channels: Sequence[Channel]) -> tuple[Real, 
     points |= {name: (on_q, j) for name, j in moved.items()}
     forces = {name: (on_q, r + j) for j, name in enumerate(model.force_inputs)}
     forces |= {element.name: (force, i) for i, element in enumerate(model.elements)}
+    replacing: dict[str, list[int]] = {}  # elements that stand for another in some experiment
+    for i, element in enumerate(model.elements):
+        if element.stands_for is not None:
+            replacing.setdefault(element.stands_for, []).append(i)
     for c, channel in enumerate(channels):
         is_force = channel.quantity is Quantity.FORCE
         for name, factor in channel.of.items():
             part, column = (forces if is_force else points).get(name, (None, 0))
             if part is not None:
                 part[c, column] += factor
+                if part is force:
+                    force[c, replacing.get(name, [])] += factor
             elif is_force and name in moved:
                 force[c] += factor * model.D[:, moved[name]]
             else:
@@ -138,6 +144,7 @@ class ObservationModel:
     gain, delay (channels,): index into the gains and delays that are estimated, −1 where known
     flips (channels,): whether the sign is to be found
     reduced: a large rig on the span of few motions, in place of itself (`model.reduced`)
+    experiment (lines,): in which each line was measured, of a rig that differs by experiment; None: it does not
 
     ψ = (θ, gains, delays) are the unknowns.
     """
@@ -153,6 +160,7 @@ class ObservationModel:
     delay: Ints
     flips: Bools
     reduced: ReducedRig | None = None
+    experiment: Ints | None = None
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -229,8 +237,18 @@ class ObservationModel:
         """The same channels at some of the frequencies; made once for each."""
         key = (lines.start, lines.stop)
         if key not in self._parts:
-            self._parts[key] = replace(self, omega=self.omega[lines])
+            self._parts[key] = self.at(lines)
         return self._parts[key]
+
+    def at(self, lines: slice | Ints) -> ObservationModel:
+        """The same channels at some of the frequencies."""
+        experiment = None if self.experiment is None else self.experiment[lines]
+        return replace(self, omega=self.omega[lines], experiment=experiment)
+
+    @cached_property
+    def factors(self) -> Complex:
+        """φ of the elements that are there at each line, (lines, elements)."""
+        return frozen(self.model.factors(self.omega, self.experiment), np.complex128)
 
     @cached_property
     def _parts(self) -> dict[tuple[int, int], ObservationModel]:
@@ -297,20 +315,25 @@ def calibration_names(channels: Sequence[Channel]) -> tuple[str, ...]:
     return tuple(unknown.name for unknown in unknown_calibrations(channels))
 
 
-def observation_model(model: Model, channels: Sequence[Channel], omega: Real) -> ObservationModel:
-    """What `channels` show of `model` at `omega` (lines,), rad/s.
+def observation_model(
+    model: Model, channels: Sequence[Channel], omega: Real, experiment: Ints | None = None
+) -> ObservationModel:
+    """What `channels` show of `model` at `omega` (lines,), rad/s, in the `experiment` of each line.
 
     The last views of a model are kept, for an identification asks for the same ones over and over.
     Raises DataError where a channel measures what the rig has not, or shares a gain that is not unknown.
     """
     # A view holds its channels, so that their ids stay theirs.
-    key = (*map(id, channels), omega.tobytes())
+    experiment = experiment if model.experiments else None
+    key = (*map(id, channels), omega.tobytes(), None if experiment is None else experiment.tobytes())
     if key not in model.views:
-        model.views[key] = _observation_model(model, tuple(channels), omega)
+        model.views[key] = _observation_model(model, tuple(channels), omega, experiment)
     return cast(ObservationModel, model.views[key])
 
 
-def _observation_model(model: Model, channels: tuple[Channel, ...], omega: Real) -> ObservationModel:
+def _observation_model(
+    model: Model, channels: tuple[Channel, ...], omega: Real, experiment: Ints | None
+) -> ObservationModel:
     on_x, on_q, force = channel_incidence(model, channels)
     derivative = [0 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in channels]
     gain, delay = calibration_indices(channels)
@@ -318,7 +341,9 @@ def _observation_model(model: Model, channels: tuple[Channel, ...], omega: Real)
     flips = [c.sign is None and (c.gain is not None or c.gain_prior is not None) for c in channels]
     orders, signs = frozen(derivative, np.int64), frozen(flips, np.bool_)
     at = frozen(omega, np.float64)
-    return ObservationModel(model, channels, at, on_x, on_q, orders, force, gain, delay, signs)
+    return ObservationModel(
+        model, channels, at, on_x, on_q, orders, force, gain, delay, signs, None, experiment
+    )
 
 
 # Calibrations
@@ -389,7 +414,7 @@ class Transfer:
         X = np.einsum("...nq,...q->...n", self.X, q)
         B = model.B if small(model) else model.sparse_B
         U = q[..., : model.D.shape[1]]
-        return model.factors(self.view.omega) * (_times(X, B.T) + U @ model.D.T)
+        return self.view.factors * (_times(X, B.T) + U @ model.D.T)
 
     def slopes(self, q: Complex) -> Complex:
         """∂y/∂ψ at fixed inputs q (..., lines, r + s), ∂y/∂θ without calibrations; (..., lines, channels, M)."""
@@ -433,12 +458,12 @@ def _transfer_dense(view: ObservationModel, p: Real) -> Transfer:
     lead = (*p.shape[:-1], len(view.omega))
     C_x, C_q = view.direct_x, view.direct_q
     if view.has_forces:
-        rows = view.force * (p[..., None, :] * model.factors(view.omega))[..., None, :]
+        rows = view.force * (p[..., None, :] * view.factors)[..., None, :]
         C_x = C_x + rows @ model.B
         C_q = np.broadcast_to(C_q, (*lead, *C_q.shape[-2:])).copy()
         C_q[..., :r] += rows @ model.D
     C_x = np.broadcast_to(C_x, (*lead, *C_x.shape[-2:]))
-    both = stiffness(model, p, view.omega)
+    both = stiffness(model, p, view.omega, view.experiment)
     S = np.broadcast_to(model.S.astype(np.complex128), (*lead, *model.S.shape))
     sides = [np.swapaxes(C_x, -1, -2), -both[..., model.n :], S]
     solved = solve_small(both[..., : model.n], np.concatenate(sides, axis=-1))
@@ -455,7 +480,7 @@ def _transfer_sparse(view: ObservationModel, p: Real) -> Transfer:
     G = np.empty((len(flat), lines, channels, r + S.shape[1]), dtype=np.complex128)
     X = np.empty((len(flat), lines, model.n, r + S.shape[1]), dtype=np.complex128)
     E = np.empty((len(flat), lines, channels, len(model.elements)), dtype=np.complex128)
-    for line, factors in enumerate(model.factors(view.omega)):
+    for line, factors in enumerate(view.factors):
         direct_x, direct_q = (view.rates[line][:, None] * on for on in (view.on_x, view.on_q))
         for k, weight in enumerate(flat * factors):
             C_x, C_q = direct_x.copy(), direct_q.copy()

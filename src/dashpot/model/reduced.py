@@ -126,7 +126,7 @@ def line_motions(view: ObservationModel, p: Real, line: int) -> Complex:
     NaN where the rig has no steady response.
     """
     model = view.model
-    weight = p * model.factors(view.omega[line : line + 1])[0]
+    weight = p * view.factors[line]
     C_x = view.rates[line][:, None] * view.on_x
     forces = np.flatnonzero(np.any(view.force, axis=-1))
     if len(forces):

@@ -267,7 +267,7 @@ def _require_answer(rig: Rig, chosen: str, positive: bool, matrices: bool) -> No
             "--matrices",
             "leave the option out",
         )
-    require_identifiable(rig.model, rig.channels, rig.path)
+    require_identifiable(rig.model, rig.all_channels, rig.path)
     if chosen != "auto":
         require_scale_seen(method_class(chosen), rig.model, rig.channels, rig.path)
 

@@ -106,7 +106,7 @@ def _with_supposed_noise(model: Model, spectrum: Spectrum) -> Spectrum:
 
     What a wrong rig leaves over, which else would be taken for noise, lets every remedy explain all.
     """
-    alone = observation_model(model, spectrum.channels, spectrum.omega).inputs_alone
+    alone = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment).inputs_alone
     power = np.where(spectrum.present, np.abs(spectrum.amplitudes) ** 2, 0.0)
     mean = np.sum(power, axis=0) / np.maximum(np.sum(spectrum.present, axis=0), 1)
     V = diagonal_matrices(np.where(alone, 0.0, SUPPOSED**2 * (power + SUPPOSED * mean)))

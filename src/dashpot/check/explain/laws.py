@@ -881,7 +881,9 @@ def _places(
     model, pairs = view.model, moving_pairs(view.model)
     probes = [between(f"place {a} {b}", Kind.SPRING, a, b, value=0.0) for a, b in pairs]
     larger = replace(model, elements=(*model.elements, *probes))
-    rig = calibrated_transfer(observation_model(larger, view.channels, view.omega), psi, sign)
+    rig = calibrated_transfer(
+        observation_model(larger, view.channels, view.omega, view.experiment), psi, sign
+    )
     assert isinstance(rig, Transfer)
     assert isinstance(fit.rig, Transfer)
     effect = rig.E[0][..., len(model.elements) :]

@@ -164,7 +164,7 @@ class LineProblem:
         An unknown that is new has the guess of its element, or 0.
         """
         spectrum = self.data.spectrum if channels is None else replace(self.data.spectrum, channels=channels)
-        view = observation_model(model, spectrum.channels, spectrum.omega)
+        view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
         states = (
             states_if_seen(view, spectrum, self.data.covariance) if self.data.states is not None else None
         )
@@ -180,7 +180,7 @@ class LineProblem:
     def at_frequencies(self, frequency_hz: Real) -> LineProblem:
         """With other frequencies (lines,) of the same lines."""
         spectrum = replace(self.data.spectrum, frequency_hz=frequency_hz)
-        view = observation_model(self.model, spectrum.channels, spectrum.omega)
+        view = observation_model(self.model, spectrum.channels, spectrum.omega, spectrum.experiment)
         seen = self.data.states is not None
         states = states_if_seen(view, spectrum, self.data.covariance) if seen else None
         return replace(self, data=replace(self.data, view=view, spectrum=spectrum, states=states))
@@ -188,7 +188,7 @@ class LineProblem:
     def at_lines(self, lines: Ints) -> LineProblem:
         """Of some of the lines."""
         spectrum = self.data.spectrum.select(lines)
-        view = observation_model(self.model, spectrum.channels, spectrum.omega)
+        view = observation_model(self.model, spectrum.channels, spectrum.omega, spectrum.experiment)
         V = self.data.covariance[:, lines]
         data = replace(self.data, view=view, spectrum=spectrum, covariance=V, states=None)
         return replace(self, data=data, lost=None if self.lost is None else self.lost[lines])
@@ -401,7 +401,7 @@ def _own(problems: Sequence[LineProblem]) -> list[list[Real]]:
         V = np.stack([problems[t].V[lines] for t in rows])
         part = some.data.spectrum.select(lines)
         spectrum = replace(part, amplitudes=Y, covariance=np.nan_to_num(V), moments=None)
-        view = observation_model(some.model, part.channels, part.omega)
+        view = observation_model(some.model, part.channels, part.omega, part.experiment)
         states = states_if_seen(view, spectrum, V) if len(lines) else None
         if states is None:
             continue

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Unpack
 
 from dashpot.channel import Channel
@@ -13,9 +14,11 @@ from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
 from dashpot.data.local_noise import with_local_noise
 from dashpot.data.readers.amplitudes import write_amplitudes
-from dashpot.data.readers.datafile import open_file
+from dashpot.data.readers.datafile import DataFile, open_file
+from dashpot.data.readers.experiments import Experiments
 from dashpot.data.readers.interpretation import Interpreted, interpret_parts
 from dashpot.data.readers.manifest import (
+    FileGroup,
     is_manifest,
     is_pattern,
     manifest_of_pattern,
@@ -27,6 +30,7 @@ from dashpot.data.readers.registry import reader_of
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError
+from dashpot.experiment import Experiment
 from dashpot.io.words import counted
 from dashpot.notices import Notice
 
@@ -91,11 +95,13 @@ def read(
     channels: Sequence[Channel],
     *,
     frequency_hz: float | None = None,
+    experiments: Sequence[Experiment] = (),
 ) -> Reading:
     """Read files of any known format, manifests of tests (.toml), and patterns such as {frequency}Hz_*.lvm.
 
     `frequency_hz` is the drive frequency of time records without such a column.  Files without an `experiment` column
-    are experiments 0, 1, 2, … in the order given.  Raises DataError, one line per cause, with file, row and column.
+    are experiments 0, 1, 2, … in the order given; `experiments` are those of the rig file, which files and rows may be
+    of.  Raises DataError, one line per cause, with file, row and column.
     """
     several = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if not several:
@@ -107,15 +113,30 @@ def read(
     if frequency_hz is not None and not 0 < frequency_hz < 1e12:
         raise DataError(f"frequency {frequency_hz:g} Hz", cure="frequencies must be positive and finite")
     total, treatments = Interpreted(), Treatments()
+    by = Experiments(tuple(channels), tuple(experiments))
     for number, path in enumerate(several):
         if is_manifest(path) or is_pattern(path):
             manifest = read_manifest(path) if is_manifest(path) else manifest_of_pattern(path, number)
             treatments.update(manifest.conditioning)
             for group in manifest.groups:
-                total += read_group(group, channels, frequency_hz)
+                total += by.content(partial(read_group, group, frequency_hz, by.names), _kind_of(group, by))
         else:
-            file = open_file(path)
-            parts = reader_of(file).parts(file)
-            total += interpret_parts(parts, channels, Circumstances(frequency_hz, number))
+            file, circumstances = open_file(path), Circumstances(frequency_hz, number, named=by.names)
+            total += by.content(partial(_content, file, circumstances), by.of_file(os.fspath(path)))
     amplitudes = concatenate(total.spectra) if total.spectra else None
     return Reading(total.records, amplitudes, total.notes, total.joint, treatments)
+
+
+def _content(file: DataFile, circumstances: Circumstances, channels: Sequence[Channel]) -> Interpreted:
+    """What one file holds of the channels."""
+    return interpret_parts(reader_of(file).parts(file), channels, circumstances)
+
+
+def _kind_of(group: FileGroup, by: Experiments) -> int:
+    """Number from 1 of the experiment of the rig file that a group of a manifest is of, 0 of none.
+
+    Raises DataError where its entry names one that the rig file has not, or its files are those of two.
+    """
+    if isinstance(group.entry.experiment, str):
+        return by.number(group.entry.experiment, group.place)
+    return max(by.of_file(path.as_posix()) for path in group.paths.values())

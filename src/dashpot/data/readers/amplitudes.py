@@ -20,7 +20,7 @@ from dashpot import units
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.channel import Channel
 from dashpot.data.readers.columns import FREQUENCY, LARGEST, Columns, bare, frequency_column, frequency_scale
-from dashpot.data.readers.records import EXPERIMENT, check_frequency, whole_numbers
+from dashpot.data.readers.records import EXPERIMENT, check_frequency, experiment_column, whole_numbers
 from dashpot.data.readers.text import write_rows
 from dashpot.data.record import calibrated, calibration
 from dashpot.data.spectrum import SettledDwell, Spectrum, Stretch, WholeRecord, concatenate
@@ -162,7 +162,11 @@ def phase_notices(
 
 
 def read_frf(
-    columns: Columns, found: Mapping[str, AmplitudeColumns], channels: Sequence[Channel], experiment: int = 0
+    columns: Columns,
+    found: Mapping[str, AmplitudeColumns],
+    channels: Sequence[Channel],
+    experiment: int = 0,
+    named: Sequence[str] = (),
 ) -> tuple[Spectrum, list[Notice]]:
     """The spectrum in SI units, one experiment for each input from number `experiment` on, and notes.
 
@@ -253,6 +257,7 @@ class _Layout:
     scales     to SI units, one for each channel
     pairs      {(channel, channel): columns of their covariance}
     more       {name: column} of what else there is
+    named      whether experiments may have names, so that their column is text
     """
 
     frequency: int
@@ -261,6 +266,7 @@ class _Layout:
     scales: Real
     pairs: dict[tuple[int, int], AmplitudeColumns]
     more: dict[str, int]
+    named: bool = False
 
     @property
     def gaps(self) -> list[int]:
@@ -273,20 +279,26 @@ class _Layout:
     @property
     def numeric(self) -> list[int]:
         """All columns of numbers."""
-        plain = [self.frequency, *(at for name, at in self.more.items() if name != NOISE)]
+        texts = (NOISE, EXPERIMENT) if self.named else (NOISE,)
+        plain = [self.frequency, *(at for name, at in self.more.items() if name not in texts)]
         return list(dict.fromkeys([*plain, *self.gaps]))
 
 
 def read_amplitudes(
-    columns: Columns, found: Mapping[str, AmplitudeColumns], channels: Sequence[Channel], experiment: int = 0
+    columns: Columns,
+    found: Mapping[str, AmplitudeColumns],
+    channels: Sequence[Channel],
+    experiment: int = 0,
+    named: Sequence[str] = (),
 ) -> tuple[Spectrum, list[Notice]]:
     """The spectrum in SI units with known calibrations taken out, and notes.  `found` are the amplitude columns.
 
     No sd column at all: the noise is unknown (covariance NaN).  Where some channels have one, those without are exact.
-    A channel may be left empty throughout an experiment: not measured there (amplitude NaN).
+    A channel may be left empty throughout an experiment: not measured there (amplitude NaN).  A column `experiment` may
+    hold the names of those that are `named`.
     Raises DataError with file, row and column for what is missing or not a number.
     """
-    layout = _layout(columns, found, channels)
+    layout = _layout(columns, found, channels, named)
     values = columns.numbers(layout.numeric, layout.gaps, [layout.more[DOF]] if DOF in layout.more else [])
     frequency = values[layout.frequency] * frequency_scale(columns, layout.frequency)
     check_frequency(columns, layout.frequency, frequency)
@@ -296,7 +308,7 @@ def read_amplitudes(
     dof = np.full(lines, np.inf)
     if EXPERIMENT in layout.more:
         at = layout.more[EXPERIMENT]
-        experiments = whole_numbers(columns, at, values[at])
+        experiments = experiment_column(columns, at, values.get(at), named)
     if SAMPLES in layout.more:
         at = layout.more[SAMPLES]
         samples = whole_numbers(columns, at, values[at])
@@ -331,7 +343,9 @@ def read_amplitudes(
     return spectrum, [*columns.notes, *unread]
 
 
-def _layout(columns: Columns, found: Mapping[str, AmplitudeColumns], channels: Sequence[Channel]) -> _Layout:
+def _layout(
+    columns: Columns, found: Mapping[str, AmplitudeColumns], channels: Sequence[Channel], named: Sequence[str]
+) -> _Layout:
     """Where everything stands.  Raises DataError for a column that is missing or of another unit."""
     why = " (the rig file lists the channel)"
     frequency_at = _frequency_at(columns, channels)
@@ -357,7 +371,7 @@ def _layout(columns: Columns, found: Mapping[str, AmplitudeColumns], channels: S
     if columns.find(RECORD) is not None:
         names += [RECORD, FUNDAMENTAL, *OF_RECORDS]
     more = {name: at for name in names if (at := columns.find(name)) is not None}
-    return _Layout(frequency_at, amplitudes, sd, np.array(scales), pairs, more)
+    return _Layout(frequency_at, amplitudes, sd, np.array(scales), pairs, more, bool(named))
 
 
 def _kinds_of_noise(columns: Columns, layout: _Layout, lines: int) -> tuple[str, ...]:

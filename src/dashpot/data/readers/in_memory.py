@@ -14,9 +14,12 @@ import numpy as np
 from dashpot.channel import Channel
 from dashpot.data.readers.arrays import ArrayColumns, parts_of_variables
 from dashpot.data.readers.columns import TIME, TIME_NAMES, bare, time_column
+from dashpot.data.readers.experiments import Experiments
+from dashpot.data.readers.interpretation import Interpreted
 from dashpot.data.readers.records import Circumstances, read_records
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.experiment import Experiment
 from dashpot.io.words import counted, listed, shown
 
 
@@ -27,6 +30,10 @@ class HasChannels(Protocol):
     def channels(self) -> Sequence[Channel]:
         """What its columns are."""
 
+    @property
+    def experiments(self) -> Sequence[Experiment]:
+        """Those in which its channels may be otherwise."""
+
 
 def record(
     data: Any,
@@ -35,7 +42,7 @@ def record(
     time: Any = None,
     rate_hz: float | None = None,
     frequency_hz: float | None = None,
-    experiment: int = 0,
+    experiment: int | str = 0,
     source: str = "record",
 ) -> Record:
     """One record of the channels that are named in `data`.
@@ -43,6 +50,7 @@ def record(
     data      a mapping of names to arrays (samples,), a pandas or polars data frame, an xarray Dataset, or a
               structured NumPy array; numbers in the units of the channels
     channels  of a rig, or the rig
+    experiment  a number, or the name of one of the rig's experiments
     time      (samples,), s; else the column `time_s` (or an index or coordinate of that or a usual name), else
               `rate_hz` in Hz
 
@@ -74,7 +82,7 @@ def records_of(
     time: Any = None,
     rate_hz: float | None = None,
     frequency_hz: float | None = None,
-    experiment: int = 0,
+    experiment: int | str = 0,
     source: str = "record",
 ) -> tuple[Record, ...]:
     """All records in `data`, with a column `frequency_hz` one for each of its blocks; arguments as of `record`.
@@ -101,8 +109,14 @@ def records_of(
         raise DataError(what, source, "add a column time_s, or give time (s) or rate_hz")
     if rate_hz is not None and time_column(part, named, may_lack=True) is not None:
         raise DataError("there are times as well as rate_hz", source, "leave one of them out")
-    circumstances = Circumstances(frequency_hz, experiment, rate_hz)
-    return tuple(read_records(part, named, circumstances)[0])
+    by = Experiments(tuple(named), tuple(getattr(channels, "experiments", ())))
+    kind = by.number(experiment, source) if isinstance(experiment, str) else 0
+    run = 0 if isinstance(experiment, str) else experiment
+    circumstances = Circumstances(frequency_hz, run, rate_hz, by.names)
+    content = by.content(
+        lambda columns: Interpreted(tuple(read_records(part, columns, circumstances)[0])), kind
+    )
+    return content.records
 
 
 def _named(channels: Sequence[Channel] | HasChannels, source: str) -> Sequence[Channel]:

@@ -61,7 +61,7 @@ def interpret(columns: Columns, channels: Sequence[Channel], circumstances: Circ
     found = amplitude_columns(columns)
     if found:
         reader = read_frf if any("/" in name for name in found) else read_amplitudes
-        lines, notes = reader(columns, found, channels, circumstances.experiment)
+        lines, notes = reader(columns, found, channels, circumstances.experiment, circumstances.named)
         notes += phase_notices(columns, found, lines.frequency_hz)
         return Interpreted((), (lines,), tuple(notes))
     records, notes = read_records(columns, channels, circumstances)

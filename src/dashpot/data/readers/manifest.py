@@ -91,7 +91,7 @@ class FilesEntry(Entry):
         "sensors": 'sensors and their columns, such as { floor1 = { x1 = "Acc_X" } }',
         "clock": '"shared" or "own"',
         "align_s": "[start, end] in s, such as [0, 8]",
-        "experiment": f"a whole number from 0 to {MOST_EXPERIMENTS}",
+        "experiment": f"a whole number from 0 to {MOST_EXPERIMENTS}, or the name of an experiment of the rig file",
         "frequency_hz": "a positive number of Hz",
         "lines": MULTIPLES,
         "skip_periods": "a whole number from 0",
@@ -106,7 +106,7 @@ class FilesEntry(Entry):
     sensors: dict[str, Names] = Field(default_factory=dict)
     clock: Literal["shared", "own"] = "shared"
     align_s: Span | None = None
-    experiment: Annotated[int, Field(ge=0, le=MOST_EXPERIMENTS)] | None = None
+    experiment: Annotated[int, Field(ge=0, le=MOST_EXPERIMENTS)] | Text | None = None
     frequency_hz: Positive | None = None
     lines: str | list[int] | None = None
     skip_periods: Annotated[int, Field(ge=0)] = 0
@@ -297,9 +297,8 @@ def resolved(entry: FilesEntry, folder: Path, place: str, number: int) -> list[F
             outside = entry.band_hz is not None and (frequency is None or not low <= frequency <= high)
             if outside or (entry.sensors and sensor not in entry.sensors):
                 continue
-            experiment = int(
-                fields.get("experiment", number if entry.experiment is None else entry.experiment)
-            )
+            stated = entry.experiment if isinstance(entry.experiment, int) else number
+            experiment = int(fields.get("experiment", stated))
             if experiment > MOST_EXPERIMENTS:
                 raise DataError(
                     f"the experiment {shown(str(experiment))} of {shown(path.name)}", place, "use *"
@@ -438,14 +437,18 @@ def line_numbers(text: str | Sequence[int], place: str) -> tuple[int, ...]:
 # Files of a manifest as records and spectra: columns chosen and renamed, sensors joined, periods averaged.
 
 
-def read_group(group: FileGroup, channels: Sequence[Channel], frequency_hz: float | None) -> Interpreted:
+def read_group(
+    group: FileGroup, frequency_hz: float | None, experiments: Sequence[str], channels: Sequence[Channel]
+) -> Interpreted:
     """What one group of files holds.  `frequency_hz` serves where neither they nor their names say it.
+
+    `experiments` are those that rows may name.
 
     Raises DataError, one line, for what is missing or damaged in a file, or does not fit its entry.
     """
     entry, found = group.entry, Interpreted()
     driven = frequency_hz if group.frequency_hz is None else group.frequency_hz
-    circumstances = Circumstances(driven, group.experiment, entry.rate_hz)
+    circumstances = Circumstances(driven, group.experiment, entry.rate_hz, tuple(experiments))
     if entry.sensors:
         found = _joined(group, channels, circumstances)
     else:

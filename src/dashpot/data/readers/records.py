@@ -31,7 +31,8 @@ from dashpot.data.readers.columns import (
 from dashpot.data.readers.text import write_rows
 from dashpot.data.record import Record, samples_at_limit
 from dashpot.errors import DataError
-from dashpot.io.words import shown
+from dashpot.experiment import numbered
+from dashpot.io.words import listed, shown, written
 from dashpot.notices import Notice
 
 EXPERIMENT = "experiment"
@@ -40,11 +41,15 @@ _IN_NAME = re.compile(r"(?<![\d.])(\d+(?:[.,p]\d+)?)[ _-]?hz(?![a-z])", re.IGNOR
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What a file may leave out: the drive frequency of its records, their experiment, their sampling rate in Hz."""
+    """What a file may leave out: the drive frequency of its records, their experiment, their sampling rate in Hz.
+
+    named: the experiments of the rig file, which a column `experiment` may hold in place of numbers
+    """
 
     frequency_hz: float | None = None
     experiment: int = 0
     rate_hz: float | None = None
+    named: tuple[str, ...] = ()
 
 
 def read_records(
@@ -59,15 +64,18 @@ def read_records(
     f_at, experiment_at = frequency_column(columns, channels), columns.find(EXPERIMENT)
     at = [columns.need(channel.name, " (the rig file lists it as a channel)") for channel in channels]
     scales = [columns.scale(column, channel) for column, channel in zip(at, channels, strict=True)]
-    wanted = list(dict.fromkeys(i for i in (f_at, experiment_at, *at) if i is not None))
-    notes += columns.not_read((*wanted, time_at))
+    numeric = None if circumstances.named else experiment_at
+    wanted = list(dict.fromkeys(i for i in (f_at, numeric, *at) if i is not None))
+    notes += columns.not_read((*wanted, time_at, experiment_at))
     apart = set(at).isdisjoint({time_at, f_at, experiment_at})
     time, numbers = read_time(columns, time_at, wanted, circumstances.rate_hz, at if apart else ())
     frequency, frequency_hz, said = _drive(columns, f_at, numbers, circumstances)
     notes += said
     experiments: Ints = np.broadcast_to(np.int64(circumstances.experiment), len(time))
     if experiment_at is not None:
-        experiments = whole_numbers(columns, experiment_at, numbers[experiment_at])
+        experiments = experiment_column(
+            columns, experiment_at, numbers.get(experiment_at), circumstances.named
+        )
     # In SI units, (samples, channels); the numbers are let go, or changed where they stand together
     block = whole_block([numbers[column] for column in at])
     values = np.empty((len(time), len(at))) if block is None else block
@@ -124,6 +132,28 @@ def check_frequency(columns: Columns, column: int, frequency: Real) -> None:
     """Raises DataError at the first frequency that is not positive.  frequency (rows,), Hz."""
     wrong = ~(frequency > 0) | (frequency > 1e12)
     columns.refuse(column, wrong, "frequency {:g} Hz", "frequencies must be positive", frequency)
+
+
+def experiment_column(columns: Columns, column: int, values: Real | None, named: Sequence[str]) -> Ints:
+    """The numbers of runs, (rows,), or of the experiments that are `named`.  Raises DataError at the first other text.
+
+    values: the column as numbers, None where it may hold names.
+    """
+    if not named or values is not None:
+        assert values is not None
+        return whole_numbers(columns, column, values)
+    texts = np.array(columns.texts(column))
+    distinct, of = np.unique(texts, return_inverse=True)
+    numbers = np.zeros(len(distinct), dtype=np.int64)
+    for k, text in enumerate(distinct.tolist()):
+        if text in named:
+            numbers[k] = numbered(named.index(text) + 1, 0)
+        elif re.fullmatch(r"\s*\d{1,9}(\.0*)?\s*", text):
+            numbers[k] = int(float(text))
+        else:
+            cure = f"write a number, or a name of the rig file: {listed(named)}"
+            columns.refuse(column, texts == text, f"{written(text)} is no experiment", cure)
+    return numbers[of.ravel()]
 
 
 def whole_numbers(columns: Columns, column: int, values: Real) -> Ints:

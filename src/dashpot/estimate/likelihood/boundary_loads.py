@@ -241,7 +241,21 @@ class RecordEnds:
         if not np.any(self.sampled):
             return None
         p = self.rig.model.parameters(psi[:, : self.rig.m])
-        return sampled_loads(self.rig, self.sampled, p, self.step, self.highest)
+        found: SampledLoads | None = None
+        for model, records in self.rig.model.by_experiment(self.experiment):
+            part = sampled_loads(replace(self.rig, model=model), self.sampled, p, self.step, self.highest)
+            found = part if found is None else found
+            found.terms[:, records], found.slopes[:, records] = (
+                part.terms[:, records],
+                part.slopes[:, records],
+            )
+        return found
+
+    @property
+    def experiment(self) -> Ints | None:
+        """In which experiment each record was measured, (records,), of a rig that differs by experiment."""
+        of_lines = self.rig.experiment
+        return None if of_lines is None else np.array([of_lines[lines[0]] for lines in self.lines])
 
     def polynomials(self) -> Complex:
         """Columns of the polynomials in the channels that are data, (lines, channels, polynomials)."""
@@ -260,7 +274,7 @@ class RecordEnds:
 def with_loads(view: ObservationModel) -> ObservationModel:
     """The same channels of the rig with a force input at every coordinate, behind its own inputs."""
     model = view.model
-    key = (with_loads, *map(id, view.channels), view.omega.tobytes())
+    key = (with_loads, id(view))
     if key not in model.views:
         taken = {*model.coordinates, *(given.name for given in model.inputs)}
         names = []
@@ -274,7 +288,7 @@ def with_loads(view: ObservationModel) -> ObservationModel:
             for name, coordinate in zip(names, model.coordinates, strict=True)
         )
         driven = replace(model, inputs=(*model.inputs, *loads))
-        model.views[key] = observation_model(driven, view.channels, view.omega)
+        model.views[key] = observation_model(driven, view.channels, view.omega, view.experiment)
     return cast(ObservationModel, model.views[key])
 
 

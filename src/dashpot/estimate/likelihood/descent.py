@@ -42,7 +42,7 @@ def thinned(data: Prepared, each: int = EACH) -> Prepared:
         covariance=spectrum.covariance[:, lines],
     )
     states = None if data.states is None else data.states.lines(lines)
-    view = observation_model(data.model, fewer.channels, fewer.omega)
+    view = observation_model(data.model, fewer.channels, fewer.omega, fewer.experiment)
     return replace(data, view=view, spectrum=fewer, covariance=data.covariance[:, lines], states=states)
 
 

@@ -234,10 +234,10 @@ def _response(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> 
     assert q is not None
     r = len(model.displacement_inputs)
     p, U, f = model.parameters(psi[..., : view.m]), q[..., :r], q[..., r:]
-    X = amplitudes(model, p, view.omega, U, f)
+    X = amplitudes(model, p, view.omega, U, f, view.experiment)
     forces = np.zeros(len(model.elements), dtype=complex)
     if view.has_forces:
-        forces = p[..., None, :] * unit_forces(model, view.omega, X, U)
+        forces = p[..., None, :] * unit_forces(model, view.omega, X, U, view.experiment)
     return calibration_factors(view, psi, sign) * channel_amplitudes(view, X, q, forces)
 
 

@@ -167,7 +167,7 @@ def _loads(model: Model, data: States, ends: RecordEnds, p: Real | None = None) 
     each = np.broadcast_to(np.eye(model.n, dtype=complex), (*lead, model.n, model.n))
     polynomials = np.zeros((*lead, model.n, len(ends.channel)), dtype=np.complex128)
     if p is not None:
-        H = stiffness(model, p, data.omega)
+        H = stiffness(model, p, data.omega, data.experiment)
         read = data.reconstruction[..., : H.shape[-1], :] @ ends.polynomials()
         polynomials = H @ read - model.S @ (data.reconstruction[..., H.shape[-1] :, :] @ ends.polynomials())
     return np.concatenate([each, ends.s[:, None, None] * each, polynomials], axis=-1)

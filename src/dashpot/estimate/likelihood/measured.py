@@ -159,7 +159,9 @@ def compiled_output(view: ObservationModel, data: Measured) -> Any | None:
         cache.clear()
         output, rig = (
             None,
-            kernel_rig(core, view.model, view.omega) if view.model.n and len(view.omega) else None,
+            kernel_rig(core, view.model, view.omega, view.experiment)
+            if view.model.n and len(view.omega)
+            else None,
         )
         if rig is not None:
             q = None if data.q is None else np.ascontiguousarray(data.q)

@@ -203,7 +203,7 @@ def _slopes(view: ObservationModel, data: Measured, residual: Complex, G: Comple
             score[some] = np.abs(weighted) ** 2
             scale[some] = (np.diagonal(W, axis1=-2, axis2=-1) - taken).real
             continue
-        by_channel = inputs_by_channel(replace(view, omega=view.omega[some]), alone)
+        by_channel = inputs_by_channel(view.at(some), alone)
         if by_channel is not None:
             t = G_some @ by_channel[..., alone]
             score[some, alone] = np.abs((hermitian(t) @ weighted[..., None])[..., 0]) ** 2
@@ -272,7 +272,7 @@ def noise_from_residuals(
     The channels that measure inputs alone keep the noise that their own spectra show; where these show none, they get
     what all outputs have in common.
     """
-    view = observation_model(model, spectrum.channels, spectrum.omega)
+    view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
     sought = np.array([kind == FLOOR for kind in spectrum.noise])
     outputs = ~view.inputs_alone
     V = _first(spectrum, sought, outputs)
@@ -335,7 +335,7 @@ def _own_power(
     G = np.empty((len(view.omega), *view.on_q.shape), dtype=np.complex128)
     for first in range(0, len(G), PIECE):
         some = slice(first, first + PIECE)
-        part = view if len(G) <= PIECE else replace(view, omega=view.omega[some])
+        part = view if len(G) <= PIECE else view.at(some)
         G[some] = calibrated_transfer(part, psi, sign).G[0]
     if data.q is None:
         # What fitting the inputs takes out of the residual's power: diagonal of G (Gᴴ W G)⁻¹ Gᴴ, (lines,

@@ -6,7 +6,7 @@ The compiled kernel makes the same passes (`record_sums.py`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -232,11 +232,7 @@ class RecordPieces:
     def _piece(self, number: int) -> RecordPiece:
         lines, segments = self._parts[number]
         ends = self.ends
-        view = (
-            ends.rig.at_lines(lines)
-            if isinstance(lines, slice)
-            else replace(ends.rig, omega=ends.rig.omega[lines])
-        )
+        view = ends.rig.at_lines(lines) if isinstance(lines, slice) else ends.rig.at(lines)
         weights, s = Weights.of(self.W, self.root, lines), ends.s[lines]
         y = np.ascontiguousarray(np.swapaxes(self.y[:, lines], -1, -2))
         loaded = np.zeros(len(view.omega), dtype=bool)
@@ -270,7 +266,7 @@ class RecordPieces:
             segments,
             s,
             np.ascontiguousarray(view.rates.T),
-            np.ascontiguousarray(view.model.factors(view.omega).T),
+            np.ascontiguousarray(view.factors.T),
             weights,
             weights.whitened(y[:, :, None, :])[:, :, 0],
             None if self.q is None else np.ascontiguousarray(np.swapaxes(self.q[:, lines], -1, -2)),
@@ -453,7 +449,7 @@ def _piece_at(
     model = view.model
     p = model.parameters(psi[:, : view.m])
     n = model.n
-    both = stiffness_over_lines(model, p, view.omega)
+    both = stiffness_over_lines(model, p, view.omega, view.experiment)
     Z = _inverse(both[:, :, :n])
     by_load, G = _observed(piece, p, Z)
     force = view.force[:, :, None].astype(np.complex128)[None] if view.has_forces else None

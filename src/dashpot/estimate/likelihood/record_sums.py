@@ -7,7 +7,7 @@ same line by line.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -122,7 +122,9 @@ def _records(core: Any, pieces: RecordPieces) -> Any | None:
         [np.pad(lines, (0, s), constant_values=-1) for (_, lines), s in zip(owners, spare, strict=True)]
     )
     start = np.cumsum([0, *(len(lines) + s for (_, lines), s in zip(owners, spare, strict=True))])
-    rig = kernel_rig(core, view.model, view.omega[index])
+    rig = kernel_rig(
+        core, view.model, view.omega[index], None if view.experiment is None else view.experiment[index]
+    )
     if rig is None:
         return None
     inside = line >= 0
@@ -235,7 +237,7 @@ def shown_by_ends(pieces: RecordPieces, psi: Real, sign: Real) -> Complex:
         of_record = loads[:, record]
         for at in np.split(lines, range(20_000, len(lines), 20_000)):
             s = ends.s[at]
-            view = replace(ends.view, omega=ends.view.omega[at])
+            view = ends.view.at(at)
             G, by_load = np.split(calibrated_transfer(view, psi, sign).G, [ends.inputs], axis=-1)
             load = of_record[:, None, :n] + s[:, None] * of_record[:, None, n : 2 * n]
             shown = np.einsum("klcj,klj->klc", by_load, load)

@@ -56,7 +56,9 @@ def auxiliary(model: Model, p: Real, data: States) -> Auxiliary:
     Oe = solve_small(Se, e[..., None])
     z = data.z - (spread @ Oe)[..., 0]
     n, r = data.n, data.r
-    return Auxiliary(e, Se, Oe[..., 0], unit_forces(model, data.omega, z[..., :n], z[..., n : n + r]))
+    return Auxiliary(
+        e, Se, Oe[..., 0], unit_forces(model, data.omega, z[..., :n], z[..., n : n + r], data.experiment)
+    )
 
 
 def equation_covariance(model: Model, p: Real, data: States) -> Complex:
@@ -66,7 +68,7 @@ def equation_covariance(model: Model, p: Real, data: States) -> Complex:
 
 def _equation_noise(model: Model, p: Real, data: States) -> tuple[Complex, Complex, Complex]:
     """H, Σ Hᴴ and Se = H Σ Hᴴ."""
-    H = stiffness(model, p, data.omega)
+    H = stiffness(model, p, data.omega, data.experiment)
     if model.S.shape[1]:
         S = np.broadcast_to(-model.S.astype(complex), (*H.shape[:-1], model.S.shape[1]))
         H = np.concatenate([H, S], axis=-1)

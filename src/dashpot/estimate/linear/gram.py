@@ -32,7 +32,7 @@ def compiled_equation(model: Model, states: States) -> Any | None:
         return None
     key = (id(core), id(model))
     if key not in states.compiled:
-        rig = kernel_rig(core, model, states.omega)
+        rig = kernel_rig(core, model, states.omega, states.experiment)
         equation = None
         if rig is not None:
             z, V = np.ascontiguousarray(states.z), np.ascontiguousarray(states.covariance)

@@ -85,8 +85,10 @@ class InstrumentalVariables(Method):
 def instruments(observed: Sampled, theta: Real) -> Complex:
     """w_i of eq. 18-19, amplitudes (K, lines, elements): unit forces of the auxiliary model's response."""
     model = observed.model
-    X = amplitudes(model, model.parameters(theta), observed.omega, observed.U, observed.f)
-    return unit_forces(model, observed.omega, X, observed.U)
+    X = amplitudes(
+        model, model.parameters(theta), observed.omega, observed.U, observed.f, observed.experiment
+    )
+    return unit_forces(model, observed.omega, X, observed.U, observed.experiment)
 
 
 def fixed_point(
@@ -180,7 +182,7 @@ def objective(model: Model, states: States, repeats: Ints) -> Callable[[Real, In
     """Σ eᴴ Ω(θ) e with the priors' rows, as `minimise` takes it, for some of the repeats."""
     precision = model.prior_precision
     mine = states.rows(repeats)
-    Phi = regressors(model, unit_forces(model, mine.omega, mine.X, mine.U))
+    Phi = regressors(model, unit_forces(model, mine.omega, mine.X, mine.U, mine.experiment))
 
     def evaluate(theta: Real, rows: Ints) -> QuadraticModel:
         at = auxiliary(model, model.parameters(theta), mine.rows(rows))

@@ -60,6 +60,7 @@ class Sampled:
     weight: Real
     coefficients: Real | None
     moments: Real | None
+    experiment: Ints | None = None
 
     def rows(self, rows: Ints) -> Sampled:
         """Some of the repeats, rows (k,)."""
@@ -89,7 +90,7 @@ def sampled(data: Prepared) -> Sampled:
         P[k] = reconstruction(view, spectrum, V, drive | next(seen, derivative >= 0))
     n, r = model.n, len(model.displacement_inputs)
     span = np.concatenate([model.B, model.D], axis=1)
-    phi = model.factors(spectrum.omega)
+    phi = model.factors(spectrum.omega, spectrum.experiment)
     reading = np.empty(
         (len(V), spectrum.lines, len(model.elements), len(spectrum.channels)), dtype=np.complex128
     )
@@ -105,7 +106,19 @@ def sampled(data: Prepared) -> Sampled:
     moments = None if spectrum.moments is None else spectrum.moments.products
     coefficients = None if moments is None else _time_coefficients(reading, y, drive)
     return Sampled(
-        model, spectrum.omega, V, y, a, reading, U, f, force, spectrum.samples / 2, coefficients, moments
+        model,
+        spectrum.omega,
+        V,
+        y,
+        a,
+        reading,
+        U,
+        f,
+        force,
+        spectrum.samples / 2,
+        coefficients,
+        moments,
+        view.experiment,
     )
 
 
@@ -272,13 +285,27 @@ def combined(data: Prepared) -> Sampled:
     size = s.z.shape[-1]
     span = np.zeros((len(model.elements), size))
     span[:, : s.n + s.r] = np.concatenate([model.B, model.D], axis=1)
-    reading = model.factors(spectrum.omega)[None, :, :, None] * span
+    reading = model.factors(spectrum.omega, spectrum.experiment)[None, :, :, None] * span
     force = np.broadcast_to(
         np.eye(size, dtype=complex)[s.n + s.r :], (1, spectrum.lines, size - s.n - s.r, size)
     )
-    a = unit_forces(model, spectrum.omega, s.X, s.U)
+    a = unit_forces(model, spectrum.omega, s.X, s.U, s.experiment)
     weight = spectrum.samples / 2
-    return Sampled(model, spectrum.omega, s.covariance, s.z, a, reading, s.U, s.f, force, weight, None, None)
+    return Sampled(
+        model,
+        spectrum.omega,
+        s.covariance,
+        s.z,
+        a,
+        reading,
+        s.U,
+        s.f,
+        force,
+        weight,
+        None,
+        None,
+        s.experiment,
+    )
 
 
 def solve_sums(observed: Sampled, N: Real, r: Real, theta: Real | None = None) -> Real:
@@ -430,7 +457,7 @@ def where_finite(values: Real, otherwise: Real) -> Real:
 
 def equation(model: Model, data: States) -> tuple[Complex, Complex]:
     """Φ and h of the measured amplitudes: e = Φ θ − h; (K, lines, n, unknowns) and (K, lines, n)."""
-    a = unit_forces(model, data.omega, data.X, data.U)
+    a = unit_forces(model, data.omega, data.X, data.U, data.experiment)
     return regressors(model, a), known_side(model, a, data.f)
 
 
@@ -456,7 +483,9 @@ def without_noise(model: Model, data: States, Se: Complex, N: Real, right: Real)
 def noise_sums(model: Model, data: States, Se: Complex) -> tuple[Real, Real]:
     """What noise adds to 2 Re ΦᴴΩΦ and to 2 Re ΦᴴΩh, by (G): (B Ω Bᵀ) ∘ E[ā aᵀ], (K, unknowns, unknowns or none)."""
     q = data.n + data.r
-    reading = model.factors(data.omega)[:, :, None] * np.concatenate([model.B, model.D], axis=1)
+    reading = model.factors(data.omega, data.experiment)[:, :, None] * np.concatenate(
+        [model.B, model.D], axis=1
+    )
     meeting = model.B @ solve_small(Se, np.broadcast_to(np.eye(model.n, dtype=complex), Se.shape))
     spread = reading @ data.covariance[..., :q, :]
     crossed = np.conj(spread[..., :q] @ hermitian(reading))

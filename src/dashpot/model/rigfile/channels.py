@@ -14,6 +14,7 @@ from dashpot.io.words import did_you_mean, listed, quoted, written
 from dashpot.model.rigfile.rig import all_angles, is_electrical, scale_of_points
 from dashpot.model.rigfile.schema import (
     EXAMPLES,
+    EXPERIMENTS,
     GROUND,
     TABLES,
     ChannelEntry,
@@ -102,7 +103,7 @@ def read_channels(reading: RigReading) -> list[Channel] | None:
     """The channels; None where the file has no such section."""
     named = {
         str(table.get("of"))
-        for _, raw in reading.entries("channels")
+        for raw in _calibrated_tables(reading)
         for table in split_calibrations(raw)[1].values()
     }
     for name, _ in reading.entries("calibrations"):
@@ -117,8 +118,7 @@ def read_channels(reading: RigReading) -> list[Channel] | None:
     if "channels" not in reading.table:
         return None
     # Points, force inputs and elements, faulty ones too
-    names = (*reading.points, *reading.inputs, *reading.elements, *sorted(reading.faulty))
-    measurable, channels = dict.fromkeys(names), []
+    channels = []
     for name, raw in reading.entries("channels"):
         place, before = ("channels", name), reading.problems
         if not name.isprintable() or name != name.strip() or not name:
@@ -128,11 +128,7 @@ def read_channels(reading: RigReading) -> list[Channel] | None:
         if name in RESERVED_NAMES:
             reading.report.add(place, *reserved(name))
             continue
-        plain, tables = split_calibrations(raw)
-        entry = reading.entry(ChannelEntry, "channels", name, plain)
-        channel = None if entry is None else _channel(reading, name, entry, measurable)
-        if channel is not None:
-            channel = _with_calibrations(reading, channel, tables)
+        channel = read_channel(reading, name, raw, place)
         if channel is not None and reading.problems == before:
             channels.append(channel)
     _check_shared_gains(reading, channels)
@@ -143,6 +139,23 @@ def read_channels(reading: RigReading) -> list[Channel] | None:
         else channel
         for channel in channels
     ]
+
+
+def _calibrated_tables(reading: RigReading) -> Iterator[object]:
+    """Tables of channels, and of what they are in experiments."""
+    yield from (raw for _, raw in reading.entries("channels"))
+    for _, experiment in reading.entries(EXPERIMENTS):
+        yield from experiment.values() if isinstance(experiment, dict) else ()
+
+
+def read_channel(reading: RigReading, name: str, raw: object, place: Place) -> Channel | None:
+    """The channel at a place of the file; None where it cannot be said, which is told."""
+    # Points, force inputs and elements, faulty ones too
+    measurable = (*reading.points, *reading.inputs, *reading.elements, *sorted(reading.faulty))
+    plain, tables = split_calibrations(raw)
+    entry = reading.entry(ChannelEntry, "channels", name, plain, place)
+    channel = None if entry is None else _channel(reading, name, entry, dict.fromkeys(measurable), place)
+    return None if channel is None else _with_calibrations(reading, channel, tables, place)
 
 
 # Gains and delays that are known with an uncertainty, or shared.
@@ -161,12 +174,12 @@ def split_calibrations(raw: object) -> tuple[object, dict[str, dict[str, Any]]]:
 
 
 def _with_calibrations(
-    reading: RigReading, channel: Channel, tables: Mapping[str, dict[str, Any]]
+    reading: RigReading, channel: Channel, tables: Mapping[str, dict[str, Any]], at: Place
 ) -> Channel:
     """The channel with the gain and the delay that tables state; told where they make no sense."""
     changes: dict[str, Any] = {}
     for key, table in tables.items():
-        place = ("channels", channel.name, key)
+        place = (*at, key)
         if key == "gain" and channel.same_gain_as is not None:
             reading.report.add(place, "the gain is given as well", "keep same_gain_as, or the gain")
             return channel
@@ -263,10 +276,10 @@ def _check_shared_gains(reading: RigReading, channels: Sequence[Channel]) -> Non
 
 
 def _channel(
-    reading: RigReading, name: str, entry: ChannelEntry, measurable: Collection[str]
+    reading: RigReading, name: str, entry: ChannelEntry, measurable: Collection[str], place: Place
 ) -> Channel | None:
     """A channel; None where it cannot be said, which is told unless it follows from another problem."""
-    place, before = ("channels", name), reading.problems
+    before = reading.problems
     given = {point: factor for point, factor in entry.of.items() if point != GROUND}
     of = reading.factors((*place, "of"), given)
     for key, what, cure in _wrong_numbers(entry):
@@ -285,7 +298,7 @@ def _channel(
     if fault is not None:
         reading.report.add((*place, "of"), *fault)
         return None
-    return _calibrated(reading, name, entry, of, quantity)
+    return _calibrated(reading, name, entry, of, quantity, place)
 
 
 def _not_measurable(
@@ -350,9 +363,10 @@ def _calibrated(
     entry: ChannelEntry,
     of: Mapping[str, float],
     quantity: Quantity,
+    place: Place,
 ) -> Channel | None:
     """A channel with its unit, calibration, noise and rate; None, and told, where a unit is not one of the quantity."""
-    place, key = ("channels", name), "unit"
+    key = "unit"
     try:
         arms, angles = _arms(reading, of, quantity), reading.angles
         unit = raw_unit(entry) or si_unit(quantity.value, all_angles(arms, angles))

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -18,26 +16,25 @@ from dashpot.channel import RESERVED_NAMES
 from dashpot.errors import DashpotError, ModelError
 from dashpot.io.ledger import noted
 from dashpot.io.toml_document import Place, TomlDocument, Wanted, parse_toml, read_toml
-from dashpot.io.words import did_you_mean, listed, quoted, shown, written
+from dashpot.io.words import listed, shown, written
 from dashpot.model.elements import Element
 from dashpot.model.matrix_elements import LETTERS, Letter, Pairs, block_elements, free_elements
 from dashpot.model.network import Input, Model
 from dashpot.model.network import problems as problems_of
 from dashpot.model.rigfile.channels import read_channels, reserved
-from dashpot.model.rigfile.force_laws import read_law, split_constants
-from dashpot.model.rigfile.rig import Rig, default_channels, scale_of_points
+from dashpot.model.rigfile.elements import read_elements
+from dashpot.model.rigfile.experiments import elements_of, experiments_of, tables_of
+from dashpot.model.rigfile.rig import Rig, default_channels
 from dashpot.model.rigfile.schema import (
+    EXPERIMENTS,
     FREE_EXAMPLE,
     GROUND,
     NUMBERS,
     SECTIONS,
     BlockEntry,
-    ElementEntry,
     InputEntry,
     RigReading,
 )
-from dashpot.quantities import Amount
-from dashpot.units import factor_between
 
 _WANTED = Wanted("rig file", 'describe a rig, starting with coordinates = ["x1"]')
 
@@ -65,6 +62,8 @@ def _rig(document: TomlDocument) -> Rig:
     elements = read_elements(reading)
     elements = [*read_free(reading), *elements, *read_blocks(reading)]
     reading.elements = {element.name: element for element in elements if element.block is None}
+    tables = tables_of(reading)
+    elements += elements_of(reading, tables)
     inputs = tuple(reading.inputs.values())
     whole = [element for element in elements if element.name not in reading.faulty]
     complete = not reading.faulty
@@ -76,11 +75,11 @@ def _rig(document: TomlDocument) -> Rig:
         for name, place in (places | {name: ("inputs", name) for name in reading.inputs}).items():
             if name in RESERVED_NAMES:
                 reading.report.add(place, *reserved(name))
-    within = reading.within()
+    within, experiments = reading.within(), experiments_of(reading, tables)
     reading.report.raise_any()
-    model = Model(tuple(head.coordinates), inputs, tuple(elements), head.name, reading.angles)
+    model = Model(tuple(head.coordinates), inputs, tuple(elements), head.name, reading.angles, tuple(tables))
     used = default_channels(model) if channels is None else tuple(channels)
-    return Rig(model, used, document.path, within)
+    return Rig(model, used, document.path, within, experiments)
 
 
 def read_inputs(reading: RigReading) -> None:
@@ -110,96 +109,14 @@ def _place_of(reading: RigReading, name: str | None) -> Place:
     coordinates = reading.table.get("coordinates")
     if isinstance(coordinates, list):
         places += [("coordinates", i) for i, entry in enumerate(coordinates) if entry == name]
+    element, _, experiment = name.partition("@")
+    if experiment:
+        places.append((EXPERIMENTS, experiment, element))
     for section in ("inputs", "blocks", *SECTIONS):
         table = reading.table.get(section)
         if isinstance(table, dict) and name in table:
             places.append((section, name))
     return max(places, key=reading.document.line) if places else (name,)
-
-
-# The sections of a rig file that hold elements.
-
-
-def read_elements(reading: RigReading) -> list[Element]:
-    """The elements of all sections, in the order of the file."""
-    elements = []
-    for section in (key for key in reading.table if key in SECTIONS):
-        for name, raw in reading.entries(section):
-            before = reading.problems
-            keys, constants = split_constants(raw)
-            entry = reading.entry(ElementEntry, section, name, keys)
-            element = None if entry is None else _element(reading, (section, name), entry, constants)
-            if element is None or reading.problems > before:
-                reading.faulty.add(name)
-            else:
-                elements.append(element)
-    tables = (reading.table.get(section) for section in SECTIONS)
-    names = {name: None for table in tables if isinstance(table, dict) for name in table}
-    for element in elements:
-        target = element.same_as
-        if target is not None and target not in names:
-            cure = f"{did_you_mean(target, names)}there are {listed(names)}"
-            place = (element.kind.section, element.name, "same_as")
-            reading.report.add(place, f"{written(target)} is not an element", cure)
-            reading.faulty.add(element.name)
-    return elements
-
-
-def _element(
-    reading: RigReading, place: tuple[str, str], entry: ElementEntry, constants: Mapping[str, Any]
-) -> Element | None:
-    """An element with its numbers in SI units; None, and told, where it is not said what it is or is attached to."""
-    before = reading.problems
-    law = read_law(reading, place, entry, constants)
-    along = _attachment(reading, place, entry)
-    if reading.problems > before:
-        return None
-    section, name = place
-    element = Element(name, SECTIONS[section], along, same_as=entry.same_as, times=entry.times, force_law=law)
-    scale_of = partial(
-        scale_of_points, quantity=element.law.quantity, along=element.along, angles=reading.angles
-    )
-    if law is not None:
-        scale_of = partial(factor_between, wanted=element.unit(reading.angles))
-    plain = 1.0
-    if entry.unit is not None:
-        plain = reading.in_si((*place, "unit"), Amount(1.0, entry.unit), 1.0, scale_of)
-    return replace(element, **reading.numbers(place, entry, plain, scale_of))
-
-
-def _attachment(reading: RigReading, place: Place, entry: ElementEntry) -> dict[str, float]:
-    """Points and factors of the elongation; told where they are not said."""
-    given = [key for key in ("at", "between", "along") if getattr(entry, key) is not None]
-    if len(given) != 1:
-        usual = 'at = "x1"' if place[0] == "masses" else 'between = ["x1", "ground"]'
-        what = f"{' and '.join(given)} are both given" if given else "nothing says what it is attached to"
-        reading.report.add(place, what, "keep the one that is right" if given else f"add {usual}")
-        return {}
-    at, before = (*place, given[0]), reading.problems
-    if entry.between is not None:
-        first, second = entry.between
-        if place[0] == "masses":
-            point = next((point for point in entry.between if point != GROUND), "x1")
-            cure = f"write at = {quoted(point)}; an inertance between two points belongs in [inerters]"
-            reading.report.add(at, "a mass has one place, not two", cure)
-        elif first == second:
-            reading.report.add(at, f"both ends are at {first}", "name two different points")
-        along = {first: 1.0, second: -1.0}
-    else:
-        along = reading.factors(at, entry.at or entry.along or {})
-    if reading.problems > before:
-        return along
-    for point in along:
-        if point in reading.inputs and reading.inputs[point].kind == "force":
-            cure = f"attach it to the coordinate that {point} acts at"
-            reading.report.add(at, f"{point} is a force, not a point", cure)
-            return along
-    reading.require_points(at, along, reading.attachable)
-    attached = {point: factor for point, factor in along.items() if point != GROUND}
-    if not attached:
-        what = "it is attached to nothing but the ground"
-        reading.report.add(at, what, "attach it to a coordinate")
-    return attached
 
 
 # The section [blocks] of a rig file: matrices in files of their own, each with a factor.

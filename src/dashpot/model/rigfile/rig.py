@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import UsageError
-from dashpot.io.words import counted, shown
+from dashpot.experiment import Experiment, channels_of
+from dashpot.io.words import counted, did_you_mean, listed, shown
 from dashpot.model.network import Model
 from dashpot.shorthand import InNotebooks, call
 from dashpot.units import scale, si_unit
@@ -28,12 +29,50 @@ class Rig(InNotebooks):
     """A model, the channels that its data files are made of, and the `path` of the file it was read from ("": none).
 
     within: the share of every channel's motion within which the rig is to describe it; None: what suits the noise.
+    experiments: those in which elements or channels are otherwise, in the order of `model.experiments`.
     """
 
     model: Model
     channels: tuple[Channel, ...]
     path: str = ""
     within: float | None = None
+    experiments: tuple[Experiment, ...] = ()
+
+    @property
+    def all_channels(self) -> tuple[Channel, ...]:
+        """The channels, and those that are an experiment's own."""
+        return (*self.channels, *(channel for each in self.experiments for channel in each.channels))
+
+    def in_experiment(self, name: str | None = None) -> Rig:
+        """The rig as it is in one of its experiments, None: in none of them; a rig that does not differ any more.
+
+        What differs keeps its name, such as m3@added.  Raises UsageError where there is no such experiment.
+        """
+        if not self.experiments:
+            if name is None:
+                return self
+            raise UsageError(f"the rig file has no experiment {name}", cure=f"add [experiments.{name}]")
+        names = list(self.model.experiments)
+        if name is not None and name not in names:
+            raise UsageError(
+                f"there is no experiment {name}", cure=f"{did_you_mean(name, names)}there are {listed(names)}"
+            )
+        standing = self.model.standing_in(0 if name is None else names.index(name) + 1)
+        there = [e for e, acts in zip(standing.elements, standing.acts, strict=True) if acts]
+        elements = tuple(replace(element, only=None, stands_for=None) for element in there)
+        model = replace(self.model, elements=elements, experiments=(), standing=0)
+        channels = channels_of(self.all_channels, name)
+        other = {e.stands_for: e.name for e in there if e.stands_for is not None}
+        named = tuple(
+            replace(
+                channel,
+                name=channel.column,
+                only=None,
+                of={other.get(k, k): f for k, f in channel.of.items()},
+            )
+            for channel in channels
+        )
+        return replace(self, model=model, channels=named, experiments=())
 
     def __repr__(self) -> str:
         source = f", from {shown(self.path)}" if self.path else ""

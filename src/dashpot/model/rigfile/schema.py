@@ -41,7 +41,8 @@ from dashpot.units import scale
 GROUND = "ground"
 SECTIONS: Mapping[str, Kind] = {kind.section: kind for kind in Kind}
 HEAD_KEYS = ("name", "coordinates", "angles")
-TABLES = ("inputs", "free", "blocks", *SECTIONS, "calibrations", "channels")
+EXPERIMENTS = "experiments"
+TABLES = ("inputs", "free", "blocks", *SECTIONS, "calibrations", "channels", EXPERIMENTS)
 VERDICT = "verdict"
 
 FREE_EXAMPLE = 'free = "MCK", or [free] and below it K = "full", M = "diagonal"'
@@ -51,6 +52,7 @@ EXAMPLES: Mapping[str, str] = {
     "blocks": '{ matrix = "K", file = "K1.mtx" }',
     "calibrations": '{ value = 1, sd = "1 %" }',
     "channels": '{ of = "x1", unit = "mm" }',
+    EXPERIMENTS: '{ data = "run2*.csv" }',
 } | {section: '{ between = ["x1", "ground"] }' for section in SECTIONS if section != "masses"}
 
 # The fields of elements and constants by the keys that give them.
@@ -306,14 +308,17 @@ class RigReading:
         cure = f"write [{section}] and below it {name} = {EXAMPLES[section]}"
         self.report.add((section,), f"{what} is not a section", cure)
 
-    def entry(self, entry: type[AnyEntry], section: str, name: str, raw: object) -> AnyEntry | None:
+    def entry(
+        self, entry: type[AnyEntry], section: str, name: str, raw: object, place: Place | None = None
+    ) -> AnyEntry | None:
         """One entry of a section; None, and its problems reported, where it cannot be read."""
+        place = (section, name) if place is None else place
         if isinstance(raw, dict):
-            return validated(entry, raw, (section, name), self.report)
+            return validated(entry, raw, place, self.report)
         cure = f"write {name} = {_example(section, raw)}"
         if name in (*HEAD_KEYS, "free"):
             cure = f"{name} stands above the first [section]; or {cure}"
-        self.report.add((section, name), f"{written(raw)} is not a table", cure)
+        self.report.add(place, f"{written(raw)} is not a table", cure)
         return None
 
     def require_points(
@@ -383,10 +388,10 @@ class RigReading:
         return found
 
     def stated(
-        self, place: Place, entry: ConstantEntry, scale_of: Callable[[str], float]
+        self, place: Place, entry: ConstantEntry, scale_of: Callable[[str], float], plain: float = 1.0
     ) -> dict[str, float]:
         """The NUMBERS of what may be unknown, as `numbers`; told where they contradict each other."""
-        found = self.numbers(place, entry, 1.0, scale_of)
+        found = self.numbers(place, entry, plain, scale_of)
         numbers = {key: found[field] for key, field in NUMBERS.items() if field in found}
         for problem in number_problems(str(place[-1]), numbers):
             self.report.add(place, problem.what, problem.cure)

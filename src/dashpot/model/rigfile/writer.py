@@ -9,6 +9,7 @@ import numpy as np
 
 from dashpot.channel import Channel
 from dashpot.errors import ModelError
+from dashpot.experiment import Experiment
 from dashpot.io.toml_document import toml_key
 from dashpot.io.words import quoted
 from dashpot.model.elements import Element, Kind
@@ -17,7 +18,7 @@ from dashpot.model.network import Input, Model
 from dashpot.model.observation import unknown_calibrations
 from dashpot.model.rigfile.force_laws import law_fields
 from dashpot.model.rigfile.rig import Rig, is_electrical
-from dashpot.model.rigfile.schema import GROUND, NUMBERS, VERDICT
+from dashpot.model.rigfile.schema import EXPERIMENTS, GROUND, NUMBERS, VERDICT
 from dashpot.unknowns import Unknown
 
 LARGE = 1e7  # from which a number is written with a power of ten
@@ -48,17 +49,49 @@ def write_rig(rig: Rig) -> str:
             "[free]",
             *(f"{letter} = {_pairs_text(pairs, whole)}" for letter, pairs in free.items()),
         ]
-    for kind in dict.fromkeys(element.kind for element in model.elements if not element.free):
-        members = [element for element in model.elements if element.kind == kind and not element.free]
+    usual = [element for element in model.elements if not element.free and element.only is None]
+    for kind in dict.fromkeys(element.kind for element in usual):
+        members = [element for element in usual if element.kind == kind]
         lines += _section(kind.section, {element.name: _element_fields(element) for element in members})
-    own = {f"{channel.name}.{key}" for channel in rig.channels for key in ("gain", "delay")}
-    shared = [unknown for unknown in unknown_calibrations(rig.channels) if unknown.name not in own]
+    own = {f"{channel.name}.{key}" for channel in rig.all_channels for key in ("gain", "delay")}
+    shared = [unknown for unknown in unknown_calibrations(rig.all_channels) if unknown.name not in own]
     if shared:
         lines += _section("calibrations", {unknown.name: _stated_fields(unknown) for unknown in shared})
     lines += _section("channels", {channel.name: _channel_fields(channel, model) for channel in rig.channels})
+    for experiment in rig.experiments:
+        lines += ["", f"[{EXPERIMENTS}.{toml_key(experiment.name)}]", *_differences(rig, experiment)]
     if rig.within is not None:
         lines += ["", f"[{VERDICT}]", f"within = {rig.within!r}"]
     return "\n".join(lines) + "\n"
+
+
+def _differences(rig: Rig, experiment: Experiment) -> list[str]:
+    """What a rig file says of one experiment."""
+    model, fields = rig.model, dict[str, str]()
+    by_name = {element.name: element for element in model.elements}
+    if experiment.data:
+        fields["data"] = _list(experiment.data)
+    for element in model.elements:
+        if element.only != experiment.name or (
+            element.stands_for and element.same_as
+        ):  # which follows from its tie
+            continue
+        if element.stands_for is None:
+            key = f"{element.kind.section}.{toml_key(element.name)}"
+            fields[key] = _inline(_element_fields(element))
+            continue
+        base, key = by_name[element.stands_for], toml_key(element.stands_for)
+        numbers = {k: getattr(element, field) for k, field in NUMBERS.items()}
+        stated = {k: _number(number) for k, number in numbers.items() if number is not None}
+        alike = all(getattr(base, field) == numbers[k] for k, field in NUMBERS.items())
+        fields[key] = quoted("own") if alike or not stated else _inline(stated)
+    for channel in experiment.channels:
+        base_channel = next(each for each in rig.channels if each.name == channel.column)
+        there, usual = (_channel_fields(each, model) for each in (channel, base_channel))
+        for key, otherwise in (("gain", "1.0"), ("delay", "0.0"), ("sign", "1.0")):
+            if there.get(key) != usual.get(key):
+                fields[f"{toml_key(channel.column)}.{key}"] = there.get(key, otherwise)
+    return [f"{key} = {value}" for key, value in fields.items()]
 
 
 def channel_line(channel: Channel, model: Model) -> str:
