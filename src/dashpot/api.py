@@ -36,7 +36,7 @@ from dashpot.data.readers.in_memory import records_of
 from dashpot.data.readers.modes import holds_modes, read_modes
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
-from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError, UsageError
+from dashpot.errors import ConvergenceError, DashpotError, DataError, IdentifiabilityError, UsageError
 from dashpot.estimate import comparison as comparisons
 from dashpot.estimate.automatic import identify_with_noise
 from dashpot.estimate.comparison import Comparison
@@ -47,7 +47,7 @@ from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import method_class, methods_for
 from dashpot.estimate.result import Estimate, Origin, Value
-from dashpot.experiment import RUNS
+from dashpot.experiment import RUNS, kind_of
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
 from dashpot.model.network import Model
@@ -129,6 +129,8 @@ def identify(
         from dashpot.check.modal_verdict import examined_modes
         from dashpot.estimate.modal import identify_modal  # loads scipy.optimize
 
+        if isinstance(rig, Rig):
+            rig.require_alike("identification from measured modes")
         estimate = identify_modal(model, data, seed=seed)
         return _of_rig(rig, examined_modes(model, data, estimate, seed=seed) if judged else estimate)
     files: tuple[str, ...] = ()
@@ -142,6 +144,7 @@ def identify(
             estimate = _in_time(model, data.records, name, still, judged, within, progress)
             return _of_rig(rig, estimate, None, files)
     spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if method is None else [method])
+    _require_measured(rig, spectrum)
     require_identifiable(
         model, spectrum.channels, rig.path or None if isinstance(rig, Rig) else None, spectrum
     )
@@ -210,6 +213,8 @@ def compare(
     if not isinstance(methods, Mapping):
         methods = {name: named_method(name, seed=seed) for name in methods}
     spectrum = None if data is None else _spectrum(rig, data, frequency_hz, conditioning, methods.values())
+    if spectrum is not None:
+        _require_measured(rig, spectrum)
     return comparisons.compare(
         model,
         spectrum,
@@ -232,6 +237,8 @@ def check(
     """
     spectrum = None if data is None else _spectrum(rig, data, frequency_hz, None, [])
     channels = rig.all_channels if spectrum is None else spectrum.channels
+    if spectrum is not None:
+        _require_measured(rig, spectrum)
     if len(rig.model.nonlinear):
         return nonlinear_structure(rig.model, channels, spectrum)
     return structure(rig.model, channels, spectrum, seed)
@@ -248,6 +255,7 @@ def simulate(
     periods: float = 10.0,
     rate: float | None = None,
     seed: int = 0,
+    experiment: str | None = None,
 ) -> tuple[Record, ...]:
     """The records that a rig would yield, with the noise that its channels state.
 
@@ -257,13 +265,14 @@ def simulate(
                  inputs do, from rest: a Record, or columns by name with `time_s`, of one or more stretches of time
     samples      of each dwell, spread over `periods`, or taken at `rate` (Hz)
     amplitudes   of the inputs by name, SI units; 1 where not given
+    experiment   of the rig file, in which the rig is otherwise; by default as it is in none
 
     Raises UsageError where an unknown has no value or an input does not exist, ModelError where the rig has no steady
     response, DataError where a channel measures what the rig has not.
     """
     from dashpot.study import simulate as simulation
 
-    rig, theta = _with_stated(rig, values)
+    rig, theta = _with_stated(rig.in_experiment(experiment), values)
     model = rig.model
     if isinstance(frequencies, Record | Reading) or _has_columns(frequencies):  # what inputs do
         rng = random_generator(seed)
@@ -296,6 +305,7 @@ def draw(
     from dashpot.check.evidence import doubtful, undetermined
     from dashpot.present.schematic.drawing import mode_drawing, numbered_mode, schematic
 
+    rig = rig.in_experiment() if isinstance(rig, Rig) else rig
     model, channels = _model(rig), _channels(rig)
     if mode is not None:
         title, shape = numbered_mode(model, estimate, mode)
@@ -632,6 +642,21 @@ def _spectrum(
     usual = Conditioning(**reading.conditioning) if conditioning is None else conditioning
     kinds = [method_class(method) if isinstance(method, str) else method for method in methods]
     return amplitudes_for(_model(rig), reading, usual, [kind.traits for kind in kinds])
+
+
+def _require_measured(rig: Rig | Model, spectrum: Spectrum) -> None:
+    """Raises DataError where an experiment of the rig file has no data."""
+    measured = set(kind_of(spectrum.experiment).tolist())
+    for kind, one in enumerate(rig.experiments if isinstance(rig, Rig) else (), 1):
+        if kind in measured:
+            continue
+        what = f"there are no data of the experiment {one.name}"
+        if one.data:
+            what += f": no file is called {' or '.join(one.data)}"
+        cure = f"give its files as well, or take [experiments.{one.name}] out of the rig file"
+        if not one.data:
+            cure = f'say which files are its own, data = "run2*.csv" below [experiments.{one.name}]'
+        raise DataError(what, cure=cure)
 
 
 def _reading(rig: Rig | Model, data: Data, frequency_hz: float | None) -> Reading:

@@ -499,6 +499,11 @@ SET = Option(
 VALUES = "Values of the unknowns, in place of those of the rig file"  # of SET
 
 RigFile = Annotated[str, Option("", INPUT_FILE), "Rig file (TOML): coordinates, elements, channels."]
+Experiment = Annotated[
+    str | None,
+    Option("--experiment NAME", None, "The rig"),
+    "The rig as it is in this experiment of the rig file.  [default: as it is in none]",
+]
 Method = Annotated[
     str,
     Option("--method", click.Choice(["auto", *METHODS]), "Estimation", default="auto"),

@@ -303,9 +303,14 @@ def response_curve(
     points: int = 400,
     calibrations: Calibrations | None = None,
 ) -> ResponseCurve | None:
-    """The model's response between the lines; None where the rig has more than one input.  theta (unknowns,)."""
-    if len(model.inputs) != 1:
+    """The model's response between the lines.  theta (unknowns,).
+
+    None where the rig has more than one input, or the lines are of several experiments in which it differs.
+    """
+    rigs = [rig for rig, _ in model.by_experiment(spectrum.experiment)]
+    if len(model.inputs) != 1 or len(rigs) > 1:
         return None
+    model = rigs[0]
     low, high = float(np.min(found.frequency_hz)), float(np.max(found.frequency_hz))
     grid = np.geomspace(low / 1.25, high * 1.25, points)
     p = model.parameters(np.asarray(theta, dtype=float))
@@ -389,15 +394,21 @@ def responses_of_channels(
     if not chosen:
         return ()
     grid = _grid(estimate, found.frequency_hz)
-    G, slopes = _responses(model, estimate, spectrum.channels, grid)
-    covariance = estimate.covariance if len(slopes) else None
     steady = _steady(model, estimate, spectrum, found)
-    return tuple(
-        _response(
-            model, spectrum, found, steady[:, c], c, i, grid, G[:, c, i], slopes[:, :, c, i], covariance
-        )
-        for c, i in chosen
-    )
+    responses: list[FrequencyResponse] = []
+    for rig, lines in model.by_experiment(spectrum.experiment):
+        of = np.zeros(spectrum.lines, dtype=bool)
+        of[lines] = True
+        G, slopes = _responses(rig, estimate, spectrum.channels, grid)
+        covariance = estimate.covariance if len(slopes) else None
+        responses += [
+            _response(
+                rig, spectrum, found, of, steady[:, c], c, i, grid, G[:, c, i], slopes[:, :, c, i], covariance
+            )
+            for c, i in chosen
+            if np.any(np.isfinite(found.measured[of, c]))
+        ]
+    return tuple(responses)
 
 
 def _shows_input(model: Model, channel: Channel) -> str | None:
@@ -457,15 +468,25 @@ def _steady(model: Model, estimate: Estimate, spectrum: Spectrum, found: Residua
 
 
 def _response(
-    model: Model, spectrum: Spectrum, found: Residuals, steady: Complex, c: int, i: int, grid: Real, G: Complex,
-    slopes: Complex, covariance: Real | None,
-) -> FrequencyResponse:  # fmt: skip
+    model: Model,
+    spectrum: Spectrum,
+    found: Residuals,
+    of: Bools,
+    steady: Complex,
+    c: int,
+    i: int,
+    grid: Real,
+    G: Complex,
+    slopes: Complex,
+    covariance: Real | None,
+) -> FrequencyResponse:
+    """Channel c over input i at the lines `of` the model's experiment."""
     name = found.input_names[i]
     shown = [k for k, channel in enumerate(spectrum.channels) if _shows_input(model, channel) == name]
     reference = spectrum.channels[shown[0]] if shown else None
     q = 0 if reference is None or reference.quantity is Quantity.FORCE else reference.quantity.derivative
     below = found.units[shown[0]] if shown else found.input_units[i]
-    there = np.isfinite(found.measured[:, c]) & (np.abs(found.inputs[:, i]) > 0)
+    there = of & np.isfinite(found.measured[:, c]) & (np.abs(found.inputs[:, i]) > 0)
     lines = found.frequency_hz[there]
     order = np.argsort(lines, kind="stable")
     drive = ((2j * np.pi * lines) ** q * found.inputs[there, i])[order]
@@ -476,8 +497,10 @@ def _response(
     measured = at_lines + (np.degrees(np.angle(H)) - at_lines + 180) % 360 - 180
     turns = 360 * np.round(float(np.median(measured)) / 360) if len(H) else 0.0
     log_sd, phase_sd = _spread(slopes, covariance, len(grid))
+    here = model.experiments[model.standing - 1] if model.standing else None
+    apart = here is not None and spectrum.channels[c].only != here
     return FrequencyResponse(
-        found.channels[c],
+        f"{found.channels[c]}@{here}" if apart else found.channels[c],
         name if reference is None else reference.name,
         "" if found.units[c] == below else f"{found.units[c]} per {below}",
         lines[order],

@@ -68,19 +68,26 @@ class IdentifiedRig:
 
 
 def identified_rig(
-    rig: Rig, estimate: Estimate | None = None, values: Mapping[str, float] | None = None
+    rig: Rig,
+    estimate: Estimate | None = None,
+    values: Mapping[str, float] | None = None,
+    *,
+    experiment: str | None = None,
 ) -> IdentifiedRig:
     """A rig with the values of an estimate; without one, with `values` by name (SI units), known values and guesses.
 
+    As it is in one `experiment` of its own, None: in none.
     Raises DataError where the estimate is of another rig or a batch, ModelError where an unknown has no value.
     """
-    model, unknowns = rig.model, rig.model.unknown_names
+    here = rig.in_experiment(experiment)
+    model, unknowns = here.model, rig.model.unknown_names
     if estimate is None:
         sd = [0.0 if unknown.sd is None else unknown.sd for unknown in model.unknowns]
         theta = model.theta({} if values is None else values)
-        return IdentifiedRig(model, rig.channels, theta, np.diag(np.square(sd)))
+        return IdentifiedRig(model, here.channels, theta, np.diag(np.square(sd)))
     if estimate.values.ndim != 1:
         raise DataError("a batch of estimates cannot be exported", cure="take one of them")
-    m = len(unknowns)
-    estimate.require_unknowns(unknowns, calibration_names(rig.channels))
-    return IdentifiedRig(model, rig.channels, estimate.values[:m], estimate.covariance[:m, :m], estimate)
+    estimate.require_unknowns(unknowns, calibration_names(rig.all_channels))
+    at = [unknowns.index(name) for name in model.unknown_names]
+    V = estimate.covariance[np.ix_(at, at)]
+    return IdentifiedRig(model, here.channels, estimate.values[at], V, estimate)

@@ -47,6 +47,8 @@ from dashpot.study.scenario import ALL, AUTO, NoiseKind, ScenarioGrid, Study, Tr
 from dashpot.study.simulate import NoiseBasis
 from dashpot.units import factor_between, scale
 
+NO_EXPERIMENT = "none"  # the rig as it is in none of its experiments
+
 _WANTED = Wanted("study file", "describe a study, starting with [rigs.NAME]")
 
 
@@ -155,6 +157,7 @@ class RigEntry(Entry):
     examples: ClassVar = {"file": 'file = "rig.toml"'}
 
     file: Text
+    experiment: Text | None = None
     values: dict[str, GivenAmount] = Field(default_factory=dict)
 
 
@@ -279,6 +282,14 @@ class _Reading:
         except DashpotError as error:
             self.report.include((*place, "file"), error.problems)
             return None
+        if rig.experiments:
+            named = [NO_EXPERIMENT, *rig.model.experiments]
+            if entry.experiment not in named:
+                cure = f'say experiment = "…" beside file: {listed(named)}'
+                what = "the rig differs by experiment, and a study simulates one"
+                self.report.add((*place, "experiment"), what, cure)
+                return None
+            rig = rig.in_experiment(None if entry.experiment == NO_EXPERIMENT else entry.experiment)
         units = {e.name: rig.model.unit(e) for e in rig.model.elements if e.same_as is None}
         truth = {}
         for key, given in entry.values.items():

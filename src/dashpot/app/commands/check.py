@@ -51,7 +51,7 @@ def command(
     model = read.model
     model.require_unknowns(rig)
     spectrum = records.read(read, data) if data else None
-    channels = read.channels if spectrum is None else spectrum.channels
+    channels = read.all_channels if spectrum is None else spectrum.channels
     with progress("check", quiet):
         verdict = check(read, spectrum, seed=seed)
     content = structure_content(model, channels, verdict)

@@ -89,10 +89,11 @@ def command(
     true = None if truth is None else true_values(read, truth)
     modal, spectrum = None, None
     if modal_file is not None:
+        read.require_alike("identification from measured modes")
         modal, notes = modes_and_notes(modal_file, read.model.coordinates, read.channels, modal_sd)
         tell_notes(notes, quiet)
     if data:
-        require_scale(read.model, read.channels, read.path)
+        require_scale(read.model, read.all_channels, read.path)
         spectrum = records.read(read, data, chosen)
     jobs, refused = {}, {}
     for name in chosen if spectrum is not None else ():

@@ -171,6 +171,7 @@ def command(
         "Worker processes that share out the search for the worst case.  [default: 1]",
     ],
     dask: opt.Dask,
+    experiment: opt.Experiment,
     quiet: opt.Quiet,
 ) -> int:
     """Design the next test of RIG: at which frequencies to dwell, for how long, with which sensors.
@@ -187,6 +188,7 @@ def command(
     from dashpot.model.rigfile import read_rig
 
     read = read_rig(rig)
+    whole, read = read, read.standing_in(experiment) if wanted.after else read.in_experiment(experiment)
     require_scale(read.model, read.channels, rig)
     for name, given in (("--workers", workers), ("--dask", dask)):
         worst = wanted.doubt is not None if wanted.robust is None else wanted.robust == "worst"
@@ -195,7 +197,7 @@ def command(
                 f"{name} shares out the search for the worst case, and none is asked for",
                 cure="leave it out, or give --robust worst --doubt 30%",
             )
-    question = _question(read, wanted, records)
+    question = _question(read, whole, wanted, records)
     if drawn_progress is not None and question.after is None:
         raise UsageError("--progress draws data as they came in", cure="give the data with --after DATA")
     with shared_out(dask, workers, small=True) as mapper, progress("design", quiet):
@@ -216,14 +218,17 @@ def command(
     return 0
 
 
-def _question(rig: Rig, wanted: DesignOptions, records: RecordOptions) -> Question:
-    """What the options ask for, in SI units.  Raises UsageError where they contradict each other."""
+def _question(rig: Rig, whole: Rig, wanted: DesignOptions, records: RecordOptions) -> Question:
+    """What the options ask for, in SI units, of a rig as it is in one experiment of the `whole` rig.
+
+    Raises UsageError where they contradict each other.
+    """
     from dashpot.design.advise import Question
     from dashpot.design.test_setup import ShakerLimits
     from dashpot.estimate.result import Estimate
     from dashpot.model.observation import with_relative_noise
 
-    data, earlier = _earlier(rig, wanted.after, records)
+    data, earlier = _earlier(whole, wanted.after, records)
     estimate = None if wanted.estimate_file is None else Estimate.load(wanted.estimate_file)
     values = parameter_values(rig, wanted.settings)
     units = {unknown.name: unknown.unit for unknown in rig.model.unknowns}

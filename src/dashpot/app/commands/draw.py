@@ -33,6 +33,7 @@ def command(
         "The drawing.",
     ],
     level: opt.Level,
+    experiment: opt.Experiment,
 ) -> None:
     """Draw RIG: masses, springs, dampers, inputs and sensors.
 
@@ -43,8 +44,8 @@ def command(
     from dashpot.estimate.result import Estimate
     from dashpot.model.rigfile import read_rig
 
-    read = read_rig(rig)
+    read = read_rig(rig).in_experiment(experiment)
     estimate = None if estimate_file is None else Estimate.load(estimate_file)
     if estimate is not None:
-        estimate.require_unknowns([unknown.name for unknown in read.model.unknowns])
+        estimate.require_unknowns([unknown.name for unknown in read_rig(rig).model.unknowns])
     draw(read, estimate, mode=mode, level=level).save(out)

@@ -67,6 +67,7 @@ def command(
         "frequency responses), .mtx (M, C, K: one file each), .xml (MuJoCo), .csv .parquet .m (parameters).",
     ],
     records: RecordOptions,
+    experiment: opt.Experiment,
     quiet: opt.Quiet,
 ) -> None:
     """Write SOURCE, an estimate or a rig, as a file for another program.
@@ -84,13 +85,13 @@ def command(
     if source.lower().endswith(".toml"):
         if rig_file is not None:
             raise UsageError("--rig goes with an estimate, and this is a rig file", source, "leave it out")
-        rig = read_rig(source)
+        rig = read_rig(source).in_experiment(experiment)
         of_rig = identified_rig(rig, None, parameter_values(rig, values))
     else:
         if values:
             raise UsageError("--set goes with a rig file, and this is an estimate", source, "leave it out")
         estimate, rig = estimate_and_rig(source, rig_file)
-        of_rig = identified_rig(rig, estimate)
+        of_rig = identified_rig(rig, estimate, experiment=experiment)
     spectrum = records.read(rig, data) if data else None
     at = None if frequencies is None else np.array(frequencies)
     with progress("export", quiet):

@@ -81,6 +81,7 @@ def command(
     from dashpot.study.blocks import write_table
 
     read = read_rig(rig)
+    read.require_alike("a fleet")
     read.model.require_unknowns(rig)
     require_identifiable(read.model, read.channels, rig)
     paths = [noted(path) for path in expanded(data, order)]

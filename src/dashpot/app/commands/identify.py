@@ -102,6 +102,8 @@ def command(
         _refuse(options, "{path} holds modes, to which {} does not apply", "leave {} out", path=data[0])
     read = read_rig(rig)
     read = read if within is None else replace(read, within=within)
+    if in_parts or of_modes:
+        read.require_alike("--in-parts" if in_parts else "identification from measured modes")
     with report.of_failure(read), _remedy_written(read, apply):
         if of_modes:
             found = Identified(_of_modes(read, data[0], modal_sd, seed, quiet))

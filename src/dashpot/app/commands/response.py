@@ -69,7 +69,7 @@ def command(
     if band is None and at is None:
         cure = "give --band 1:10 to follow the frequency, or --at 5 to follow the amplitude"
         raise UsageError("nothing says what varies along the curves", cure=cure)
-    read = read_rig(rig)
+    read = read_rig(rig).in_experiment()
     model, channels = read.model, read.channels
     given = parameter_values(read, values, whole=True)
     study.require_nonlinear(model)

@@ -77,6 +77,7 @@ def command(
         opt.Option("--table", None, opt.OUTPUT),
         "Write complex amplitudes with their noise, not samples.",
     ],
+    experiment: opt.Experiment,
     quiet: opt.Quiet,
 ) -> None:
     """Write the test data that RIG would yield: stepped sine, or its motion under a record of its inputs.
@@ -98,6 +99,7 @@ def command(
     if table and frequencies is None:
         raise UsageError("--table is for stepped sine", cure="leave it out, or give --frequencies")
     read = read_rig(rig)
+    read = read.in_experiment(experiment) if estimate is None else read.standing_in(experiment)
     told = ""
     if estimate is not None:
         if input_file is None or values:

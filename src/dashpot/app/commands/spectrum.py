@@ -22,6 +22,7 @@ def command(
         "The table of amplitudes to write.",
     ],
     options: RecordOptions,
+    experiment: opt.Experiment,
     quiet: opt.Quiet,
 ) -> None:
     """Turn time RECORDS of the channels that RIG lists into a table of complex amplitudes with their noise.
@@ -35,7 +36,7 @@ def command(
     from dashpot.present.data import spectrum_document
     from dashpot.present.document import say
 
-    read = read_rig(rig)
+    read = read_rig(rig).in_experiment(experiment)
     spectrum = options.read(read, records)
     write_amplitudes(spectrum, out)
     if not quiet:

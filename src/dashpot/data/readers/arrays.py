@@ -221,7 +221,8 @@ def array_columns(
 _RATES = "fs rate_hz rate fsamp sample_rate samplerate sampling_rate sampling_frequency samplefrequency"
 RATES = set(_RATES.split())
 STEPS = {"dt", "ts", "step", "delta_t", "sampling_time", "sample_time", "tsample"}
-OF_ALL = (FREQUENCY, "experiment")
+EXPERIMENT = "experiment"
+OF_ALL = (FREQUENCY, EXPERIMENT)
 
 
 def parts_of_variables(
@@ -243,6 +244,8 @@ def parts_of_variables(
                 units.setdefault(f"{name}_{ending}", units.get(name))
         elif array.dtype.kind in "fiubmM":
             (arrays if array.ndim else scalars)[name] = array
+        elif name == EXPERIMENT and array.dtype.kind in "OUT":  # names of those of the rig file
+            (arrays if array.ndim else scalars)[name] = array.astype(str)
     driven = arrays.get(FREQUENCY)
     if driven is not None and driven.ndim == 1:
         dwells = list(_dwells(source, arrays, scalars, units, len(driven)))

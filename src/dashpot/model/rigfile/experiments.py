@@ -23,7 +23,7 @@ from dashpot.model.elements import Element
 from dashpot.model.rigfile.channels import read_channel
 from dashpot.model.rigfile.elements import read_element
 from dashpot.model.rigfile.rig import scale_of_points
-from dashpot.model.rigfile.schema import EXPERIMENTS, SECTIONS, RigReading
+from dashpot.model.rigfile.schema import EXPERIMENTS, NUMBERS, SECTIONS, RigReading
 from dashpot.quantities import Amount
 
 CALIBRATIONS = ("gain", "delay", "sign")
@@ -155,8 +155,8 @@ def _other(reading: RigReading, place: Place, raw: object) -> Element | None:
     numbers = reading.stated(place, entry, scale_of, plain)
     if reading.problems > before:
         return None
-    unknown = replace(other, value=None, sd=None, guess=None, lower=None, upper=None)
-    return replace(unknown, **numbers)
+    nothing: dict[str, Any] = dict.fromkeys(NUMBERS.values())
+    return replace(other, **(nothing | numbers))
 
 
 def _added(reading: RigReading, place: Place, raw: object, experiment: str) -> list[Element]:

@@ -48,31 +48,41 @@ class Rig(InNotebooks):
 
         What differs keeps its name, such as m3@added.  Raises UsageError where there is no such experiment.
         """
-        if not self.experiments:
-            if name is None:
-                return self
+        if not self.experiments and name is None:
+            return self
+        standing = self.standing_in(name)
+        model = standing.model
+        there = [e for e, acts in zip(model.elements, model.acts, strict=True) if acts]
+        elements = tuple(replace(element, only=None, stands_for=None) for element in there)
+        return replace(standing, model=replace(model, elements=elements, experiments=(), standing=0))
+
+    def standing_in(self, name: str | None = None) -> Rig:
+        """The same with the unknowns of all experiments, as an estimate of all has them.  Raises as `in_experiment`."""
+        if name is not None and not self.experiments:
             raise UsageError(f"the rig file has no experiment {name}", cure=f"add [experiments.{name}]")
         names = list(self.model.experiments)
         if name is not None and name not in names:
             raise UsageError(
                 f"there is no experiment {name}", cure=f"{did_you_mean(name, names)}there are {listed(names)}"
             )
-        standing = self.model.standing_in(0 if name is None else names.index(name) + 1)
-        there = [e for e, acts in zip(standing.elements, standing.acts, strict=True) if acts]
-        elements = tuple(replace(element, only=None, stands_for=None) for element in there)
-        model = replace(self.model, elements=elements, experiments=(), standing=0)
-        channels = channels_of(self.all_channels, name)
-        other = {e.stands_for: e.name for e in there if e.stands_for is not None}
-        named = tuple(
+        model = self.model.standing_in(0 if name is None else names.index(name) + 1)
+        other = {e.stands_for: e.name for e, acts in zip(model.elements, model.acts, strict=True) if acts}
+        channels = tuple(
             replace(
                 channel,
                 name=channel.column,
                 only=None,
-                of={other.get(k, k): f for k, f in channel.of.items()},
+                of={other.get(point, point): factor for point, factor in channel.of.items()},
             )
-            for channel in channels
+            for channel in channels_of(self.all_channels, name)
         )
-        return replace(self, model=model, channels=named, experiments=())
+        return replace(self, model=model, channels=channels, experiments=())
+
+    def require_alike(self, doing: str) -> None:
+        """Raises UsageError where the rig differs by experiment, which `doing` does not know."""
+        if self.experiments:
+            what = f"{doing} knows no experiments that differ, and the rig file has {listed(self.model.experiments)}"
+            raise UsageError(what, self.path or None, "use a rig file without [experiments]")
 
     def __repr__(self) -> str:
         source = f", from {shown(self.path)}" if self.path else ""
