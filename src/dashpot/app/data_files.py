@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from dashpot.model.rigfile import Rig
     from dashpot.notices import Notice
 
-WHOLE = (0.0, 1.0)  # a share of every record's samples, from where to where: all of them
-
 
 @dataclass(frozen=True)
 class RecordOptions:
@@ -210,7 +208,7 @@ def reading_of(paths: Sequence[str]) -> str:
 
 def part_of(reading: Reading, part: tuple[float, float]) -> Reading:
     """The same with the share `part` of every record's samples.  Raises DataError where there are none."""
-    if part == WHOLE:
+    if part == (0.0, 1.0):  # a share of every record's samples, from where to where: all of them
         return reading
     from dashpot.data.conditioning.clock import cut
     from dashpot.data.conditioning.transients import continuous

@@ -25,7 +25,6 @@ from dashpot.io.words import listed, with_values
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 
-_NAMED = 100  # unknowns at the most in one sentence: an undetermined rig of 24 coordinates may have 72
 _POWERS = {"sum": 0, "scale": 1, "series": 2}  # of the unknowns, along the directions
 
 
@@ -324,4 +323,5 @@ def _share(percent: float) -> str:
 
 def _named(names: Sequence[str]) -> str:
     """The names in a sentence, all of them but for very large rigs."""
-    return listed(names, _NAMED)
+    # 100 unknowns at the most in one sentence: an undetermined rig of 24 coordinates may have 72
+    return listed(names, 100)

@@ -75,8 +75,6 @@ def undetermined(model: Model, channels: Sequence[Channel]) -> tuple[str, ...]:
 
 
 WEAK = 10.0  # times the interval is wider, from which a combination is told
-PART = 0.5  # of a variance that a combination must make up for an unknown to be named with it
-IDLE = 0.01  # of an even share of the information below which a line carries nothing
 
 
 @dataclass(frozen=True)
@@ -140,7 +138,8 @@ def collinearity(base: Surface, covariance: Real) -> Collinearity:
     C = np.diag(1 / sd**2) if values[0] <= 1e-14 else np.linalg.inv(total / scale) / scale
     shares = np.einsum("jk,lki,ij->lj", C, base.information[0], C) / np.diagonal(C)
     lines = len(shares)
-    idle = tuple(int(line) for line in np.flatnonzero(np.all(shares < IDLE / lines, axis=1)))
+    # 0.01 of an even share of the information below which a line carries nothing
+    idle = tuple(int(line) for line in np.flatnonzero(np.all(shares < 0.01 / lines, axis=1)))
     return Collinearity(base.view.names, combinations, shares, idle)
 
 
@@ -159,7 +158,8 @@ def _combinations(
     for k in np.argsort(values):
         if values[k] * WEAK**2 > 1:
             break
-        members = np.flatnonzero((portion[:, k] > PART) & (inflation > WEAK**2))
+        # 0.5 of a variance that a combination must make up for an unknown to be named with it
+        members = np.flatnonzero((portion[:, k] > 0.5) & (inflation > WEAK**2))
         if not len(members):
             continue
         relative = (vectors[:, k] / sd / size * np.where(base.psi[0] < 0, -1, 1))[members]
@@ -336,10 +336,6 @@ def known_content(found: KnownErrors) -> dict[str, Any]:
     }
 
 
-MOST_PROFILED = 12  # unknowns whose profile is computed: with more, or with more amplitudes than this,
-MOST_AMPLITUDES = 3000  # profiles take longer than a report is worth
-
-
 @dataclass(frozen=True)
 class Evidence:
     """What the data say of an estimate beside its values; None or empty where it cannot be said.
@@ -404,7 +400,9 @@ def _records(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[Reco
 
 def _misleading(model: Model, spectrum: Spectrum, estimate: Estimate, level: float) -> tuple[Profile, ...]:
     """Profiles where the normal interval misleads; none where they cost much, or mean nothing."""
-    many = len(estimate.names) > MOST_PROFILED or spectrum.amplitudes.size > MOST_AMPLITUDES
+    # With more unknowns than 12, or more amplitudes than 3000,
+    # profiles take longer than a report is worth.
+    many = len(estimate.names) > 12 or spectrum.amplitudes.size > 3000
     if _has_records(spectrum) or many or len(model.nonlinear) or estimate.method not in AUTOMATIC:
         return ()
     try:

@@ -261,9 +261,6 @@ def _fine_lag(
     return float(lag), max(variance, 1e-24)
 
 
-FEWEST_TO_ALIGN = 256  # samples of the reference in the part where sensors move alike
-
-
 @dataclass(frozen=True)
 class ClockedRecords:
     """Records of different sensors that were taken at once, each with its own sample times on the reference's clock.
@@ -393,7 +390,7 @@ def _part(reference: Sensor, align_s: tuple[float, float] | None, source: str) -
         return reference
     since = reference.time - reference.time[0]
     inside = (since >= align_s[0]) & (since <= align_s[1])
-    if np.sum(inside) < FEWEST_TO_ALIGN:
+    if np.sum(inside) < 256:  # samples of the reference in the part where sensors move alike
         what = f"{counted(int(np.sum(inside)), 'sample')} of {reference.name} in align_s"
         raise DataError(
             what, source, "name the part in which all sensors were shaken together, s from the start"

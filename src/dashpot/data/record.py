@@ -18,10 +18,8 @@ from dashpot.shorthand import InNotebooks
 
 SHARE = 0.01  # of all samples, or of LOUD times as many loud ones, that are at the limit
 LOUD = 10  # so that the short blows of a hammer count, too
-HALF = 0.5  # of the way from the median to the limit, beyond which a sample is loud
 AT_REST = 0.5  # of all samples: a value that so many have is where the channel rests
 MOST = 1 << 20  # samples of which the median is taken, evenly spread over a record
-NEXT = 8  # times as many samples as at the value next to the limit: fewer are the steps of a converter
 
 
 def samples_at_limit(values: Real) -> int:
@@ -50,9 +48,11 @@ def at_limits(values: Real, *, in_a_row: bool = True) -> Bools:
         median = float(np.median(values[:: 1 + len(values) // MOST]))
         loud = len(values)
         if limit != median:
-            loud = int(np.count_nonzero(beyond(values, median + HALF * (limit - median))))
+            # 0.5 of the way from the median to the limit, beyond which a sample is loud
+            loud = int(np.count_nonzero(beyond(values, median + 0.5 * (limit - median))))
         following = extreme(values, where=~at, initial=other)
-        if count >= SHARE * min(len(values), LOUD * loud) and count >= NEXT * np.sum(values == following):
+        # 8: times as many samples as at the value next to the limit: fewer are the steps of a converter
+        if count >= SHARE * min(len(values), LOUD * loud) and count >= 8 * np.sum(values == following):
             limits[side] = at
     return limits
 

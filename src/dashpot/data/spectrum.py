@@ -58,9 +58,6 @@ def labelled_spectrum(spectrum: Spectrum) -> Any:
 # §8).
 
 
-MOST_TERMS = 6  # of a polynomial
-
-
 @dataclass(frozen=True)
 class SettledDwell:
     """Lines of a steady state: no transient is in them.
@@ -124,7 +121,7 @@ class WholeRecord:
     unmeasured: tuple[Unmeasured, ...] = ()
 
     def __post_init__(self) -> None:
-        if not (0 < self.duration_s < np.inf and self.samples > 0 and 0 <= self.polynomial <= MOST_TERMS):
+        if not (0 < self.duration_s < np.inf and self.samples > 0 and 0 <= self.polynomial <= 6):
             raise DataError(
                 f"a record of {self.samples} samples in {self.duration_s:g} s with {self.polynomial} polynomials",
                 cure="its duration and samples must be positive, its columns 0 to 6",

@@ -26,8 +26,6 @@ from dashpot.arrays import Bools, Real, freeze
 
 LEVEL = 0.05  # share of fleets alike in which anything at all is named
 FEWEST = 6  # rigs, below which nothing can be said to be usual
-TO_SD = 1.482602218505602  # of the median absolute deviation of normal numbers to their standard deviation
-EFFICIENCY = 0.37  # of that deviation: so many of its degrees of freedom a standard deviation would have
 
 
 @dataclass(frozen=True)
@@ -87,12 +85,14 @@ def usual(name: str, unit: str, values: Real, sd: Real, parameters: int = 1) -> 
         median = float(np.median(y)) if count else lost
         return Usual(name, unit, count, median, lost, _rms(s), lost, z, outlier, lost, lost, lost)
     median = float(np.median(y))
-    total = TO_SD * float(np.median(np.abs(y - median)))
+    # of the median absolute deviation of normal numbers to their standard deviation
+    total = 1.482602218505602 * float(np.median(np.abs(y - median)))
     spread = float(np.sqrt(max(total**2 - float(np.median(s**2)), 0.0)))
     scale = np.sqrt(spread**2 + s**2)
     with np.errstate(invalid="ignore", divide="ignore"):
         z[present] = np.where(y == median, 0.0, (y - median) / scale)
-    limit = -float(stdtrit(max(EFFICIENCY * (count - 1), 2.0), LEVEL / (2 * count * parameters)))
+    # 0.37 of that deviation: so many of its degrees of freedom a standard deviation would have
+    limit = -float(stdtrit(max(0.37 * (count - 1), 2.0), LEVEL / (2 * count * parameters)))
     outlier[present] = np.abs(z[present]) > limit
     slope, slope_sd, p = _trend(
         np.flatnonzero(present) / max(len(values) - 1, 1), y, scale, ~outlier[present]

@@ -172,9 +172,6 @@ def _together(each: Sequence[Sequence[Notice]]) -> tuple[Notice, ...]:
 # What parts of the data of one rig, each identified and examined by itself, say together.
 
 
-ALARMS = 0.02  # of sound parts that are taken for misfits, at the most
-
-
 def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) -> Estimate:
     """One estimate from those of parts that share no noise, assessed; `names` says which part each is of.
 
@@ -227,7 +224,8 @@ def _misfits(names: Sequence[str], parts: Sequence[Estimate]) -> list[Notice]:
         for name, part in zip(names, parts, strict=True)
         if part.assessment is not None and part.assessment.verdict == "does not fit"
     ]
-    if not wrong or bdtrc(len(wrong) - 1, len(parts), ALARMS) > DISAGREE:
+    # 0.02 of sound parts that are taken for misfits, at the most
+    if not wrong or bdtrc(len(wrong) - 1, len(parts), 0.02) > DISAGREE:
         return []
     reasons = [(name, reason) for name, each in wrong for reason in each.reasons]
     ((most, _),) = Counter(reason.code for _, reason in reasons).most_common(1)

@@ -253,10 +253,8 @@ def stacked_cuts(cuts: Sequence[Cut]) -> Spectrum:
 # Fleets.
 
 
-FORMAT = 3
 # Data sets up to which blocks have that size, which is part of what the last bits depend on.
 SIZES = ((20, 1), (500, 10), (50_000, 100))
-LARGEST = 1000  # data sets in a block of the largest fleets
 
 
 @dataclass(frozen=True)
@@ -347,7 +345,8 @@ def run_fleet(
     rig.model.require_unknowns()
     how = Treatment() if treatment is None else treatment
     model = {name: value for name, value in fields_of(rig.model) if name != "name"}
-    basis = fingerprint_of(((model, rig.channels), how, estimated_names(rig), machine(), FORMAT))
+    # 3 is the version of what blocks hold
+    basis = fingerprint_of(((model, rig.channels), how, estimated_names(rig), machine(), 3))
 
     def key(task: FleetTask) -> Key:
         name = fingerprint_of((basis, [part.checksum() for part in task.parts]))[:32]
@@ -411,4 +410,5 @@ def machine() -> str:
 
 def block_size(count: int) -> int:
     """Data sets in a block: few in small fleets, so that there is work for several processes."""
-    return next((size for most, size in SIZES if count <= most), LARGEST)
+    # 1000: data sets in a block of the largest fleets
+    return next((size for most, size in SIZES if count <= most), 1000)

@@ -603,9 +603,6 @@ def _moments(A: Complex, gram: Real, residual: Real) -> Real:
 # integration.
 
 
-SEEN = 5  # harmonics in tables of amplitudes
-
-
 @dataclass(frozen=True)
 class SettledMotion:
     """Harmonics of the channels in every dwell, (dwells, H + 1, channels), SI units, of unknown calibrations 1."""
@@ -665,7 +662,7 @@ def settled_spectrum(
     `draws` repeats make a leading axis; without `rng` the amplitudes are exact and the covariance is that of noise.
     """
     channels, dwells = motion.channels, len(test.frequency_hz)
-    count = min(SEEN, motion.harmonics.shape[1] - 1)
+    count = min(5, motion.harmonics.shape[1] - 1)  # harmonics in tables of amplitudes
     frequency_hz = np.outer(test.frequency_hz, np.arange(1, count + 1)).ravel()
     Y = motion.harmonics[:, 1 : count + 1].reshape(dwells * count, -1)
     shown = Y * _factors(channels, 2 * np.pi * frequency_hz)

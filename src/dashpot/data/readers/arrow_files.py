@@ -15,15 +15,14 @@ from dashpot.data.readers.datafile import DataFile
 from dashpot.io.json_document import array_of
 from dashpot.io.ledger import noted
 
-SMALL = 1 << 16  # numbers of a file up to which it is read whole: column by column takes ten times as long
-
 
 def read_parquet(file: DataFile, parquet: Any) -> Iterator[ArrayColumns]:
     """The table; its columns are read when they are asked for."""
     content = parquet.ParquetFile(noted(file.path), pre_buffer=False)  # else whole columns are held
     schema, rows = content.schema_arrow, content.metadata.num_rows
     _check_unpacked(file, schema, rows)
-    if rows * len(schema.names) <= SMALL:
+    # 1 << 16: numbers of a file up to which it is read whole: column by column takes ten times as long
+    if rows * len(schema.names) <= (1 << 16):
         with suppress(OSError, pa.ArrowException):  # of a column that may not be asked for
             table = content.read(use_threads=False)
             yield _columns(file, schema, rows, lambda i: iter([table.column(i)]))

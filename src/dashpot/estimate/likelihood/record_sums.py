@@ -29,9 +29,6 @@ from dashpot.numerics.small_systems import independent, with_known_last
 # The passes over the lines of whole records in the compiled kernel: twins of those in `record_passes.py`.
 
 
-LANES = 8  # lines that the kernel may take at once: records are filled up to a multiple
-
-
 def compiled_passes(pieces: RecordPieces, psi: Real, sign: Real) -> CompiledPasses | None:
     """The kernel's passes at ψ (K, M) with signs (K, channels); None where NumPy is to do the work or must."""
     core = kernel()
@@ -114,7 +111,8 @@ def _records(core: Any, pieces: RecordPieces) -> Any | None:
     ends = pieces.ends
     view = ends.rig
     owners = [(record, lines) for record, lines in pieces.owners if len(lines)]
-    spare = [-len(lines) % LANES for _, lines in owners]
+    # 8: lines that the kernel may take at once: records are filled up to a multiple
+    spare = [-len(lines) % 8 for _, lines in owners]
     index = np.concatenate(
         [np.pad(lines, (0, s), "edge") for (_, lines), s in zip(owners, spare, strict=True)]
     )

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from dashpot.model.nonlinear.alternating import Alternated
     from dashpot.model.observation import ObservationModel
 
-LARGEST = 47  # coordinates, above which rigs are sparse
-WHOLE = 8  # highest power that is multiplied out
 CODES = (
     *(
         "number",
@@ -56,7 +54,8 @@ def compiled_rig(model: Model, times: int = 8) -> Any | None:
 
 
 def _compiled_rig(make: Any, model: Model) -> Any | None:
-    if not 0 < model.n <= LARGEST or any(law.has_state or len(law.constants) > 30 for law in model.laws):
+    # 47: coordinates, above which rigs are sparse
+    if not 0 < model.n <= 47 or any(law.has_state or len(law.constants) > 30 for law in model.laws):
         return None
     programs = []
     for law in model.laws:
@@ -72,7 +71,8 @@ def _compiled_rig(make: Any, model: Model) -> Any | None:
 def _program(node: Node, names: dict[str, int]) -> Iterator[Step]:
     """The steps of an expression, operands first."""
     power = node.operands[1] if node.symbol == "**" else None
-    if power is not None and power.symbol == "number" and power.number in range(1, WHOLE + 1):
+    # 8 is the highest power that is multiplied out
+    if power is not None and power.symbol == "number" and power.number in range(1, 9):
         yield from _program(node.operands[0], names)
         yield _CODE["whole power"], int(power.number), 0.0
         return

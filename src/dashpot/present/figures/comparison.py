@@ -29,7 +29,6 @@ from dashpot.present.figures.style import (
 )
 
 ROW, PANEL = 0.24, 2.45  # inches a method, and a panel
-WIDE = 6.0  # times the narrowest interval: wider ones run out of the picture, for the others would be dots
 
 
 def comparison_figure(comparison: Comparison, level: float = 0.95) -> Figure:
@@ -80,13 +79,10 @@ def estimate_figure(estimate: Estimate, level: float = 0.95) -> Figure:
     )
 
 
-MOST_COSTS = 12  # bars of a picture
-
-
 @style()
 def cost_figure(costs: Sequence[Cost]) -> Figure:
     """The largest shares of variance that what was stated costs the unknowns, per cent, as bars."""
-    shown = costs[:MOST_COSTS]
+    shown = costs[:12]  # bars of a picture
     places = np.arange(len(shown))
     figure = ShownFigure(figsize=(HALF_PAGE, 0.8 + ROW * len(shown)))
     axes = figure.subplots()
@@ -181,7 +177,8 @@ def _view(value: Real, low: Real, high: Real, truth: float | None) -> tuple[floa
     if not np.any(finite):
         middle = float(np.nanmean(value))
         return middle - max(abs(middle), 1.0), middle + max(abs(middle), 1.0)
-    shown = finite & (width <= WIDE * np.min(width[finite]))
+    # 6.0: times the narrowest interval: wider ones run out of the picture, for the others would be dots
+    shown = finite & (width <= 6.0 * np.min(width[finite]))
     ends = [float(np.min(low[shown])), float(np.max(high[shown]))]
     if truth is not None:
         ends.append(truth)

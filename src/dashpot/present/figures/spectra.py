@@ -253,7 +253,6 @@ def prediction_figure(part: RecordPrediction, rows: Sequence[int] | None = None)
     return figure
 
 
-COLUMNS = 300  # of the outline of a dwell
 POINTS = 400  # of a curve
 USED = "#d7e8f0"
 
@@ -318,9 +317,9 @@ def _used(axes: Axes, begin: float, end: float) -> None:
 
 
 def _outline(time: Real, values: Real, frequency_hz: float) -> tuple[Real, Real, Real]:
-    """(middles, least, greatest) of at most COLUMNS neighbouring pieces, of a period at least, of a history."""
+    """(middles, least, greatest) of at most 300 neighbouring pieces, of a period at least, of a history."""
     periods = int(frequency_hz * float(time[-1] - time[0]))
-    pieces = max(min(COLUMNS, periods), 2)
+    pieces = max(min(300, periods), 2)
     starts = np.unique(np.linspace(0, len(time), pieces, endpoint=False).astype(int))
     ends = np.append(starts[1:], len(time)) - 1
     middles: Real = (time[starts] + time[ends]) / 2

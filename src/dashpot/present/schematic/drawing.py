@@ -357,7 +357,6 @@ def _heights(part: Part) -> list[float]:
 
 SAMPLE = 26.0  # length of a sample of a line in the legend
 LEAST_WIDTH = 320.0
-HEAD = 30.0
 WORDS = {
     "unknown": "to be found",
     "estimated": "found, with {level:g} % interval",
@@ -385,7 +384,7 @@ def titled(drawn: Sequence[Part], title: str, width: float) -> tuple[list[Part],
     """The parts of a drawing of that width below a title; width of it all, and how far they are moved down."""
     line = Line(title, "ink", TITLE, True)
     lines = _wrapped(line, max(width, LEAST_WIDTH) - 2 * MARGIN) if title else []
-    head = HEAD + (len(lines) - 1) * 1.3 * TITLE if lines else 0.0
+    head = 30.0 + (len(lines) - 1) * 1.3 * TITLE if lines else 0.0
     wide = max([width, LEAST_WIDTH, *(line.width + 2 * MARGIN for line in lines)])
     texts = [Text(line, Point(MARGIN, MARGIN + TITLE * (0.9 + 1.3 * k))) for k, line in enumerate(lines)]
     parts = [Part("", (), tuple(texts))] if texts else []

@@ -39,7 +39,6 @@ LEAD = 9.0  # least length of the line on either side of a symbol
 SYMBOL, HALF = 58.0, 11.0  # length of a symbol, half its width
 SEPARATION = 16.0  # between branches
 WALL = 12.0  # width of a wall
-LEAST_ZONE = 84.0
 ARROW_ROOM = 14.0  # above the name of a base, for its arrow
 HOP = 3.5  # radius of a bump over a line
 WEIGHTS: dict[Tone, float] = {"unknown": 2.0, "doubtful": 2.0, "ink": 2.4, "sensor": 1.0, "known": 1.2}
@@ -272,7 +271,7 @@ class Placer:
             texts = [block_width(lines) for lines in self.pushes.get(node.body, ())]
             texts += [block_width(self.texts[k]) for k in rows]
             if texts:
-                zones[node.depth] = max([zones[node.depth], LEAST_ZONE, *(t + 8 for t in texts)])
+                zones[node.depth] = max([zones[node.depth], 84.0, *(t + 8 for t in texts)])
             if node.from_left:
                 entries[node.depth - 1] += node.from_left
         return _Columns(widths, zones, entries)
