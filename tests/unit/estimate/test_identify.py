@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.arrays import Real
+from dashpot.arrays import Ints, Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.spectrum import Spectrum
@@ -62,9 +62,11 @@ def test_views_are_built_once(case: Callable[[], Case], kernel: str, monkeypatch
     built: Counter[tuple[object, ...]] = Counter()
     build = observation._observation_model
 
-    def counted(model: Model, channels: tuple[Channel, ...], omega: Real) -> observation.ObservationModel:
+    def counted(
+        model: Model, channels: tuple[Channel, ...], omega: Real, experiment: Ints | None
+    ) -> observation.ObservationModel:
         built[(len(model.inputs), *map(id, channels), omega.tobytes())] += 1
-        return build(model, channels, omega)
+        return build(model, channels, omega, experiment)
 
     monkeypatch.setattr(observation, "_observation_model", counted)
     with using(kernel):

@@ -274,7 +274,8 @@ class RecordEnds:
 def with_loads(view: ObservationModel) -> ObservationModel:
     """The same channels of the rig with a force input at every coordinate, behind its own inputs."""
     model = view.model
-    key = (with_loads, id(view))
+    when = None if view.experiment is None else view.experiment.tobytes()
+    key = (with_loads, *map(id, view.channels), view.omega.tobytes(), when)
     if key not in model.views:
         taken = {*model.coordinates, *(given.name for given in model.inputs)}
         names = []
