@@ -25,7 +25,7 @@ def test_the_late_sensor_is_named_first(rig_file: str) -> None:
     assert best.number == pytest.approx(1.77e-3, rel=0.2)
 
 
-SCALED = {"sign": ("x1", -1.0), "unit": ("x2", 1000.0), "g": ("x3", 1 / 9.80665)}
+SCALED = {"sign": ("x1", -1.0), "unit": ("x2", 1000.0)}
 
 
 @pytest.mark.parametrize("mistake", [*SCALED, "swap", "dwell"])

@@ -24,7 +24,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
-from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
+from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, LeastSquares
 from dashpot.estimate.method import Method
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import response
@@ -40,9 +40,6 @@ LINES = 8
 DRAWS = 2000
 SEED = 1986
 POINTS = np.sqrt(0.95 * 0.05 / DRAWS)
-ON_AMPLITUDES = (
-    HarmonicLeastSquares(), WeightedLeastSquares(), InstrumentalVariables(), OptimalIV(), MaximumLikelihood(),
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,28 +130,6 @@ def dwells(
 # ------------------------------------------------------------------------------------------------ without noise
 
 
-@every_test
-@measured
-@pytest.mark.parametrize("method", ON_AMPLITUDES, ids=lambda method: method.name)
-def test_exact_amplitudes_give_every_parameter_back(test: Pushed, inputs: float, method: Method) -> None:
-    """No parameter is known: the force gives the scale."""
-    rig = test.rig()
-    found = identify(rig.model, clean(test, rig, inputs), method)
-    assert found.converged
-    np.testing.assert_allclose(found.values, rig.theta, rtol=1e-8)
-
-
-@every_test
-@pytest.mark.parametrize("method", [LeastSquares(), InstrumentalVariables()], ids=lambda method: method.name)
-def test_exact_samples_give_every_parameter_back(test: Pushed, method: Method) -> None:
-    rig = test.rig()
-    records = dwells(rig, np.random.default_rng(0), relative=0.0, inputs=0.0)
-    found = identify(
-        rig.model, spectrum_of(records, harmonics=(), drift=None, noise="white", moments=True), method
-    )
-    np.testing.assert_allclose(found.values, rig.theta, rtol=1e-8)
-
-
 # ------------------------------------------------------------------------------------------------ the textbook
 
 
@@ -237,66 +212,7 @@ def textbook(rig: Rig, test: Pushed, X: Complex, U: Complex, f: Complex) -> tupl
     return ls, theta
 
 
-@every_test
-@measured
-@pytest.mark.parametrize("known", [None, "m1"], ids=["by-the-force", "by-a-known-mass"])
-def test_least_squares_and_instruments_are_the_textbooks(
-    test: Pushed, inputs: float, known: str | None
-) -> None:
-    """Amplitudes of displacement alone with noise of 3 %, the inputs' of 0 or 2 %."""
-    rig = test.rig(known)
-    seen = channels(rig, (D,))
-    V_ = covariance(rig, seen, 0.03, inputs=inputs)
-    data = in_experiments(rig, test, noisy(rig, seen, V_, np.random.default_rng([SEED, 7])))
-    X, U = data.amplitudes[:, :2], data.amplitudes[:, 2 : 2 + test.base]
-    ls, iv = textbook(rig, test, X, U, data.amplitudes[:, 2 + test.base :])
-    np.testing.assert_allclose(identify(rig.model, data, HarmonicLeastSquares()).values, ls, rtol=1e-9)
-    found = identify(rig.model, data, InstrumentalVariables(tolerance=1e-13))
-    assert found.converged
-    np.testing.assert_allclose(found.values, iv, rtol=1e-9)
-    assert np.max(np.abs(ls / iv - 1)) > 1e-3  # they differ: the comparison can tell them apart
-
-
-def test_samples_with_a_noisy_force_are_the_textbooks() -> None:
-    """Each row a sample: the motion as measured, the force by its amplitude, as the paper takes its inputs."""
-    rig = TWO.rig()
-    records = dwells(rig, np.random.default_rng(SEED), relative=0.02, inputs=0.02)
-    A, h = [], []
-    for record in records:
-        hz, time = record.frequency_hz, record.time
-        assert hz is not None
-        omega = 2 * np.pi * hz
-        wave = np.stack([np.cos(omega * time), -np.sin(omega * time)], axis=1)
-        f = wave @ np.linalg.lstsq(wave, record.values[:, 4:], rcond=None)[0]
-        for x, v, force in zip(record.values[:, :2], record.values[:, 2:4], f, strict=True):
-            columns = []
-            for element in rig.model.elements:
-                M, C, K = matrices({element.name: 1.0})
-                columns.append(-(omega**2) * M @ x + C @ v + K @ x)
-            A += list(np.array(columns).T)
-            h += [force[0] - 0.5 * force[1], force[1]]
-    size = np.linalg.norm(A, axis=0)
-    slow = np.linalg.lstsq(np.array(A) / size, np.array(h), rcond=None)[0] / size
-    data = spectrum_of(records, drift=None, harmonics=(), noise="white", moments=True)
-    np.testing.assert_allclose(identify(rig.model, data, LeastSquares()).values, slow, rtol=1e-9)
-
-
 # ------------------------------------------------------------------------------------------------ likelihood
-
-
-@every_test
-@measured
-def test_optimal_instruments_are_maximum_likelihood(test: Pushed, inputs: float) -> None:
-    """To a millionth of a standard deviation, three draws at once."""
-    rig, data = drawn(test, inputs, 3)
-    one = identify(rig.model, data, OptimalIV())
-    two = identify(rig.model, data, MaximumLikelihood())
-    assert np.all(one.converged & two.converged)
-    assert np.max(np.abs(one.values - two.values) / one.noise_sd) < 1e-6
-    np.testing.assert_allclose(one.noise_sd, two.noise_sd, rtol=1e-5)
-    # oiv tests the two equations of motion of a line, ml the four channels as well against each other.
-    assert one.fit.dof == 4 * rig.lines - len(rig.theta)
-    assert two.fit.dof == 8 * rig.lines - len(rig.theta)
 
 
 def information(rig: Rig, data: Spectrum, lines: slice, *, exact: bool) -> Real:
@@ -356,25 +272,6 @@ def test_experiments_add_their_information(inputs: float, method: Method) -> Non
     np.testing.assert_allclose(found.covariance / scale, slow / scale, rtol=1e-4, atol=1e-9)
 
 
-@measured
-def test_a_joint_estimate_weighs_each_experiment_by_its_information(inputs: float) -> None:
-    """With a mass known each experiment can stand alone; noise a hundredth of the usual, so that all is linear."""
-    rig = APART.rig("m1")
-    data = clean(APART, rig, inputs, 0.02)
-    quiet = replace(data, covariance=data.covariance * 1e-4)
-    wobble = complex_noise(np.random.default_rng([SEED, 5]), quiet.covariance, None)
-    data = replace(quiet, amplitudes=quiet.amplitudes + wobble)
-    halves = [data.select(range(LINES)), data.select(range(LINES, 2 * LINES))]
-    joint = identify(rig.model, data, OptimalIV())
-    ones = [identify(rig.model, half, OptimalIV()) for half in halves]
-    weights = [np.linalg.inv(one.noise_covariance) for one in ones]
-    pooled = np.linalg.solve(sum(weights), sum(w @ one.values for w, one in zip(weights, ones, strict=True)))
-    assert np.max(np.abs(joint.values - pooled) / joint.noise_sd) < 0.02
-    scale = np.outer(joint.noise_sd, joint.noise_sd)
-    np.testing.assert_allclose(np.linalg.inv(sum(weights)) / scale, joint.noise_covariance / scale, atol=0.01)
-    assert np.all(joint.noise_sd < np.minimum(ones[0].noise_sd, ones[1].noise_sd))
-
-
 # ------------------------------------------------------------------------------------------------ Monte Carlo
 
 
@@ -406,19 +303,6 @@ def test_spread_is_the_bound_and_intervals_hold(test: Pushed, inputs: float, met
     assert abs(np.mean(share) - 0.95) < 0.01
     assert np.all(np.abs(share - 0.95) < 4 * POINTS)
     assert abs(np.mean(found.fit.p < 0.05) - 0.05) < 4 * POINTS
-
-
-@every_test
-def test_instruments_hold_the_truth_and_state_their_spread(test: Pushed) -> None:
-    rig, data = drawn(test, 0.02)
-    found = identify(rig.model, data, InstrumentalVariables())
-    assert np.mean(found.converged) > 0.999
-    share = coverage(found, rig.theta)
-    assert abs(np.mean(share) - 0.95) < 0.01
-    assert np.all(np.abs(share - 0.95) < 4 * POINTS + 0.005)
-    spread = np.std(found.values, axis=0)
-    assert np.all(np.abs(np.mean(found.noise_sd, axis=0) / spread - 1) < 0.08)
-    assert np.all(spread > 0.97 * np.mean(found.bound_sd, axis=0))
 
 
 @pytest.mark.parametrize("inputs", [0.0, 0.05], ids=["exact", "noisy"])
@@ -563,29 +447,3 @@ def test_the_command_line_takes_experiments_together(
         for name, value, sd in zip(expected.names, expected.values, expected.sd, strict=True):
             assert content["parameters"][name]["value"] == pytest.approx(value, abs=1e-5 * sd)
             assert content["parameters"][name]["sd"] == pytest.approx(sd, rel=1e-5)
-
-
-def test_the_command_line_takes_records_of_separate_experiments(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Time records; the input that rests is a column of zeros, measured exactly (so it is without `noise`)."""
-    monkeypatch.chdir(tmp_path)
-    text = RIG.replace("[inputs]\n", "[inputs]\n" + BASE).replace(", noise = 2e-4", "")
-    text = text.replace(
-        "[dampers]\n", 'k3 = { between = ["x2", "u"] }\n[dampers]\nc3 = { between = ["x2", "u"] }\n'
-    )
-    Path("rig.toml").write_text(text + 'u = { of = "u", unit = "mm" }\n', encoding="utf-8")
-    values = [word for name, value in TRUTH.items() for word in ("--set", f"{name}={value}")]
-    for file, u, f, seed in (("shaken.csv", 0.005, 0.0, 0), ("pushed.csv", 0.0, 20.0, 1)):
-        told(
-            capsys, "simulate", "rig.toml", "--out", file, "--frequencies", "2:13/8log", "--periods", "5",
-            "--amplitude", f"u={u}", "--amplitude", f"f={f}", "--seed", str(seed), *values,
-        )  # fmt: skip
-    files = ("shaken.csv", "pushed.csv")
-    for method in ("auto", "iv", "ml"):
-        content = json.loads(told(capsys, "identify", "rig.toml", *files, "--method", method, "--json", "-"))
-        assert content["status"] == "converged"
-        for name, truth in TRUTH.items():
-            # Seeds 0 and 1 of the noise: within 4 sd (chance of a false alarm 5e-4 a method).
-            assert abs(content["parameters"][name]["value"] - truth) < 4 * content["parameters"][name]["sd"]
-            assert content["parameters"][name]["sd"] < 0.01 * truth

@@ -17,10 +17,7 @@ from dashpot.study.scenario import scenarios
 DRAWS = 4000
 SEED = 2
 CASES = tuple(paper_prints().cases)
-BASES = ("given", "estimated")
-
-
-SCENARIOS = [(case, basis) for case in CASES for basis in BASES]
+SCENARIOS = [*((case, "given") for case in CASES), ("CASE-1", "estimated"), ("CASE-3", "estimated")]
 
 
 def grid():

@@ -9,7 +9,6 @@ from dashpot.io import ledger
 from dashpot.present.document import printed
 from dashpot.present.reproduction import (
     findings_in_words,
-    images,
     reproduction_document,
     write_reproduction,
 )
@@ -18,7 +17,7 @@ from dashpot.reproduce.yamane1989 import reproduce
 
 @pytest.fixture(scope="module")
 def found():
-    return reproduce(40, seed=5)
+    return reproduce(20, seed=5)
 
 
 def test_findings_say_what_the_numbers_say(found):
@@ -48,7 +47,6 @@ def test_it_can_be_shown_and_written(found, tmp_path):
         "figure2.png", "figure3.png", "ranking.png", "table2.png", "table4.png",
     ]  # fmt: skip
     assert len(written) == 6
-    again = images(found)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 5
     assert "://" not in page.replace("http://www.w3.org/", "")  # needs nothing from elsewhere
@@ -61,8 +59,6 @@ def test_it_can_be_shown_and_written(found, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="folder cannot be made"):
         write_reproduction(found, figures=tmp_path / "file" / "deeper")
-    for path in (tmp_path / "figures").iterdir():  # the same bytes again
-        assert path.read_bytes() == again[path.stem][1]
 
 
 def test_the_report_does_not_replace_a_figure(found, tmp_path):

@@ -152,11 +152,6 @@ def test_bad_input(dashpot: Command, data: Path, case: str) -> None:
     assert data.read_bytes() == before
 
 
-def test_bad_rig_and_all_known(dashpot: Command, data: Path) -> None:
-    Path("bad.toml").write_text(RIG.replace("4600", '"x"', 1), encoding="utf-8")
-    refused(dashpot("compare", "bad.toml", "data.csv", "--json", "out.json"), "bad.toml:9")
-
-
 def test_no_method_that_suits(dashpot: Command, data: Path) -> None:
     """The reason of the first; nothing is written."""
     done = dashpot("compare", "rig.toml", "data.csv", "--methods", "ls", "--figure", "out.png")
@@ -195,12 +190,6 @@ def test_methods_that_miss_the_scale_are_refused_as_by_identify(dashpot: Command
         "scale",
         code=3,
     )
-
-
-def test_bad_modes_are_said_with_row_and_column(dashpot: Command, data: Path) -> None:
-    Path("modes.csv").write_text(MODES + "3,0.1,0.1,0.01,1,0,high,1,0,0\n", encoding="utf-8")
-    done = dashpot("compare", "rig.toml", "data.csv", "--modal", "modes.csv", "--json", "out.json")
-    refused(done, "modes.csv:2", "x1_sd", "high")
 
 
 def test_a_method_gives_the_same_alone_and_in_company(dashpot: Command, rig: Path) -> None:

@@ -33,26 +33,6 @@ def identify(dashpot: Command, *data: str) -> Ran:
 
 # Rig files
 
-# One of each kind of fault: all of them are tried where files are read.
-BAD_RIGS = {
-    "unknown key": ('m1 = { at = "x1" }', 'm1 = { at = "x1", weight = 3 }', ["rig.toml:6", "masses.m1", "weight"]),
-    "wrong type": ("value = 2.7", 'value = "2,7"', ["rig.toml:7", "masses.m2.value", "2.7"]),
-    "no such coordinate": ('m1 = { at = "x1" }', 'm1 = { at = "x9" }', ["rig.toml:6", "x9"]),
-    "key twice": ('m1 = { at = "x1" }', 'm1 = { at = "x1" }\nm1 = { at = "x2" }', ["rig.toml:7", "m1", "twice"]),
-    "broken syntax": ("[masses]", "[masses", ["rig.toml:5"]),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", BAD_RIGS)
-def test_bad_rig(dashpot: Command, data: Path, case: str) -> None:
-    old, new, parts = BAD_RIGS[case]
-    text = RIG.replace(old, new, 1)
-    assert text != RIG
-    Path("rig.toml").write_text(text, encoding="utf-8")
-    done = identify(dashpot, "data.csv")
-    refused(done, *parts, lines=len(done.err))
-    assert len(done.err) <= 4
-
 
 def test_all_problems_of_a_rig_at_once(dashpot: Command, data: Path) -> None:
     text = RIG.replace("value = 2.7", "value = -2.7").replace(
@@ -61,16 +41,6 @@ def test_all_problems_of_a_rig_at_once(dashpot: Command, data: Path) -> None:
     Path("rig.toml").write_text(text + "mystery = 3\n", encoding="utf-8")
     done = identify(dashpot, "data.csv")
     refused(done, "m2", "x7", "mystery", lines=3)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [b"", b"\xff\xfea\x00", b"\xfa\xfb", b"coordinates = " + b"[" * 5000],
-    ids=["empty", "utf16", "bytes", "deep"],
-)
-def test_what_is_no_rig_file(dashpot: Command, data: Path, content: bytes) -> None:
-    Path("rig.toml").write_bytes(content)
-    refused(identify(dashpot, "data.csv"), "rig.toml")
 
 
 def test_missing_files(dashpot: Command, data: Path) -> None:
@@ -111,48 +81,12 @@ def test_a_massless_coordinate_between_spring_and_damper_is_legitimate(dashpot: 
 # Data files
 
 
-def cell(row: int, column: int, text: str) -> Callable[[list[list[str]]], None]:
-    """Replace one cell; row 0 is the header."""
-
-    def change(rows: list[list[str]]) -> None:
-        rows[row][column] = text
-
-    return change
-
-
 def without(column: int) -> Callable[[list[list[str]]], None]:
     def change(rows: list[list[str]]) -> None:
         for row in rows:
             del row[column]
 
     return change
-
-
-def swapped(rows: list[list[str]]) -> None:
-    rows[20], rows[21] = rows[21], rows[20]
-
-
-def ragged(rows: list[list[str]]) -> None:
-    rows[30] = rows[30][:3]
-
-
-# Columns: frequency_hz, time_s, x1, x2, u
-BAD_DATA: dict[str, tuple[Callable[[list[list[str]]], None], list[str]]] = {
-    "nan": (cell(7, 2, "nan"), ["data.csv:8", "x1"]),
-    "not numeric": (cell(5, 3, "abc"), ["data.csv:6", "x2", "abc"]),
-    "column missing": (without(3), ["data.csv", "x2"]),
-    "time not increasing": (swapped, ["data.csv:", "time_s"]),
-    "ragged row": (ragged, ["data.csv:31"]),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", BAD_DATA)
-def test_bad_data(dashpot: Command, data: Path, case: str) -> None:
-    change, parts = BAD_DATA[case]
-    rows = [line.split(",") for line in data.read_text(encoding="utf-8").splitlines()]
-    change(rows)
-    data.write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8")
-    refused(identify(dashpot, "data.csv"), *parts)
 
 
 def test_a_file_cut_in_half(dashpot: Command, data: Path) -> None:
@@ -163,33 +97,11 @@ def test_a_file_cut_in_half(dashpot: Command, data: Path) -> None:
     refused(identify(dashpot, "data.csv"), "data.csv:")
 
 
-@pytest.mark.parametrize(
-    ("content", "part"),
-    [
-        (b"", "data.csv"),
-        (b"frequency_hz,time_s,x1,x2,u\n", "data.csv"),
-        (b"\x00\x01\x02\xff\xfe", "data.csv"),
-        (b"1,2,3,4,5\n1,2,3,4,5\n", "header"),
-        (b",".join(b"c%d" % i for i in range(1_000_000)) + b"\n1\n", "data.csv"),
-    ],
-    ids=["empty", "header only", "binary", "no header", "million columns"],
-)
-def test_what_is_no_data_file(dashpot: Command, data: Path, content: bytes, part: str) -> None:
-    data.write_bytes(content)
-    refused(identify(dashpot, "data.csv"), part)
-
-
 @pytest.mark.parametrize("again", ["./data.csv", "link.csv"])
 def test_a_file_named_twice_is_one_test(dashpot: Command, data: Path, again: str) -> None:
     """Its noise would count as that of two tests, and the intervals be too narrow by the root of two."""
     os.symlink("data.csv", "link.csv")
     refused(identify(dashpot, "data.csv", again), "2 times")
-
-
-def test_unit_of_the_header_against_the_rig(dashpot: Command, data: Path) -> None:
-    text = data.read_text(encoding="utf-8").replace("x1", "x1 [m/s]", 1)
-    data.write_text(text, encoding="utf-8")
-    refused(identify(dashpot, "data.csv"), "data.csv:1", "x1", "m/s")
 
 
 def test_bad_table_of_amplitudes(dashpot: Command, data: Path) -> None:
@@ -294,12 +206,6 @@ def test_outputs_are_checked_before_the_work(dashpot: Command, data: Path, targe
     Path("rig.toml").write_text("broken", encoding="utf-8")  # never read
     refused(dashpot("identify", "rig.toml", "data.csv", "--json", target), part)
     assert data.read_bytes() == content
-
-
-def test_two_outputs_of_one_name(dashpot: Command, data: Path) -> None:
-    refused(
-        dashpot("identify", "rig.toml", "data.csv", "--json", "o.html", "--report", "./o.html"), "two outputs"
-    )
 
 
 def test_many_problems_are_summed_up(dashpot: Command, rig: Path) -> None:

@@ -171,10 +171,9 @@ def frame(folder: Path, old: str, new: str) -> Rig:
     return read_rig(folder / "rig.toml")
 
 
-@pytest.mark.parametrize("stated", ["0.6 kg", "0.87 kg"])
-def test_a_wrong_mass_is_named_first_though_no_noise_is_known(quake: Path, stated: str) -> None:
+def test_a_wrong_mass_is_named_first_though_no_noise_is_known(quake: Path) -> None:
     """It was "x1 reads 0.743 × as much after 11.24 s": lines without transients left too much of the misfit."""
-    estimate = identify(frame(quake, "0.9 kg", stated), quake / "quake.csv", diagnose=True)
+    estimate = identify(frame(quake, "0.9 kg", "0.87 kg"), quake / "quake.csv", diagnose=True)
     assert estimate.assessment.verdict == "does not fit"
     first = estimate.assessment.findings[0]
     assert (first.kind, first.of) == ("value", ("m3",))

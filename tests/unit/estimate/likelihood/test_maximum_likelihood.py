@@ -75,16 +75,6 @@ def test_profiled_inputs_are_those_of_the_joint_search(correlation):
     assert estimate.fit.dof == len(slow.fun) - len(slow.x)
 
 
-def test_where_all_is_seen_it_is_optimal_instruments():
-    bench = two(full=True)
-    spectrum = bench.spectrum(np.random.default_rng(5), 20)
-    one, other = identify(bench.model, spectrum, ML), identify(bench.model, spectrum, OptimalIV())
-    assert np.all(np.abs(one.values - other.values) < 1e-6 * other.sd)
-    assert np.allclose(
-        one.covariance, other.covariance, rtol=1e-6, atol=1e-9 * np.abs(other.covariance).max()
-    )
-
-
 # Priors
 
 

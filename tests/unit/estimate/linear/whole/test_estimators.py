@@ -21,7 +21,7 @@ from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
 from dashpot.estimate.preparation import channels_correlate, noise_quality
 from dashpot.estimate.result import Estimate
-from dashpot.model.dynamics import dynamic_stiffness, response, sensitivities, stiffness, unit_forces
+from dashpot.model.dynamics import response, sensitivities, unit_forces
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.numerics.small_systems import solve_scaled
@@ -212,69 +212,6 @@ def test_correlation_of_channels_is_found_where_it_is(shared: float) -> None:
 # ------------------------------------------------------------------------------------------ against each other
 
 
-@pytest.mark.parametrize(("base", "shared"), [(0.0, 0.0), (0.04, 0.0), (0.04, 0.9), (0.0, 0.9)])
-def test_optimal_instruments_and_maximum_likelihood_agree(base: float, shared: float) -> None:
-    """Both stop at the same minimum; noisy inputs and correlated noise included."""
-    spectrum = _draws(20, base, shared)
-    one, other = identify(_rig(), spectrum, OptimalIV()), identify(_rig(), spectrum, MaximumLikelihood())
-    assert np.max(np.abs(one.values - other.values) / one.sd) < 1e-6
-    np.testing.assert_allclose(one.sd, other.sd, rtol=1e-6)
-    assert np.all(one.converged)
-    assert np.all(other.converged)
-
-
-def test_a_prior_is_one_more_row() -> None:
-    """Against the combination of the free estimate with the prior by their covariances, noise small: 0.03 sd."""
-    spectrum = _draws(1, seed=3)
-    small = _clean() + 0.05 * (spectrum.amplitudes[0] - _clean())
-    quiet = _spectrum(small, spectrum.covariance * 0.05**2)
-    free = identify(_rig(), quiet)
-    sd = float(free["m2"].sd)
-    value = float(free["m2"].value) + 1.5 * sd
-    held = identify(_rig(m2=mass("m2", "x2", value=value, sd=sd)), quiet)
-    j = free.names.index("m2")
-    precision = np.linalg.inv(free.covariance)
-    row = np.zeros_like(precision)
-    row[j, j] = sd**-2
-    covariance = np.linalg.inv(precision + row)
-    expected = free.values + covariance[:, j] / sd**2 * (value - free.values[j])
-    assert np.max(np.abs(held.values - expected) / held.sd) < 0.03
-    np.testing.assert_allclose(held.covariance, covariance, rtol=0.02, atol=1e-3 * np.max(covariance))
-    assert free["m2"].value < held["m2"].value < value
-    for method in (
-        HarmonicLeastSquares(),
-        WeightedLeastSquares(),
-        InstrumentalVariables(),
-        MaximumLikelihood(),
-    ):
-        other = identify(_rig(m2=mass("m2", "x2", value=value, sd=sd)), quiet, method)
-        assert abs(other["m2"].value - held["m2"].value) < sd
-        assert other["m2"].sd < sd * 1.0001
-
-
-def test_a_batch_is_its_repeats() -> None:
-    spectrum = _draws(5, base=0.03)
-    for method in (HarmonicLeastSquares(), WeightedLeastSquares(), InstrumentalVariables(), OptimalIV()):
-        whole = identify(_rig(), spectrum, method)
-        for k in range(5):
-            single = identify(_rig(), replace(spectrum, amplitudes=spectrum.amplitudes[k]), method)
-            np.testing.assert_allclose(whole.values[k], single.values, rtol=1e-7)
-            np.testing.assert_allclose(whole.covariance[k], single.covariance, rtol=1e-5, atol=1e-12)
-
-
-def test_units_do_not_matter() -> None:
-    """The same data with forces in mN, masses in g: values and sd scale, nothing else changes."""
-    spectrum = _draws(1)
-    base = identify(_rig(), replace(spectrum, amplitudes=spectrum.amplitudes[0]))
-    heavy = identify(
-        _rig(k2=between("k2", Kind.SPRING, "x1", "x2", value=1.5e6)),
-        replace(spectrum, amplitudes=spectrum.amplitudes[0]),
-    )
-    np.testing.assert_allclose(heavy.values, 1e3 * base.values, rtol=1e-7)
-    np.testing.assert_allclose(heavy.sd, 1e3 * base.sd, rtol=1e-6)
-    assert float(heavy.fit.chi2) == pytest.approx(float(base.fit.chi2), rel=1e-6)
-
-
 def test_a_channel_that_is_missing_at_some_lines_only_costs_its_information() -> None:
     spectrum = _draws(1)
     holes = np.array(spectrum.amplitudes[0])
@@ -286,29 +223,6 @@ def test_a_channel_that_is_missing_at_some_lines_only_costs_its_information() ->
 
 
 # ------------------------------------------------------------------------------------------ against repeats
-
-
-@pytest.mark.parametrize(("base", "shared"), [(0.03, 0.0), (0.03, 0.8)])
-def test_noisy_and_correlated_inputs_are_met_at_the_bound(base: float, shared: float) -> None:
-    estimate = identify(_rig(), _draws(4000, base, shared))
-    truth = _truth(estimate)
-    spread = np.std(estimate.values, axis=0)
-    bound = np.mean(estimate.bound_sd, axis=0)
-    assert np.sqrt(np.mean((spread / truth) ** 2) / np.mean((bound / truth) ** 2)) < 1.04
-    assert np.all(np.abs(spread / np.mean(estimate.sd, axis=0) - 1) < 0.05)
-    assert np.all(np.abs(np.mean(estimate.values, axis=0) - truth) < 0.2 * spread)
-    assert np.all(np.abs(_coverage(estimate) - 95) < 1.4)
-    assert np.all(estimate.converged)
-    assert abs(np.mean(estimate.fit.p < 0.05) - 0.05) < 0.015
-
-
-@pytest.mark.parametrize("method", [HarmonicLeastSquares(), WeightedLeastSquares(), InstrumentalVariables()])
-def test_other_methods_state_their_own_spread(method: object) -> None:
-    estimate = identify(_rig(), _draws(4000), method)  # type: ignore[arg-type]
-    ratio = np.std(estimate.values, axis=0) / np.sqrt(np.mean(estimate.noise_sd**2, axis=0))
-    assert np.all(np.abs(ratio - 1) < 0.06), ratio
-    if method != HarmonicLeastSquares():
-        assert np.all(np.abs(_coverage(estimate) - 95) < 1.6)
 
 
 def test_unknown_noise_is_sized_by_the_residuals() -> None:
@@ -368,16 +282,6 @@ def test_what_cannot_be_done_is_refused() -> None:
         assert "ml" in caught.value.problems[0].cure
     with pytest.raises(UsageError, match="hls"):
         identify(model, spectrum, LeastSquares())
-
-
-def test_stiffness_and_response_agree() -> None:
-    model, omega = _rig(), 2 * np.pi * HZ
-    p = model.parameters(model.theta(TRUTH))
-    X = response(model, p, omega, np.full((len(HZ), 1), U + 0j))
-    left = np.einsum("lij,lj->li", dynamic_stiffness(model, p, omega), X)
-    np.testing.assert_allclose(
-        left, -stiffness(model, p, omega)[..., model.n :][..., 0] * U, rtol=1e-9, atol=1e-9
-    )
 
 
 def test_a_mode_whose_variance_is_rounding_has_no_standard_deviation():
