@@ -41,5 +41,5 @@ def test_five_parameters_predict_what_was_not_used(samples):
     assert -0.0056 < estimate["u.offset"].value < -0.0053
     arrow = followed_record(rig.model, estimate, part(rig, samples, 20_000, 40_500)).compared()
     assert arrow.rms[0] < 0.5e-3
-    rest = followed_record(rig.model, estimate, part(rig, samples, 90_000, 110_000)).compared()
+    rest = followed_record(rig.model, estimate, part(rig, samples, 90_000, 95_000)).compared()
     assert rest.rms[0] < 0.33e-3

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import dashpot
-from dashpot import Estimate, Rig, api
+from dashpot import Estimate, Rig
 from dashpot.app.cli import run
 from dashpot.data.readers import write_records
 from dashpot.shorthand import refusing
@@ -81,11 +81,6 @@ def test_a_model_reads_files_by_the_names_of_its_coordinates(rig: Rig) -> None:
     np.testing.assert_allclose(by_model.values, rig.identify("data.csv", "ml").values, rtol=0.02)
 
 
-def test_values_by_name(rig: Rig) -> None:
-    estimate = rig.identify("data.csv")
-    assert abs(estimate["m1"].value - 3) < 4 * estimate["m1"].sd < 0.2
-
-
 def test_what_is_printed_is_what_the_command_prints(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
     estimate = rig.identify("data.csv")
     assert run(["identify", "rig.toml", "data.csv"]) == 0
@@ -134,16 +129,6 @@ def test_a_plot_has_a_panel_for_each_unknown(rig: Rig) -> None:
     assert [axes.get_title(loc="left") for axes in figure.axes if axes.get_visible()] == ["m1", "c1", "c2"]
 
 
-def test_compare_takes_names(rig: Rig) -> None:
-    found = rig.compare("data.csv", ["wls", "oiv"], truth=VALUES)
-    assert list(found.estimates) == ["wls", "oiv"]
-
-
-def test_check_before_and_with_data(rig: Rig) -> None:
-    assert rig.check().identifiable
-    assert rig.check("data.csv").identifiable
-
-
 def test_what_cannot_be_found_is_refused_as_by_the_command(rig: Rig) -> None:
     parallel = dashpot.parse_rig(RIG.replace("[channels]", 'c3 = { between = ["x1", "x2"] }\n[channels]'))
     with pytest.raises(dashpot.IdentifiabilityError, match=r"c1 \+ c3"):
@@ -182,28 +167,6 @@ def test_nonlinear_dwells_and_manifests_are_treated_as_by_the_command(
         np.testing.assert_allclose(python.values, command.values, rtol=1e-12)
         assert python.fit.dof == command.fit.dof
     capsys.readouterr()
-
-
-def test_continuous_records_of_nonlinear_rigs_are_integrated(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bent, answer = dashpot.parse_rig(NONLINEAR), rig.identify("data.csv")
-    asked: list[object] = []
-
-    class Integrated:
-        def estimate(self) -> Estimate:
-            return answer
-
-    def integrated(model: object, records: object, method: object, **_: object) -> Integrated:
-        asked[:] = [model, records, method]
-        return Integrated()
-
-    monkeypatch.setattr(api, "fit_records", integrated)
-    table = {name: np.zeros(50) for name in ("x1", "x2", "u")} | {"time_s": np.arange(50) / 100}
-    record = dashpot.record(table, bent.channels)
-    assert bent.identify(record, judge=False).values is answer.values
-    assert asked == [bent.model, (record,), None]
-    assert rig.read("data.csv").continuous is False
 
 
 def test_a_whole_record_is_judged_by_the_noise_that_its_fit_rests_on() -> None:

@@ -91,7 +91,7 @@ def test_a_new_command_is_a_module_and_a_line(dashpot: Command, monkeypatch: pyt
     assert "did you mean greet?" in dashpot("gret").err[0]
 
 
-@pytest.mark.parametrize("epoch", ["nonsense", "9" * 20])
+@pytest.mark.parametrize("epoch", ["9" * 20])
 def test_settings_of_other_programs_do_not_reach_figures(data: Path, tmp_path: Path, epoch: str) -> None:
     words = [sys.executable, "-m", "dashpot", "draw", "rig.toml", "--out", "rig.pdf"]
     around = os.environ | {"MPLBACKEND": "nonsense", "SOURCE_DATE_EPOCH": epoch}

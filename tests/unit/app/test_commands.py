@@ -103,25 +103,6 @@ def test_auto_is_ml_where_a_coordinate_is_not_seen(dashpot: Command, data: Path)
     assert any("x2" in line for line in done.err)  # the column that is left unread
 
 
-def test_a_reaction_force_replaces_the_known_parameter(dashpot: Command, rig: Path) -> None:
-    free = RIG.replace('m2 = { at = "x2", value = 2.7 }', 'm2 = { at = "x2", guess = 2.7 }').replace(
-        ", value = 4600 }", ", guess = 4600 }"
-    )
-    free += 'reaction = { of = "u", quantity = "force", noise = 0.01 }\n'
-    rig.write_text(free, encoding="utf-8")
-    dashpot(f"simulate rig.toml --out d.csv --frequencies 1:15/10log --amplitude u=0.01 {SET}")
-    done = dashpot("identify", "rig.toml", "d.csv", "--json", "-")
-    assert done.code == 0, done.err
-    found = json.loads(done.out)
-    assert found["method"] == "ml"
-    for name, truth in {**VALUES, "m2": 2.7, "k1": 4600, "k2": 4600}.items():
-        entry = found["parameters"][name]
-        assert abs(entry["value"] - truth) < 4.5 * entry["sd"]
-    refused = dashpot("identify", "rig.toml", "d.csv", "--method", "oiv")
-    assert refused.code == 3
-    assert "ml" in refused.err[0]
-
-
 def test_simulated_table_carries_its_noise(dashpot: Command, rig: Path) -> None:
     sent = f"--table --frequencies 2,4,8 --samples 100 --amplitude u=0.01 {SET}"
     done = dashpot(f"simulate rig.toml --out t.csv {sent}")
@@ -221,19 +202,6 @@ def test_a_stop_while_a_module_makes_a_class(
     assert done.code == code
     assert len(done.err) == 1
     assert "no file is left half-written" in done.err[0]
-
-
-def test_interruption_leaves_no_file(dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = sorted(os.listdir())
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("dashpot.app.options.os.replace", interrupt)
-    done = dashpot("identify", "rig.toml", "data.csv", "--json", "out.json")
-    assert done.code == 130
-    assert done.err[:-1] == [STEADY]
-    assert sorted(os.listdir()) == before
 
 
 @pytest.mark.parametrize(("given", "used"), [(None, "1"), ("2", "2")])

@@ -146,13 +146,6 @@ def test_every_parameter_that_names_a_file_has_a_type_that_says_so() -> None:
             ), (name, parameter.name)
 
 
-def test_the_data_of_a_comparison_are_kept(dashpot: Command, rig: Path, data: Path) -> None:
-    before = data.read_bytes()
-    ran = dashpot("design", "rig.toml", "--samples", "500", "--against", "data.csv", "--csv", "data.csv")
-    assert ran.code == 2
-    assert data.read_bytes() == before
-
-
 def _process(*args: str, **options: object) -> subprocess.CompletedProcess[bytes]:
     return subprocess.run(  # type: ignore[call-overload, no-any-return]
         [sys.executable, "-m", "dashpot", *args], stderr=subprocess.PIPE, timeout=300, **options

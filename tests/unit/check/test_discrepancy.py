@@ -96,8 +96,8 @@ def _whole(test: WholeTest, noise: float, seed: int) -> Spectrum:
 
 
 def test_whole_records_fit_without_a_record_at_rest(shaken: WholeTest) -> None:
-    """Six draws of 0.3 to 5 % noise; all miss less than half of their noise."""
-    for seed, noise in enumerate((0.003, 0.003, 0.02, 0.02, 0.05, 0.05)):
+    """Three draws of 0.3 to 5 % noise; all miss less than half of their noise."""
+    for seed, noise in enumerate((0.003, 0.02, 0.05)):
         assessment = _judged(shaken.model, _whole(shaken, noise, seed)).assessment
         assert assessment is not None
         assert assessment.verdict == "fits"
@@ -117,7 +117,7 @@ def test_a_whole_record_of_another_rig_does_not_fit(shaken: WholeTest) -> None:
         for element in lighter
     )
     wrong = replace(shaken.model, elements=heavier)
-    for seed in range(3):
+    for seed in range(2):
         assessment = _judged(wrong, _whole(shaken, 0.01, seed)).assessment
         assert assessment is not None
         assert assessment.verdict == "does not fit"

@@ -4,7 +4,9 @@ import base64
 import hashlib
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from html import unescape
 from html.parser import HTMLParser
 from typing import Any
@@ -133,17 +135,30 @@ def drawn_panels(html: str, name: str) -> list[dict[str, Any]]:
     return [panel for panels in figures for panel in panels if panel["y"].get("name") == name]
 
 
+Report = tuple[Spectrum, Estimate, str]
+
+
+@pytest.fixture(scope="module")
+def report(good: Estimate, bad: Estimate) -> Callable[[str], Report]:
+    """Spectrum, estimate and report of a case, each made once."""
+
+    @cache
+    def of(case: str) -> Report:
+        spectrum = measured(extra=0.2 if case == "misfit" else 0.0)
+        if case == "not converged":
+            estimate = replace(good, values=1.3 * good.values, converged=np.asarray(False))
+        else:
+            estimate = examined(RIG.model, spectrum, bad if case == "misfit" else good)
+        return spectrum, estimate, identification_report(RIG.model, spectrum, estimate)
+
+    return of
+
+
 @pytest.mark.parametrize("case", ["fits", "misfit", "not converged"])
 def test_the_verdict_comes_first_and_the_largest_residual_is_that_of_the_plot(
-    case: str, good: Estimate, bad: Estimate
+    case: str, report: Callable[[str], Report]
 ) -> None:
-    spectrum = measured(extra=0.2 if case == "misfit" else 0.0)
-    estimate = {
-        "fits": examined(RIG.model, spectrum, good),
-        "misfit": examined(RIG.model, spectrum, bad),
-        "not converged": replace(good, values=1.3 * good.values, converged=np.asarray(False)),
-    }[case]
-    html = identification_report(RIG.model, spectrum, estimate)
+    spectrum, _, html = report(case)
     said = {
         "fits": "The model fits",
         "misfit": "The model does not fit",
@@ -258,11 +273,10 @@ def shows(text: str, value: float) -> bool:
 
 
 @pytest.fixture(scope="module", params=["fits", "misfit"])
-def page(request: pytest.FixtureRequest, good: Estimate, bad: Estimate) -> tuple[str, dict[str, Any]]:
+def page(request: pytest.FixtureRequest, report: Callable[[str], Report]) -> tuple[str, dict[str, Any]]:
     """A report and the JSON of its estimate."""
-    spectrum = measured(extra=0.2 if request.param == "misfit" else 0.0)
-    estimate = examined(RIG.model, spectrum, bad if request.param == "misfit" else good)
-    return identification_report(RIG.model, spectrum, estimate), json.loads(estimate.to_json())
+    _, estimate, html = report(request.param)
+    return html, json.loads(estimate.to_json())
 
 
 def test_tables_are_those_of_the_json(page: tuple[str, dict[str, Any]]) -> None:

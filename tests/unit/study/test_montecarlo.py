@@ -1,13 +1,9 @@
 """The same bits whoever computes what when; what lies in a folder is used as far as it belongs to the study."""
 
 import json
-import os
-import subprocess
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -257,23 +253,3 @@ def test_noise_of_the_rigs_own_channels(study):
     noisy = tuple(replace(channel, noise=0.1) for channel in bench.channels)
     (point,) = scenarios(replace(study, rigs={"one": replace(bench, channels=noisy)}, grids=(grid,)))
     assert {channel.noise for channel in point.channels} == {0.2}
-
-
-def test_threads_of_blas_do_not_change_a_bit(study):
-    """A block computed by a process with one thread equals one computed with several."""
-    script = (
-        "from tests.unit.study.test_montecarlo import *\n"
-        "import hashlib\n"
-        "s = Study('small', 7, {'one': one_mass()}, {'few': (2.0, 5.0)}, "
-        "(ScenarioGrid(('one',), ('few',), (0.1,), (16,), ('ls', 'iv', 'oiv'), 300),))\n"
-        "print(hashlib.sha256(repr(bits(montecarlo.run_scenarios(scenarios(s), 7))).encode()).hexdigest())\n"
-    )
-    root = Path(__file__).parents[3]
-    found = {
-        subprocess.run(
-            [sys.executable, "-c", script], cwd=root, capture_output=True, text=True, check=True,
-            env=os.environ | {"OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads},
-        ).stdout
-        for threads in ("1", "4")
-    }  # fmt: skip
-    assert len(found) == 1

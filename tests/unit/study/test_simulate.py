@@ -36,20 +36,6 @@ def channels_of(rig, level=0.1):
     return with_relative_noise(rig, sim.standard_channels(rig, MOTION), level)
 
 
-@pytest.mark.parametrize("drift", [None, 0, 1])
-@pytest.mark.parametrize("periods", [1.0, 2.7])
-def test_amplitudes_and_residual_products_hold_all_that_the_moments_say(rig, p, drift, periods):
-    """Algebra, not chance: moments of real samples equal those rebuilt from their amplitudes and residuals."""
-    test = sim.dwells(rig, [2.0, 9.0], [12, 40], periods=periods, amplitudes={"u": -1j})
-    records = sim.simulate_records(rig, p, channels_of(rig), test, np.random.default_rng(5), draws=3)
-    found = harmonics.spectrum(records, harmonics=(1,), drift=drift, noise="white", moments=True)
-    gram = sim._grams(test, drift)
-    spread = np.trace(np.linalg.inv(gram), axis1=-2, axis2=-1)
-    residual = found.covariance.real * (found.dof / spread)[:, None, None]
-    rebuilt = sim._moments(found.amplitudes, gram, residual)
-    assert np.allclose(rebuilt, found.moments.products, rtol=1e-9, atol=1e-9 * np.max(np.abs(rebuilt)))
-
-
 def features(spectrum):
     """Numbers whose means, over repeats, describe the joint distribution: first and second powers, cross products."""
     A = spectrum.amplitudes

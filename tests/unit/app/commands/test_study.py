@@ -73,12 +73,3 @@ def test_bad_studies_end_with_2_and_leave_no_summary(
     assert len(ran.err) == 1
     assert message in ran.err[0]
     assert not (study.parent / "noise").exists()
-
-
-def test_a_folder_of_something_else_is_refused(dashpot: Command, study: Path) -> None:
-    (study.parent / "mine").mkdir()
-    (study.parent / "mine" / "letter.txt").write_text("dear")
-    ran = dashpot("study", "noise.toml", "--out", "mine")
-    assert ran.code == 2
-    assert "holds other files" in ran.err[0]
-    assert [path.name for path in (study.parent / "mine").iterdir()] == ["letter.txt"]

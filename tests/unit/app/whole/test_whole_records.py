@@ -181,22 +181,6 @@ def test_the_end_of_a_record_is_held_out(dashpot: Command, rig: str) -> None:
     assert away() < 3.7
 
 
-def test_what_validate_refuses(dashpot: Command, rig: str) -> None:
-    recorded("run.csv", seed=12)
-    assert dashpot("identify", rig, "run.csv", "--json", "e.json").code == 0
-    alone = dashpot("validate", "e.json")
-    assert alone.code == 2
-    assert "there is no record to predict" in alone.err[-1]
-    Path("other.toml").write_text(RIG.replace("k2", "k3"), encoding="utf-8")
-    other = dashpot("validate", "e.json", "run.csv", "--rig", "other.toml")
-    assert other.code == 2
-    assert "the estimate is of another rig" in other.err[-1]
-    Path(rig).rename("moved.toml")
-    lost = dashpot("validate", "e.json", "run.csv")
-    assert lost.code == 2
-    assert "is not there" in lost.err[-1]
-
-
 def test_free_decay_of_a_rig_that_nothing_drives(dashpot: Command, tmp_path: Path) -> None:
     """All motion is that at the start; one known part fixes the scale, and without it that is said."""
     rig = tmp_path / "decay.toml"
@@ -230,16 +214,6 @@ def test_a_response_that_something_unseen_drives_is_no_free_decay(dashpot: Comma
     said = bad(dashpot, "held.toml", "ambient.csv")
     assert "no free decay explains the motion" in said
     assert "record what drives it" in said
-
-
-def test_a_clock_that_halts_often_is_not_a_record_with_gaps(dashpot: Command, rig: str) -> None:
-    recorded("run.csv", seed=15)
-    head, *rows = Path("run.csv").read_text(encoding="utf-8").splitlines()
-    kept = np.sort(np.random.default_rng(1).choice(len(rows), len(rows) * 2 // 3, replace=False))
-    Path("uneven.csv").write_text("\n".join([head, *(rows[k] for k in kept)]) + "\n", encoding="utf-8")
-    said = bad(dashpot, rig, "uneven.csv")
-    assert "the samples are not evenly spaced" in said
-    assert "steady clock" in said
 
 
 def test_sensors_that_drift(dashpot: Command, rig: str) -> None:

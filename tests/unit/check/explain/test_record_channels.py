@@ -26,15 +26,14 @@ def times(data: Record, name: str, factor: float) -> Record:
     return replace(data, values=data.values * np.array(factors))
 
 
-@pytest.mark.parametrize("law", ["cubic", "coulomb"])
 @pytest.mark.parametrize(
-    ("name", "factor", "kind", "line"),
+    ("law", "name", "factor", "kind", "line"),
     [
-        ("a1", -1.0, "sign", "sign = -1"),
-        ("x1", -1.0, "sign", "sign = -1"),
-        ("x2", 1e3, "unit", '"mm"'),
-        ("a1", 1 / 9.80665, "unit", '"g"'),
-        ("u", -1.0, "sign", "sign = -1"),
+        ("cubic", "a1", -1.0, "sign", "sign = -1"),
+        ("coulomb", "x1", -1.0, "sign", "sign = -1"),
+        ("cubic", "x2", 1e3, "unit", '"mm"'),
+        ("coulomb", "a1", 1 / 9.80665, "unit", '"g"'),
+        ("cubic", "u", -1.0, "sign", "sign = -1"),
     ],
 )
 def test_a_wrong_sign_or_unit_is_named_first(

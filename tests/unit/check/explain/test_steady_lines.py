@@ -8,7 +8,7 @@ import pytest
 
 from dashpot.arrays import Real
 from dashpot.check.explain.examine import diagnose, examined
-from dashpot.check.explain.steady_lines import _seen_through, _seen_through_all, steady_lines
+from dashpot.check.explain.steady_lines import steady_lines
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -138,10 +138,3 @@ def test_lines_follow_the_rig_to_a_few_per_cent(test: WholeTest, driven: str) ->
     assert len(away) == (8 if driven == "in dwells" else len(away))
     assert np.median(away) < (0.01 if driven == "in dwells" else 0.06)
     assert np.max(away) < (0.06 if driven == "in dwells" else 0.5)
-
-
-def test_a_window_joins_three_lines() -> None:
-    f = np.array([3, 4, 5, 6, 9, 10]) / 2.0
-    rng = np.random.default_rng(1)
-    Y = rng.normal(size=(6, 2)) + 1j * rng.normal(size=(6, 2))
-    np.testing.assert_allclose(_seen_through_all(f, Y, 2.0), _seen_through(f, f, Y, 2.0, 1.0), atol=1e-12)

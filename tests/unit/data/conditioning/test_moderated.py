@@ -2,33 +2,15 @@
 
 import numpy as np
 import pytest
-from scipy.special import polygamma
 
 from dashpot.channel import Quantity
-from dashpot.data.conditioning.harmonic_fit import _scatter, _trigamma_inverse, moderated
+from dashpot.data.conditioning.harmonic_fit import moderated
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.estimate.identify import identify
 from tests import rigs
 
 RIG = rigs.paper_rig()
 CHANNELS = rigs.channels(RIG, (Quantity.DISPLACEMENT,))
-
-
-def test_trigamma_is_inverted() -> None:
-    x = np.array([0.3, 2.0, 40.0, 3000.0])
-    assert [_trigamma_inverse(float(polygamma(1, v))) for v in x] == pytest.approx(x.tolist(), rel=1e-8)
-
-
-@pytest.mark.parametrize("d0", [6.0, 20.0])
-def test_the_scatter_of_the_variances_is_found(d0: float) -> None:
-    """s² of variances drawn from σ²·d₀/χ²: 40 lines, 3 channels, 60 repeats give d₀ within 15 % (4 sd)."""
-    rng = np.random.default_rng(7)
-    shape, nu = (60, 40, 3), np.full(40, 8.0)
-    sigma = d0 / rng.chisquare(d0, shape)
-    power = np.exp(rng.uniform(-3, 3, shape))
-    level = power * sigma * rng.chisquare(8.0, shape) / 8.0
-    found, _ = _scatter(level, power, nu, np.ones(3, dtype=bool))
-    assert found == pytest.approx(d0, rel=0.15)
 
 
 @pytest.mark.parametrize("constant", [False, True])

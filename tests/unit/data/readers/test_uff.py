@@ -17,9 +17,9 @@ from dashpot.data.readers.uff import (
     functions_of,
     modes_of,
 )
-from dashpot.data.readers.uff_writer import write_functions, write_modes, write_uff_records
+from dashpot.data.readers.uff_writer import write_functions, write_modes
 from dashpot.errors import DashpotError, DataError
-from tests.unit.data.readers.written import CHANNELS, packed, recording
+from tests.unit.data.readers.written import CHANNELS, packed
 
 pyuff = pytest.importorskip("pyuff")
 # pyuff opens files without closing them.
@@ -97,16 +97,6 @@ def test_what_pyuff_writes_is_read(tmp_path, binary, double, even):
     rel = (0 if double else 6e-8) if binary else (1e-11 if double else 1e-5)
     for got, expected in zip(functions_of(open_file(path)), wanted, strict=True):
         same(got, expected, rel, 1e-5)
-
-
-def test_a_stepped_sine_is_read_back(tmp_path):
-    records, path = recording(), tmp_path / "test.uff"
-    write_uff_records(records, path)
-    back = read(path, CHANNELS).records
-    assert [record.frequency_hz for record in back] == [record.frequency_hz for record in records]
-    for got, wanted in zip(back, records, strict=True):
-        assert got.time == pytest.approx(wanted.time, rel=1e-15)
-        assert got.values == pytest.approx(wanted.values, rel=1e-15)
 
 
 def test_frequency_responses_are_named_by_nodes_or_entities(tmp_path):

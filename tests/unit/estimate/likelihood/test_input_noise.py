@@ -4,17 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import null_space
 
 from dashpot.channel import Quantity
 from dashpot.data.conditioning.whole_record import whole_record
-from dashpot.data.spectrum import SettledDwell, Spectrum
+from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.likelihood.objective import estimated_inputs, measured
-from dashpot.estimate.likelihood.record_noise import _slopes, with_record_noise
-from dashpot.estimate.preparation import Prepared, flattened
-from dashpot.model.observation import observation_model, transfer
+from dashpot.estimate.likelihood.record_noise import with_record_noise
 from tests.whole_rigs import WholeTest, chain, record_of
 
 BASE = 4  # of the channels: x1, x2, their velocities, and the base
@@ -115,49 +111,3 @@ def test_the_noise_of_a_hammer_is_found(at_rest: bool) -> None:
     np.testing.assert_allclose(shown, 1.0, atol=0.05 if at_rest else 0.2)
     relative = np.sqrt(np.mean(np.square(off), axis=0) / np.mean(np.square(stated), axis=0))
     assert np.all(relative < 1.6)  # 1 ± 0.2
-
-
-def log_likelihood(variance: float, base: np.ndarray, lines: Spectrum, G: np.ndarray, V: np.ndarray) -> float:
-    """Of one variance of the base's samples, the textbook's, line by line: contrasts of Y that know nothing of q.
-
-    base (lines, channels) is what an error of it moves, V (lines, channels, channels) the other noise.
-    """
-    total = 0.0
-    for y, g, v, t, samples in zip(lines.amplitudes, G, V, base, lines.samples, strict=True):
-        free = null_space(np.conj(g.T)) if g.shape[1] else np.eye(len(y))
-        spread = np.conj(free.T) @ (v + variance / samples * np.outer(t, np.conj(t))) @ free
-        z = np.conj(free.T) @ y
-        total -= np.linalg.slogdet(spread)[1] + (np.conj(z) @ np.linalg.solve(spread, z)).real
-    return total
-
-
-@pytest.mark.parametrize("exact", [False, True], ids=["beside other noise", "from nothing"])
-def test_the_step_is_that_of_the_likelihood_written_out(bench: WholeTest, exact: bool) -> None:
-    """Slope by differences and Fisher's information; a factor of 1.001 in the formula would show."""
-    rng = np.random.default_rng(8)
-    every = unshown(bench, 0.05 * bench.size, 8).select(np.arange(5, 45))
-    lines = replace(every, stretch=np.zeros(40, dtype=np.int64), stretches=(SettledDwell(),))
-    view = observation_model(bench.model, lines.channels, lines.omega)
-    G = transfer(view, bench.model.parameters(bench.theta)[None]).G[0]
-    noise = (
-        np.mean(np.abs(lines.amplitudes) ** 2, axis=0) * rng.uniform(0.5, 2.0, 5) * np.array([1, 1, 1, 1, 0])
-    )
-    known = 0.0 if exact else 3.0 * np.mean(np.abs(lines.amplitudes[:, BASE]) ** 2) * lines.samples[0]
-    one = np.eye(5)[BASE]
-    V = np.array(
-        np.broadcast_to(np.diag(noise + known / lines.samples[0] * one), (1, 40, 5, 5)), dtype=complex
-    )
-    data = measured(Prepared(view, flattened(lines), V, None, True, np.ones(1, dtype=bool)))
-    q = lines.amplitudes[:, BASE, None] if exact else estimated_inputs(G, data.W[0], lines.amplitudes)[0]
-    residual = lines.amplitudes - (G @ q[..., None])[..., 0]
-    score, scale = _slopes(view, data, residual, G)
-    slope = np.sum((score - scale)[:, BASE] / lines.samples)
-    if exact:  # what the base reads is the motion and its error: the outputs alone tell the error
-        base, lines, others = G[..., 0] * (1 - one), replace(lines, amplitudes=residual), G[..., :0]
-        V = V + np.diag(one)
-    else:
-        base, others = np.broadcast_to(one, (40, 5)), G
-    step = 1e-3 / np.sqrt(np.sum((scale[:, BASE] / lines.samples) ** 2))  # of a standard deviation
-    other = V[0] - known / lines.samples[0] * np.diag(one)
-    up, down = (log_likelihood(known + side * step, base, lines, others, other) for side in (1, -1))
-    assert slope == pytest.approx((up - down) / (2 * step), rel=1e-4)

@@ -8,9 +8,8 @@ from scipy.optimize import least_squares
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import concatenate
-from dashpot.errors import ConvergenceError, IdentifiabilityError, UsageError
+from dashpot.errors import ConvergenceError, IdentifiabilityError
 from dashpot.estimate.identify import automatic, identify
-from dashpot.estimate.likelihood.global_search import LocalMinima
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.estimate.result import Estimate
@@ -230,15 +229,6 @@ def test_a_repeat_may_end_in_another_valley_than_the_first():
         assert np.allclose(found.values[k], alone.values, rtol=1e-6)
 
 
-def test_valleys_are_kept_once_and_in_order():
-    empty = LocalMinima(np.empty((0, 2)), np.empty((0, 1)), np.empty(0))
-    psi = np.array([[1.0, 2.0], [1.01, 2.0], [5.0, 2.0], [1.0, 2.0], [7.0, 7.0]])
-    sign = np.array([[1.0], [1.0], [1.0], [-1.0], [1.0]])
-    kept = empty.with_ends(psi, sign, np.array([3.0, 2.0, 1.0, 4.0, np.inf]))
-    assert kept.cost.tolist() == [1.0, 2.0, 4.0]
-    assert kept.with_ends(psi[:1], sign[:1], np.array([0.5])).cost.tolist() == [0.5, 1.0, 4.0]
-
-
 # Bounds
 
 
@@ -374,13 +364,3 @@ def test_a_statement_has_no_doubt_about_its_own_size(share):
     free = identify(bench.model, doubtful)
     assert found.dof[0] > 2 * free.dof[0]
     assert np.isfinite(found.dof[0])
-
-
-def test_a_method_may_be_named():
-    bench = two(full=True)
-    spectrum = bench.spectrum(np.random.default_rng(1))
-    assert np.array_equal(
-        identify(bench.model, spectrum, "oiv").values, identify(bench.model, spectrum, OptimalIV()).values
-    )
-    with pytest.raises(UsageError, match="there is no method olv"):
-        identify(bench.model, spectrum, "olv")

@@ -43,17 +43,6 @@ def test_channels_show_what_the_simulation_says(bench):
     assert np.allclose(shown, truth, rtol=0, atol=1e-11 * np.abs(truth).max(axis=0))
 
 
-def test_slopes_are_those_of_finite_differences(bench):
-    """To 1e-6 of the largest slope of each channel by each unknown, at inputs that are given."""
-    data, view = prepared(bench)
-    exact = replace(measured(data), q=bench.q[None])
-    J = predict(view, exact, bench.psi[None], signs(bench)).J[0]
-    expected = bench.slopes()
-    size = np.abs(expected).max(axis=0)
-    assert np.all(np.abs(J - expected) <= 1e-6 * size)
-    assert np.count_nonzero(size) > size.size / 2
-
-
 @pytest.mark.parametrize("correlation", [0.0, 0.6])
 def test_information_is_that_of_inputs_written_out_as_unknowns(bench, correlation):
     """Π of profiled inputs against the Schur complement of real and imaginary parts of every input at every line."""

@@ -14,8 +14,6 @@ from dashpot.estimate.linear.instrumental_variables import (
     DefiniteOptimalIV,
     FreeMatrices,
     OptimalIV,
-    _Cone,
-    _nearest,
     matrices_of,
 )
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares
@@ -118,21 +116,6 @@ def test_entries_have_the_covariance_that_the_intervals_count() -> None:
     assert sd[0, 0] == pytest.approx(np.sqrt(variance["k_x1"] + variance["k_x1_x2"]))
     assert sd[0, 1] == sd[1, 0] == pytest.approx(np.sqrt(variance["k_x1_x2"]))
     assert sd[0, 2] == 0
-
-
-def test_the_order_of_coordinates_does_not_matter() -> None:
-    """A chain read from its other end: the same matrices with the same sd, transposed."""
-    pairs = {"M": [], "C": CHAIN, "K": CHAIN}
-    model = free_model(X, at("x3"), pairs=pairs)
-    rig = rig_of(model, np.diag([2.0, 1.5, 1.0]))
-    ch = channels(rig)
-    spectrum = noisy(rig, ch, covariance(rig, ch, 0.01), np.random.default_rng(1))
-    backwards = free_model(tuple(reversed(X)), at("x3"), pairs=pairs)
-    one = matrices_of(model, identify(model, spectrum))
-    other = matrices_of(backwards, identify(backwards, spectrum))
-    assert np.allclose(one.K, other.K[::-1, ::-1], rtol=1e-7, atol=1e-4)
-    assert np.allclose(one.sd("K"), other.sd("K")[::-1, ::-1], rtol=1e-5)
-    assert np.allclose(one.sd("M")[0, 1], 0)
 
 
 def test_entries_have_the_spread_and_the_coverage_they_state() -> None:
@@ -339,15 +322,6 @@ def test_with_no_matrix_to_hold_the_free_estimate_is_the_answer() -> None:
     spectrum = noisy(rig, ch, covariance(rig, ch, 0.05), np.random.default_rng(3))
     free, held = identify(model, spectrum, OptimalIV()), identify(model, spectrum, DefiniteOptimalIV())
     assert np.array_equal(held.values, free.values)
-
-
-@pytest.mark.parametrize("centre", [np.nan, np.inf])
-def test_a_projection_of_nothing_finite_ends_where_it_started(centre: float) -> None:
-    """Beside it, the point −3 goes to the edge of the cone of what is not negative."""
-    cone = _Cone(np.zeros((1, 1)), np.ones((1, 1, 1)))
-    found = _nearest(np.array([[centre], [-3.0]]), np.ones((2, 1, 1)), [cone], np.array([[1.0], [1.0]]))
-    assert found[0, 0] == 1.0
-    assert 0 < found[1, 0] < 1e-6
 
 
 def test_bad_pairs_and_letters_are_refused() -> None:

@@ -130,11 +130,6 @@ def test_multipliers_along_the_motion_are_those_of_integration(law, monkeypatch)
     assert np.all(np.abs(along) < 1)
 
 
-def test_a_motion_that_is_lost_is_not_called_stable():
-    infinite = np.full((1, 2, 2), np.nan)
-    assert np.all(np.isinf(stability._eigenvalues(infinite)))
-
-
 def test_a_curve_that_winds_on_and_on_is_refused(monkeypatch):
     monkeypatch.setattr(continuation, "TURNS", 20)
     monkeypatch.setattr(continuation, "ROWS", 20)

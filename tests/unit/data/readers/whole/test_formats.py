@@ -14,9 +14,7 @@ from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.guarded import library
 from dashpot.data.readers.registry import reader_of
 from dashpot.errors import DashpotError, DataError
-from dashpot.estimate.identify import identify
 from dashpot.model.rigfile import parse_rig
-from tests.unit.data.readers.famos_bytes import dwell
 from tests.unit.data.readers.written import CHANNELS, RIG, WRITERS, as_read, packed, recording, wav
 
 
@@ -41,66 +39,6 @@ def test_the_same_recording(tmp_path, name):
 @pytest.fixture(scope="module")
 def rig():
     return parse_rig(RIG, "rig.toml")
-
-
-TREATMENTS = {"harmonics": "none", "noise": "white", "transients": "none"}
-
-
-def same_estimate(rig, *paths):
-    first, second = (identify(rig.model, read(path, rig.channels).spectrum(**TREATMENTS)) for path in paths)
-    for parameter in first.names:
-        assert second[parameter].value == pytest.approx(first[parameter].value, rel=1e-9)
-
-
-def csv_of_recording(folder: Path) -> Path:
-    WRITERS["CSV"][1](folder / "whole.csv", recording())
-    return folder / "whole.csv"
-
-
-@pytest.mark.parametrize("way", ["pattern", "manifest"])
-@pytest.mark.parametrize("name", ["CSV", "HDF5", "FAMOS", "LVM", "WAV"])
-def test_the_same_estimate_from_a_file_for_each_dwell(tmp_path, rig, name, way):
-    columns = ""
-    for record in recording():
-        stem = f"{record.frequency_hz:g}Hz"
-        millimetres = np.round(record.values * 1e3 * 1024) / 1024
-        if name == "FAMOS":
-            suffix = ".raw"
-            (tmp_path / f"{stem}{suffix}").write_bytes(dwell(record))
-        elif name == "WAV":
-            suffix, columns = ".wav", 'columns = { x1 = "channel_1", x2 = "channel_2", u = "channel_3" }\n'
-            (tmp_path / f"{stem}{suffix}").write_bytes(wav(millimetres))
-        elif name == "LVM":
-            suffix = ".lvm"
-            (tmp_path / f"{stem}{suffix}").write_text(lvm(record.time, millimetres))
-        else:
-            suffix = WRITERS[name][0]
-            WRITERS[name][1](tmp_path / f"{stem}{suffix}", [record])
-    path = tmp_path / f"{{frequency}}Hz{suffix}"
-    if way == "manifest" or columns:
-        path = tmp_path / "test.toml"
-        path.write_text(f'[[files]]\nname = "{{frequency}}Hz{suffix}"\n{columns}')
-    same_estimate(rig, csv_of_recording(tmp_path), path)
-
-
-def lvm(time, values):
-    """LabVIEW text of one dwell, with the time in its first column."""
-    head = [
-        "LabVIEW Measurement\t",
-        "Separator\tTab",
-        "Decimal_Separator\t.",
-        "X_Columns\tOne",
-        "Time_Pref\tRelative",
-    ]
-    head += [
-        "***End_of_Header***\t",
-        "",
-        "Channels\t3",
-        "***End_of_Header***\t",
-        "X_Value\tx1\tx2\tu\tComment",
-    ]
-    rows = ["\t".join(map(repr, row)) for row in np.column_stack([time, values]).tolist()]
-    return "\n".join([*head, *rows]) + "\n"
 
 
 def test_wav_by_a_manifest(tmp_path):

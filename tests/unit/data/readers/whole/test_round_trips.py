@@ -12,11 +12,9 @@ import pytest
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel
-from dashpot.data.readers import read, write_amplitudes, write_records
+from dashpot.data.readers import read
 from dashpot.data.readers.uff import FRF, NodalFunction, NodePoint
 from dashpot.data.readers.uff_writer import write_functions
-from dashpot.data.record import Record
-from dashpot.data.spectrum import Spectrum
 from tests.unit.data.readers.column_files import TABLES, famos, hdf5, mat, mdf, npz, tdms, uff
 
 CHANNELS = (Channel("x", {"x": 1}), Channel("u", {"u": 1}))
@@ -82,12 +80,6 @@ def test_samples_on_the_clock_of_the_format(tmp_path: Path, suffix: str) -> None
     same_record(tmp_path / f"a{suffix}", EVEN)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".csv.gz"])
-def test_records_that_dashpot_writes(tmp_path: Path, suffix: str) -> None:
-    write_records([Record(CHANNELS, TIMES, SAMPLES)], tmp_path / f"a{suffix}")
-    same_record(tmp_path / f"a{suffix}", TIMES)
-
-
 @pytest.mark.parametrize("suffix", EXACT)
 def test_amplitudes(tmp_path: Path, suffix: str) -> None:
     deviations = RNG.uniform(0.5, 2, (COUNT, 2))
@@ -101,21 +93,6 @@ def test_amplitudes(tmp_path: Path, suffix: str) -> None:
     assert np.array_equal(lines.amplitudes, AMPLITUDES)
     variances = np.einsum("lcc->lc", lines.covariance)
     assert np.array_equal(variances, 2 * deviations**2)
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".csv.gz"])
-def test_amplitudes_that_dashpot_writes(tmp_path: Path, suffix: str) -> None:
-    factors = RNG.normal(size=(COUNT, 2, 2)) + 1j * RNG.normal(size=(COUNT, 2, 2))
-    covariance = factors @ factors.conj().swapaxes(1, 2)
-    written = Spectrum(
-        CHANNELS, LINES, AMPLITUDES, covariance, [9] * COUNT, [7.0] * COUNT, ("given",) * COUNT, [0] * COUNT
-    )
-    write_amplitudes(written, tmp_path / f"a{suffix}")
-    lines = read(tmp_path / f"a{suffix}", CHANNELS).spectrum()
-    assert np.array_equal(lines.frequency_hz, written.frequency_hz)
-    assert np.array_equal(lines.amplitudes, written.amplitudes)
-    # Standard deviations and correlations are what the table holds.
-    assert lines.covariance == pytest.approx(written.covariance, rel=1e-14)
 
 
 def same_response(path: Path) -> None:
