@@ -183,36 +183,6 @@ def test_design_after_records_conditions_them_as_identify_does(dashpot: Command,
     assert counted["200 ms"][0] < counted["none"][0]
 
 
-def test_per_cent_and_units_are_read_wherever_a_quantity_is(dashpot: Command, rig: Path) -> None:
-    def written(*options: str) -> str:
-        done = dashpot("simulate", "rig.toml", "-o", "out.csv", "--frequencies", "2,4", "-q", *options)
-        assert done.code == 0, done.err
-        return Path("out.csv").read_text(encoding="utf-8")
-
-    plain = written(
-        "--set", "m1=3", "--set", "c1=20", "--set", "c2=30", "--amplitude", "u=0.002", "--rate", "100"
-    )
-    assert plain == written(
-        "--set", "m1=3 kg,c1=20 N·s/m,c2=0.03 N*s/mm", "--amplitude", "2 mm", "--rate", "0.1 kHz"
-    )
-    noisy = written("--set", "m1=3,c1=20,c2=30", "--relative-noise", "5%")
-    assert noisy == written("--set", "m1=3,c1=20,c2=30", "--relative-noise", "0.05")
-
-
-def test_levels_in_per_cent_or_as_shares(dashpot: Command, data: Path) -> None:
-    texts = {
-        dashpot("identify", "rig.toml", "data.csv", "--level", level).out for level in ("90", "90%", "0.9")
-    }
-    assert len(texts) == 1
-    assert "90 % interval" in texts.pop()
-
-
-def test_words_of_a_type_stand_beside_its_values() -> None:
-    kind = TextType("time", float, words=("auto", "none"))
-    assert kind.convert(" auto ", None, None) == "auto"
-    assert kind.convert("2", None, None) == 2.0
-
-
 def test_commas_of_whole_numbers_part_thousands() -> None:
     """A comma that is a decimal sign elsewhere made 15 of 1,5."""
     assert Count(0).convert("1,000,000", None, None) == 1_000_000
@@ -236,10 +206,3 @@ def test_a_treatment_may_be_named_alone_anywhere(
     ):
         assert dashpot("spectrum", *args, "-o", "b.csv").code == 0
         assert Path("a.csv").read_bytes() == Path("b.csv").read_bytes()
-
-
-def test_a_stated_settling_time_is_discarded(dashpot: Command, data: Path) -> None:
-    kept = dashpot("spectrum", "rig.toml", "data.csv", "-o", "a.csv", "--settle", "none")
-    cut = dashpot("spectrum", "rig.toml", "data.csv", "-o", "b.csv", "--settle", "100 ms")
-    assert kept.code == cut.code == 0
-    assert Path("a.csv").read_bytes() != Path("b.csv").read_bytes()

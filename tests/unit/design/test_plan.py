@@ -12,7 +12,6 @@ from dashpot.design.allocation import Allocation, Criterion, expected_precision
 from dashpot.design.plan import Budget, DesignProblem, DwellShares, plan, shortest
 from dashpot.design.stopping import after, values_after
 from dashpot.design.test_setup import Schedule, band_grid, nominal_setup
-from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
 from tests import rigs
 from tests.designs import BAND, measured, paper_setup
@@ -109,21 +108,6 @@ def test_known_with_an_sd_is_known() -> None:
     assert found.predicted.figure < free.predicted.figure
 
 
-def test_too_small_a_budget() -> None:
-    own = paper_setup()
-    grid = band_grid(own, *BAND)
-    with pytest.raises(UsageError, match="settling alone"):
-        plan(own, Criterion("A"), Budget(time=1, rate=100, settle=2), grid)
-    with pytest.raises(UsageError, match="holds no test"):
-        plan(own, Criterion("A"), Budget(samples=3), grid)
-    with pytest.raises(UsageError, match="sampling rate"):
-        plan(own, Criterion("A"), Budget(samples=300, rate=30), grid)
-    with pytest.raises(UsageError, match="needs the sampling rate"):
-        Budget(time=10)
-    with pytest.raises(UsageError, match="a number of samples or a time"):
-        Budget()
-
-
 def test_dwells_that_crowd_are_one() -> None:
     """The optimum is flat: neighbours are joined where that costs less than 1e-4 of the variance, and only there."""
     own, budget = paper_setup(), Budget(samples=1400)
@@ -190,17 +174,3 @@ def test_the_shortest_test_just_reaches_its_target(target: float) -> None:
     assert 0.99 * target < np.max(found.predicted.relative) <= target
     fewer = plan(own, Criterion("minimax"), Budget(samples=round(0.98 * found.samples)), grid)
     assert np.max(fewer.predicted.relative) > target
-
-
-def test_targets_by_name() -> None:
-    own = paper_setup()
-    found = shortest(
-        own,
-        Criterion("minimax", targets={"c2": 0.02, "m1": 0.005}),
-        1.0,
-        Budget(samples=100),
-        band_grid(own, *BAND),
-    )
-    by_name = dict(zip(found.predicted.names, found.predicted.relative, strict=True))
-    assert by_name["c2"] <= 0.02
-    assert by_name["m1"] <= 0.005

@@ -18,7 +18,6 @@ from dashpot.design.test_setup import (
     Schedule,
     ShakerLimits,
     band_grid,
-    drive_patterns,
     dwell_information,
     fisher,
     nominal_setup,
@@ -32,10 +31,10 @@ from dashpot.estimate.linear.auxiliary_model import auxiliary, information
 from dashpot.estimate.nonlinear.objective import evaluate
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
-from dashpot.model.observation import calibration_names, noise_sd
+from dashpot.model.observation import calibration_names
 from tests.designs import light_setup, paper_setup
 from tests.nonlinear_rigs import motions, settled, two_masses
-from tests.rigs import Rig, amplitudes, channels, covariance, paper_rig, perfect, random_rig, states
+from tests.rigs import Rig, channels, covariance, paper_rig, perfect, random_rig, states
 
 
 def test_settling_is_that_of_the_slowest_mode() -> None:
@@ -131,17 +130,6 @@ def test_slopes_of_all_channels_against_finite_differences(seed: int) -> None:
     assert not np.any(seen.by_parameter[:, shared, delay])
 
 
-def test_reaction_is_the_force_that_moves_the_base() -> None:
-    """Base and second mass are joined by k2 and c2: their force, counted positive where the base is pushed up."""
-    rig = paper_rig([2.0, 5.0])
-    seen = outputs(rig.model, rig.p, (Channel("F", {"u": 1.0}, Quantity.FORCE),), rig.omega, rig.U)
-    names = [e.name for e in rig.model.elements]
-    k2, c2 = rig.p[names.index("k2")], rig.p[names.index("c2")]
-    by_hand = (k2 + 1j * rig.omega * c2) * (rig.U[:, 0] - rig.X[:, 1])
-    assert np.allclose(seen.Y[:, 0], by_hand, rtol=1e-12)
-    assert np.allclose(seen.force[:, 0], by_hand, rtol=1e-12)
-
-
 @pytest.mark.parametrize("inputs", [0.0, 0.05])
 def test_all_sensors_as_the_estimators_count_them(inputs: float) -> None:
     """The equation of motion and the outputs hold the same information, exact and noisy inputs alike.
@@ -218,12 +206,6 @@ def test_perfectly_correlated_noise_is_refused() -> None:
         fisher(J, G, np.ones((1, 2, 2), dtype=complex), "ab")
 
 
-def test_noise_in_its_unit() -> None:
-    """0.1 mm behind a gain of 4 and 3 % of 2 m."""
-    channel = Channel("x", {"x": 1.0}, unit="mm", scale=1e-3, gain=4.0, noise=0.1, relative_noise=0.03)
-    assert np.allclose(noise_sd((channel,), np.array([[2.0 + 0j]])), np.hypot(0.1e-3 / 4, 0.06))
-
-
 def test_relative_noise_makes_information_independent_of_amplitude() -> None:
     rig = paper_rig()
     relative = tuple(
@@ -241,13 +223,6 @@ def test_relative_noise_makes_information_independent_of_amplitude() -> None:
         for a in (1.0, 2.0)
     ]
     assert np.allclose(4 * M[0], M[1], rtol=1e-10)
-
-
-def test_channels_see_amplitudes_as_the_rig_of_the_tests_does() -> None:
-    rig = random_rig(np.random.default_rng(3), 3, forces=1)
-    chosen = channels(rig, (Quantity.VELOCITY,))
-    seen = outputs(rig.model, rig.p, chosen, rig.omega, np.concatenate([rig.U, rig.f], axis=-1))
-    assert np.allclose(seen.Y, amplitudes(rig, chosen), rtol=1e-10)
 
 
 FREQUENCIES = np.array([2, 3, 4, 5, 6, 7, 8, 9.5, 11, 12.5, 14])
@@ -310,27 +285,6 @@ def test_limits_of_what_is_not_proportional_to_the_drive_are_refused():
     moved = replace(setup, limits=ShakerLimits(stroke=1e-3, acceleration=4.0))
     drive = np.abs(moved.drive(FREQUENCIES, np.zeros(len(FREQUENCIES), dtype=np.int64))[:, 0])
     assert np.allclose(drive, np.minimum(1e-3, 4.0 / (2 * np.pi * FREQUENCIES) ** 2))
-
-
-def test_only_multiples_of_a_step() -> None:
-    own = paper_setup()
-    found = optimise(own, Criterion("A").terms(own), 1, band_grid(own, 0.25, 25, 0.25))
-    assert np.allclose(found.frequency_hz / 0.25, np.round(found.frequency_hz / 0.25))
-    assert found.gap < 1e-6
-
-
-def test_bad_bands_and_names() -> None:
-    own = paper_setup()
-    with pytest.raises(UsageError, match="not a band"):
-        band_grid(own, 5, 2)
-    with pytest.raises(UsageError, match="no multiple"):
-        band_grid(own, 5.1, 5.2, 1.0)
-    with pytest.raises(UsageError, match="'k9' is not an unknown"):
-        Criterion("A", ("k9",)).terms(own)
-    with pytest.raises(UsageError, match="no input 'v'"):
-        drive_patterns(own.model, ["u,v"])
-    with pytest.raises(UsageError, match="stroke"):
-        ShakerLimits(stroke=-1.0)
 
 
 def test_undamped_resonances_are_no_place_to_dwell() -> None:

@@ -56,13 +56,6 @@ def test_inputs_are_differentiated_as_far_as_outputs_need():
         state_space_of(two_masses(), "jerk")
 
 
-def test_an_accelerometer_on_the_base_makes_it_an_acceleration():
-    text = TWO_MASSES.replace('u = { of = "u", unit = "mm" }', 'a = { of = "u", quantity = "acceleration" }')
-    system = state_space_of(identified_rig(parse_rig(text, "rig.toml")))
-    assert [port.name for port in system.inputs] == ["u_acceleration"]
-    assert system.states == ("x1", "x2", "x1_rate", "x2_rate", "u", "u_rate")
-
-
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_slopes_are_those_of_finite_differences(variant):
     rig = lever(variant)

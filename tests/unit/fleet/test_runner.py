@@ -8,17 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dashpot.data.readers import write_amplitudes, write_records
+from dashpot.data.readers import write_amplitudes
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
 from dashpot.fleet import runner
 from dashpot.fleet.data_sets import Source, Treatment, of_files
-from dashpot.fleet.runner import block_size, run_fleet
+from dashpot.fleet.runner import run_fleet
 from dashpot.model.observation import with_relative_noise
 from dashpot.model.rigfile import Rig, parse_rig
 from dashpot.study.simulate import dwells, simulate_spectrum
 from tests.unit.app.conftest import RIG, VALUES
-from tests.whole_rigs import chain, record_of, stepped_sine
 
 COUNT = 12
 
@@ -142,25 +141,9 @@ def test_a_data_set_that_is_given_twice_has_two_rows(rig: Rig, files: list[str])
     assert outcome.columns["m1:value"][0] == outcome.columns["m1:value"][2]
 
 
-def test_blocks_depend_on_the_number_of_data_sets_alone() -> None:
-    assert [block_size(count) for count in (1, 20, 21, 501, 10**6)] == [1, 1, 10, 100, 1000]
-
-
 def test_a_folder_of_other_files_is_refused(rig: Rig, files: list[str], tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(UsageError, match=r"notes\.txt"):
         run_fleet(rig, of_files(files), tmp_path)
     with pytest.raises(UsageError, match="no data sets"):
         run_fleet(rig, Source(0, lambda _: iter(())))
-
-
-def test_unsettled_dwells_are_cut_for_methods_that_know_no_transients(tmp_path: Path) -> None:
-    """As identify does; whole, taken as settled, they give dampers that are wrong by several deviations."""
-    model, theta = chain(2, 0.08, seed=1)
-    channels = record_of(model, theta, "random", decay_times=0.1).record.channels
-    records = stepped_sine(model, theta, channels, (4.0, 6.0, 9.0, 13.0, 18.0), 0.002, periods=30)
-    write_records(records, tmp_path / "a.csv")
-    outcome = run_fleet(Rig(model, channels), of_files([str(tmp_path / "a.csv")]), None, Treatment("oiv"))
-    for j, name in enumerate(outcome.names):
-        value, sd = (outcome.columns[f"{name}:{key}"][0] for key in ("value", "sd"))
-        assert abs(value - theta[j]) < 4 * sd

@@ -104,57 +104,6 @@ class TestLaws:
         X = response(model, p, OMEGA, U, f)
         np.testing.assert_allclose(response(model, p, -OMEGA, U.conj(), f.conj()), X.conj(), rtol=1e-12)
 
-    def test_order_of_coordinates_inputs_and_elements_does_not_matter(
-        self, model: Model, p: np.ndarray
-    ) -> None:
-        rng = np.random.default_rng(3)
-        coordinates, inputs, elements = (
-            rng.permutation(len(part)) for part in (model.coordinates, model.inputs, model.elements)
-        )
-        twin = Model(
-            tuple(model.coordinates[i] for i in coordinates),
-            tuple(model.inputs[i] for i in inputs),
-            tuple(model.elements[i] for i in elements),
-        )
-        U, f = drive(model, len(OMEGA))
-        twin_U = U[:, [model.displacement_inputs.index(name) for name in twin.displacement_inputs]]
-        twin_f = f[:, [model.force_inputs.index(name) for name in twin.force_inputs]]
-        X = response(model, p, OMEGA, U, f)
-        twin_X = response(twin, p[elements], OMEGA, twin_U, twin_f)
-        np.testing.assert_allclose(twin_X, X[:, coordinates], rtol=1e-10)
-        np.testing.assert_allclose(
-            modes(twin, p[elements]).eigenvalues, modes(model, p).eigenvalues, rtol=1e-8
-        )
-
-    def test_units_of_force_cancel(self, model: Model, p: np.ndarray) -> None:
-        U, f = drive(model, len(OMEGA))
-        X = response(model, p, OMEGA, U, f)
-        np.testing.assert_allclose(response(model, 1e6 * p, OMEGA, U, 1e6 * f), X, rtol=1e-10)
-
-    def test_units_of_time_scale_the_eigenvalues(self, model: Model, p: np.ndarray) -> None:
-        per_ms = np.array([10.0 ** (-3 * kind.law.power) for kind in model.kinds])
-        # Time in units of 1000 s: c has s¹, m has s²
-        np.testing.assert_allclose(
-            modes(model, p * per_ms).eigenvalues, 1000 * modes(model, p).eigenvalues, rtol=1e-9
-        )
-
-    def test_units_of_one_coordinate_scale_its_amplitude(self, model: Model, p: np.ndarray) -> None:
-        name = model.coordinates[0]
-
-        def stretched(points: Any, by: float) -> dict[str, float]:
-            return {point: factor * (by if point == name else 1.0) for point, factor in points.items()}
-
-        twin = Model(
-            model.coordinates,
-            tuple(Input(one.name, one.kind, stretched(one.at, 1e-3)) for one in model.inputs),
-            tuple(Element(one.name, one.kind, stretched(one.along, 1e-3)) for one in model.elements),
-        )
-        U, f = drive(model, len(OMEGA))
-        X, twin_X = response(model, p, OMEGA, U, f), response(twin, p, OMEGA, U, f)
-        np.testing.assert_allclose(twin_X[:, 0], 1e3 * X[:, 0], rtol=1e-9)
-        np.testing.assert_allclose(twin_X[:, 1:], X[:, 1:], rtol=1e-9)
-        np.testing.assert_allclose(modes(twin, p).eigenvalues, modes(model, p).eigenvalues, rtol=1e-7)
-
     def test_matrices_make_the_same_dynamic_stiffness(self, model: Model, p: np.ndarray) -> None:
         """K + jωC − ω²M + jH and G + jωF − ω²J.  Paper eq. 1."""
         parts, w = matrices(model, p), OMEGA[:, None, None]

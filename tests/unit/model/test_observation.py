@@ -128,16 +128,6 @@ def test_amplitudes_take_the_forces_that_the_elements_state() -> None:
     np.testing.assert_array_equal(Y[:, :6], channel_amplitudes(view, X, q, 0 * forces)[:, :6])
 
 
-def test_slopes_against_finite_differences() -> None:
-    q = inputs(np.random.default_rng(3))
-    slopes = transfer(observation_model(MODEL, CHANNELS, OMEGA), P).slopes(q)
-    for j in range(len(P)):
-        step = np.where(np.arange(len(P)) == j, 1e-6 * P[j], 0.0)
-        numeric = (by_hand(P + step, q) - by_hand(P - step, q)) / (2e-6 * P[j])
-        scale = np.max(np.abs(numeric), axis=0) + 1e-9 * np.max(np.abs(by_hand(P, q)), axis=0) / P[j]
-        assert np.max(np.abs(slopes[..., j] - numeric) / scale) < 1e-6
-
-
 def test_calibrations_and_their_slopes_against_finite_differences() -> None:
     chosen = (
         replace(CHANNELS[0], gain=None), replace(CHANNELS[1], delay=None, sign=None),

@@ -37,12 +37,6 @@ def printed(comparison: Comparison, width: int, level: float = 0.95) -> list[str
     return [line.rstrip() for line in out.getvalue().splitlines()]
 
 
-def test_it_prints_as_the_command_does_and_draws_itself(comparison: Comparison) -> None:
-    assert [line.rstrip() for line in str(comparison).splitlines()] == printed(comparison, 80)
-    assert "<table" in comparison._repr_html_()
-    assert len(comparison.plot().axes) == len(comparison.names)
-
-
 @pytest.mark.parametrize("width", [40, 60, 80, 200])
 def test_the_table_keeps_to_the_width_and_loses_nothing(comparison: Comparison, width: int) -> None:
     lines = printed(comparison, width)

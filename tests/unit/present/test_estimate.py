@@ -15,7 +15,6 @@ from dashpot.present.document import html_of, show
 from dashpot.present.estimate import (
     basis_in_words,
     estimate_document,
-    estimate_text,
     parameter_columns,
     parameter_rows,
     warnings_in_words,
@@ -44,11 +43,6 @@ def test_the_table_keeps_to_the_width_and_loses_nothing(good: Estimate, bad: Est
             cells = " ".join(lines)
             for part in (row.value, row.sd, row.unit, row.share, row.low, row.high, row.bound):
                 assert part in cells
-
-
-def test_plus_minus_is_explained(good: Estimate, bad: Estimate) -> None:
-    for estimate in (good, bad):
-        assert "± is one standard deviation" in printed(estimate)
 
 
 def test_rows_say_what_is_found_tied_and_known(good: Estimate) -> None:
@@ -102,16 +96,6 @@ def test_what_the_fit_says_is_said_once(good: Estimate, bad: Estimate) -> None:
         assert warnings_in_words(told) == wanted
 
 
-def test_fit_in_words(good: Estimate) -> None:
-    fit = replace(good.fit, chi2=np.array(100.0), dof=100, p=np.array(0.48))
-    assert fit_in_words(fit).startswith("The model fits: residuals are 1.0 × the noise (χ² = 100")
-    assert "too large" in fit_in_words(replace(fit, chi2=np.array(4.0), p=np.array(1.0)))
-    large = fit_in_words(replace(fit, chi2=np.array(14400.0), p=np.array(0.0)))
-    assert large.startswith("The model does not fit: residuals are 12 × the noise")
-    assert "p < 1e-6" in large
-    assert "cannot be tested" in fit_in_words(replace(fit, dof=0))
-
-
 def test_not_converged_is_loud(good: Estimate) -> None:
     stuck = replace(good, converged=np.asarray(False))
     assert "NOT CONVERGED" in printed(stuck)
@@ -137,10 +121,6 @@ def test_coloured_noise_is_answered_with_options_only_where_there_are_records(go
     (other,) = warnings_in_words(coloured, untried=Conditioning(settle="auto").untried)
     assert "--settle" not in other
     assert "--refine always" in other
-
-
-def test_the_text_of_an_estimate_is_what_the_command_prints(good: Estimate) -> None:
-    assert estimate_text(good) == printed(good).strip("\n")
 
 
 def test_the_html_of_an_estimate_is_escaped_and_complete(bad: Estimate) -> None:

@@ -13,7 +13,6 @@ from dashpot.errors import DataError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.nonlinear.whole_record import fit_records
-from dashpot.model.motion import integrator
 from dashpot.study.simulate import driven_record, response_band
 from tests.nonlinear_rigs import motions, two_masses
 from tests.whole_rigs import chain
@@ -59,16 +58,6 @@ def test_velocities_and_accelerations_are_derivatives_and_noise_is_as_stated():
     assert np.allclose(np.gradient(u, time)[inner], du[inner], atol=2e-3 * np.max(np.abs(du)))
     assert np.array_equal(same, u)
     assert np.std(noisy - x1) == pytest.approx(1e-4, rel=0.1)
-
-
-def test_a_linear_rig_moves_under_a_record_as_its_own_integrator_says():
-    model, theta = two_masses("cubic")
-    linear = replace(model, elements=model.elements[:-1])
-    time = np.arange(400) / 200
-    u = 1e-3 * np.sin(2 * np.pi * 3 * time)[:, None]
-    shown = driven_record(linear, theta[:5], ALL, Record((ALL[2],), time, u), np.random.default_rng(0))
-    x = integrator(linear, linear.parameters(theta[:5]), 1 / 200).motion(u).x
-    assert np.allclose(shown.values[:, :2], x, atol=1e-9 * np.max(np.abs(x)))
 
 
 def test_a_simulated_record_gives_the_parameters_back():

@@ -229,12 +229,6 @@ def test_all_problems_are_told_at_once(folder):
     assert len(caught.value.problems) == 5
 
 
-def test_faults_of_the_rig_file_are_told_at_their_own_place(folder):
-    (folder / "rig.toml").write_text(RIG.replace('at = "x"', 'at = "y"'))
-    with pytest.raises(UsageError, match=r"rig\.toml:5: masses\.m\.at: "):
-        parsed(folder, STUDY)
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [

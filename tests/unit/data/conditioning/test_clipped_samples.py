@@ -81,13 +81,6 @@ def test_few_clipped_samples_of_a_short_dwell_are_seen(clip: float) -> None:
     assert np.mean(np.array(away) ** 2) < 4.0  # 2 were sd exact; some 100 with the samples as they are
 
 
-def test_a_dwell_goes_by_its_stated_frequency() -> None:
-    record = replace(dwell(np.random.default_rng(11), 0.7, 12), frequency_hz=1.02 * F)
-    clips = [notice.text for notice in spectrum([record]).notes if notice.code == "unclipped"]
-    assert len(clips) == 1
-    assert clips[0].startswith("x1 clips in the dwell at 4.08 Hz (")
-
-
 def test_a_converter_in_noise_has_no_limits() -> None:
     """200 dwells of 40 samples, 12 bits: its greatest code comes three times in some, by chance."""
     rng = np.random.default_rng(13)

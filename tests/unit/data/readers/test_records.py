@@ -3,7 +3,6 @@
 import csv
 import gzip
 import os
-import time
 
 import numpy as np
 import pytest
@@ -168,22 +167,6 @@ def test_bad_files_are_refused_with_their_place(put, content, message):
     assert message in refusal(put(content))
 
 
-def test_missing_file_and_directory(tmp_path):
-    assert "no such file" in refusal(tmp_path / "none.csv")
-    assert "is a directory" in refusal(tmp_path)
-    for paths, channels in (([], CHANNELS), ([tmp_path], ())):
-        with pytest.raises(DataError):
-            read(paths, channels)
-
-
-@pytest.mark.parametrize("name", ["c{}", "column_with_a_longer_name_{}"])
-def test_a_million_columns_are_refused_at_once(put, name):
-    path = put(",".join(name.format(i) for i in range(1_000_000)) + "\n" + "1," * 999_999 + "1\n")
-    start = time.process_time()
-    assert "header" in refusal(path)
-    assert time.process_time() - start < 1
-
-
 @pytest.mark.parametrize(
     ("last", "cut"), [("-1.50000e-03", c) for c in ("-1.50000e-0", "-1.5", "-1.50000e", "-")]
 )
@@ -284,18 +267,6 @@ def test_unknown_noise_exact_noise_and_missing_channels_read_back(tmp_path):
     batch = Spectrum(CHANNELS, [1, 2, 2], X[None], V, [1, 2, 3], [1, 5, 7], noise, [0, 0, 1])
     with pytest.raises(DataError, match="repeats"):
         write_amplitudes(batch, tmp_path / "s.csv")
-
-
-def test_table_by_hand(put):
-    path = put("frequency_hz,x1_re,x1_im,x1_sd,u_re,u_im\n2,3,-4,0.5,1,0\n")
-    lines = read(path, CHANNELS).spectrum()
-    np.testing.assert_allclose(lines.amplitudes, [[3e-3 - 4e-3j, 1]])
-    np.testing.assert_allclose(lines.sd(), [[5e-4, 0]])
-    assert lines.noise == ("given",)
-    assert np.isinf(lines.dof[0])
-    bare = read(put("frequency_hz,x1_re,x1_im,u_re,u_im\n2,3,-4,1,0\n"), CHANNELS).spectrum()
-    assert bare.noise == ("unknown",)
-    assert np.all(np.isnan(bare.covariance))
 
 
 TABLE = "frequency_hz,experiment,x1_re,x1_im,x1_sd,u_re,u_im\n1,0,1,1,1,1,0\n2,0,1,1,1,1,0\n3,1,1,1,1,1,0\n"

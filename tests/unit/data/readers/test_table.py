@@ -194,20 +194,6 @@ def test_readers_know_their_files(tmp_path):
     assert reader_of(open_file(path)).format == "Xsens DOT"
 
 
-def test_an_accelerometer_alone(tmp_path):
-    path = tmp_path / "sensor.csv"
-    rows = "".join(f"{i},{8333 * i},{i},0,9.8,0,0,0\n" for i in range(1, 40))
-    path.write_text(
-        "DeviceTag:,Xsens DOT\n\nPacketCounter,SampleTimeFine,Acc_X,Acc_Y,Acc_Z,Gyr_X,Gyr_Y,Gyr_Z\n" + rows
-    )
-    channel = Channel("Acc_X", {"x1": 1}, Quantity.ACCELERATION, "m/s²")
-    (record,) = read(path, (channel,)).records
-    assert np.diff(record.time) == pytest.approx(8333e-6)
-    assert record.values[:, 0] == pytest.approx(np.arange(1, 40))
-    with pytest.raises(DataError, match="deg/s is not a unit of acceleration"):
-        read(path, (Channel("Gyr_X", {"x1": 1}, Quantity.ACCELERATION),))
-
-
 @pytest.mark.parametrize(
     ("cell", "noted"),
     [("1,000", True), ("12,345", True), ("0,125", False), ("1,5", False), ("1,0000", False)],
