@@ -62,8 +62,8 @@ def driven_record(
     Noise is that of each channel's `noise`, and its `relative_noise` of the channel's largest value.  Inputs that are
     measured as velocity or acceleration are integrated, their mean being taken for the sensor's offset.  Known delays
     of the inputs are taken out, those of `channels` put in; before its start nothing moves.
-    Raises DataError where an input is not in `drive` or a channel of a nonlinear rig measures forces in elements,
-    ModelError where a linear rig has no motion in time, ConvergenceError where the motion cannot be followed.
+    Raises DataError where an input is not in `drive`, ModelError where a linear rig has no motion in time,
+    ConvergenceError where the motion cannot be followed.
     theta (unknowns,), SI units.
     """
     channels = tuple(channels)
@@ -160,14 +160,11 @@ def _later(values: Real, steps: Real) -> Real:
 def _nonlinear(view: ObservationModel, theta: Real, source: str, step: float, shown: ShownInputs) -> Real:
     """What the channels of a nonlinear rig show, (samples, channels)."""
     model, channels = view.model, view.channels
-    forces = [c.name for c in channels if c.quantity is Quantity.FORCE and not measures_input(model, c)]
-    if forces:
-        what = f"channel {forces[0]} measures the force in elements, which records in time do not show"
-        raise DataError(what, cure="leave it out of the rig file")
     count = len(channels)
     names, orders = tuple(channel.name for channel in channels), tuple(map(int, view.derivative))
     nothing = np.zeros((len(shown.values), count))
-    how = (view.on_x, view.on_q, orders, (-1,) * count, (False,) * count)
+    reactions = np.zeros((count, len(model.displacement_inputs)))
+    how = (view.on_x, view.on_q, view.force, reactions, orders, (-1,) * count, (False,) * count)
     data = RecordData(source, step, names, shown.values, nothing, *how)
     data = beside_bases(model, data, shown.orders)
     substeps = 2 * enough_substeps(model, theta, step)
@@ -183,8 +180,9 @@ def _nonlinear(view: ObservationModel, theta: Real, source: str, step: float, sh
     if not motion.closed:
         raise ConvergenceError("the motion cannot be followed", cure="sample the input faster, or drive less")
     values = shown_outputs(machine, data, motion)[0]
-    for c in (c for c, channel in enumerate(channels) if channel.quantity is Quantity.FORCE):
-        values[:, c] = data.inputs @ data.on_q[c]
+    for c, channel in enumerate(channels):
+        if channel.quantity is Quantity.FORCE and measures_input(model, channel):
+            values[:, c] = data.inputs @ data.on_q[c]
     return values
 
 

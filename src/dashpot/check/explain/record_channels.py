@@ -245,11 +245,11 @@ class _Bench:
             at = recorded_motion(model, data)
             if at is None:
                 return self._beside_guesses(arranged(model, _first_samples(record, MOST_INTEGRATED)))
-        except DashpotError:
+            form = weak_form(model, data, at)
+            with np.errstate(all="ignore"):
+                return _Contradiction(np.concatenate([_of_equations(form), _of_channels(form, data, at)]))
+        except (DashpotError, np.linalg.LinAlgError):
             return None
-        r = model.D.shape[1] - len(data.bases.names)
-        form = weak_form(model, data.step_s, at.x, at.u, data.inputs[:, r : r + len(model.force_inputs)])
-        return _Contradiction(np.concatenate([_of_equations(form), _of_channels(form, data, at)]))
 
     def _beside_guesses(self, data: RecordData) -> _Contradiction | None:
         """Shares of the channels' power by which the motion of the guesses differs; None where a guess is missing."""
@@ -287,7 +287,7 @@ def _of_channels(form: WeakForm, data: RecordData, at: RecordedMotion) -> Real:
     """Shares of the channels' power that the motion of the channels of displacement does not show, (channels,)."""
     n, shares = form.model.n, []
     for c, power in enumerate(data.derivative):
-        if data.gain[c] >= 0:
+        if data.gain[c] >= 0 or np.any(data.force[c]):
             continue
         shown = at.x @ data.on_x[c, :n] + at.u @ data.on_q[c, : at.u.shape[1]]
         measured = data.outputs[:, c] - (np.mean(data.outputs[:, c]) if data.drift[c] else 0.0)
@@ -305,8 +305,9 @@ def _apart(y: Real, p: Real) -> float:
 class _Terms:
     """Weak terms of the equation of motion, one a column: those of linear elements, and any law where one is nonlinear.
 
-    columns (rows, k); along (k, n): what a term pulls at; by (k, m): with which unknown it grows; known (k,): what is
-    stated of it.  place (k,): terms of one place make one force; passive (k,): terms that a part below zero would have.
+    columns (rows, k); along (k, equations): what a term pulls at; by (k, m): with which unknown it grows; known (k,):
+    what is stated of it.  place (k,): terms of one place make one force; passive (k,): terms that a part below zero
+    would have.
     """
 
     columns: Real
@@ -317,7 +318,7 @@ class _Terms:
     passive: Bools
 
     def slopes(self) -> Real:
-        """What unknowns do to the equations, (n, rows, m)."""
+        """What unknowns do to the equations, (equations, rows, m)."""
         return np.stack([(self.columns * pull) @ self.by for pull in self.along.T])
 
     def forces(self, theta: Real) -> Real:
@@ -334,17 +335,17 @@ def _terms(form: WeakForm) -> _Terms:
     for i in linear:
         power = model.elements[i].law.power
         columns.append(form.of(form.elongation[:, i : i + 1], power))
-        along.append(model.B[i])
+        along.append(form.balance[:, i])
         places.append((points[i], power == 2))
         passive.append(power == 2 or points[i] not in bent)
     for index in model.nonlinear:
         laws = _smooth_laws(form, int(index))
         columns.append(laws)
-        along += [model.B[int(index)]] * laws.shape[1]
+        along += [form.balance[:, int(index)]] * laws.shape[1]
         places += [(points[int(index)], False)] * laws.shape[1]
-    columns += [form.of(np.ones((len(form.f), 1)), 0)] * model.n  # zeros of sensors, weights
-    along += list(np.eye(model.n))
-    places += [(i, "still") for i in range(model.n)]
+    columns += [form.of(np.ones((len(form.f), 1)), 0)] * len(form.still)  # zeros of sensors, weights
+    along += list(np.eye(len(form.still)))
+    places += [(i, "still") for i in range(len(form.still))]
     free = np.any(model.T[linear], axis=0)
     more = len(places) - len(linear)
     by = np.zeros((len(places), int(np.sum(free)) + more))
@@ -358,9 +359,9 @@ def _terms(form: WeakForm) -> _Terms:
 
 
 def _of_equations(form: WeakForm) -> Real:
-    """Share of each equation's power that its terms leave, and of all what negative parts have, (n + 1,)."""
+    """Share of each equation's power that its terms leave, and of all what negative parts have, (equations + 1,)."""
     terms = _terms(form)
-    n, tiny = form.model.n, np.finfo(float).tiny
+    n, tiny = len(form.still), np.finfo(float).tiny
     push = np.stack([form.of(form.f[:, i : i + 1], 0)[:, 0] for i in range(n)])
     A = terms.slopes()
     b = push - np.stack([(terms.columns * pull) @ terms.known for pull in terms.along.T])

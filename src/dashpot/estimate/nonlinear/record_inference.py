@@ -119,7 +119,7 @@ def _likeliest_start(problem: RecordProblem, psi: Real) -> Real:
         best, least = tried, square
         if ended:
             break
-        along = J[..., columns].reshape(-1, len(columns))
+        along = J[..., columns].reshape(residual.size, len(columns))
         step = np.linalg.lstsq(along, residual.ravel(), rcond=1e-8)[0].astype(np.float64)
     return best
 

@@ -424,9 +424,10 @@ class RecordProblem:
             self,
             rig=replace(self.rig, elements=(*self.rig.elements, *more)),
             model=model,
+            records=tuple(data.beside(more, self.rig.displacement_inputs) for data in self.records),
             trail=Trail(self.motions()),
         )
-        own = psi[self.inner :].reshape(-1, self.states)
+        own = psi[self.inner :].reshape(len(self.records), self.states)
         laws = sum(e.force_law is not None and e.force_law.has_state for e in more)
         if laws:
             first = len(self.begun[0])
@@ -515,7 +516,7 @@ class RecordProblem:
         self.trail.motions[k] = replace(motion, slope=None)
         if not covariance or self.inputs is None:
             return residual, total, None
-        along = tangent(machine, motion, data.on_x, data.on_q, data.derivative)
+        along = tangent(machine, motion, data.on_x, data.on_q, data.derivative, data.force)
         return residual, total, OutputCovariance(along, factor / self.sd, self.inputs[k])
 
     def machine(self, k: int, psi: Real, data: RecordData) -> tuple[Integrator, Real]:

@@ -14,11 +14,11 @@ import numpy as np
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.errors import DataError
 from dashpot.estimate.inference.diagnostics import require_traces
-from dashpot.estimate.nonlinear.records import RecordData, recorded_motion
+from dashpot.estimate.nonlinear.records import RecordData, RecordedMotion, recorded_motion
 from dashpot.estimate.nonlinear.regression import require_finite_laws
-from dashpot.estimate.nonlinear.search import constants_to_try, refined_constants, theta_of
+from dashpot.estimate.nonlinear.search import KEPT, constants_to_try, refined_constants, theta_of
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.alternating import operated_states
+from dashpot.model.nonlinear.alternating import operated_states, rated_states
 from dashpot.numerics.small_systems import solve_scaled
 
 
@@ -26,14 +26,18 @@ from dashpot.numerics.small_systems import solve_scaled
 class WeakForm:
     """Weak equations of one record: elongations and rates (samples, elements), windows and their derivatives.
 
-    f (samples, n): forces of the force inputs on the coordinates.
+    balance (equations, elements): what the forces in elements add up to, f (samples, equations): on every coordinate
+    what force inputs apply, then in every calibrated channel of the force in elements what it shows; still
+    (equations,): where a constant of f is unknown.
     """
 
     model: Model
     step_s: float
     elongation: Real
     rate: Real
+    balance: Real
     f: Real
+    still: Bools
     windows: tuple[Real, Real, Real]
     first: Ints
 
@@ -44,7 +48,11 @@ class WeakForm:
         unit = np.empty_like(d)
         for row, (law, inner) in enumerate(zip(model.laws, model.constant_slices, strict=True)):
             g = constants[inner]
-            z = operated_states(law, d[:, row], float(g[0])) if law.operator else d[:, row]
+            z = d[:, row]
+            if law.operator:
+                z = operated_states(law, z, float(g[0]))
+            elif law.rate is not None:
+                z = rated_states(law, z, v[:, row], self.step_s, g)
             unit[:, row] = law(d[:, row], v[:, row], z, g).value
         return unit
 
@@ -60,7 +68,7 @@ class WeakForm:
         rates = [self.elongation, self.rate, CubicSpline(time, self.rate, axis=0)(time, 1)]
         unit = np.stack([rates[element.law.power][:, i] for i, element in enumerate(model.elements)], axis=1)
         unit[:, model.nonlinear] = self.unit_forces(constants)
-        columns = ((unit[:, None, :] * model.B.T) @ model.T).reshape(-1, model.T.shape[1])
+        columns = ((unit[:, None, :] * self.balance) @ model.T).reshape(-1, model.T.shape[1])
         size = np.sqrt(np.sum(columns**2, axis=0))
         scaled = columns / np.where(size > 0, size, 1.0)
         return scaled.T @ scaled
@@ -73,24 +81,30 @@ class WeakForm:
         return np.einsum("wt,ptk->pwk", w, pieces).reshape(-1, signal.shape[1])
 
 
-def weak_form(model: Model, step_s: float, x: Real, u: Real, f: Real) -> WeakForm:
-    """x (samples, n), u (samples, r) m and the force inputs f (samples, s) N of one record."""
+def weak_form(model: Model, data: RecordData, at: RecordedMotion) -> WeakForm:
+    """Of a record whose coordinates are all measured."""
     from scipy.interpolate import CubicSpline  # with it comes all of scipy.optimize
 
-    d = x @ model.B.T + u @ model.D.T
-    time = step_s * np.arange(len(x))
+    d = at.x @ model.B.T + at.u @ model.D.T
+    time = data.step_s * np.arange(len(d))
     rate = CubicSpline(time, d, axis=0)(time, 1)
-    length = min(64, len(x))  # samples of a window; each half overlaps the next
+    length = min(64, len(d))  # samples of a window; each half overlaps the next
     s = np.linspace(0, 1, length)
-    span = step_s * (length - 1)
+    span = data.step_s * (length - 1)
     shapes = []
     for cycles in range(7):  # of a window: which part of the band it sees
         for turn in (np.cos, np.sin) if cycles else (np.cos,):
             spline = CubicSpline(s, np.sin(np.pi * s) ** 4 * turn(2 * np.pi * cycles * s))
             shapes.append([spline(s), spline(s, 1) / span, spline(s, 2) / span**2])
     windows = tuple(np.array([shape[k] for shape in shapes]) for k in range(3))
-    first = np.arange(0, len(x) - length + 1, max(length // 2, 1))
-    return WeakForm(model, step_s, d, rate, f @ model.S.T, (windows[0], windows[1], windows[2]), first)
+    first = np.arange(0, len(d) - length + 1, max(length // 2, 1))
+    r = model.D.shape[1] - len(data.bases.names)
+    shown = [c for c in range(len(data.names)) if data.gain[c] < 0 and np.any(data.force[c])]
+    balance = np.concatenate([model.B.T, data.force[shown][:, : len(model.elements)]])
+    f = np.hstack([data.inputs[:, r : r + len(model.force_inputs)] @ model.S.T, data.outputs[:, shown]])
+    still = np.append(np.any(model.S, axis=1), np.array(data.drift, dtype=bool)[shown])
+    form = (model, data.step_s, d, rate, balance, f, still)
+    return WeakForm(*form, (windows[0], windows[1], windows[2]), first)
 
 
 @dataclass(frozen=True)
@@ -137,29 +151,28 @@ class WeakEquations:
         model, form = self.form.model, self.form
         columns = np.zeros((len(form.first) * len(form.windows[0]), len(model.elements)))
         columns[:, model.nonlinear] = form.of(form.unit_forces(constants), 0)
-        known = columns @ (model.p0[:, None] * model.B)  # (rows, n)
-        along = np.concatenate([(columns * model.B[:, i]) @ model.T[:, self.free] for i in range(model.n)])
+        known = columns @ (model.p0 * form.balance).T  # (rows, equations)
+        along = np.concatenate([(columns * row) @ model.T[:, self.free] for row in form.balance])
         A = self.linear.copy()
         A[:, : along.shape[1]] += along
         return A, self.right - known.T.ravel()
 
 
 def weak_equations(form: WeakForm) -> WeakEquations:
-    """The equations of motion of all coordinates, one below the other."""
+    """All equations, one below the other."""
     model = form.model
     columns = np.zeros((len(form.first) * len(form.windows[0]), len(model.elements)))
     for i, element in enumerate(model.elements):
         if element.force_law is None:
             columns[:, i] = form.of(form.elongation[:, i : i + 1], element.law.power)[:, 0]
     free = np.any(model.T, axis=0)
-    right = form.of(form.f, 0) - columns @ (model.p0[:, None] * model.B)  # (rows, n)
-    constant = form.of(np.ones((len(form.f), 1)), 0)  # a force that stands still is free, where forces act
-    push = np.any(model.S, axis=1)
+    right = form.of(form.f, 0) - columns @ (model.p0 * form.balance).T  # (rows, equations)
+    constant = form.of(np.ones((len(form.f), 1)), 0)
     A = []
-    for i in range(model.n):
-        offset = np.zeros((len(columns), model.n))
-        offset[:, i] = constant[:, 0] * push[i]
-        A.append(np.concatenate([(columns * model.B[:, i]) @ model.T[:, free], offset[:, push]], axis=1))
+    for i, row in enumerate(form.balance):
+        offset = np.zeros((len(columns), len(form.still)))
+        offset[:, i] = constant[:, 0] * form.still[i]
+        A.append(np.concatenate([(columns * row) @ model.T[:, free], offset[:, form.still]], axis=1))
     return WeakEquations(form, np.concatenate(A), right.T.ravel(), free)
 
 
@@ -208,19 +221,14 @@ def mostly_linear_values(model: Model, records: tuple[RecordData, ...]) -> Real 
 
 def _equations(model: Model, record: RecordData, open_names: Sequence[str]) -> WeakEquations:
     """Raises DataError where the motion of the coordinates does not give first values of the unknowns."""
-    at, r = recorded_motion(model, record), model.D.shape[1] - len(record.bases.names)
-    if at is None or any(law.rate is not None for law in model.laws):
-        why = (
-            "not all coordinates are measured as displacements"
-            if at is None
-            else "the state of a law follows a differential equation"
-        )
+    at = recorded_motion(model, record)
+    if at is None:
         raise DataError(
-            f"{', '.join(open_names)} {'has' if len(open_names) == 1 else 'have'} no guess, and {why}",
+            f"{', '.join(open_names)} {'has' if len(open_names) == 1 else 'have'} no guess, and not all coordinates are"
+            " measured as displacements",
             cure="write guess = … for the unknowns in the rig file",
         )
-    f = record.inputs[:, r : r + len(model.force_inputs)]
-    return weak_equations(weak_form(model, record.step_s, at.x, at.u, f))
+    return weak_equations(weak_form(model, record, at))
 
 
 def _best_constants(equations: WeakEquations) -> tuple[Real, Real]:
@@ -233,8 +241,15 @@ def _best_constants(equations: WeakEquations) -> tuple[Real, Real]:
         p, left = equations.fitted(constants)
         return left if np.all(np.isfinite(p)) else np.inf
 
-    start = min(constants_to_try(model, elongation, speed), key=residual)
-    constants = _polished(equations, refined_constants(model, start, residual))
+    starts = sorted(constants_to_try(model, elongation, speed), key=residual)[:KEPT]
+    constants, least = starts[0], np.inf
+    for start in starts:
+        end = _polished(equations, refined_constants(model, start, residual))
+        left = residual(end)
+        if (
+            left < 0.99 * least
+        ):  # what derivatives of measured motion tell: of equals the first, from the best start
+            constants, least = end, left
     return constants, equations.fitted(constants)[0]
 
 

@@ -9,11 +9,12 @@ from itertools import pairwise
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.channel import Quantity
+from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning.still import Still
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.io.words import joined
+from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.force_law import ForceLaw
 from dashpot.model.nonlinear.integration import NO_BASES, Bases, Integrator, Motion, bases_of
@@ -25,7 +26,9 @@ from dashpot.unknowns import Unknown
 class RecordData:
     """One record, arranged: inputs (samples, r + s) and outputs (samples, channels) in SI units on one uniform clock.
 
-    on_x (channels, n), on_q (channels, r + s), derivative (channels,): what the outputs show; gain (channels,): index
+    on_x (channels, n), on_q (channels, r + s), derivative (channels,): what the outputs show of the motion; force
+    (channels, elements): of the forces in the first elements of the rig as it moves, reactions (channels, r): of those
+    that move displacement inputs; gain (channels,): index
     of an unknown gain, −1 where known; drift (channels,): whether the sensor's zero is unknown.
     bases: those known by velocity or acceleration, which stand behind the coordinates in n and behind the forces in s;
     rated (r + s,): which inputs are such velocities, none where it is empty; steady: samples over which noise of these
@@ -39,6 +42,8 @@ class RecordData:
     outputs: Real
     on_x: Real
     on_q: Real
+    force: Real
+    reactions: Real
     derivative: tuple[int, ...]
     gain: tuple[int, ...]
     drift: tuple[bool, ...]
@@ -51,6 +56,12 @@ class RecordData:
     def samples(self) -> int:
         """Number of samples."""
         return len(self.outputs)
+
+    def beside(self, elements: Sequence[Element], moved: Sequence[str]) -> RecordData:
+        """The same where the rig has further elements, on its displacement inputs `moved` (r,) or elsewhere."""
+        along = np.array([[e.along.get(name, 0.0) for name in moved] for e in elements])
+        force = np.hstack([self.force, self.reactions @ along.reshape(len(elements), len(moved)).T])
+        return replace(self, force=force)
 
     def part(self, samples: slice) -> RecordData:
         """Some of its samples."""
@@ -74,13 +85,6 @@ def arranged(model: Model, record: Record) -> RecordData:
             record.source,
             "check that the sensor is connected, or leave the channel out of the rig file",
         )
-    forces = [record.channels[i].name for i in outputs if record.channels[i].quantity is Quantity.FORCE]
-    if forces:
-        raise DataError(
-            f"channel {forces[0]} measures the force in elements, which whole records of nonlinear rigs do not use",
-            record.source,
-            "leave it out of the rig file",
-        )
     orders = tuple(int(view.derivative[i]) for i in outputs)
     data = RecordData(
         record.source,
@@ -90,12 +94,20 @@ def arranged(model: Model, record: Record) -> RecordData:
         values[:, outputs],
         view.on_x[outputs],
         view.on_q[outputs],
+        view.force[outputs],
+        np.array([_reactions(model, record.channels[i]) for i in outputs]),
         derivative=orders,
         gain=tuple(int(view.gain[i]) for i in outputs),
         drift=tuple(order > 0 or not model.force_inputs for order in orders),
         gains=view.unknowns[view.m : view.m + view.gains],
     )
     return beside_bases(model, data, shown.orders)
+
+
+def _reactions(model: Model, channel: Channel) -> list[float]:
+    """Factors of the forces that move displacement inputs in what a channel shows, (r,)."""
+    force = channel.quantity is Quantity.FORCE
+    return [channel.of.get(name, 0.0) if force else 0.0 for name in model.displacement_inputs]
 
 
 def beside_bases(model: Model, data: RecordData, orders: Sequence[int]) -> RecordData:
@@ -115,7 +127,8 @@ def beside_bases(model: Model, data: RecordData, orders: Sequence[int]) -> Recor
     on_q[:, first:] = 0.0
     rated = (*[False] * first, *(orders[j] == 1 for j in moved))
     on_x = np.concatenate([data.on_x, on_base], axis=1)
-    return replace(data, inputs=inputs, on_x=on_x, on_q=on_q, bases=bases, rated=rated)
+    force = np.pad(data.force, ((0, 0), (0, len(moved))))  # behind the rig's own, what makes the bases heavy
+    return replace(data, inputs=inputs, on_x=on_x, on_q=on_q, force=force, bases=bases, rated=rated)
 
 
 def in_pieces(data: RecordData) -> list[RecordData]:
@@ -255,6 +268,12 @@ def shown_outputs(machine: Integrator, data: RecordData, motion: Motion) -> tupl
         y[:, c] = rates[power] @ data.on_x[c] + base[power] @ data.on_q[c, :r]
         if J is not None and slopes is not None:
             J[:, c] = np.einsum("n,tnq->tq", data.on_x[c], slopes[power])
+    if np.any(data.force):
+        known = data.force.shape[1]
+        forces, by = machine.element_forces(motion)
+        y += forces[:, :known] @ data.force.T
+        if J is not None and by is not None:
+            J += data.force @ by[:, :known]
     return y, J
 
 
@@ -295,7 +314,7 @@ class RecordedMotion:
 def recorded_motion(model: Model, data: RecordData) -> RecordedMotion | None:
     """The motion of a rig; None where channels of displacement with known gains do not show all its coordinates."""
     C = data.on_x[displacement_channels(data)][:, : model.n]
-    if np.linalg.matrix_rank(C) < model.n if C.size else True:
+    if model.n and not (C.size and np.linalg.matrix_rank(C) == model.n):
         return None
     bases = data.bases
     course = base_travel(model, data)
@@ -399,7 +418,8 @@ def base_travel(model: Model, data: RecordData) -> BaseTravel:
 
 def displacement_channels(data: RecordData) -> list[int]:
     """Channels of displacement with known gains."""
-    return [c for c in range(len(data.names)) if data.derivative[c] == 0 and data.gain[c] < 0]
+    shown = [not np.any(force) for force in data.force]
+    return [c for c, there in enumerate(shown) if there and data.derivative[c] == 0 and data.gain[c] < 0]
 
 
 def _beside(model: Model, data: RecordData, travel: Real) -> Real:

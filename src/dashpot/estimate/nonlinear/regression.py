@@ -61,13 +61,18 @@ def require_finite_laws(model: Model, d: Real, v: Real) -> None:
 
 @dataclass(frozen=True)
 class MeasuredMotion:
-    """Measured elongations of K repeats in their dwells, and what the lines' unit forces need."""
+    """Measured elongations of K repeats in their dwells, and what the lines' unit forces need.
+
+    force (k, elements), measured (K, lines, k): calibrated channels of the force in elements, and what they show, N.
+    """
 
     model: Model
     dwells: DwellLines
     elongations: Real
     linear: Complex
     f: Complex
+    force: Real
+    measured: Complex
 
     def unit_forces(self, constants: Real) -> Complex:
         """a of all elements at every line, (K, lines, elements), for inner constants (G,); of one repeat also for T
@@ -97,7 +102,18 @@ def measured_motion(data: Prepared) -> MeasuredMotion:
         )
     dwells = dwells_of(model, data.spectrum)
     linear = unit_forces(model, data.spectrum.omega, states.X, states.U)
-    motion = MeasuredMotion(model, dwells, measured_elongations(model, dwells, states), linear, states.f)
+    view = data.view
+    shown = np.any(view.force, axis=-1) & (view.gain < 0) & (view.delay < 0) & ~view.flips
+    shown &= ~np.any(np.isnan(data.spectrum.amplitudes), axis=tuple(range(data.spectrum.amplitudes.ndim - 1)))
+    motion = MeasuredMotion(
+        model,
+        dwells,
+        measured_elongations(model, dwells, states),
+        linear,
+        states.f,
+        view.force[shown],
+        data.spectrum.amplitudes[..., shown],
+    )
     q, omega = motion.elongations, dwells.omega[:, None]
     there, rate, _ = period_basis((q.shape[-1] - 1) // 2, samples_of(model, dwells.orders))
     rows = np.moveaxis(q, 2, 0)
@@ -132,12 +148,16 @@ def regression(motion: MeasuredMotion, constants: Real, weight: Real) -> tuple[R
 def weighted_normal_equations(
     motion: MeasuredMotion, constants: Real, weight: Real
 ) -> tuple[Real, Real, Complex, Complex]:
-    """Those of `regression`: N (K, u, u), right side (K, u), regressors (K, lines, n, u), known side (K, lines, n)."""
+    """Those of `regression`: N (K, u, u), right side (K, u), regressors (K, lines, n + k, u) and known side
+    (K, lines, n + k): the equations of motion, then what channels show of the force in elements.
+    """
     model = motion.model
     strengths = np.any(model.T, axis=0)
     a = motion.unit_forces(constants)
-    Phi = regressors_of(model, a)[..., strengths]
-    h = known_side(model, a, motion.f)
+    balance = (a[..., None, :] * motion.force) @ model.T
+    Phi = np.concatenate([regressors_of(model, a), balance], axis=-2)[..., strengths]
+    measured = motion.measured - (a * model.p0) @ motion.force.T
+    h = np.concatenate([known_side(model, a, motion.f), measured], axis=-1)
     rows = Phi.shape[-3] * Phi.shape[-2]
     scaled = (Phi * weight[:, None, None]).reshape(len(Phi), rows, -1)
     left = hermitian(scaled)

@@ -179,6 +179,9 @@ def _with_state(
     for name in ("d", "v"):
         if name in at.slopes:
             total[..., :W] += np.broadcast_to(at.slopes[name], d.shape)[..., None] * along[name]
+    for j, name in enumerate(law.constant_names):
+        if name in at.slopes:
+            total[..., W + j] += at.slopes[name]
     return force, z, total[..., :W], total[..., W:]
 
 
@@ -213,6 +216,28 @@ def operated_states(law: ForceLaw, d: Real, width: float) -> Real:
     return np.array(states)
 
 
+def rated_states(law: ForceLaw, d: Real, v: Real, step_s: float, g: Real) -> Real:
+    """The state of a law along a history d, v (samples,) that begins with none, by the trapezoidal rule; (samples,).
+
+    All samples at once, by Newton's method; g (constants,), step_s between samples.
+    """
+    from scipy.linalg import solve_banded
+
+    assert law.rate is not None
+    z, half, size = np.zeros_like(d), step_s / 2, max(float(np.max(np.abs(d))), 1e-300)
+    bands, missing = np.ones((2, len(d))), np.zeros_like(d)
+    for turn in range(60):
+        at = law.rate(law.values(d, v, z, g))
+        value, by_z = (np.broadcast_to(part, d.shape) for part in (at.value, at.slopes.get("z", 0.0)))
+        missing[1:] = np.diff(z) - half * (value[1:] + value[:-1])
+        bands[0, 1:], bands[1, :-1] = 1 - half * by_z[1:], -1 - half * by_z[:-1]
+        change = solve_banded((1, 0), bands, missing)
+        z = z - (change if turn < 20 else 0.5 * change)
+        if not np.max(np.abs(change)) > 1e-9 * size:  # of the elongation
+            break
+    return z
+
+
 def _operated(law: ForceLaw, d: Real, g: Real) -> tuple[Real, Real, Jumps]:
     """Stop and play, exact where the elongation does not turn between two instants: state, its share kept, gains."""
     N, times = d.shape
@@ -244,7 +269,7 @@ def _rated(
     assert law.rate is not None
     times = d.shape[1]
     half = (np.pi / (omega * times))[:, None]
-    z = _marched(law, d, v, g, 2 * half[:, 0]) if start is None or start.shape != d.shape else start
+    z = np.zeros_like(d) if start is None or start.shape != d.shape else start
     size = np.maximum(np.max(np.abs(d), axis=1, keepdims=True), 1e-300)
     for turn in range(40):
         at = law.rate(law.values(d, v, z, g))
@@ -266,25 +291,3 @@ def _rated(
         else:
             gains[name] = (now + np.roll(now, -1, axis=1)) / scale
     return z, (1 + half * by_z) / scale, gains
-
-
-def _marched(law: ForceLaw, d: Real, v: Real, g: Real, step: Real) -> Real:
-    """A first guess of the state: followed through two periods by Heun's rule on every fourth instant."""
-    assert law.rate is not None
-    N, times = d.shape
-    coarse = np.arange(0, times, 4 if times % 4 == 0 else 1)
-    h = step * (times / len(coarse))
-    z, states = np.zeros(N), np.zeros((N, len(coarse)))
-
-    def rate(z: Real, k: int) -> Real:
-        assert law.rate is not None
-        at = law.rate(law.values(d[:, k, None], v[:, k, None], z[:, None], g))
-        return np.broadcast_to(at.value, (N, 1))[:, 0]
-
-    for _ in range(2):
-        for i, k in enumerate(coarse):
-            states[:, i] = z
-            first = rate(z, int(k))
-            second = rate(z + h * first, int(coarse[(i + 1) % len(coarse)]))
-            z = np.nan_to_num(z + h * (first + second) / 2)
-    return np.repeat(states, times // len(coarse), axis=1)

@@ -35,6 +35,7 @@ class NamedLaw:
     constants: tuple[str, ...] = ()
 
 
+_BRISTLE = "v - abs(v)*z/(slip*(1 + (ratio - 1)*exp(-(v/vs)**2)))"
 _ANYWHERE: Mapping[str, NamedLaw] = {
     "coulomb": NamedLaw("tanh(v/v0)"),
     "stribeck": NamedLaw("tanh(v/v0)*(1 + (ratio - 1)*exp(-(v/vs)**2))"),
@@ -44,6 +45,10 @@ _ANYWHERE: Mapping[str, NamedLaw] = {
     "jenkins": NamedLaw("z", operator="stop", constants=("slip",)),
     "backlash": NamedLaw("z", operator="play", constants=("gap",)),
     "bouc-wen": NamedLaw("z", rate="v - (gamma*abs(v)*sign(z) + delta*v)*abs(z)**nu"),
+    "maxwell": NamedLaw("z", rate="v - z/tau"),
+    # Canudas de Wit et al. 1995, IEEE Transactions on Automatic Control 40, 419: σ₀ is the parameter, σ₁ is σ₀ tau, σ₂
+    # a damper beside it; g(v)/σ₀ goes from ratio · slip of bristles that begin to slide to slip.
+    "lugre": NamedLaw(f"z + tau*({_BRISTLE})", rate=_BRISTLE),
 }
 SPRING_LAWS: Mapping[str, NamedLaw] = MappingProxyType(
     {

@@ -84,7 +84,7 @@ def propagator(model: Model, p: Real, h: float) -> Propagator:
             cure="use a viscous damper, or settled dwells of a linear rig",
         )
     size = np.sqrt(np.abs(np.diagonal(parts.M)))  # masses of one rig may differ by many orders
-    if not np.all(size) or np.linalg.matrix_rank(parts.M / np.outer(size, size)) < n:
+    if not np.all(size) or (n and np.linalg.matrix_rank(parts.M / np.outer(size, size)) < n):
         raise ModelError(
             "a coordinate has no mass, so its motion cannot be integrated",
             cure="give every coordinate a mass",
@@ -316,7 +316,8 @@ class Integrator:
         self.grown = np.moveaxis(self.step.E, 2, 0).reshape(2 * n, 8 * n)
         self.driven = np.moveaxis(self.step.Wf, 1, 2).reshape(8 * n, 4 * n)
         self.pulled = np.moveaxis(self.step.Wn, 1, 2).reshape(4, 2 * n, 4 * e)
-        self.forced = (self.force.reshape(-1, 4 * n) @ self.driven.T).reshape(-1, 4, 2 * n)
+        steps = len(self.force)
+        self.forced = (self.force.reshape(steps, 4 * n) @ self.driven.T).reshape(steps, 4, 2 * n)
         self.moved_d, self.moved_v = self.inputs[:, :, 0] @ self.Dn.T, self.inputs[:, :, 1] @ self.Dn.T
         self.reach_d = (self.Bn @ self.pulled[:, :n]).reshape(4 * e, 4 * e)
         self.reach_v = (self.Bn @ self.pulled[:, n:]).reshape(4 * e, 4 * e)
@@ -374,6 +375,36 @@ class Integrator:
 
     def acceleration(self, motion: Motion) -> tuple[Real, Real | None]:
         """Accelerations at the samples, (samples, n), and their slopes like those of the motion."""
+        return self._accelerated(motion)[:2]
+
+    def element_forces(self, motion: Motion) -> tuple[Real, Real | None]:
+        """Forces p ∘ a in all elements at the samples, (samples, elements), N, and their slopes like those of the
+        motion."""
+        model, n, chosen = self.model, self.model.n, self.model.nonlinear
+        acceleration, d_acceleration, at, d_a = self._accelerated(motion)
+        linear = [e.law.power if e.force_law is None else None for e in model.elements]
+        coordinates = (motion.state[:, :n], motion.state[:, n : 2 * n], acceleration)
+        _, _, _, u, du = self._instants(motion)
+        inputs = (u[:, 0], du[:, 0], self.input_rates()[1])
+        a = np.zeros((len(motion.state), len(linear)))
+        a[:, chosen] = at.a[:, 0]
+        for power, (x, q) in enumerate(zip(coordinates, inputs, strict=True)):
+            rows = [i for i, own in enumerate(linear) if own == power]
+            a[:, rows] = x @ model.B[rows].T + q @ model.D[rows].T
+        if motion.slope is None or d_acceleration is None or d_a is None:
+            return a * self.p, None
+        slope = np.zeros((*a.shape, motion.slope.shape[-1]))
+        slope[:, chosen] = d_a
+        along = (motion.slope[:, :n], motion.slope[:, n : 2 * n], d_acceleration)
+        for power, d_x in enumerate(along):
+            rows = [i for i, own in enumerate(linear) if own == power]
+            slope[:, rows] = model.B[rows] @ d_x
+        slope *= self.p[:, None]
+        slope[..., self.states : self.states + len(model.unknowns)] += a[..., None] * model.T
+        return a * self.p, slope
+
+    def _accelerated(self, motion: Motion) -> tuple[Real, Real | None, StepForces, Real | None]:
+        """Accelerations and the unit forces of the laws at the samples, each with its slopes (samples, …, Q)."""
         x, v, force, u, du = self._instants(motion)
         n = self.model.n
         at = self._instant_forces(motion, x, v, u, du)
@@ -381,7 +412,7 @@ class Integrator:
         pull = force[:, None] - x @ K.T - v @ C.T - (at.a * self.p[self.model.nonlinear]) @ self.Bn
         acceleration = (pull @ self.step.inertia.T)[:, 0]
         if motion.slope is None:
-            return acceleration, None
+            return acceleration, None, at, None
         d_x, d_v = motion.slope[:, :n], motion.slope[:, n : 2 * n]
         d_a = at.times((self.Bn @ d_x)[:, None], (self.Bn @ d_v)[:, None])[:, 0]
         for i, row in enumerate(self.with_state):
@@ -393,25 +424,24 @@ class Integrator:
         nodes = np.concatenate([x, v], axis=-1)
         load[..., start : start + m] += self._unit_loads(nodes, at, force[:, None], u, du)[:, 0]
         load[..., start + m :] += self.offsets
-        return acceleration, self.step.inertia @ load
+        return acceleration, self.step.inertia @ load, at, d_a
 
-    def acceleration_by_inputs(self, motion: Motion) -> Real:
-        """Slopes of the accelerations along the cubics of each sample's interval, (samples, n, 4 (r + s)).
-
-        The state at the sample is held.
-        """
+    def by_inputs(self, motion: Motion) -> tuple[Real, Real]:
+        """Slopes of the accelerations, (samples, n, 4 (r + s)), and of the unit forces of the laws,
+        (samples, e, 4 (r + s)), along the cubics of each sample's interval, the state at the sample being held."""
         x, v, _, u, du = self._instants(motion)
         at = self._instant_forces(motion, x, v, u, du)
         each = self.input_loads()
         first, last = each[0], each[-1]
         slopes = np.empty((len(x), self.model.n, first.force.shape[-1]))
+        by_laws = np.empty((len(x), len(self.laws), first.force.shape[-1]))
         for chosen, moved, node in ((slice(0, -1), first, 0), (slice(-1, None), last, 3)):
             count = len(x[chosen])
             shape = (count, 1, len(self.laws), first.force.shape[-1])
             d, rate = (np.broadcast_to(self.Dn @ way[node], shape) for way in (moved.shift, moved.rate))
-            d_a = at.rows(chosen).times(d, rate)[:, 0]
+            by_laws[chosen] = d_a = at.rows(chosen).times(d, rate)[:, 0]
             slopes[chosen] = moved.force[node] - (self.Bn.T * self.p[self.model.nonlinear]) @ d_a
-        return self.step.inertia @ slopes
+        return self.step.inertia @ slopes, by_laws
 
     def _instants(self, motion: Motion) -> tuple[Real, Real, Real, Real, Real]:
         """At the samples: x, v (samples, 1, n), forces of the inputs (samples, n), u, u̇ (samples, 1, r)."""

@@ -7,6 +7,7 @@ the inputs are linear in these.  Both are carried forwards and, transposed, back
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -62,6 +63,8 @@ class Tangent:
     def _carried(self, loads: Real, *, transposed: bool) -> Real:
         """States (samples, x, K) that follow from loads at the samples along the chain, or against it, transposed."""
         N, x, K = loads.shape
+        if not x:
+            return loads
         ab = np.zeros((2 * x, N * x), order="F")
         for row in range(x):
             for column in range(x):
@@ -73,9 +76,10 @@ class Tangent:
 
 
 def tangent(
-    machine: Integrator, motion: Motion, on_x: Real, on_q: Real, derivative: tuple[int, ...]
+    machine: Integrator, motion: Motion, on_x: Real, on_q: Real, derivative: tuple[int, ...], force: Real
 ) -> Tangent:
-    """Of a motion of a rig, as channels show it: on_x (channels, n), on_q (channels, r + s), derivative (channels,).
+    """Of a motion of a rig, as channels show it: on_x (channels, n), on_q (channels, r + s), derivative (channels,) of
+    motions, force (channels, elements) of forces in the first elements.
 
     Raises numpy's LinAlgError where the forces of a step have no one answer.
     """
@@ -91,15 +95,19 @@ def tangent(
         stepped = machine.advance(state, slope, index, False, guess, moved)
         state, slope = stepped.state, stepped.slope
     shown, direct = np.zeros((N, len(derivative), machine.states)), np.zeros((N, len(derivative), 4 * q))
-    by_state, by_input = _accelerations(machine, motion) if 2 in derivative else (None, None)
+    instants = _Instants(machine, motion)
     r = machine.model.D.shape[1]
     for c, power in enumerate(derivative):
         if power < 2:
             shown[:, c, power * n : (power + 1) * n] = on_x[c]
-        elif by_state is not None and by_input is not None:
-            shown[:, c] = on_x[c] @ by_state
-            direct[:, c] = on_x[c] @ by_input
+        else:
+            shown[:, c] = on_x[c] @ instants.accelerations_by_state
+            direct[:, c] = on_x[c] @ instants.by_inputs[0]
         direct[:, c] += _input_itself(N, h, power, np.where(np.arange(q) < r, on_q[c], 0.0))
+    if np.any(force):
+        by_state, by_input = instants.element_forces()
+        shown += force @ by_state[:, : force.shape[1]]
+        direct += force @ by_input[:, : force.shape[1]]
     return Tangent(slope[..., : machine.states], slope[..., machine.states :], shown, direct)
 
 
@@ -111,16 +119,49 @@ def _input_itself(N: int, h: float, power: int, on_q: Real) -> Real:
     return (at[:, :, None] / h**power * on_q).reshape(N, -1)
 
 
-def _accelerations(machine: Integrator, motion: Motion) -> tuple[Real, Real]:
-    """Slopes of the accelerations along the state, (samples, n, x), and along the cubics, (samples, n, 4 q)."""
-    x = machine.states
-    slope = np.zeros((len(motion.state), x, x + machine.directions))
-    slope[:, range(x), range(x)] = 1.0
-    by_all = machine.acceleration(
-        Motion(motion.state, slope, motion.starts, True, None, motion.at, motion.forces)
-    )[1]
-    assert by_all is not None
-    return by_all[..., :x], machine.acceleration_by_inputs(motion)
+@dataclass(frozen=True)
+class _Instants:
+    """What changes at each sample of a motion, at once, with the state there and with the cubics of its interval."""
+
+    machine: Integrator
+    motion: Motion
+
+    @cached_property
+    def _alone(self) -> Motion:
+        """The motion with the slopes of each state along itself."""
+        motion, x = self.motion, self.machine.states
+        slope = np.zeros((len(motion.state), x, x + self.machine.directions))
+        slope[:, range(x), range(x)] = 1.0
+        return Motion(motion.state, slope, motion.starts, True, None, motion.at, motion.forces)
+
+    @cached_property
+    def accelerations_by_state(self) -> Real:
+        """Of the coordinates, (samples, n, x)."""
+        slope = self.machine.acceleration(self._alone)[1]
+        assert slope is not None
+        return slope[..., : self.machine.states]
+
+    @cached_property
+    def by_inputs(self) -> tuple[Real, Real]:
+        """Of accelerations (samples, n, 4 q) and of unit forces of laws (samples, e, 4 q)."""
+        return self.machine.by_inputs(self.motion)
+
+    def element_forces(self) -> tuple[Real, Real]:
+        """Of the forces in elements by the state (samples, elements, x) and by the cubics (samples, elements, 4 q)."""
+        machine, model = self.machine, self.machine.model
+        by_state = machine.element_forces(self._alone)[1]
+        assert by_state is not None
+        accelerations, laws = self.by_inputs
+        by_input = np.empty((len(laws), len(model.elements), laws.shape[-1]))
+        by_input[:, model.nonlinear] = laws
+        D = np.pad(model.D, ((0, 0), (0, laws.shape[-1] // 4 - model.D.shape[1])))
+        for i, element in enumerate(model.elements):
+            if element.force_law is None:
+                power = element.law.power
+                by_input[:, i] = _input_itself(len(laws), machine.drive.step_s, power, D[i])
+                if power == 2:
+                    by_input[:, i] += model.B[i] @ accelerations
+        return by_state[..., : machine.states], machine.p[:, None] * by_input
 
 
 def _forces_of_intervals(machine: Integrator, motion: Motion) -> PointForces | None:

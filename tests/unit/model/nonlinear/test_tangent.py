@@ -24,6 +24,7 @@ CHANNELS = (
     Channel("r", {"x1": 1.0, "u": -1.0}),
     Channel("v", {"x2": 1.0, "u": -1.0}, Quantity.VELOCITY),
     Channel("ar", {"x1": 1.0, "u": -1.0}, Quantity.ACCELERATION),
+    Channel("F", {"u": 1.0}, Quantity.FORCE),  # the reaction of the base
 )
 
 
@@ -36,7 +37,7 @@ def shown(law: str, u: np.ndarray) -> tuple[Integrator, Motion, np.ndarray]:
     count = len(CHANNELS)
     data = RecordData(
         "", STEP, tuple(c.name for c in CHANNELS), u, np.zeros((len(u), count)), view.on_x, view.on_q,
-        tuple(int(d) for d in view.derivative), (-1,) * count, (False,) * count,
+        view.force, np.zeros((count, 1)), tuple(int(d) for d in view.derivative), (-1,) * count, (False,) * count,
     )  # fmt: skip
     return machine, motion, shown_outputs(machine, data, motion)[0]
 
@@ -44,7 +45,7 @@ def shown(law: str, u: np.ndarray) -> tuple[Integrator, Motion, np.ndarray]:
 def around(law: str, u: np.ndarray) -> Tangent:
     machine, motion, _ = shown(law, u)
     view = observation_model(machine.model, CHANNELS, np.ones(1))
-    return tangent(machine, motion, view.on_x, view.on_q, tuple(int(d) for d in view.derivative))
+    return tangent(machine, motion, view.on_x, view.on_q, tuple(int(d) for d in view.derivative), view.force)
 
 
 def base() -> np.ndarray:
@@ -81,7 +82,7 @@ def test_the_transpose_is_one() -> None:
 
 def test_the_chain_solver_is_the_inverse_of_the_covariance() -> None:
     along = around("cubic", base())
-    weight, sd = np.array([1e5, 2e2, 1e5, 4e3, 2e2]), np.array([2e-5])
+    weight, sd = np.array([1e5, 2e2, 1e5, 4e3, 2e2, 3.0]), np.array([2e-5])
     each = np.eye(SAMPLES)[:, None, :]
     reach = sd * weight[:, None] * along.times(each)
     flat = reach.reshape(SAMPLES * len(CHANNELS), SAMPLES)
