@@ -203,11 +203,12 @@ def sensitivities(model: Model, p: Real, omega: Real, X: Complex, U: Complex) ->
 
 
 def kernel_rig(kernel: Any, model: Model, omega: Real, experiment: Ints | None = None) -> Any | None:
-    """A rig at its lines as the compiled kernel takes it, None of nonlinear rigs; the last ones are kept.
+    """A rig at its lines as the compiled kernel takes it; the last ones are kept.
 
-    omega (lines,), rad/s.  None as well where the rig differs by the experiment of the lines.
+    omega (lines,), rad/s.  None of nonlinear rigs, of those without coordinates, and where the rig differs by the
+    experiment of the lines.
     """
-    if len(model.nonlinear):
+    if len(model.nonlinear) or not model.n:
         return None
     if experiment is not None and model.experiments and np.any(model.kind_of(experiment)):
         return None

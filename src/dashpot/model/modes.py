@@ -47,8 +47,11 @@ def modes(model: Model, p: Real) -> Modes:
     Massless coordinates give infinite eigenvalues, which are left out; with hysteretic dampers only Im λ > 0 has a
     meaning.  A rigid-body motion without damping is a double zero.  The sensitivity is
     ∂λ/∂p_i = −φ_i(λ) (b_i·φ)² / (φᵀ (2λM + C) φ), all matrices being symmetric; it is not finite where eigenvalues
-    coincide.  Raises ModelError where all parameters are zero.
+    coincide.  None of a rig without coordinates.  Raises ModelError where all parameters are zero.
     """
+    if not model.n:
+        nothing = np.zeros((0, 0), dtype=np.complex128)
+        return Modes(nothing.ravel(), nothing, np.zeros((0, len(model.elements)), dtype=np.complex128))
     parts = matrices(model, p)
     sizes = _sizes(parts)
     rate = _typical_rate(*sizes)

@@ -71,7 +71,7 @@ def integrator(model: Model, p: Real, step_s: float) -> LinearIntegrator:
         )
     n, r, s = model.n, model.D.shape[1], model.S.shape[1]
     size = np.sqrt(np.abs(np.diagonal(rig.M)))
-    if np.any(size == 0) or np.linalg.cond(rig.M / np.outer(size, size)) > 1e13:
+    if np.any(size == 0) or (n and np.linalg.cond(rig.M / np.outer(size, size)) > 1e13):
         raise ModelError(
             "the rig has a coordinate without mass: its motion in time is not determined by its state",
             cure="give every coordinate a mass",
@@ -112,7 +112,7 @@ def carried(phi: Real, driven: Real, start: Real) -> Real:
 
     values, vectors = np.linalg.eig(phi)
     # Eigenvectors so ill-conditioned are no basis: samples are carried one by one.
-    if np.linalg.cond(vectors) > 1e8:
+    if not len(values) or np.linalg.cond(vectors) > 1e8:
         z = np.empty_like(driven)
         z[0] = start
         for k in range(len(driven) - 1):

@@ -116,12 +116,14 @@ def problems(
     what only their absence may have caused is not reported.
     """
     yield from _name_problems(coordinates, inputs, elements)
-    if complete and not coordinates:
+    moved = [source.name for source in inputs if source.kind == "displacement"]
+    reached = {point for element in elements for point in element.along}
+    unlisted = not coordinates and (not moved or bool(reached - set(moved)))  # else a stand of elements alone
+    if complete and unlisted:
         yield Problem("there are no coordinates", "coordinates", 'list them, such as coordinates = ["x1"]')
     if complete and not elements:
         yield Problem("there are no elements", "masses", "add masses, springs or dampers")
-    complete = complete and bool(coordinates) and bool(elements)
-    moved = [source.name for source in inputs if source.kind == "displacement"]
+    complete = complete and not unlisted and bool(elements)
     points = dict.fromkeys((*coordinates, *moved))
     for source in inputs:
         yield from _input_problems(source, coordinates, complete)
@@ -131,16 +133,15 @@ def problems(
     if complete:
         # Points that nothing is attached to, and angles that are no points
         strangers = set(angles) - set(points)
-        attached = {point for element in elements for point in element.along}
         for name in moved:
-            if name not in attached:
+            if name not in reached:
                 what = f"no element is attached to the input {name}"
                 yield Problem(what, name, "attach one or remove the input")
         for name in sorted(strangers):
             what = f"{name} is neither a coordinate nor a displacement input"
             yield Problem(what, "angles", f"there are {listed((*coordinates, *moved))}")
         for name in dict.fromkeys(coordinates):
-            if name not in attached:
+            if name not in reached:
                 what = f"nothing is attached to the coordinate {name}"
                 yield Problem(what, name, "attach an element or remove it")
 

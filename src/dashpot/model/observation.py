@@ -8,6 +8,7 @@ channel's calibration; what is known of it has been taken out when raw numbers b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -500,7 +501,7 @@ def _transfer_sparse(view: ObservationModel, p: Real) -> Transfer:
 
 def _times(rows: Complex, matrix: Real | sparse.csr_array | sparse.csc_array) -> Complex:
     """rows (..., k) times a full or sparse matrix (k, j)."""
-    flat: Complex = np.asarray(rows.reshape(-1, rows.shape[-1]) @ matrix)
+    flat: Complex = np.asarray(rows.reshape(math.prod(rows.shape[:-1]), rows.shape[-1]) @ matrix)
     return flat.reshape(*rows.shape[:-1], matrix.shape[1])
 
 

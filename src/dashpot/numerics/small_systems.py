@@ -106,7 +106,7 @@ def solve_small(matrix: Complex, right: Complex) -> Complex:
     of LAPACK.
     """
     n = matrix.shape[-1]
-    if n > 2:
+    if n == 0 or n > 2:
         try:
             return cast("Complex", np.linalg.solve(matrix, right))
         except np.linalg.LinAlgError:

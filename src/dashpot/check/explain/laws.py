@@ -121,7 +121,7 @@ def moving_pairs(model: Model) -> list[tuple[str, str]]:
     return [
         (first, second)
         for first, second in combinations(points, 2)
-        if first in model.coordinates
+        if (first in model.coordinates or not model.n)
         and (model.n <= FEW or frozenset({first, second} - {"ground"}) in joined)
     ]
 

@@ -402,7 +402,7 @@ def _own(problems: Sequence[LineProblem]) -> list[list[Real]]:
         part = some.data.spectrum.select(lines)
         spectrum = replace(part, amplitudes=Y, covariance=np.nan_to_num(V), moments=None)
         view = observation_model(some.model, part.channels, part.omega, part.experiment)
-        states = states_if_seen(view, spectrum, V) if len(lines) else None
+        states = states_if_seen(view, spectrum, V) if len(lines) and view.model.n else None
         if states is None:
             continue
         if np.any(some.view.gain >= 0) or np.any(some.view.delay >= 0):

@@ -48,7 +48,7 @@ def missing_elements(model: Model, kinds: Sequence[Kind] = (Kind.SPRING, Kind.DA
     found = [
         between(f"{letters[kind]}_{first}_{second}", kind, first, second)
         for first, second in combinations(points, 2)
-        if first in model.coordinates  # between inputs, or an input and the ground, it moves nothing
+        if first in model.coordinates or not model.n  # else, between inputs and the ground, it moves nothing
         for kind in kinds
     ]
     found += [mass(f"m_{x}", x) for x in model.coordinates]

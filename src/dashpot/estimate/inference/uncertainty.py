@@ -53,11 +53,11 @@ MODES_TO = 400  # coordinates: the modes of larger rigs would take longer than a
 
 
 def linear_modes(model: Model, theta: Real, covariance: Real) -> ModeValues | None:
-    """Modes of the linear elements; None where nonlinear ones hold the rig together, and of rigs of many coordinates.
+    """Modes of the linear elements; None where nonlinear ones hold the rig together, and of no or many coordinates.
 
     theta (m,), covariance (m, m).
     """
-    if model.n > MODES_TO:
+    if not 0 < model.n <= MODES_TO:
         return None
     try:
         return mode_values(model, theta, covariance)

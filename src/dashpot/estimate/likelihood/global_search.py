@@ -564,7 +564,7 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
     # Where all is seen starts are cheap, and a search goes on from a p-value of 0.1.
     acceptable = _acceptable(one.data, one.exact, len(one.view.names), 0.1 if seen else POOR)
     # Large rigs: fewer starts, and none where a guess leads to a fit; where all is seen the equation starts near.
-    ease = min(1.0, SPARSE_FROM / (one.view.model.n if on_basis is None else on_basis.size))
+    ease = min(1.0, SPARSE_FROM / max(one.view.model.n if on_basis is None else on_basis.size, 1))
     ease = min(ease, 0.25) if seen else ease
     starts = max(int(effort.starts * ease), min(effort.starts, 16))
     minima = LocalMinima.none(len(one.view.names), len(one.view.channels))

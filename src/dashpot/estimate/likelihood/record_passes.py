@@ -415,7 +415,9 @@ class PieceAt:
             elongation = elongation + over_rows(model.D, q[:, : model.D.shape[1]])
         unit_forces = piece.factors * elongation
         # A change of an unknown is a force on the coordinates, which the channels show as any other: −Bᵀ (T ∘ a).
-        pushes = over_rows(model.pushes, unit_forces).reshape(len(z), n, -1, unit_forces.shape[-1])
+        pushes = over_rows(model.pushes, unit_forces).reshape(
+            len(z), n, model.T.shape[1], unit_forces.shape[-1]
+        )
         J = columns_times(self.by_load, pushes)
         if self.force is not None:
             J = J + over_rows(model.T.T, self.force * unit_forces[:, None])
@@ -509,7 +511,8 @@ def _observed(piece: RecordPiece, p: Real, Z: Complex) -> tuple[Complex, Complex
     view = piece.view
     model, rates = view.model, piece.rates
     K, n, lines = len(Z), Z.shape[1], Z.shape[-1]
-    by_load = over_rows(view.on_x, Z.reshape(K, n, n * lines)).reshape(K, -1, n, lines) * rates[:, None]
+    shown = over_rows(view.on_x, Z.reshape(K, n, n * lines))
+    by_load = shown.reshape(K, len(view.on_x), n, lines) * rates[:, None]
     direct = np.repeat((view.on_q[:, :, None] * rates[:, None])[None], K, axis=0)
     if view.has_forces:
         rows = view.force[:, :, None] * (p[:, :, None] * piece.factors)[:, None]
@@ -550,9 +553,10 @@ def over_rows(matrix: Real, values: Complex) -> Complex:
 
 def columns_times(columns: Complex, coefficients: Complex) -> Complex:
     """Σ_q columns (K, c, q, lines) · coefficients (K, q, f, lines), (K, c, f, lines)."""
-    total: Complex = columns[:, :, 0, None] * coefficients[:, None, 0]
-    for q in range(1, columns.shape[2]):
-        total = total + columns[:, :, q, None] * coefficients[:, None, q]
+    shape = (*columns.shape[:2], coefficients.shape[2], columns.shape[-1])
+    total: Complex = np.zeros(shape, dtype=np.complex128)
+    for q in range(columns.shape[2]):
+        total += columns[:, :, q, None] * coefficients[:, None, q]
     return total
 
 

@@ -91,6 +91,8 @@ def linear_stiffness(model: Model, p: Real, jw: Complex) -> Complex:
 def _regular_inverse(D: Complex) -> Complex:
     """D⁻¹; what nothing holds (a floating rig at order 0) is held by a spring too soft to matter."""
     n = D.shape[-1]
+    if not n:  # elements between inputs and ground alone
+        return D
     constant, size = D[:, 0], np.max(np.abs(D), axis=(-2, -1))
     diagonal = np.sqrt(np.abs(np.diagonal(constant, axis1=-2, axis2=-1)))
     held = np.where(diagonal > 0, diagonal, 1.0)

@@ -390,7 +390,9 @@ class _Chain:
             self.run(slopes and last <= 1e-5)  # jumps that one more step of Newton's method closes
             jumps = self.states[-1][:-1] - self.begun[1:]
             size = np.max(np.abs(self.begun), axis=0) + 1e-300
-            gap = float(np.max(np.abs(jumps) / np.maximum(size, 1e-6 * np.max(size)), initial=0.0))
+            gap = float(
+                np.max(np.abs(jumps) / np.maximum(size, 1e-6 * np.max(size, initial=0.0)), initial=0.0)
+            )
             if gap <= 1e-10:  # jumps between segments over the size of the motion
                 if slopes and not self.whole:
                     self.run(True)
@@ -431,8 +433,9 @@ class _Chain:
         # (length + 1, S, states) of segments as (samples, states)
         states = self.states
         intervals = self.machine.drive.intervals
-        body = np.moveaxis(states[:-1], 1, 0).reshape(-1, states.shape[-1])[:intervals]
-        last = intervals - (states.shape[1] - 1) * self.length
+        length, S, x = states[:-1].shape
+        body = np.moveaxis(states[:-1], 1, 0).reshape(S * length, x)[:intervals]
+        last = intervals - (S - 1) * self.length
         return np.concatenate([body, states[last, -1][None]])
 
     def slopes(self) -> Real:
@@ -448,7 +451,7 @@ class _Chain:
             total[k] = within[..., :x] @ start
             total[k, ..., x:] += within[..., x:]
             start = total[k, -1]
-        body = total[:, :-1].reshape(-1, x, Q)[:intervals]
+        body = total[:, :-1].reshape(S * self.length, x, Q)[:intervals]
         last = intervals - (S - 1) * self.length
         return np.concatenate([body, total[-1, last][None]])
 

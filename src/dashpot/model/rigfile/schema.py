@@ -274,7 +274,7 @@ class RigReading:
                 self.faulty.add(key)  # what it holds is missing elsewhere
         raw = {key: self.table[key] for key in HEAD_KEYS if key in self.table}
         head = validated(Head, raw, (), self.report)
-        if head is not None and head.coordinates:
+        if head is not None and (head.coordinates or self.table.get("inputs")):
             return head
         if head is not None:
             cure = 'list them, such as coordinates = ["x1"]'

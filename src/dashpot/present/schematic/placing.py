@@ -239,6 +239,8 @@ class Placer:
 
     def _is_wall(self, node: Branch) -> bool:
         role = self.plan.bodies[node.body].role
+        if node.depth == 0 and not node.children and node.hanging:  # the moved end of a stand
+            return False
         return role == "ground" or (role == "base" and (node.depth == 0 or not node.children))
 
     def _width(self, node: Branch, m: _Measures) -> float:
