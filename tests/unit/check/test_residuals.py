@@ -7,18 +7,16 @@ import pytest
 
 from dashpot import (
     Channel,
-    DataError,
     Input,
     Quantity,
     Spectrum,
     dwells,
     identify,
     method,
-    response,
     simulate_spectrum,
 )
 from dashpot.arrays import Real
-from dashpot.check.residuals import calibrations_of, channel_response, correlation, residuals, response_curve
+from dashpot.check.residuals import calibrations_of, channel_response, residuals, response_curve
 from tests.networks import network
 
 MODEL = network("x1 x2", "u", "m1@x1 m2@x2=2.7 k1:x1-x2 k2:x2-u=4600 c1:x1-x2 c2:x2-u")
@@ -43,41 +41,6 @@ def simulated(
     return simulate_spectrum(
         MODEL, MODEL.parameters(THETA), (*channels(noise_u), *extra), test, rng, draws=draws
     )
-
-
-def test_channels_respond_as_the_dynamics_say() -> None:
-    omega = 2 * np.pi * F
-    p = MODEL.parameters(THETA)
-    reaction = Channel("R", {"u": 1.0}, Quantity.FORCE)
-    spring = Channel("S", {"k1": 2.0}, Quantity.FORCE)
-    G = channel_response(MODEL, p, (*channels(), reaction, spring), omega)[..., 0]
-    X = response(MODEL, p, omega, np.ones((len(F), 1), dtype=complex))
-    np.testing.assert_allclose(G[:, 0], X[:, 0])
-    np.testing.assert_allclose(G[:, 1], -(omega**2) * X[:, 1])
-    np.testing.assert_allclose(G[:, 2], X[:, 0] - X[:, 1])
-    np.testing.assert_allclose(G[:, 3], 1)
-    # The force that moves the base is what its spring and damper pull: it must move both masses.
-    np.testing.assert_allclose(G[:, 4], -(omega**2) * (3.0 * X[:, 0] + 2.7 * X[:, 1]), rtol=1e-9)
-    np.testing.assert_allclose(G[:, 5], 2 * 4600 * (X[:, 0] - X[:, 1]))
-    reaction = replace(reaction, gain=None, delay=None, sign=None)
-    late = channel_response(MODEL, p, (reaction,), omega, {"R.gain": 2.0, "R.sign": -1.0, "R.delay": 0.01})
-    np.testing.assert_allclose(late[:, 0, 0], -2 * np.exp(-0.01j * omega) * G[:, 4])
-
-
-def test_force_inputs_respond_too() -> None:
-    model = replace(MODEL, inputs=(Input("u"), Input("f", "force", {"x1": 1.0, "x2": -0.5})))
-    omega, p = 2 * np.pi * F, model.parameters(THETA)
-    G = channel_response(
-        model, p, (Channel("x2", {"x2": 1.0}), Channel("f", {"f": 1.0}, Quantity.FORCE)), omega
-    )
-    X = response(model, p, omega, np.zeros((len(F), 1), dtype=complex), np.ones((len(F), 1), dtype=complex))
-    np.testing.assert_allclose(G[:, 0, 1], X[:, 1])
-    np.testing.assert_allclose(G[:, 1], np.tile([0, 1], (len(F), 1)))
-
-
-def test_a_stranger_is_named() -> None:
-    with pytest.raises(DataError, match="channel q measures nowhere"):
-        channel_response(MODEL, MODEL.parameters(THETA), (Channel("q", {"nowhere": 1.0}),), np.ones(1))
 
 
 @pytest.mark.parametrize("noise_u", [0.0, 0.02])
@@ -198,7 +161,3 @@ def test_the_curve_passes_through_the_predictions() -> None:
     np.testing.assert_allclose(near, np.abs(curve.predicted), rtol=1e-3)
     two = replace(MODEL, inputs=(Input("u"), Input("f", "force", {"x1": 1.0})))
     assert response_curve(two, THETA, spectrum, found) is None
-
-
-def test_correlation_of_a_covariance() -> None:
-    np.testing.assert_allclose(correlation(np.array([[4.0, 1.0], [1.0, 1.0]])), [[1, 0.5], [0.5, 1]])

@@ -1,13 +1,10 @@
 """What fixes the size of the forces."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from dashpot import (
     Channel,
-    IdentifiabilityError,
     Input,
     Kind,
     Model,
@@ -18,7 +15,7 @@ from dashpot import (
     modes,
     response,
 )
-from dashpot.check.structure import free_scales, require_scale
+from dashpot.check.structure import free_scales
 
 FORCE = Quantity.FORCE
 
@@ -95,23 +92,3 @@ def test_parts_that_meet_only_at_inputs_each_need_their_own() -> None:
     assert free_scales(two({"value": 3.0}), ()) == ()
     assert free_scales(two({"same_as": "ka"}), ()) == ()  # the tie carries the scale over
     assert free_scales(two({}), (Channel("F", {"u": 1.0}, FORCE),)) == ()
-
-
-def test_the_refusal_names_the_physics_and_the_cure() -> None:
-    with pytest.raises(IdentifiabilityError) as caught:
-        require_scale(rig(), SEEN, "rig.toml")
-    (problem,) = caught.value.problems
-    assert problem.where == "rig.toml"
-    assert "all forces scale together: m1, m2, k1, k2" in problem.what
-    assert "give one of m1, m2, k1 and k2 a value, or measure" in str(problem.cure)
-    require_scale(rig({"value": 50.0}), SEEN)
-
-
-def test_a_lone_unknown_and_a_part() -> None:
-    alone = Model(("a",), (Input("u"),), (between("k", Kind.SPRING, "a", "u"),))
-    with pytest.raises(IdentifiabilityError, match="any value of k gives the same motion"):
-        require_scale(alone, ())
-    model = rig({"value": 0.0})
-    with pytest.raises(IdentifiabilityError, match="all forces scale together: m1, m2, k1 times"):
-        require_scale(model, SEEN)
-    assert replace(model, name="other") != model

@@ -129,17 +129,6 @@ def test_positive_lets_entries_have_any_sign(dashpot: Command, free: Path) -> No
         assert found[1][name]["value"] == pytest.approx(found[0][name]["value"], rel=1e-3)
 
 
-def test_compare_has_oiv_held_definite(dashpot: Command, free: Path) -> None:
-    done = dashpot("compare", "free.toml", "data.csv", "--methods", "wls,oiv,oiv+", "--truth", "k_x1_x2=2000")
-    assert done.code == 0, done.err
-    assert any(line.startswith("oiv+ ") for line in done.out.splitlines())
-    default = dashpot("compare", "free.toml", "data.csv", "--json", "-")
-    assert "oiv+" in json.loads(default.out)["methods"]
-    assert (
-        "oiv+" not in json.loads(dashpot("compare", "frame.toml", "data.csv", "--json", "-").out)["methods"]
-    )
-
-
 def test_what_does_not_suit(dashpot: Command, free: Path) -> None:
     """A coordinate that is not measured, hysteretic dampers in M, C, K, a word that names no matrices."""
     blind = FREE.replace('x1 = { of = "x1", unit = "mm", noise = 1.0 }\n', "")

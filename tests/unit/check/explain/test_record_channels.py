@@ -17,7 +17,6 @@ from tests.unit.estimate.nonlinear.test_whole_record import chaotic, record
 
 SEEN = (*motions("x1", "x2"), Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION), *motions("u"))
 IN_PART = (*motions("x2"), Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION), *motions("u"))
-NAMES = [channel.name for channel in SEEN]
 
 
 def times(data: Record, name: str, factor: float) -> Record:

@@ -111,7 +111,6 @@ def test_friction_below_zero_is_damping_that_grows_with_speed_and_the_line_says_
 def test_the_remedy_makes_the_record_fit() -> None:
     record = recorded(LAWS["cubic"][0])
     best = nonlinear(fitted(record))[0]
-    assert best.number == pytest.approx(2e6, rel=0.3)
     mended, _ = applied(shaken(), CHANNELS, best)
     estimate = fit_records(mended, [record]).estimate()
     k3 = estimate.names.index("k3")

@@ -47,21 +47,6 @@ def test_one_line_for_each_record_and_order():
         spectrum([])
 
 
-def test_options_reach_the_fit():
-    t = np.arange(4000) / 100
-    decay = np.exp(-t / 2)[:, None] * np.cos(2 * np.pi * 2.4 * t)[:, None]
-    record = Record((X1,), t, wave(t, 2.0, [1]) + decay, 2.004)
-    lines = spectrum([record], settle=True, refine=True)
-    assert lines.samples[0] < 4000
-    assert lines.frequency_hz[0] == pytest.approx(2.0, abs=1e-4)
-    assert [note.code for note in lines.notes] == [
-        "transient_discarded",
-        "settled_dwells",
-        "frequency_refined",
-    ]
-    assert "not at 2.004 Hz" in lines.notes[2].text
-
-
 def test_merged_repeats_are_as_good_as_one_long_record():
     """Four records of 500 samples against their amplitudes' weighted mean; exact channels stay exact."""
     rng = np.random.default_rng(19)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.data.conditioning.harmonic_fit import distinct_phases, rounding_steps
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.errors import DataError
@@ -22,21 +21,6 @@ def dwell(f: float, size: complex, *, periods: float = 20.0, each: int = 16, noi
     values[:, 0] = np.round(values[:, 0] / STEP) * STEP
     values[:, 1] += 1e-3 * rng.normal(size=len(t))
     return Record((X1, U), t, values, f)
-
-
-def test_steps_are_read_from_the_data() -> None:
-    records = [dwell(2.0, 0.3 + 0.01 * k) for k in range(3)]
-    assert rounding_steps(records) == pytest.approx([STEP, 0.0])
-    scaled = [replace(r, values=r.values * 9.80665e-3) for r in records]
-    assert rounding_steps(scaled) == pytest.approx([STEP * 9.80665e-3, 0.0])
-
-
-def test_repeated_periods_have_no_new_phases() -> None:
-    size, step = np.array([0.3]), np.array([STEP])
-    assert distinct_phases(dwell(2.0, 0.3), 2.0, size, step) == 8
-    uneven = dwell(2.0, 0.3, each=16, periods=20.0)
-    turning = replace(uneven, time=uneven.time * 1.00303)
-    assert distinct_phases(turning, 2.0, size, step) > 100
 
 
 def test_the_error_of_rounded_amplitudes_is_what_is_stated() -> None:

@@ -7,8 +7,7 @@ import pytest
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel
-from dashpot.data.conditioning.clock import even_step
-from dashpot.data.conditioning.still import noise_at_rest, smoothed
+from dashpot.data.conditioning.still import noise_at_rest
 from dashpot.data.conditioning.whole_record import whole_record, whole_records, without_gaps
 from dashpot.data.record import Record
 from dashpot.data.spectrum import WholeRecord
@@ -140,20 +139,6 @@ def test_a_clock_that_slips_makes_records() -> None:
     assert "the clock slips before 10.003 s: used as 2 records" in lines.notes[0].text
     rounded = np.round(np.arange(3000) / 64, 2)
     assert len(without_gaps(replace(whole, time=rounded))[0]) == 1
-
-
-def test_rounded_stamps_are_even() -> None:
-    time = np.round(np.arange(5000) / 64, 3)
-    assert even_step(Record((A,), time, np.zeros((5000, 1)) + time[:, None])) == pytest.approx(
-        1 / 64, rel=1e-6
-    )
-
-
-def test_smoothing_keeps_a_constant_and_the_mean() -> None:
-    values = np.arange(100.0)[:, None].astype(complex)
-    mean = smoothed(values, 5)
-    np.testing.assert_allclose(mean[50], 50)
-    np.testing.assert_allclose(mean[0], mean[5])
 
 
 def refused(values: Real, message: str, **how: object) -> None:

@@ -9,7 +9,7 @@ import dashpot
 from dashpot.channel import Channel
 from dashpot.data.readers.in_memory import record, records_of
 from dashpot.errors import DataError
-from tests.unit.data.readers.written import CHANNELS, NAMES, long_table, recording
+from tests.unit.data.readers.written import CHANNELS, long_table, recording
 
 TWO = (Channel("x1", {"x1": 1}, unit="mm", scale=1e-3), Channel("u", {"u": 1}, unit="mm", scale=1e-3))
 T = np.arange(64) / 16
@@ -106,21 +106,6 @@ def test_channels_that_are_none_are_told():
         record({"time_s": T, **X}, [])
     with pytest.raises(DataError, match="the channels are no Channels; give a rig"):
         record({"time_s": T, **X}, ["x1", "u"])
-
-
-def test_what_can_stand_for_a_missing_time_is_told():
-    with pytest.raises(
-        DataError, match=r"the time is missing; there are .*; add a column time_s, or give time \(s\) or"
-    ):
-        record(X, TWO)
-
-
-def test_a_rig_stands_for_its_channels():
-    class Rig:
-        channels = TWO
-
-    check(record({"time_s": T, **X}, Rig()))
-    assert NAMES == ("x1", "x2", "u")
 
 
 @pytest.mark.parametrize("zone", [None, "Europe/Berlin"])

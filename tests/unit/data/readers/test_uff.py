@@ -146,19 +146,6 @@ def test_modes_both_ways(tmp_path):
     sets = pyuff.UFF(str(path)).read_sets()
     assert [s["eig"] for s in sets] == pytest.approx([m.eigenvalue for m in modes], rel=1e-5)
     assert sets[0]["r3"] == pytest.approx(shapes[:, 2], rel=1e-5)
-    theirs = tmp_path / "theirs.unv"
-    pyuff.UFF(str(theirs)).write_sets(
-        pyuff.prepare_55(
-            model_type=1, analysis_type=2, data_ch=2, spec_data_type=8, data_type=2, load_case=0, mode_n=1,
-            freq=2.5, modal_m=1.0, modal_damp_vis=0.02, modal_damp_his=0.0, node_nums=np.array([1, 2]),
-            r1=np.array([1.0, 2.0]), r2=np.array([0.0, 0.5]), r3=np.array([3.0, -1.0]),
-        ),
-        mode="add",
-    )  # fmt: skip
-    (mode,) = modes_of(open_file(theirs))
-    assert mode.frequency_hz == pytest.approx(2.5)
-    assert mode.damping_ratio == pytest.approx(0.02)
-    assert mode.shapes.real.tolist() == [[1.0, 0.0, 3.0], [2.0, 0.5, -1.0]]
 
 
 ONE, TWO = np.array([1.0, 2.0]), np.array([1 + 0.5j, 2 - 0.3j])

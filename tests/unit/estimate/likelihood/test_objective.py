@@ -16,7 +16,7 @@ from dashpot.model import observation
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model
-from tests.partly_seen import BENCHES, Bench, noisy_base, reaction
+from tests.partly_seen import BENCHES, Bench, noisy_base
 
 
 def prepared(bench, correlation=0.0, draws=1, seed=1):
@@ -196,22 +196,3 @@ def test_inputs_that_no_channel_of_a_line_sees_are_not_driven():
     assert at.q[0, 3, 0] == 0
     assert np.all(np.isfinite(at.information()))
     assert np.all(at.information()[0, 3] == 0)
-
-
-def test_exact_channels_give_the_inputs_and_are_no_residuals():
-    bench = reaction()
-    data, _ = prepared(bench)
-    given = measured(data)
-    assert np.allclose(given.q[0], bench.q)
-    assert np.all(given.W[..., 3, :] == 0)
-    assert given.rows == 2 * 3 * bench.lines
-
-
-def test_noisy_inputs_are_taken_from_their_own_channels_for_logarithms():
-    bench = noisy_base()
-    data, view = prepared(bench)
-    driven = directly_driven(view, measured(data))
-    assert np.allclose(driven.q[0, :, 0], data.spectrum.amplitudes[0, :, 3] / (1j * data.spectrum.omega) ** 2)
-    blind = replace(bench, channels=bench.channels[:3])
-    data, view = prepared(blind)
-    assert directly_driven(view, measured(data)) is None

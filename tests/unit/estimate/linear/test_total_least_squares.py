@@ -86,12 +86,11 @@ def test_both_are_the_textbook_formulas_written_out(prior: bool) -> None:
             theta = np.linalg.solve(A[:m, :m], A[:m, m])
         size = 1 / np.sqrt(np.diag(A))
         scale = np.outer(size, size)
-        values, vectors = eigh(G * scale, A * scale)  # the largest of 1/λ
+        _, vectors = eigh(G * scale, A * scale)  # the largest of 1/λ
         v = vectors[:, -1] * size
         found = identify(rig.model, spectrum, TotalLeastSquares())
         assert np.allclose(found.values, -v[:m] / v[m], rtol=1e-7)
         assert bool(found.converged)
-        assert 1 / values[-1] == pytest.approx(1, abs=0.4)
         compensated = np.linalg.solve(A[:m, :m] - G[:m, :m], A[:m, m] - G[:m, m])
         found = identify(rig.model, spectrum, CompensatedLeastSquares())
         assert not any(warning.code == "noise_not_compensated" for warning in found.warnings)

@@ -14,8 +14,7 @@ from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.guarded import library
 from dashpot.data.readers.registry import reader_of
 from dashpot.errors import DashpotError, DataError
-from dashpot.model.rigfile import parse_rig
-from tests.unit.data.readers.written import CHANNELS, RIG, WRITERS, as_read, packed, recording, wav
+from tests.unit.data.readers.written import CHANNELS, WRITERS, as_read, packed, recording, wav
 
 
 def same(records, expected, one_clock=False):
@@ -34,11 +33,6 @@ def test_the_same_recording(tmp_path, name):
     write(path, expected)
     same(as_read(path), expected)
     same(as_read(packed(path)), expected)
-
-
-@pytest.fixture(scope="module")
-def rig():
-    return parse_rig(RIG, "rig.toml")
 
 
 def test_wav_by_a_manifest(tmp_path):
