@@ -8,7 +8,7 @@ import pytest
 from dashpot.arrays import Real
 from dashpot.channel import Quantity
 from dashpot.data.conditioning.whole_record import whole_record
-from dashpot.data.record import Record
+from dashpot.data.record import MISSING, Record
 from dashpot.estimate.identify import identify
 from dashpot.estimate.result import Estimate
 from tests.whole_rigs import WholeTest, chain, record_of, twin
@@ -95,3 +95,28 @@ def test_the_twin_in_time_agrees(kind: str) -> None:
         away.append((found.values - slow.theta) / spread)
         np.testing.assert_allclose(found.sd, spread, rtol=0.002)
     assert np.sqrt(np.mean(np.square(away))) < 0.1
+
+
+@pytest.mark.long
+def test_the_twin_in_time_agrees_where_samples_are_missing() -> None:
+    """A twentieth of each channel in ten gaps: the same answers and intervals as of the samples that are there."""
+    model, theta = chain(2, 0.03, seed=2)
+    test = record_of(model, theta, "random", decay_times=6, seed=2)
+    sd, rng = sizes(test, 0.05), np.random.default_rng(3)
+    samples = len(test.record.time)
+    gap, away, off = samples // 200, [], []
+    for _ in range(8):
+        record = test.noisy(rng, sd)
+        status = np.zeros(record.values.shape, dtype=np.int64)
+        for c in range(2):
+            for begin in 2 * gap * (1 + rng.choice(samples // (2 * gap) - 2, 10, replace=False)):
+                status[begin : begin + gap, c] = MISSING
+        found = estimated(
+            test, replace(record, values=np.where(status, 0.0, record.values), status=status), sd
+        )
+        slow = twin(test, record, sd, theta, status == 0)
+        spread = np.sqrt(np.diagonal(slow.covariance))
+        away.append((found.values - slow.theta) / spread)
+        off.append((slow.theta - theta) / spread)
+        np.testing.assert_allclose(found.sd, spread, rtol=0.01)
+    assert np.sqrt(np.mean(np.square(away))) < 0.15 * np.sqrt(np.mean(np.square(off)))

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Quantity
+from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.conditioning.whole_record import whole_record
+from dashpot.estimate.automatic import identify_automatically
 from dashpot.estimate.identify import identify
 from tests.record_draws import CASES, Case, draws, draws_of
 from tests.whole_rigs import chain, record_of
@@ -77,3 +79,32 @@ def test_a_noisy_base_that_moves_at_all_frequencies() -> None:
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=0.24)
     assert np.mean(stated) == pytest.approx(1.0, abs=0.08)
     assert np.mean(held) == pytest.approx(0.95, abs=0.07)
+
+
+def test_a_twentieth_of_the_samples_missing_in_ten_gaps() -> None:
+    """Rows lost, noise on all channels unknown, 16 draws of five values: the record stays whole, intervals hold.
+
+    Of 80 numbers 70 to 80 are held at a coverage of 95 %, but for one case in 500; the seed is fixed.
+    """
+    model, theta = chain(2, 0.03, seed=2)
+    test = record_of(model, theta, "random", decay_times=6, seed=2)
+    samples, held, wider = len(test.record.time), 0, []
+    gap = samples // 200
+    for draw in range(16):
+        rng = np.random.default_rng([77, draw])
+        record = test.noisy(rng, 0.03 * test.size)
+        gone = 2 * gap * (1 + rng.choice(samples // (2 * gap) - 2, 10, replace=False))[:, None] + np.arange(
+            gap
+        )
+        keep = np.setdiff1d(np.arange(samples), gone)
+        lines = spectrum([replace(record, time=record.time[keep], values=record.values[keep])])
+        assert len(lines.records) == 1
+        estimate, whole = (
+            identify_automatically(model, lines),
+            identify_automatically(model, spectrum([record])),
+        )
+        low, high = np.array([estimate[name].interval95 for name in estimate.names]).T
+        held += int(np.sum((low <= theta) & (theta <= high)))
+        wider.append(estimate.sd / whole.sd)
+    assert held >= 70
+    assert 1.0 < np.mean(wider) < 1.12  # the inputs, too, are unknown in the gaps: else 1.026

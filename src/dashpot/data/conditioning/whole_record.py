@@ -13,12 +13,13 @@ from itertools import pairwise
 
 import numpy as np
 from scipy import fft
+from scipy.special import chdtrc
 
 from dashpot.arrays import Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning.clock import even_step, fewest_samples
 from dashpot.data.conditioning.still import HALF_WINDOW, Still, smoothed, variance_at_rest
-from dashpot.data.record import Record, calibration, runs_of_one_value
+from dashpot.data.record import MISSING, Record, calibration, runs_of_one_value
 from dashpot.data.spectrum import Spectrum, Unmeasured, WholeRecord, concatenate
 from dashpot.errors import DataError
 from dashpot.io.words import counted, joined
@@ -26,6 +27,10 @@ from dashpot.notices import Notice
 
 GAP = 1.5  # sampling steps: where the next sample is later than this, another record begins
 SHORTEST = 64  # samples of a piece between gaps
+MOST_UNKNOWN = (
+    500  # samples of all channels that stay unknown in a record; with more it is cut, which takes less time
+)
+MOST_MISSING = 0.1  # of a record's samples, or of a channel's: what misses or holds more does so for a reason
 SLIP = 0.1  # of a step: where the next sample is early or late by more, the clock has slipped
 UNEVEN = 0.02  # share of gaps from which on they are the clock's
 HIGHEST = 0.9  # of half the sampling rate: above it the input between the samples is not known well enough
@@ -48,9 +53,9 @@ FAR_BELOW = 0.1  # of the mean power of the lines: a floor is noise, not motion
 
 
 def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
-    """The record cut where samples are missing or its clock slips, and a note that says so.
+    """The record with rows of unknown samples where some are missing, or cut there, and where its clock slips; a note.
 
-    Pieces too short to use are left out.
+    It is cut where too many are missing, or not a whole number of steps.  Pieces too short to use are left out.
 
     Raises DataError where no piece is long enough.
     """
@@ -65,6 +70,12 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
     cuts = slips if slipped else cuts
     if not len(cuts):
         return [record], ()
+    at = ", ".join(f"{record.time[cut]:.6g} s" for cut in cuts[:3]) + (", …" if len(cuts) > 3 else "")
+    whole = None if slipped else _with_unknown_rows(record, np.rint(steps / usual).astype(np.int64))
+    if whole is not None:
+        count = len(whole.time) - len(record.time)
+        text = f"{record.source}: {counted(count, 'sample')} missing before {at}: unknown there, the others are used"
+        return [whole], (Notice("gaps", text, (record.source,)),)
     edges = [0, *cuts.tolist(), len(record.time)]
     pieces = [record.part(slice(a, b)) for a, b in pairwise(edges) if b - a >= SHORTEST]
     lost = len(record.time) - sum(len(piece.time) for piece in pieces)
@@ -81,36 +92,62 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
             record.source,
             "give the record without gaps",
         )
-    at = ", ".join(f"{record.time[cut]:.6g} s" for cut in cuts[:3]) + (", …" if len(cuts) > 3 else "")
     dropped = f", {lost} samples of short pieces left out" if lost else ""
     what = "the clock slips" if slipped else "samples are missing"
     text = f"{record.source}: {what} before {at}: used as {len(pieces)} records{dropped}"
     return pieces, (Notice("gaps", text, (record.source,)),)
 
 
+def _with_unknown_rows(record: Record, steps: Ints) -> Record | None:
+    """The record with a row for each sampling step, of which there are so many from row to row (rows − 1,).
+
+    None where too many are put in, or the stamps are no even ones then.
+    """
+    number = np.concatenate([[0], np.cumsum(steps)])
+    rows, channels = int(number[-1]) + 1, len(record.channels)
+    missing = rows - len(number)
+    if missing * channels > MOST_UNKNOWN or missing > MOST_MISSING * rows or record.values.ndim != 2:
+        return None
+    at = np.arange(rows)
+    values = np.stack([np.interp(at, number, column) for column in record.values.T], axis=1)
+    status = np.full(values.shape, MISSING)
+    status[number] = 0 if record.status is None else record.status
+    whole = replace(record, time=np.interp(at, number, record.time), values=values, sd=None, status=status)
+    try:
+        even_step(whole)
+    except DataError:
+        return None
+    return whole
+
+
 # Samples of a whole record in which a channel holds one value, or reads 0, while the motion goes on.
 #
-# The record is cut there, as it is where samples are missing: what is on either side is used as a record of
-# its own.
+# They are unknown, or where they are too many the record is cut there: what is on either side is used as a
+# record of its own.
 
 
-SHORTEST_HELD_SAMPLES = 10  # samples of a run
+SHORTEST_HELD_SAMPLES = 4  # samples of a run
+LONG_HELD = 10  # samples, in which no motion of many steps a sample turns about
+CHANCE_HELD = 1e-6  # that a motion through a short run is as far from its value
 AROUND_HELD_SAMPLES = 20  # samples on either side that show how the channel moves
-RESOLVED = 4.0  # steps of the converter from sample to sample, in rms, of a motion that does not stand still by chance
-MOST_RUNS = 5  # in one channel: what rests more often does so for a reason
-MOST_HELD_SAMPLES = (
-    0.1  # of a channel's samples, or those at one value: a channel that rests more is at rest there
+RESOLVED = (
+    4.0  # steps of the converter, or standard deviations, by which a motion does not stand still by chance
 )
+MOST_RUNS = 5  # in one channel: what rests more often does so for a reason
 SIDES = 64  # samples of a part that is used
 
 
 def without_held_samples(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
-    """The parts of a record before, between and behind the runs in which channels hold a value, and a note of them.
+    """The record with the runs unknown in which channels hold a value, or its parts before, between and behind them,
+    and a note of them.
 
     Channels of forces are left alone: a drive may hold its value.  Repeats (leading axes) stay as they are.
     """
     if record.values.ndim != 2:
         return [record], ()
+    status = np.zeros(record.values.shape, dtype=np.int64)
+    if record.status is not None:
+        status[:] = record.status
     held = np.zeros(len(record.time), dtype=bool)
     names = []
     still = record.values[1:] == record.values[:-1]
@@ -123,14 +160,18 @@ def without_held_samples(record: Record) -> tuple[list[Record], tuple[Notice, ..
             names.append(channel.name)
         for begin, end in runs:
             held[begin:end] = True
+            status[begin:end, c] = MISSING
     edges = [0, *(np.flatnonzero(np.diff(held)) + 1).tolist(), len(held)]
     parts = [record.part(slice(a, b)) for a, b in pairwise(edges) if not held[a] and b - a >= SIDES]
     if not names or not parts:
         return [record], ()
     at = record.time[int(np.argmax(held))]
+    used = f"used as {counted(len(parts), 'record')}"
+    if np.count_nonzero(status) <= MOST_UNKNOWN:
+        parts, used = [replace(record, status=status)], "unknown there, the others are used"
     text = (
         f"{record.source}: {joined(names)} hold{'s' if len(names) == 1 else ''} a value in {int(np.sum(held))} "
-        f"samples, first at {at:.6g} s, while the motion goes on: used as {counted(len(parts), 'record')}"
+        f"samples, first at {at:.6g} s, while the motion goes on: {used}"
     )
     return parts, (Notice("held_samples", text, tuple(names)),)
 
@@ -139,27 +180,41 @@ def _runs_held(column: Real) -> list[tuple[int, int]]:
     """Begin and end of each run of one value (samples,) that the motion around it does not explain."""
     runs = list(runs_of_one_value(column, SHORTEST_HELD_SAMPLES))
     values, counts = np.unique(column, return_counts=True)
-    resting = values[counts > MOST_HELD_SAMPLES * len(column)]
-    if not 0 < len(runs) <= MOST_RUNS or sum(end - begin for begin, end in runs) > MOST_HELD_SAMPLES * len(
-        column
-    ):
+    resting = values[counts > MOST_MISSING * len(column)]
+    if not 0 < len(runs) <= MOST_RUNS or sum(end - begin for begin, end in runs) > MOST_MISSING * len(column):
         return []
     if len(resting) or len(values) < 2:
         return []
     step = float(np.min(np.diff(values)))
-    inside = (np.array([r[0] for r in runs]) > 0) & (np.array([r[1] for r in runs]) < len(column))
-    return [run for run, within in zip(runs, inside, strict=True) if within and _lost(column, *run, step)]
+    runs = [
+        (a, b) for a, b in runs if a > 0 and b < len(column) and _moves_around(column, a, b, RESOLVED * step)
+    ]
+    lost = [(a, b) for a, b in runs if b - a >= LONG_HELD]
+    short = [(a, b) for a, b in runs if b - a < LONG_HELD]
+    if not short:
+        return lost
+    # Short ones may be turning points: a motion as loud at each frequency as the channel is would leave the value
+    every, at = (np.concatenate([np.arange(*run) for run in some]) for some in (runs, short))
+    motion = np.array(column)
+    motion[every] = np.interp(every, np.delete(np.arange(len(column)), every), np.delete(column, every))
+    expected, precision = _told_by_lines(motion, at, 0, np.zeros(len(at)))
+    away, covariance = motion[at] + expected - column[at], np.linalg.inv(precision)
+    for begin, end in short:
+        own = (at >= begin) & (at < end)
+        square = away[own] @ np.linalg.solve(covariance[np.ix_(own, own)], away[own])
+        if np.max(np.abs(away[own])) > RESOLVED * step and chdtrc(end - begin, square) < CHANCE_HELD:
+            lost.append((begin, end))
+    return lost
 
 
-def _lost(column: Real, begin: int, end: int, step: float) -> bool:
-    """Whether the channel moves around a run, by more than the steps of its converter hide, as it does not in it."""
+def _moves_around(column: Real, begin: int, end: int, least: float) -> bool:
+    """Whether a channel moves by more than `least` from sample to sample around a run that is not at a limit."""
     sides = (
         np.diff(column[max(begin - AROUND_HELD_SAMPLES, 0) : begin]),
         np.diff(column[end : end + AROUND_HELD_SAMPLES]),
     )
     usual = min(float(np.sqrt(np.mean(part**2))) if len(part) else 0.0 for part in sides)
-    limit = column[begin] in (column.min(), column.max())
-    return not limit and usual > RESOLVED * step
+    return column[begin] not in (column.min(), column.max()) and usual > least
 
 
 def whole_record(

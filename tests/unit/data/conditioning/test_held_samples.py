@@ -1,4 +1,4 @@
-"""Samples in which a channel holds a value while the motion goes on are cut out of whole records."""
+"""Samples in which a channel holds a value while the motion goes on are unknown in whole records."""
 
 from dataclasses import replace
 
@@ -9,6 +9,7 @@ from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning.whole_record import whole_records, without_held_samples
 from dashpot.data.record import Record
+from dashpot.data.spectrum import WholeRecord
 
 CHANNELS = (Channel("x", {"x": 1.0}), Channel("f", {"f": 1.0}, Quantity.FORCE))
 N = 2000
@@ -31,16 +32,29 @@ def record(x: Real, f: Real | None = None) -> Record:
 
 
 @pytest.mark.parametrize("value", ["held", "zero"])
-def test_the_record_is_cut_where_a_channel_holds_a_value(value: str) -> None:
+def test_samples_held_are_unknown_and_the_record_stays_whole(value: str) -> None:
     x = moving()
     x[800:950] = x[800] if value == "held" else 0.0
-    parts, (note,) = without_held_samples(record(x))
-    assert [len(part.time) for part in parts] == [800, 1050]
+    (part,), (note,) = without_held_samples(record(x))
+    assert part.status is not None
+    assert np.array_equal(np.flatnonzero(part.status[:, 0]), np.arange(800, 950))
+    assert not np.any(part.status[:, 1])
     assert (note.code, note.of) == ("held_samples", ("x",))
     assert note.text.startswith("run.csv: x holds a value in 150 samples, first at 8 s")
     lines = whole_records([record(x)])
-    assert len(lines.records) == 2
+    (whole,) = lines.stretches
+    assert isinstance(whole, WholeRecord)
+    assert [len(of.samples) for of in whole.unmeasured] == [150]
     assert any(told.code == "held_samples" for told in lines.notes)
+
+
+def test_the_record_is_cut_where_too_many_samples_are_held() -> None:
+    x, count = np.concatenate([moving(seed) for seed in range(4)]), 700
+    x[800 : 800 + count] = x[800]
+    long = Record(CHANNELS, np.arange(4 * N) / 100, np.column_stack([x, x[::-1]]), source="run.csv")
+    parts, (note,) = without_held_samples(long)
+    assert [len(part.time) for part in parts] == [800, 4 * N - 800 - count]
+    assert "used as 2 records" in note.text
 
 
 def test_what_rests_for_a_reason_is_left_alone() -> None:

@@ -131,6 +131,23 @@ def test_gaps_make_records() -> None:
     assert "2 whole records of 2700 samples" in lines.notes[-1].text
 
 
+def test_few_missing_samples_are_unknown_in_one_record() -> None:
+    whole = record(resonant(3000, np.random.default_rng(6)))
+    keep = np.r_[0:1000, 1010:1300, 1301:3000]
+    cut = replace(whole, time=whole.time[keep], values=whole.values[keep])
+    (piece,), (note,) = without_gaps(cut)
+    assert piece.status is not None
+    gone = np.setdiff1d(np.arange(3000), keep)
+    assert np.array_equal(np.flatnonzero(piece.status[:, 1]), gone)
+    np.testing.assert_allclose(piece.time, whole.time)
+    assert "11 samples missing before 10.1 s, 13.01 s" in note.text
+    lines, every = whole_records([cut], band_hz=(1, 9)), whole_records([whole], band_hz=(1, 9))
+    assert len(lines.records) == 1
+    # What is put in is as likely as the motion beside: amplitudes are off by little of their size
+    off = np.abs(lines.amplitudes - every.amplitudes)
+    assert np.all(np.sum(off**2, axis=0) < 3e-3 * np.sum(np.abs(every.amplitudes) ** 2, axis=0))
+
+
 def test_a_clock_that_slips_makes_records() -> None:
     whole = record(resonant(3000, np.random.default_rng(6)))
     late = whole.time + 0.003 * (whole.time > 9.995)
