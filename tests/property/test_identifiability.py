@@ -19,7 +19,7 @@ from dashpot.model.network import Model
 from tests.rigs import Rig, channels, perfect, random_rig
 
 Case = tuple[Model, tuple[Channel, ...], set[str]]
-RIGS = 30  # of each kind: 240 deficient ones
+RIGS = 15  # of each kind: 120 deficient ones
 
 
 def shown(model: Model, seen: Sequence[Channel], psi: np.ndarray, middle: np.ndarray) -> np.ndarray:

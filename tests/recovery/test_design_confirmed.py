@@ -9,7 +9,6 @@ from benchmarks import sequential_design
 from dashpot.channel import Channel
 from dashpot.data.conditioning.lines import spectrum as conditioned
 from dashpot.data.spectrum import Spectrum
-from dashpot.design.advise import compare_tests
 from dashpot.design.allocation import Criterion
 from dashpot.design.plan import Budget, plan
 from dashpot.design.test_setup import (
@@ -17,16 +16,13 @@ from dashpot.design.test_setup import (
     ShakerLimits,
     TestSetup,
     band_grid,
-    even_schedule,
     nominal_setup,
 )
 from dashpot.design.transients import sample_noise, unsettled_dwells
 from dashpot.estimate.identify import identify
-from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables
 from dashpot.estimate.method import Method
-from dashpot.quantities import frequencies
 from dashpot.study.simulate import dwells, simulate_spectrum
-from tests.designs import CASE3, RATE, advised, light_setup, paper_setup
+from tests.designs import RATE, advised, light_setup, paper_setup
 from tests.rigs import paper_rig
 
 
@@ -56,31 +52,6 @@ def test_the_predicted_error_comes_true(noise: tuple[float, float, float], at_mo
     rms, each = spread(own, found.schedule, 8000, 20)
     assert rms == pytest.approx(found.predicted.figure, rel=0.02)
     assert each == pytest.approx(found.predicted.relative, rel=0.04)
-
-
-@pytest.mark.parametrize("noise", [(0.1, 0.0, 0.0), (0.0, 0.05, 1.5)], ids=["relative", "constant"])
-def test_the_papers_test_and_method_give_what_the_comparison_says(noise: tuple[float, float, float]) -> None:
-    """CASE 3 of 1,400 samples, by oiv and by iv: within 4 %, of which 1.2 % (1 sd) is the 1,500 draws' own."""
-    own = paper_setup(None, *noise)
-    found = plan(own, Criterion("A"), Budget(samples=1400), band_grid(own, 0.25, 25))
-    beside = compare_tests(own, Criterion("A"), found, even_schedule(frequencies(CASE3), 1400))
-    best, _ = spread(own, beside.schedule, 1500, 21)
-    paper, _ = spread(own, beside.schedule, 1500, 22, InstrumentalVariables())
-    assert best == pytest.approx(beside.predicted.figure, rel=0.04)
-    assert paper == pytest.approx(beside.iv.rms(), rel=0.04)
-    assert beside.factor_iv == pytest.approx((paper / found.predicted.figure) ** 2, rel=0.08)
-
-
-@pytest.mark.parametrize("name", ["m1", "m2", "c1", "c2", "c3", "c4"])
-def test_the_test_for_one_parameter_gives_it_better(name: str) -> None:
-    """3,000 draws: its spread is as predicted (4 %: 3 sd), and below that of the test for all."""
-    own = paper_setup()
-    grid, j = band_grid(own, 0.25, 25), own.names.index(name)
-    alone = plan(own, Criterion("A", (name,)), Budget(samples=1400), grid)
-    together = plan(own, Criterion("A"), Budget(samples=1400), grid)
-    _, each = spread(own, alone.schedule, 3000, 23)
-    assert each[j] == pytest.approx(alone.predicted.relative[j], rel=0.04)
-    assert alone.predicted.relative[j] < together.predicted.relative[j]
 
 
 def test_amplitudes_at_the_shakers_limits_come_true() -> None:

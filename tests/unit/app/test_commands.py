@@ -13,7 +13,7 @@ from dashpot import Estimate, __version__, read, read_rig
 from dashpot.app import cli
 from dashpot.app.commands import COMMANDS
 from dashpot.app.signals import Ended
-from dashpot.estimate.registry import METHODS, method
+from dashpot.estimate.registry import method
 from tests.unit.app.conftest import RIG, SET, VALUES, Command
 
 STEADY = (
@@ -162,10 +162,6 @@ def test_identification_loads_nothing_that_only_others_need() -> None:
 
 def test_version(dashpot: Command) -> None:
     assert dashpot("--version").out == f"dashpot {__version__}\n"
-
-
-def test_methods_have_the_names_they_are_called_by() -> None:
-    assert [method(name).name for name in METHODS] == list(METHODS)
 
 
 def test_a_fault_is_one_line_and_raised_on_request(

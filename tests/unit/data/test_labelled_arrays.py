@@ -1,11 +1,8 @@
 """Amplitudes as labelled arrays."""
 
-import sys
-
 import numpy as np
 import pytest
 
-from dashpot import UsageError
 from dashpot.data.spectrum import Spectrum
 from tests.partly_seen import noisy_base
 
@@ -25,10 +22,3 @@ def test_amplitudes_are_found_by_name_and_line(batch: Spectrum) -> None:
     assert np.array_equal(data["frequency_hz"], batch.frequency_hz)
     one = batch.derived(amplitudes=batch.amplitudes[1]).to_xarray()
     assert one["amplitude"].dims == ("line", "channel")
-
-
-def test_without_the_library_its_extra_is_named(batch: Spectrum, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(UsageError, match="xarray") as caught:
-        batch.to_xarray()
-    assert ".[analysis]" in str(caught.value.problems[0].cure)

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
-from dashpot.design.advise import Question, answer, answer_to_json, choose, compare_tests, plan_to_csv
+from dashpot.design.advise import Question, answer, choose, compare_tests
 from dashpot.design.allocation import Criterion
 from dashpot.design.plan import Budget, plan
 from dashpot.design.test_setup import band_grid, even_schedule, nominal_setup
 from dashpot.errors import UsageError
 from dashpot.quantities import frequencies
-from tests.designs import BAND, CASE3, advised, paper_setup
+from tests.designs import BAND, CASE3, paper_setup
 from tests.rigs import paper_rig
 
 
@@ -93,15 +92,3 @@ def test_sensors_by_all_sets_and_by_exchange(monkeypatch: pytest.MonkeyPatch) ->
     assert quick.ranking[0][1] == pytest.approx(found.ranking[0][1], rel=1e-3)
     with pytest.raises(UsageError, match="no channel x9"):
         choose(own, Criterion("A"), 1400, grid, 1, ("x9",))
-
-
-def test_files() -> None:
-    said = advised(paper_setup(), settle=0.5)
-    content = json.loads(answer_to_json(said))
-    assert [d["samples"] for d in content["dwells"]] == [d.samples for d in said.plan.dwells]
-    assert content["dwells"][0]["amplitudes"] == {"u": 1e-3}
-    assert content["predicted"]["m1"]["sd"] == pytest.approx(said.plan.predicted.sd[0])
-    assert content["gap"] < 1e-6
-    rows = plan_to_csv(said.plan, {"u": "N·m"}).splitlines()
-    assert rows[0] == "dwell,frequency_hz,u_amplitude_Nm,settle_s,periods,time_s,samples"
-    assert len(rows) == 1 + len(said.plan.dwells)

@@ -49,27 +49,6 @@ def test_the_papers_rig_with_relative_noise() -> None:
     assert found.gap < 1e-6
 
 
-def test_the_papers_rig_with_constant_noise() -> None:
-    own = paper_setup(None, 0.0, 0.05, 1.5)
-    found = optimise(own, Criterion("A").terms(own), 1400, band_grid(own, 0.25, 25))
-    assert np.sqrt(found.F) <= 0.0092
-    assert found.gap < 1e-6
-
-
-def test_each_parameters_own_test_is_best_for_it() -> None:
-    own = paper_setup()
-    grid = band_grid(own, 0.25, 25)
-    together = optimise(own, Criterion("A").terms(own), 1400, grid)
-    M = 1400 * np.einsum(
-        "i,siab->sab", together.share, own.information(together.frequency_hz, together.pattern)
-    )
-    spread = np.diagonal(np.linalg.inv(M[0]))
-    for j, name in enumerate(own.names):
-        alone = optimise(own, Criterion("A", (name,)).terms(own), 1400, grid)
-        assert alone.gap < 1e-6
-        assert spread[j] > alone.F
-
-
 def test_a_band_that_tells_too_little() -> None:
     rig = paper_rig()
     own = nominal_setup(

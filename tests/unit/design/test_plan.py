@@ -18,14 +18,6 @@ from tests.designs import BAND, measured, paper_setup
 from tests.rigs import paper_rig
 
 
-def test_samples_are_spent_to_the_last() -> None:
-    found = plan(paper_setup(), Criterion("A"), Budget(samples=1400), band_grid(paper_setup(), *BAND))
-    assert found.samples == 1400
-    assert found.predicted.figure <= 0.0090
-    assert 0 <= found.loss < 1e-4
-    assert found.time_s is None
-
-
 def test_time_counts_settling_and_whole_periods() -> None:
     own = paper_setup()
     budget = Budget(time=30, rate=100, settle=own.settling(), min_dwell=2.0)

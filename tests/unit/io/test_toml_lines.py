@@ -74,21 +74,6 @@ def test_an_unknown_key_of_the_root_has_no_line() -> None:
     assert Lines(TEXT).of(()) is None
 
 
-@pytest.mark.parametrize(
-    ("text", "found"),
-    [
-        ("a = 1\nb = 2\na = 3", (("a",), 1, 3)),
-        ("[s]\nk = 1\n\nk = '''\n\n'''", (("s", "k"), 2, 4)),
-        ("[s]\n[t]\n[s]", (("s",), 1, 3)),
-        ("k = { a = 1, a = 2 }", (("k", "a"), 1, 1)),
-        ("s.k = 1\ns.k = 2", (("s", "k"), 1, 2)),
-        ("a = 1\nb = 2", None),
-    ],
-)
-def test_keys_given_twice(text: str, found: object) -> None:
-    assert Lines(text).twice() == found
-
-
 def test_a_text_that_is_not_toml_gives_the_lines_until_there() -> None:
     lines = Lines("a = 1\nb = [1, 2\nc 3\nd = 4")
     assert lines.of(("a",)) == 1

@@ -229,26 +229,6 @@ def test_all_problems_are_told_at_once(folder):
     assert len(caught.value.problems) == 5
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"", "empty"),
-        (b"\xff\xfea\x00", "UTF-16"),
-        (b"a = 1\n\xe9", "2: byte 0xe9 is not UTF-8"),
-        (b"a = " + b"[" * 5000, "nested too deep|Unclosed|nclosed"),
-    ],
-)
-def test_files_that_are_no_study_file(folder, content, message):
-    path = folder / "study.toml"
-    path.write_bytes(content)
-    with pytest.raises(UsageError, match=message):
-        read_study(path)
-    with pytest.raises(UsageError, match="this is a folder"):
-        read_study(folder)
-    with pytest.raises(UsageError, match="there is no such file"):
-        read_study(folder / "other.toml")
-
-
 @pytest.mark.parametrize("end", range(20, len(STUDY) - 12, 7))
 def test_a_file_cut_short_never_passes_nor_crashes(folder, end):
     """Cut anywhere before its grid is complete, it is refused."""

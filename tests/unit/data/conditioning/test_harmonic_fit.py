@@ -157,16 +157,6 @@ def test_exact_channel_has_no_covariance():
     assert np.all(idle.covariance[:, 1] == 0)
 
 
-def test_harmonics_of_the_drive_are_found():
-    rng = np.random.default_rng(12)
-    t = np.arange(4000) / 100
-    y = wave(t, 2.03, [1]) + wave(t, 6.09, [0.05]) + 0.1 * rng.normal(size=(4000, 1))
-    assert fit_harmonics(Record((X1,), t, y, 2.03)).orders == (1, 3)
-    assert fit_harmonics(Record((X1,), t, y, 2.03), harmonics=()).orders == (1,)
-    clean = y - wave(t, 6.09, [0.05])
-    assert fit_harmonics(Record((X1,), t, clean, 2.03)).orders == (1,)
-
-
 @pytest.mark.parametrize(
     ("samples", "rate", "f", "match"),
     [

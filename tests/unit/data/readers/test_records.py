@@ -178,21 +178,6 @@ def test_a_number_that_was_cut_off_is_refused(put, last, cut):
     assert "no line end" in reading.notes[0].text
 
 
-def test_a_clipped_channel_is_told(put):
-    t = np.arange(2000) / 100
-    x = np.sin(2 * np.pi * 1.234 * t)
-    quantised = np.round(x * 50) / 50
-    for values, told in (
-        (x, False),
-        (quantised, False),
-        (np.minimum(x, 0.9), True),
-        (np.maximum(x, -0.98), True),
-    ):
-        rows = [f"{a!r},{b!r},0" for a, b in zip(t.tolist(), values.tolist(), strict=True)]
-        notes = read(put("time_s,x1,u\n" + "\n".join(rows) + "\n"), CHANNELS).notes
-        assert any(note.code == "clipped" and note.of == ("x1",) for note in notes) == told
-
-
 def test_writing_refuses_what_would_not_read_back(tmp_path):
     late = dwell(1.0)
     late = Record(CHANNELS, late.time + 2, late.values, 1.0)

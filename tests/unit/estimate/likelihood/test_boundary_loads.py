@@ -9,7 +9,6 @@ from dashpot.arrays import Real
 from dashpot.channel import Quantity
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.spectrum import Spectrum, WholeRecord, concatenate
-from dashpot.estimate.likelihood.boundary_loads import record_ends
 from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.preparation import Prepared, prepare
 from dashpot.model.dynamics import dynamic_stiffness, stiffness
@@ -144,14 +143,3 @@ def test_repeats_are_projected_each_by_itself() -> None:
     for k, (lines, factor) in enumerate(((spectrum, 1.0), (other, 1.1))):
         alone = predict(view, measured(prepared(test, lines)), factor * test.theta[None], sign[:1])
         np.testing.assert_allclose(together.cost_per_line[k], alone.cost_per_line[0], rtol=1e-6)
-
-
-def test_settled_lines_have_no_ends() -> None:
-    test, spectrum = two_records()
-    view = observation_model(test.model, spectrum.channels, spectrum.omega)
-    assert record_ends(view, spectrum) is not None
-    settled = Spectrum(
-        spectrum.channels, spectrum.frequency_hz, spectrum.amplitudes, spectrum.covariance, spectrum.samples,
-        spectrum.dof, spectrum.noise, spectrum.experiment,
-    )  # fmt: skip
-    assert record_ends(view, settled) is None

@@ -12,7 +12,6 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import directly_driven, local, measured, predict
 from dashpot.estimate.preparation import prepare
 from dashpot.model import dynamics as sparse_dynamics
-from dashpot.model import observation
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model
@@ -106,18 +105,6 @@ def chain(n, lines):
     return Bench("chain", model, values, channels, f, U, force, {"": 0.01})
 
 
-def test_sparse_rigs_are_those_of_dense_matrices(monkeypatch):
-    bench = chain(60, 5)
-    data, view = prepared(bench)
-    given = measured(data)
-    sparse = predict(view, given, bench.psi[None], np.ones((1, 6)))
-    monkeypatch.setattr(observation, "SPARSE_FROM", 1000)
-    dense = predict(view, given, bench.psi[None], np.ones((1, 6)))
-    for name in ("r", "J", "PJ", "q", "weighted"):
-        a, b = getattr(sparse, name), getattr(dense, name)
-        assert np.allclose(a, b, rtol=1e-10, atol=1e-10 * np.abs(b).max()), name
-
-
 def test_a_large_rig_costs_one_sparse_factorisation_a_line(monkeypatch):
     """And gives the same many starts at once; time itself is measured in benchmarks/large.py."""
     calls = []
@@ -131,16 +118,6 @@ def test_a_large_rig_costs_one_sparse_factorisation_a_line(monkeypatch):
     alone = local(view, given, psi[1:], np.ones((1, 6)))
     assert np.array_equal(both.cost[1:], alone.cost)
     assert np.array_equal(both.gradient[1:], alone.gradient)
-
-
-def test_a_singular_line_of_a_large_rig_is_no_answer():
-    bench = chain(60, 3)
-    data, view = prepared(bench)
-    psi = np.stack([0 * bench.psi, bench.psi])
-    with np.errstate(all="ignore"):
-        cost = local(view, measured(data), psi, np.ones((2, 6))).cost
-    assert np.isnan(cost[0])
-    assert np.isfinite(cost[1])
 
 
 def test_a_large_rig_is_identified_from_rough_guesses():

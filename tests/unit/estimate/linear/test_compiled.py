@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.auxiliary_model import equation_by_line, equation_covariance, equation_sums
 from dashpot.estimate.linear.gram import compiled_equation
-from dashpot.estimate.linear.instrumental_variables import OptimalIV, objective, search
+from dashpot.estimate.linear.instrumental_variables import objective, search
 from dashpot.estimate.linear.least_squares import starts
 from dashpot.estimate.preparation import Prepared, prepare
 from dashpot.numerics.kernel import using
@@ -93,19 +92,6 @@ def test_searches_take_the_same_steps(seed: int) -> None:
     if close[0]:
         assert len(found.history) == found.iterations[0] + 1
         np.testing.assert_array_equal(found.history[-1], found.x[0])
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_estimates_are_the_same_with_and_without_the_kernel(seed: int) -> None:
-    compiled()
-    rig, data, _ = _case(seed)
-    with using("numpy"):
-        twin = identify(rig.model, data.spectrum, OptimalIV())
-    with using("compiled"):
-        found = identify(rig.model, data.spectrum, OptimalIV())
-    np.testing.assert_allclose(found.values, twin.values, rtol=1e-9)
-    np.testing.assert_allclose(found.sd, twin.sd, rtol=1e-8)
-    np.testing.assert_allclose(found.fit.chi2, twin.fit.chi2, rtol=1e-9)
 
 
 def test_threads_and_neighbours_do_not_change_a_bit() -> None:
