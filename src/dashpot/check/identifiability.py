@@ -28,13 +28,17 @@ from dashpot.check.structure import (
     floating,
     generic_lines,
     lines_of,
+    loads_at_ends,
     nominal,
     right_vectors,
     view_of,
 )
+from dashpot.data.record import Record
 from dashpot.data.spectrum import SettledDwell, Spectrum
 from dashpot.errors import DashpotError, IdentifiabilityError, ModelError, UsageError
 from dashpot.estimate.nonlinear.objective import NonlinearPart, WarmStart, evaluate, nonlinear_part
+from dashpot.estimate.nonlinear.record_problem import begun_problem
+from dashpot.estimate.nonlinear.records import arranged
 from dashpot.estimate.preparation import prepare
 from dashpot.model.elements import Element, Kind
 from dashpot.model.modes import typical_sizes
@@ -151,7 +155,7 @@ def determines(model: Model, channels: tuple[Channel, ...], lines: LinePattern) 
     data of it are not worked out again, however many lines they have.
     """
     unknowns = len(view_of(model, channels).names)
-    some = lines.spread(2 + -(-unknowns // max(len(channels), 1)))
+    some = lines.spread(2 + -(-(unknowns + loads_at_ends(model)) // max(len(channels), 1)))
     return any(_rank(model, channels, chosen) == unknowns for chosen in (some, lines))
 
 
@@ -198,7 +202,8 @@ def _lines_enough(
     most = enough_lines(model, channels, unknowns)
     if _work(model) <= MANY:
         return most
-    count, before = 2 * -(-unknowns // (2 * max(len(channels), 1))) + 2, -1
+    equations = unknowns + loads_at_ends(model)
+    count, before = 2 * -(-equations // (2 * max(len(channels), 1))) + 2, -1
     while count < len(most.frequency):
         lines = generic_lines(model, channels, count, conjugates=False)
         rank = field.rank(exact(model, channels, lines, rng).rows)
@@ -310,15 +315,22 @@ def nonlinear_structure(
     """
     if not channels:
         raise ModelError("no channels are listed", cure="say in [channels] of the rig file what is measured")
-    given = _settled_test(model, channels) if spectrum is None else spectrum
-    data = prepare(model, given)
-    view = data.view
-    part = nonlinear_part(data, np.nan_to_num(given.amplitudes)[None], None)
     with np.errstate(all="ignore"):  # laws may overflow, which is refused below
-        psi = np.concatenate([_nominal(model, part), view.nominal_calibrations])
-        J = _slopes(model, given, part, psi)
+        if not model.inputs and spectrum is None:
+            view = view_of(model, channels)
+            psi = np.concatenate([_nominal(model, NOMINAL), view.nominal_calibrations])
+            rows: Real = _slopes_let_go(model, channels, psi)
+        else:
+            given = _settled_test(model, channels) if spectrum is None else spectrum
+            data = prepare(model, given)
+            view = data.view
+            part = nonlinear_part(data, np.nan_to_num(given.amplitudes)[None], None)
+            elongation = float(np.max(np.abs(part.q)[..., : model.D.shape[1]], initial=0.0))
+            psi = np.concatenate([_nominal(model, elongation or NOMINAL), view.nominal_calibrations])
+            J = _slopes(model, given, part, psi)
+            rows = np.concatenate([J.real, J.imag])
     scale = np.where(psi == 0, 1.0, psi)
-    rows = np.concatenate([J.real, J.imag]) * scale
+    rows = rows * scale
     if not np.all(np.isfinite(rows)):
         raise IdentifiabilityError(
             "a law is no finite number in the motion at the nominal values of the rig",
@@ -371,11 +383,9 @@ def _settled_test(model: Model, channels: Sequence[Channel]) -> Spectrum:
     )  # fmt: skip
 
 
-def _nominal(model: Model, part: NonlinearPart) -> Real:
+def _nominal(model: Model, elongation: float) -> Real:
     """θ near priors and guesses, elsewhere typical values, nonlinear forces a share of the linear ones."""
     sizes, rate = typical_sizes(model)
-    elongation = float(np.max(np.abs(part.q)[..., : model.D.shape[1]], initial=0.0))
-    elongation = elongation if elongation > 0 else NOMINAL
     stiffness = next(size for kind, size in sizes.items() if kind.value == "spring")
     kinds = {element.name: element for element in model.elements}
     constants = {f"{e.name}.{c.name}": (e, c) for e, c in model.constants}
@@ -409,6 +419,32 @@ def _with_strengths(model: Model, theta: Real, elongation: float, rate: float, f
             if not np.isfinite(theta[j]):
                 filled[j] = force / (unit[row] if unit[row] > 0 else 1.0)
     return filled
+
+
+def _slopes_let_go(model: Model, channels: Sequence[Channel], psi: Real) -> Real:
+    """Slopes of all channels along ψ in a motion from NOMINAL elongations on, its start being unknown; (rows, M).
+
+    Raises IdentifiabilityError where no motion follows at ψ.
+    """
+    samples, rate = 600, typical_sizes(model)[1]  # of a record of some 20 typical periods
+    time = np.arange(samples) * 2 * np.pi / rate / 30
+    some = np.random.default_rng(0).standard_normal(
+        (samples, len(channels))
+    )  # what was measured is no matter
+    data = arranged(model, Record(tuple(channels), time, some))
+    problem, _ = begun_problem(model, (data,), psi[: len(model.unknowns)], np.ones(len(channels)))
+    start = problem.begun[0].copy()
+    start[: model.n] = NOMINAL * (0.7 + 0.6 * np.modf(np.arange(1, model.n + 1) * GOLDEN)[0])
+    J = replace(problem, begun=(start,)).residual(0, np.concatenate([psi, start[problem.constants.starts]]))[
+        1
+    ]
+    if J is None:
+        raise IdentifiabilityError(
+            "no motion is found at the nominal values of the rig", cure="give the unknowns guesses"
+        )
+    flat = J.reshape(-1, J.shape[-1])
+    by_start = np.linalg.svd(flat[:, len(psi) :], full_matrices=False)[0]
+    return flat[:, : len(psi)] - by_start @ (by_start.T @ flat[:, : len(psi)])
 
 
 def _slopes(model: Model, spectrum: Spectrum, part: NonlinearPart, psi: Real) -> Complex:

@@ -1,6 +1,8 @@
 """What channels say about the unknowns of a rig, to first order, at a random rig and random frequencies, exactly.
 
-y = κ G(θ, s) q with s = jω; what the inputs q explain is taken out line by line.  A line of measured amplitudes and
+y = κ G(θ, s) q with s = jω; what the inputs q explain is taken out line by line.  A rig without inputs moves because
+it was let go: q = a + s b is then an impulse and a doublet at each coordinate (THEORY §8, W), the same for all lines,
+and what these explain is taken out of all lines together.  A line of measured amplitudes and
 its conjugate are two points of the field, (s, j) and (−s, −j): the unknowns are real.  The twin in floating point
 gives the numbers of a direction whose unknowns the exact one has found.
 """
@@ -14,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from dashpot.arrays import Bools, Ints, Real, freeze
+from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError, ModelError, Problem
@@ -23,7 +25,7 @@ from dashpot.experiment import RUNS, channels_of
 from dashpot.io.words import listed, with_values
 from dashpot.model.elements import Law
 from dashpot.model.modes import typical_sizes
-from dashpot.model.network import Model
+from dashpot.model.network import Input, Model
 from dashpot.model.observation import (
     ObservationModel,
     calibrated_transfer,
@@ -87,7 +89,8 @@ def require_scale(model: Model, channels: Sequence[Channel], where: str | None =
             )
         elif whole:
             what = (
-                "nothing is known and only displacements go in, so all forces scale together: "
+                f"nothing is known and {'only displacements go in' if model.inputs else 'no force is measured'}, so "
+                "all forces scale together: "
                 f"{listed(group)} times any factor give the same motion"
             )
         else:
@@ -222,7 +225,20 @@ def generic_lines(
 def enough_lines(model: Model, channels: Sequence[Channel], unknowns: int) -> LinePattern:
     """Points enough that more add nothing: one equation at each may be all, and undamped rigs know s² alone."""
     hysteretic = any(element.law.hysteretic for element in model.elements)
-    return generic_lines(model, channels, (unknowns + 2) * (2 if hysteretic else 1), conjugates=False)
+    count = (unknowns + loads_at_ends(model) + 2) * (2 if hysteretic else 1)
+    return generic_lines(model, channels, count, conjugates=False)
+
+
+def loads_at_ends(model: Model) -> int:
+    """How many loads at the ends of its record move a rig without inputs."""
+    return 0 if model.inputs else 2 * model.n
+
+
+def _let_go(model: Model) -> Model:
+    """A rig without inputs with a force at each coordinate; others as they are."""
+    if model.inputs:
+        return model
+    return replace(model, inputs=tuple(Input(f"{x}, let go", "force", {x: 1.0}) for x in model.coordinates))
 
 
 def lines_of(model: Model, spectrum: Spectrum) -> LinePattern:
@@ -263,6 +279,7 @@ def exact(model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np
 
     Raises IdentifiabilityError where the rig has no steady response, whatever its parameters.
     """
+    free, model = not model.inputs, _let_go(model)
     view = view_of(model, channels)
     m, M = view.m, len(view.names)
     psi = rng.integers(1, PRIME, M)
@@ -271,7 +288,8 @@ def exact(model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np
     column = np.where(np.any(model.T, axis=1), np.argmax(model.T != 0, axis=1), -1)
     p = np.where(column >= 0, times * psi[column] % PRIME, field.residues(model.p0.tolist()))
     s = rng.integers(1, PRIME, int(np.max(lines.frequency)) + 1)[lines.frequency]
-    present, driven, experiment = lines.present, lines.driven, lines.experiment
+    present, experiment = lines.present, lines.experiment
+    driven = np.ones((len(s), model.n), dtype=bool) if free else lines.driven
     j = np.where(np.arange(len(s)) % 2, PRIME - ROOT, ROOT)
     if lines.conjugates:
         s = np.concatenate([s, PRIME - s])
@@ -281,13 +299,20 @@ def exact(model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np
     law = np.stack([_law_in_field(element.law, s, j) for element in model.elements], axis=-1)
     for rig, some in model.by_experiment(experiment):
         law[some] *= rig.acts
-    G, y, J = _channels(model, view, p, law, s, driven, rng)
+    q = rng.integers(1, PRIME, driven.shape) * driven
+    if free:
+        q = (q[0] + q[-1] * s[:, None]) % PRIME
+    G, y, J = _channels(model, view, p, law, s, q)
     by_theta = np.zeros((*y.shape, m), dtype=np.int64)
     for e in np.flatnonzero(column >= 0):
         by_theta[..., column[e]] = (by_theta[..., column[e]] + J[..., e] * times[e]) % PRIME
     slopes = np.concatenate([by_theta, _calibration_slopes(view, psi, s, y)], axis=-1) * present[..., None]
     whole = np.concatenate([G * present[..., None], slopes], axis=-1)
-    inputs = G.shape[-1]
+    if free:
+        loads = whole[..., : model.n]
+        whole = np.concatenate([loads, loads * s[:, None, None] % PRIME, whole[..., model.n :]], axis=-1)
+        whole = whole.reshape(1, -1, whole.shape[-1])
+    inputs = whole.shape[-1] - M
     rows = [_priors(view)]
     for line in whole:
         reduced, pivots = field.echelon(line, inputs)
@@ -313,11 +338,12 @@ def _law_in_field(law: Law, s: Ints, j: Ints) -> Ints:
 
 
 def _channels(
-    model: Model, view: ObservationModel, p: Ints, law: Ints, s: Ints, driven: Bools, rng: np.random.Generator
+    model: Model, view: ObservationModel, p: Ints, law: Ints, s: Ints, q: Ints
 ) -> tuple[Ints, Ints, Ints]:
     """(G, y = G q, slopes of y by the elements at fixed q) with calibrations 1, which only scale the rows.
 
-    The exact twin of `model.observation.transfer`: p (elements,), law (lines, elements) φ, s (lines,) in place of jω.
+    The exact twin of `model.observation.transfer`: p (elements,), law (lines, elements) φ, s (lines,) in place of jω,
+    q (lines, r + s).
     """
     rig = _field_rig(model, p * law % PRIME)
     D, R = rig.stiffness()
@@ -330,7 +356,6 @@ def _channels(
     for i in range(model.n):
         G = (G + C[:, :, i, None] * X[:, None, i, :]) % PRIME
     G = G * regular[:, None, None]
-    q = rng.integers(1, PRIME, (len(s), R.shape[-1])) * driven
     x = np.sum(X * q[:, None, :] % PRIME, axis=-1) % PRIME
     y = np.sum(G * q[:, None, :] % PRIME, axis=-1) % PRIME
     J = rig.slopes(view, law, x, q, adjoint)
@@ -482,14 +507,22 @@ def floating(
     distinct = int(np.max(lines.frequency)) + 1
     grid = rate * np.geomspace(0.25, 3.0, distinct) * np.exp(rng.uniform(-0.05, 0.05, distinct))
     omega = grid[lines.frequency]
-    shape = lines.driven.shape
-    q = np.exp(rng.uniform(-0.5, 0.5, shape) + 2j * np.pi * rng.random(shape)) * lines.driven
+    free, model = not model.inputs, _let_go(model)
+    shape = (len(omega), len(model.inputs))
+    drawn = np.exp(rng.uniform(-0.5, 0.5, shape) + 2j * np.pi * rng.random(shape))
+    s = 1j * omega / rate
+    q: Complex = drawn[0].real + drawn[-1].real * s[:, None] if free else drawn * lines.driven
     view = observation_model(model, channels, omega, lines.experiment)
     rig = calibrated_transfer(view, psi, np.ones(len(channels)))
     G, y, J = rig.G, rig.amplitudes(q), rig.slopes(q)
     level = np.maximum(np.abs(y), 1e-6 * np.max(np.abs(y), axis=0, initial=0.0))
     level = np.where(lines.present, np.where(level > 0, level, 1.0), np.inf)
     G, J = G / level[..., None], J / level[..., None]
+    if free:  # real loads: real and imaginary parts are rows of their own
+        G, J = (
+            part.reshape(1, -1, part.shape[-1]) for part in (np.concatenate([G, s[:, None, None] * G], -1), J)
+        )
+        G, J = (np.concatenate([part.real, part.imag], axis=1) for part in (G, J))
     rows = [np.diag(np.where(psi == 0, 1.0, 1 / np.where(psi == 0, 1.0, psi)))[view.prior_precision > 0]]
     for g, by_psi in zip(G, J, strict=True):
         size = np.linalg.norm(g, axis=0)

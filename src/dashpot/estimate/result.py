@@ -56,6 +56,9 @@ def _faults(estimate: Estimate) -> Iterator[str]:
             yield f"{name}: {matrix.shape} numbers, and {count} unknowns"
             return
         yield from _matrix_faults(name, matrix, names)
+    for name, value, sd in estimate.stated:
+        if name not in names or not (np.isfinite(value) and 0 < sd < np.inf):
+            yield f"stated: {name} as {value} ± {sd}, which no unknown can have"
     yield from _value_faults(estimate)
 
 
@@ -81,11 +84,6 @@ def _value_faults(estimate: Estimate) -> Iterator[str]:
             yield f"tied: {root} is not among the unknowns"
         if not np.isfinite(times):
             yield f"tied: {times} is not a finite number"
-    for name, value, sd in estimate.stated:
-        if name not in names:
-            yield f"stated: {name} is not among the unknowns"
-        if not (np.isfinite(value) and 0 < sd < np.inf):
-            yield f"stated: {name} as {value} ± {sd}"
     for name, value, _ in estimate.known:
         if not abs(value) <= LARGEST:
             yield f"{name}: no value, or one that is out of range"

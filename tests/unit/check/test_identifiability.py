@@ -9,8 +9,16 @@ import pytest
 from dashpot import parse_rig
 from dashpot.channel import Channel, Quantity
 from dashpot.check import identifiability
-from dashpot.check.identifiability import Structure, determines, structure
-from dashpot.check.structure import LinePattern, LinesAtHand, exact, lines_of
+from dashpot.check.identifiability import Structure, determines, nonlinear_structure, structure
+from dashpot.check.structure import (
+    LinePattern,
+    LinesAtHand,
+    enough_lines,
+    exact,
+    floating,
+    lines_of,
+    nominal,
+)
 from dashpot.errors import IdentifiabilityError
 from dashpot.numerics import finite_field as field
 from tests.rigs import channels, paper_rig, perfect, random_rig
@@ -147,3 +155,50 @@ def test_combinations_are_coefficients_of_what_can_be_found() -> None:
     assert scale.combinations.shape == (len(scale.names) - 1, len(scale.names))
     np.testing.assert_allclose(np.sum(scale.combinations, axis=1), 0.0, atol=1e-9)
     assert scale.sensors == (Channel("…", {"u": 1.0}, Quantity.FORCE),)
+
+
+LET_GO = """
+coordinates = ["x1", "x2"]
+[masses]
+m1 = {{ at = "x1"{m1} }}
+m2 = {{ at = "x2" }}
+[springs]
+k1 = {{ between = ["x1", "x2"] }}
+k2 = {{ between = ["x2", "ground"] }}
+[dampers]
+c1 = {{ between = ["x1", "x2"] }}
+c2 = {{ between = ["x2", "ground"]{law} }}
+[channels]
+{seen}
+"""
+ONE, BOTH = 'x1 = { of = "x1" }', 'x1 = { of = "x1" }\nx2 = { of = "x2" }'
+
+
+@pytest.mark.parametrize(
+    ("m1", "seen", "missing"),
+    # Two poles are four numbers; the shapes of two modes, seen at two points, are as many again.
+    [(", value = 1", BOTH, 0), (", value = 1", ONE, 1), ("", BOTH, 1), ("", ONE, 2)],
+)
+def test_a_rig_that_was_let_go_shows_its_poles_and_shapes_and_no_forces(
+    m1: str, seen: str, missing: int
+) -> None:
+    rig = parse_rig(LET_GO.format(m1=m1, seen=seen, law=""))
+    found = structure(rig.model, rig.channels)
+    assert found.rank == len(found.names) - missing
+    slopes = floating(
+        rig.model,
+        rig.channels,
+        enough_lines(rig.model, rig.channels, 6),
+        *nominal(rig.model, rig.channels),
+        np.random.default_rng(1),
+    )
+    assert np.linalg.matrix_rank(slopes * found.nominal, 1e-8) == found.rank
+
+
+def test_a_nonlinear_rig_that_was_let_go_is_asked_for_its_motion_in_time() -> None:
+    law = ', law = "coulomb", v0 = 0.01'
+    known = parse_rig(LET_GO.format(m1=", value = 1", seen=BOTH, law=law))
+    assert nonlinear_structure(known.model, known.channels).identifiable
+    none = parse_rig(LET_GO.format(m1="", seen=BOTH, law=law))
+    found = nonlinear_structure(none.model, none.channels)
+    assert found.rank == len(found.names) - 1
