@@ -33,7 +33,7 @@ from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError
-from dashpot.estimate.automatic import identify_automatically
+from dashpot.estimate.automatic import identify_with_noise
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
@@ -149,7 +149,7 @@ class Answer:
 def answer(plan: Plan, records: list[Record], conditioning: Conditioning | None) -> Answer | None:
     """What identification makes of a test; None where it refuses."""
     try:
-        estimate = identify_automatically(plan.model, spectrum(records, conditioning))
+        estimate = identify_with_noise(plan.model, spectrum(records, conditioning))[0]
     except DashpotError:
         return None
     low, high = np.array([estimate[name].interval95 for name in estimate.names]).T

@@ -25,7 +25,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.explain.examine import examined
 from dashpot.errors import DashpotError, IdentifiabilityError
-from dashpot.estimate.automatic import identify_automatically
+from dashpot.estimate.automatic import identify_with_noise
 from dashpot.estimate.modal import identify_modal
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
@@ -129,7 +129,7 @@ def diagnoses(seeds: range) -> Iterator[tuple[str, float]]:
                 continue  # this rig has no such part to get wrong
             start = time.process_time()
             try:
-                examined(case.model, case.spectrum, identify_automatically(case.model, case.spectrum))
+                examined(case.model, case.spectrum, identify_with_noise(case.model, case.spectrum)[0])
             except DashpotError:
                 continue
             yield name, time.process_time() - start
@@ -204,7 +204,7 @@ def large() -> None:
         start = time.process_time()
         try:
             require_identifiable(model, channels, None, spectrum)
-            estimate = identify_automatically(model, spectrum)
+            estimate = identify_with_noise(model, spectrum)[0]
             away = np.max(np.abs(estimate.values - theta) / estimate.sd)
             said = f"{len(theta)} unknowns, largest error {away:.1f} sd"
         except IdentifiabilityError as error:

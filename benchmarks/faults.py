@@ -20,7 +20,7 @@ from dashpot.channel import Quantity
 from dashpot.check.explain.examine import examined
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError
-from dashpot.estimate.automatic import identify_automatically
+from dashpot.estimate.automatic import identify_with_noise
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the rigs and mistakes of the tests
 from tests import rigs
@@ -73,7 +73,7 @@ def blind(seed: int, largest: int) -> tuple[str, str]:
         except (ValueError, IndexError):
             continue  # this rig has no such part to get wrong
     try:
-        estimate = identify_automatically(case.model, case.spectrum)
+        estimate = identify_with_noise(case.model, case.spectrum)[0]
         assessment = examined(case.model, case.spectrum, estimate).assessment
     except DashpotError:
         return name, REFUSED
@@ -88,7 +88,7 @@ def blind(seed: int, largest: int) -> tuple[str, str]:
 def alarm(seed: int, largest: int) -> bool:
     """Whether a clean test is said not to fit."""
     rig, spectrum, _ = thrown(seed, largest)
-    assessment = examined(rig.model, spectrum, identify_automatically(rig.model, spectrum)).assessment
+    assessment = examined(rig.model, spectrum, identify_with_noise(rig.model, spectrum)[0]).assessment
     return assessment is not None and assessment.verdict == "does not fit"
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError
-from dashpot.estimate.automatic import identify_automatically
+from dashpot.estimate.automatic import identify_with_noise
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests import rigs
@@ -30,7 +30,7 @@ ABOVE = 0.05  # of χ²: the same minimum
 def outcome(rig: rigs.Rig, spectrum: Spectrum) -> str:
     """How one draw ended: "right", "wrong", "silent", "lower" than beside the truth, "unphysical" or "refused"."""
     try:
-        best, estimate = beside_truth(rig, spectrum), identify_automatically(rig.model, spectrum)
+        best, estimate = beside_truth(rig, spectrum), identify_with_noise(rig.model, spectrum)[0]
     except DashpotError:
         return "refused"
     if not (bool(best.converged) and bool(np.all(best.values > -2 * best.noise_sd))):

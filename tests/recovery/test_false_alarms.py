@@ -5,7 +5,7 @@ import pytest
 
 from dashpot.channel import Quantity
 from dashpot.check.verdict import assess
-from dashpot.estimate.automatic import identify_automatically
+from dashpot.estimate.automatic import identify_with_noise
 from tests import rigs
 
 TESTS = 100
@@ -21,6 +21,6 @@ def test_clean_tests_are_called_misfits_no_more_often_than_stated() -> None:
         quantity = (Quantity.DISPLACEMENT, Quantity.ACCELERATION)[int(rng.integers(2))]
         channels = rigs.channels(rig, (quantity,))
         spectrum = rigs.noisy(rig, channels, rigs.covariance(rig, channels, 0.01, inputs=0.01), rng)
-        verdict = assess(rig.model, spectrum, identify_automatically(rig.model, spectrum)).verdict
+        verdict = assess(rig.model, spectrum, identify_with_noise(rig.model, spectrum)[0]).verdict
         alarms += verdict == "does not fit"
     assert alarms <= 5

@@ -16,14 +16,11 @@ import numpy as np
 from dashpot.arrays import Bools, Ints
 from dashpot.data.spectrum import Moments, Spectrum, flattened, in_chunks
 from dashpot.errors import ConvergenceError, IdentifiabilityError
-from dashpot.estimate.identify import automatic, identify
+from dashpot.estimate.identify import fitted, identify, plan
 from dashpot.estimate.inference.diagnostics import of_one_sign
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE, apart, not_unique
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.likelihood.settling import with_settling_decided
-from dashpot.estimate.likelihood.table_noise import with_residual_noise
 from dashpot.estimate.method import Method
-from dashpot.estimate.registry import method as method_named
 from dashpot.estimate.registry import method_class
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
@@ -32,48 +29,6 @@ from dashpot.notices import Notice
 
 LARGEST = 8  # coordinates: beyond, many starts take longer than anyone waits
 BEYOND = 2.0  # standard deviations by which a negative part is no accident
-
-
-def suited_method(name: str | None, model: Model, spectrum: Spectrum, *, seed: int, positive: bool) -> Method:
-    """The method of that name, None: the one that suits; `positive` holds every unknown at or above 0.
-
-    Raises UsageError where there is no such method, or where it cannot hold bounds.
-    """
-    chosen = automatic(model, spectrum, bounded=positive).name if name is None else name
-    return method_named(chosen, seed=seed, positive=True) if positive else method_named(chosen, seed=seed)
-
-
-def identify_automatically(
-    model: Model,
-    spectrum: Spectrum,
-    method: Method | None = None,
-    *,
-    seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
-) -> Estimate:
-    """The estimate by `method` (that of `automatic`), or by a thorough search where that is likelier.
-
-    Repeats are estimated by the first alone.  Raises as `identify`.
-    """
-    spectrum = with_settling_decided(model, spectrum, method)
-    first = automatic(model, spectrum) if method is None else method
-    plain = MaximumLikelihood(seed=seed)
-    if spectrum.batch or first.traits.by_output:
-        return identify(model, spectrum, first, progress=progress)
-    try:
-        estimate = identify(model, spectrum, first, progress=progress)
-    except (IdentifiabilityError, ConvergenceError):
-        # ml, from many starts if the rig is small, where the first has no answer; its error where neither has
-        search = _searched if model.n <= LARGEST else _converged
-        second = search(model, spectrum, plain)
-        if second is None:
-            raise
-        text = f"{first.name} finds no solution here; ml is used instead"
-        return replace(second, warnings=(*second.warnings, Notice("another_method", text)))
-    if not may_be_another_minimum(model, spectrum, estimate) or model.n > LARGEST:
-        return estimate
-    second = _searched(model, spectrum, plain)
-    return estimate if second is None else _likelier(model, estimate, second)
 
 
 def identify_with_noise(
@@ -87,20 +42,27 @@ def identify_with_noise(
 ) -> tuple[Estimate, Spectrum]:
     """The estimate that all commands and Python give, and the spectrum with the noise it rests on, which judges it.
 
-    A method that is named or given stands; without one, another may take the place of the one that suits.  `seed` and
-    `positive` as of `suited_method`; they stand in a method that is given.  Raises as that and `identify`.
+    A method that is named or given stands; without one, a thorough search may take the place of the one that suits.
+    Repeats are estimated by that alone.  `seed` and `positive` as of `suited_method`.  Raises as that and `identify`.
     """
-    given = (
-        suited_method(method, model, spectrum, seed=seed, positive=positive)
-        if isinstance(method, str)
-        else method
-    )
-    spectrum = with_settling_decided(model, spectrum, given)
-    first = suited_method(None, model, spectrum, seed=seed, positive=positive) if given is None else given
-    spectrum, first = with_residual_noise(model, spectrum, first)
-    if given is not None:
-        return identify(model, spectrum, first, progress=progress), spectrum
-    return identify_automatically(model, spectrum, first, seed=seed, progress=progress), spectrum
+    spectrum, first = plan(model, spectrum, method, seed=seed, positive=positive)
+    plain = MaximumLikelihood(seed=seed)
+    if method is not None or spectrum.batch or first.traits.by_output:
+        return fitted(model, spectrum, first, progress=progress), spectrum
+    try:
+        estimate = fitted(model, spectrum, first, progress=progress)
+    except (IdentifiabilityError, ConvergenceError):
+        # ml, from many starts if the rig is small, where the first has no answer; its error where neither has
+        search = _searched if model.n <= LARGEST else _converged
+        second = search(model, spectrum, plain)
+        if second is None:
+            raise
+        text = f"{first.name} finds no solution here; ml is used instead"
+        return replace(second, warnings=(*second.warnings, Notice("another_method", text))), spectrum
+    if not may_be_another_minimum(model, spectrum, estimate) or model.n > LARGEST:
+        return estimate, spectrum
+    second = _searched(model, spectrum, plain)
+    return estimate if second is None else _likelier(model, estimate, second), spectrum
 
 
 def identify_each(

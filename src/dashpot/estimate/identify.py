@@ -101,24 +101,60 @@ def identify(
     Raises UsageError or DataError where the data lack what the method needs, IdentifiabilityError where they do not
     determine the unknowns.
     """
+    return fitted(model, *plan(model, spectrum, method), progress=progress)
+
+
+def plan(
+    model: Model,
+    spectrum: Spectrum,
+    method: Method | str | None = None,
+    *,
+    seed: int = 0,
+    positive: bool = False,
+) -> tuple[Spectrum, Method]:
+    """What an estimate rests on, decided here and once: whether short dwells have settled, the method, the noise.
+
+    The spectrum then carries its noise, and the method may begin where that was found.  `seed` and `positive` as of
+    `suited_method`; they stand in a method that is given.  Raises as `identify`.
+    """
     model.require_unknowns()
     if spectrum.lines == 0:
         raise DataError("there are no lines in the data", cure="give at least one frequency")
     if isinstance(method, str):
-        method = method_named(method)
+        method = suited_method(method, model, spectrum, seed=seed, positive=positive)
     spectrum = with_settling_decided(model, spectrum, method)
-    chosen = automatic(model, spectrum) if method is None else method
-    _require_able(model, spectrum, chosen)
-    spectrum, chosen = with_residual_noise(model, spectrum, chosen)
+    if method is None:
+        method = suited_method(None, model, spectrum, seed=seed, positive=positive)
+    _require_able(model, spectrum, method)
+    return with_residual_noise(model, spectrum, method)
+
+
+def fitted(
+    model: Model,
+    spectrum: Spectrum,
+    method: Method,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Estimate:
+    """The estimate that a plan comes to.  Raises as `identify`."""
     flat = flattened(spectrum)
     repeats = len(flat.amplitudes)
     size = max(1, CHUNK // (flat.lines * (model.n + 1) * (len(model.elements) + len(flat.channels))))
     parts: list[Inference] = []
     for part in in_chunks(flat, size):
-        parts.append(_identified(model, part, chosen))
+        parts.append(_identified(model, part, method))
         if progress is not None:
             progress(min(len(parts) * size, repeats), repeats)
-    return _estimate(model, chosen, parts, spectrum.batch, flat)
+    return _estimate(model, method, parts, spectrum.batch, flat)
+
+
+def suited_method(name: str | None, model: Model, spectrum: Spectrum, *, seed: int, positive: bool) -> Method:
+    """The method of that name, None: the one that suits; `positive` holds every unknown at or above 0.
+
+    Raises UsageError where there is no such method, or where it cannot hold bounds.
+    """
+    chosen = automatic(model, spectrum, bounded=positive).name if name is None else name
+    return method_named(chosen, seed=seed, positive=True) if positive else method_named(chosen, seed=seed)
 
 
 def automatic(model: Model, spectrum: Spectrum, *, bounded: bool = False) -> Method:

@@ -1,14 +1,20 @@
 """One estimate of one set of data, whoever is asked for it."""
 
 import json
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 import pytest
 
 from dashpot import api, identify, read_rig
 from dashpot.channel import Channel
+from dashpot.check.identifiability import determines
 from dashpot.data.readers import write_amplitudes, write_records
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.assessment import Finding
@@ -22,7 +28,7 @@ from dashpot.study.scenario import AUTO, Scenario
 from dashpot.study.simulate import dwells
 from tests import rigs
 from tests.two_masses import RIG as TWO_MASSES
-from tests.unit.app.conftest import Command
+from tests.unit.app.conftest import SET, Command
 
 SAME = 1e-9  # of a standard deviation
 
@@ -188,3 +194,53 @@ def test_an_error_without_known_causes_is_raised_as_it_is(
     told = dashpot("identify rig.toml data.csv -q")
     assert (told.code, told.err) == (3, ["dashpot: no end; give a guess"])
     assert refused.__cause__ is None
+
+
+DECISIONS = {
+    "estimate/identify.py": {"plan"},
+    "likelihood/settling.py": {"settling_test"},
+    "likelihood/table_noise.py": {"with_residual_noise"},
+    "check/identifiability.py": {"structure", "determines"},
+}
+
+
+@contextmanager
+def counted() -> Iterator[Counter[str]]:
+    """How often each decision is taken."""
+    calls: Counter[str] = Counter()
+
+    def note(frame: FrameType, event: str, argument: object) -> None:
+        if event == "call":
+            place = "/".join(Path(frame.f_code.co_filename).parts[-2:])
+            if frame.f_code.co_name in DECISIONS.get(place, ()):
+                calls[frame.f_code.co_name] += 1
+
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        yield calls
+    finally:
+        sys.setprofile(before)
+
+
+TABLE = "--frequencies 1:15/8log --amplitude u=0.01 --table"
+SHORT = "--frequencies 1:15/8log --amplitude u=0.01 --periods 1.5"
+
+
+@pytest.mark.parametrize(
+    ("sent", "tests"),
+    [("--frequencies 1:15/8log --amplitude u=0.01", 0), (TABLE, 0), (SHORT, 1)],
+    ids=["dwells", "table", "short dwells"],
+)
+def test_no_decision_is_taken_twice_from_the_command_to_the_numbers(
+    sent: str, tests: int, dashpot: Command, rig: Path
+) -> None:
+    """Whether the rig can be identified is asked before data are read, and of their lines: once each."""
+    made = dashpot(f"simulate rig.toml --out data.csv {sent} {SET}")
+    assert made.code == 0, made.err
+    determines.cache_clear()  # which remembers the rig
+    with counted() as calls:
+        ran = dashpot("identify rig.toml data.csv --json estimate.json --quiet")
+    assert ran.code == 0, ran.err
+    once = ("plan", "with_residual_noise", "structure", "determines")
+    assert calls == Counter(dict.fromkeys(once, 1) | ({"settling_test": tests} if tests else {}))

@@ -9,7 +9,7 @@ from dashpot.arrays import Real
 from dashpot.check.profile import with_profile_intervals
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
-from dashpot.estimate.automatic import identify_automatically
+from dashpot.estimate.automatic import identify_with_noise
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.result import Estimate
@@ -48,7 +48,7 @@ def test_what_the_likelihood_allows_is_in_the_intervals() -> None:
     model, theta, data = seen_at_two_of_four(7)
     valleys = 0
     for spectrum in (data[1], data[5], data[6]):
-        estimate = with_profile_intervals(model, spectrum, identify_automatically(model, spectrum))
+        estimate = with_profile_intervals(model, spectrum, identify_with_noise(model, spectrum)[0])
         low, high = estimate.interval()
         for j in range(len(theta)):
             if rise_at_the_truth(model, spectrum, estimate, theta, j) < 3.5:
@@ -71,7 +71,7 @@ def test_coverage_where_there_are_several_valleys() -> None:
     held, endless = [], 0
     for spectrum in data:
         try:
-            estimate = identify_automatically(model, spectrum)
+            estimate = identify_with_noise(model, spectrum)[0]
         except IdentifiabilityError:
             endless += 1
             continue

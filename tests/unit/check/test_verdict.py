@@ -14,7 +14,7 @@ from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
-from dashpot.estimate.automatic import identify_automatically
+from dashpot.estimate.automatic import identify_with_noise
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.diagnostics import wrong_signs
 from dashpot.model.dynamics import response
@@ -88,7 +88,7 @@ def test_a_change_in_the_course_of_a_record_is_reason_and_cause() -> None:
 def test_an_unstable_rig_does_not_fit_where_no_noise_is_given() -> None:
     """Lines too far apart to show their noise."""
     few = functions(12, 0.01, truth=PUSHED | {"c1": -1.0, "c2": -0.5})
-    estimate = identify_automatically(RIG, few)
+    estimate = identify_with_noise(RIG, few)[0]
     assert not estimate.fit.known_noise
     assessment = assess(RIG, few, estimate)
     assert assessment.verdict == "does not fit"
@@ -163,7 +163,7 @@ def bench(seed: int = 0) -> tuple[Model, Spectrum]:
 def test_a_motor_bench_without_its_sign_and_delay_does_not_fit() -> None:
     """Either angle may be the one that is turned: two causes at once are two steps."""
     model, data = bench()
-    estimate = examined(model, data, identify_automatically(model, data))
+    estimate = examined(model, data, identify_with_noise(model, data)[0])
     assert estimate.assessment.verdict == "does not fit"
     first, second = estimate.assessment.findings[:2]
     assert first.kind == "sign"
@@ -179,7 +179,7 @@ def test_one_bad_dwell_of_many_is_named(fault: str) -> None:
     values[:, :2] *= 1e-3 if fault == "dead" else -1.0
     records[bad] = Record(CHANNELS, records[bad].time, values, records[bad].frequency_hz)
     data = spectrum(records)
-    estimate = examined(PAPER.model, data, identify_automatically(PAPER.model, data))
+    estimate = examined(PAPER.model, data, identify_with_noise(PAPER.model, data)[0])
     assert estimate.assessment.verdict == "does not fit"
     first = estimate.assessment.findings[0]
     assert (first.kind, first.of) == ("dwell", (f"{records[bad].frequency_hz:g} Hz",))

@@ -48,7 +48,7 @@ def with_settling_decided(model: Model, spectrum: Spectrum, method: Method | Non
     if spectrum.batch or len(model.nonlinear):
         return as_settled
     try:
-        whole, p = _test(model, as_settled, whole)
+        whole, p = settling_test(model, as_settled, whole)
     except (DashpotError, np.linalg.LinAlgError):
         return as_settled
     count = len(_dwells(whole))
@@ -92,7 +92,7 @@ class _Fit:
         )
 
 
-def _test(model: Model, as_settled: Spectrum, whole: Spectrum) -> tuple[Spectrum, float]:
+def settling_test(model: Model, as_settled: Spectrum, whole: Spectrum) -> tuple[Spectrum, float]:
     """The dwells as whole records, with the noise of their residuals, and the p-value of there being no transient."""
     known, fit, method = _slopes_decided(model, whole)
     p = _no_transient(model, as_settled, known, fit, method)

@@ -7,7 +7,7 @@ import pytest
 
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
-from dashpot.estimate.automatic import identify_automatically
+from dashpot.estimate.automatic import identify_with_noise
 from dashpot.estimate.likelihood.settling import with_settling_decided
 from dashpot.estimate.result import Estimate
 from tests.unit.data.conditioning.test_transients import FREQUENCIES, MODEL, THETA, stepped
@@ -38,7 +38,7 @@ def test_transients_that_no_dwell_shows_are_found_by_all_together() -> None:
     decided = with_settling_decided(MODEL, given)
     assert len(decided.records) == len(FREQUENCIES)
     assert [note.code for note in decided.notes if "transient" in note.code] == ["dwells_with_transients"]
-    assert away(identify_automatically(MODEL, given)) < 4
+    assert away(identify_with_noise(MODEL, given)[0]) < 4
 
 
 @pytest.mark.parametrize("slope", [False, True])
@@ -51,7 +51,7 @@ def test_loads_that_explain_nothing_are_left_out_together(slope: bool) -> None:
     assert "settled_by_evidence" in [note.code for note in decided.notes]
     np.testing.assert_array_equal(decided.amplitudes, given.amplitudes)
     assert with_settling_decided(MODEL, decided) is decided
-    assert away(identify_automatically(MODEL, given)) < 4
+    assert away(identify_with_noise(MODEL, given)[0]) < 4
 
 
 def every(step: int, records: list[Record]) -> list[Record]:
@@ -75,12 +75,12 @@ def test_dwells_of_ten_samples_have_transients_and_frequencies_too() -> None:
     moving = every(3, stepped(0.01, periods=1.5))
     assert {len(record.time) for record in moving} == {10}
     assert len(with_settling_decided(MODEL, spectrum(moving)).records) == len(FREQUENCIES)
-    assert away(identify_automatically(MODEL, spectrum(moving))) < 4
+    assert away(identify_with_noise(MODEL, spectrum(moving))[0]) < 4
     held = []
     for seed in range(8):
         records = every(2, stepped(0.002, periods=1.0, settle=4.0, seed=seed))
         stated = [replace(record, frequency_hz=1.015 * (record.frequency_hz or 0.0)) for record in records]
-        low, high = identify_automatically(MODEL, spectrum(stated)).interval()
+        low, high = identify_with_noise(MODEL, spectrum(stated))[0].interval()
         held.append((low <= THETA) & (high >= THETA))
     assert np.mean(held) > 0.79
 
@@ -109,7 +109,7 @@ def test_the_test_of_settling_errs_as_often_as_stated_and_intervals_hold() -> No
     assert 0 <= np.sum(np.array(p) < 0.05) <= 9  # binomial of 60 at 5 %: 9 or fewer in 99.8 %
     held = []
     for k in range(60):
-        estimate = identify_automatically(MODEL, spectrum(stepped(0.01, periods=1.5, seed=k)))
+        estimate = identify_with_noise(MODEL, spectrum(stepped(0.01, periods=1.5, seed=k)))[0]
         low, high = estimate.interval()
         held.append((low <= THETA) & (high >= THETA))
     assert np.mean(held) == pytest.approx(0.95, abs=0.06)
