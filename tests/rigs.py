@@ -389,3 +389,9 @@ def paper_rig(frequency_hz: Sequence[float] | None = None) -> Rig:
     f = np.array(CASE_3.split() if frequency_hz is None else frequency_hz, dtype=float)
     theta = np.array([3.0, 2.7, 30.0, 40.0, 90.0, 50.0])
     return Rig(model, theta, f, np.full((len(f), 1), -1j), np.zeros((len(f), 0), dtype=complex))
+
+
+def measured(rig: Rig, noise: float = 0.03, seed: int = 1) -> Spectrum:
+    """Displacements of all coordinates with noise of this share of each, drawn by this seed."""
+    seen = channels(rig)
+    return noisy(rig, seen, covariance(rig, seen, noise), np.random.default_rng(seed))

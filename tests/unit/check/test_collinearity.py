@@ -7,15 +7,9 @@ import pytest
 
 from dashpot.check.evidence import collinearity
 from dashpot.check.profile import chi2_surface
-from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from tests.networks import network
-from tests.rigs import Rig, channels, covariance, noisy, paper_rig
-
-
-def measured(rig: Rig, noise: float = 0.03, seed: int = 1) -> Spectrum:
-    seen = channels(rig)
-    return noisy(rig, seen, covariance(rig, seen, noise), np.random.default_rng(seed))
+from tests.rigs import Rig, measured, paper_rig
 
 
 def two_dampers() -> Rig:

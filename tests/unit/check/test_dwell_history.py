@@ -46,8 +46,3 @@ def test_predictions_lie_on_the_samples() -> None:
         measured = one.measured - np.mean(one.measured, axis=0)
         away = measured - one.predicted(one.time)
         assert np.max(np.abs(away - np.mean(away, axis=0))) < 1e-6 * np.max(np.abs(measured))
-
-
-def test_nothing_to_show_without_dwells() -> None:
-    lines = spectrum(records(), SETTINGS)
-    assert dwell_histories((), residuals(RIG.model, RIG.model.theta(VALUES), lines)) == ()

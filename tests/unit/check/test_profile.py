@@ -6,18 +6,12 @@ import numpy as np
 import pytest
 
 from dashpot.check.profile import profile
-from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.table_noise import with_residual_noise
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
-from tests.rigs import Rig, channels, covariance, noisy, paper_rig, perfect
-
-
-def measured(rig: Rig, noise: float = 0.03, seed: int = 1) -> Spectrum:
-    seen = channels(rig)
-    return noisy(rig, seen, covariance(rig, seen, noise), np.random.default_rng(seed))
+from tests.rigs import channels, covariance, measured, noisy, paper_rig, perfect
 
 
 def test_profile_of_a_parabola_is_the_normal_interval() -> None:

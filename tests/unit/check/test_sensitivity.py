@@ -7,20 +7,14 @@ import pytest
 
 from dashpot.check.sensitivity import known_errors
 from dashpot.data.conditioning.whole_record import whole_record
-from dashpot.data.spectrum import Spectrum
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
 from dashpot.estimate.method import Method
 from tests.networks import network
-from tests.rigs import Rig, channels, covariance, noisy, paper_rig
+from tests.rigs import Rig, measured, paper_rig
 from tests.whole_rigs import chain, record_of
-
-
-def measured(rig: Rig, noise: float = 0.03, seed: int = 1) -> Spectrum:
-    seen = channels(rig)
-    return noisy(rig, seen, covariance(rig, seen, noise), np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize(

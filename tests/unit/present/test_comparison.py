@@ -8,13 +8,9 @@ import pytest
 from matplotlib.colors import to_hex
 from rich.console import Console
 
-from dashpot.check.element_evidence import ElementComparison, ElementEvidence
 from dashpot.estimate.comparison import Comparison, compare
 from dashpot.estimate.registry import method
-from dashpot.model.elements import Kind, between
-from dashpot.model.nonlinear.force_law import force_law
-from dashpot.present.comparison import comparison_document, elements_document
-from dashpot.present.document import printed as text_of
+from dashpot.present.comparison import comparison_document
 from dashpot.present.document import show
 from dashpot.present.figures.comparison import comparison_figure, interval_plot
 from dashpot.present.figures.style import BAD, COLOURS, png
@@ -63,23 +59,6 @@ def test_each_method_has_a_row_below_the_truth_and_the_bound(comparison: Compari
     assert len(starred) == 1
     assert float(rows["oiv"][-1]) == pytest.approx(100 * 0.5 / 3.5, rel=0.1)  # the worst error, of m1
     assert any(line.startswith("ls: ") for line in lines)
-
-
-def test_nothing_is_said_of_a_truth_that_is_not_known(comparison: Comparison) -> None:
-    blind = Comparison(comparison.model, comparison.names, comparison.units, comparison.estimates, {}, {})
-    text = "\n".join(printed(blind, 80))
-    assert "truth" not in text
-    assert "worst" not in text
-    assert "*" not in text
-
-
-def test_marks_are_those_of_the_level(comparison: Comparison) -> None:
-    """A truth 1.5 sd off is missed by the interval of 50 %, not by that of 95 %."""
-    oiv = comparison.estimates["oiv"]
-    near = {"c3": oiv["c3"].value + 1.5 * oiv["c3"].sd}
-    one = Comparison(comparison.model, comparison.names, comparison.units, {"oiv": oiv}, {}, near)
-    assert not [line for line in printed(one, 80) if "*" in line]
-    assert "*: the 50 % interval misses the truth." in printed(one, 80, 0.5)
 
 
 def test_the_bound_is_that_of_the_test_not_of_measured_modes(comparison: Comparison) -> None:
@@ -135,13 +114,3 @@ def test_estimates_without_intervals_are_drawn_as_dots() -> None:
     assert axes.get_xlim()[0] < 2.0 < 2.1 < axes.get_xlim()[1]
     dots = [line for line in axes.lines if line.get_marker() == "o"]
     assert {to_hex(line.get_color()) for line in dots} == {COLOURS[0]}  # nothing is said to miss
-
-
-@pytest.mark.parametrize(("value", "said"), [(-0.3, True), (0.3, False)])
-def test_a_negative_damper_is_said_to_be_one(value: float, said: bool) -> None:
-    damper = replace(between("cq", Kind.DAMPER, "x", "u"), force_law=force_law("v*abs(v)", damper=True))
-    best = ElementEvidence((damper,), (value,), 0.7, 50.0)
-    document = elements_document(ElementComparison("rig", 100.0, (best,), best))
-    text = " ".join(text_of(document, 100).split())
-    assert ("cq (v*abs(v), x-u, negative)" in text) == said
-    assert ("comes out negative" in text) == said

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from dashpot import Estimate, dwells, identify, parse_rig, simulate_spectrum
+from dashpot import Estimate, identify
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.estimate.assessment import Assessment
 from dashpot.notices import Notice
@@ -94,24 +94,6 @@ def test_what_the_fit_says_is_said_once(good: Estimate, bad: Estimate) -> None:
         reasons = (Notice("negative", f"{named} is negative", (named,)),)
         told = replace(other, assessment=Assessment("does not fit", reasons))
         assert warnings_in_words(told) == wanted
-
-
-def test_not_converged_is_loud(good: Estimate) -> None:
-    stuck = replace(good, converged=np.asarray(False))
-    assert "NOT CONVERGED" in printed(stuck)
-
-
-def test_motions_that_do_not_oscillate() -> None:
-    rig = parse_rig(
-        'coordinates = ["x"]\n[inputs]\nu = {}\n[masses]\nm = { at = "x", value = 1 }\n'
-        '[springs]\nk = { between = ["x", "u"] }\n[dampers]\nc = { between = ["x", "u"] }\n'
-    )
-    p = rig.model.parameters(rig.model.theta({"k": 4.0, "c": 10.0}))
-    spectrum = simulate_spectrum(
-        rig.model, p, rig.channels, dwells(rig.model, [0.1, 0.5, 2.0], 50), np.random.default_rng(0)
-    )
-    text = printed(identify(rig.model, spectrum))
-    assert "does not oscillate: decays in 2.40 s" in text
 
 
 def test_coloured_noise_is_answered_with_options_only_where_there_are_records(good: Estimate) -> None:
