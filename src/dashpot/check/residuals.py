@@ -584,22 +584,24 @@ def _history(dwell: UsedDwell, found: Residuals, channels: Sequence[int]) -> Dwe
     record, lines = dwell.record, dwell.lines
     start = float(record.time[0])
     factor = np.array([real_factor(channel) for channel in record.channels])
+    at = [found.channels.index(channel.name) for channel in record.channels]
+    own = [at.index(c) for c in channels if c in at]
     values = record.values / factor
     inside = (record.time >= dwell.begin) & (record.time <= dwell.end)
     values = values - np.mean(values[inside], axis=0)
     f = found.frequency_hz[lines]
     # As the sensor shows it: late by its known delay, and with phases counted from the first sample on.
-    shown = found.predicted[lines] / (calibration(record.channels, f) * factor)
+    shown = found.predicted[lines][:, at] / (calibration(record.channels, f) * factor)
     shown = shown * np.exp(2j * np.pi * f * start)[:, None]
     return DwellHistory(
         record.source,
         float(f[0]),
-        tuple(found.channels[c] for c in channels),
-        tuple(found.units[c] for c in channels),
+        tuple(found.channels[at[c]] for c in own),
+        tuple(found.units[at[c]] for c in own),
         record.time - start,
-        values[:, channels],
+        values[:, own],
         dwell.begin - start,
         dwell.end - start,
         f,
-        np.nan_to_num(shown[:, channels]),
+        np.nan_to_num(shown[:, own]),
     )

@@ -431,6 +431,19 @@ class Model:
         own = [e.only == here or (e.only is None and e.name not in replaced) for e in self.elements]
         return frozen(own, np.bool_)
 
+    @property
+    def present_elements(self) -> tuple[Element, ...]:
+        """The elements that there are in the experiment that the rig stands in."""
+        return tuple(element for element, acts in zip(self.elements, self.acts, strict=True) if acts)
+
+    @property
+    def alone(self) -> Model:
+        """The rig of the experiment that it stands in, without what belongs to others."""
+        if not self.experiments:
+            return self
+        there = (replace(element, only=None, stands_for=None) for element in self.present_elements)
+        return replace(self, elements=tuple(there), experiments=(), standing=0)
+
     def standing_in(self, number: int) -> Model:
         """The rig as it stands in one of its experiments, by number from 1; 0: in none of them."""
         if number not in self._standings:

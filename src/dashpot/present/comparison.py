@@ -12,7 +12,7 @@ from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model
-from dashpot.model.rigfile import element_line
+from dashpot.model.rigfile import element_line, element_section
 from dashpot.present.document import Document, Provenance, Table, TableColumn, columns_of, section
 from dashpot.present.figures.comparison import comparison_figure
 from dashpot.present.page import figure_picture, page_html
@@ -192,7 +192,7 @@ def elements_document(comparison: ElementComparison) -> Document:
     else:
         named = " and ".join(_named(chosen))
         texts.append(f"The data call for {named}. Nothing has been added; to add it, write")
-        texts += [f"  [{element.kind.section}] {element_line(element)}" for element in chosen.elements]
+        texts += [f"  {element_section(element)} {element_line(element)}" for element in chosen.elements]
         texts += [
             f"{name} comes out negative. No passive damper is: it corrects what other dampers take for too much."
             for name in _negative_dampers(chosen)

@@ -84,6 +84,7 @@ def command(
     read = read_rig(rig)
     read.model.require_unknowns(rig)
     if elements:
+        read.require_alike("--elements")
         return _elements(read, data, records, json_out)
     chosen = named or methods_for(read.model)
     true = None if truth is None else true_values(read, truth)

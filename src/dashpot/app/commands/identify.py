@@ -301,8 +301,13 @@ def _write_applied(rig: Rig, finding: Finding, path: str) -> None:
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import write_rig
 
-    model, channels = applied(rig.model, rig.channels, finding)
-    write_text(path, write_rig(replace(rig, model=model, channels=channels)))
+    model, channels = applied(rig.model, rig.all_channels, finding)
+    usual = tuple(channel for channel in channels if channel.only is None)
+    experiments = tuple(
+        replace(each, channels=tuple(channel for channel in channels if channel.only == each.name))
+        for each in rig.experiments
+    )
+    write_text(path, write_rig(replace(rig, model=model, channels=usual, experiments=experiments)))
 
 
 def _draw(path: str, rig: Rig, found: Identified) -> None:

@@ -17,7 +17,7 @@ from dashpot.check.explain.effect import Baseline, Effect, Phrase, said
 from dashpot.check.explain.problem import LineProblem
 from dashpot.errors import DashpotError
 from dashpot.model.network import Model
-from dashpot.model.rigfile import channel_line
+from dashpot.model.rigfile import channel_line, channel_section
 from dashpot.unknowns import Unknown
 
 # Ratios of usual units, rms and peak, degrees and radians, and their inverses.
@@ -93,7 +93,7 @@ def delayed(channel: Channel, late: float) -> Channel:
 
 
 def _line(model: Model, channel: Channel) -> str:
-    return f"[channels] {channel_line(channel, model)}"
+    return f"{channel_section(channel)} {channel_line(channel, model)}"
 
 
 # A factor: another sign, unit or gain.

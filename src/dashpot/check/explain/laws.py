@@ -57,7 +57,7 @@ from dashpot.model.observation import (
     calibration_factors,
     observation_model,
 )
-from dashpot.model.rigfile import element_line
+from dashpot.model.rigfile import element_line, element_section
 from dashpot.numerics.small_systems import orthonormal, real_rows
 
 # Nonlinear elements that a rig might have: laws between points that move, and what is said for each.
@@ -558,8 +558,11 @@ def called_for(data: Prepared, psi: Real, sign: Real, *, thorough: bool = True) 
     """Nonlinear elements that the dwells call for, fitted in full, the best first; [] where none is certain.
 
     ψ (M,): the best fit of the rig as it is.  Where all motion is seen, those that the equation of motion does not
-    show are looked for only if `thorough`: to reach them from a rig that does not fit takes seconds.
+    show are looked for only if `thorough`: to reach them from a rig that does not fit takes seconds.  [] as well where
+    the rig differs by experiment, which harmonic balance does not know.
     """
+    if data.model.experiments:
+        return []
     chi2 = misfit(data, psi, sign)
     seen = _passive(seen_candidates(data, psi))
     mending = [each for each in seen if _mends(each)]
@@ -691,7 +694,7 @@ def law_in_words(model: Model, element: Element, value: float) -> Phrase:
         character += ", stiffening" if value > 0 else ", softening"
     text = f"the data call for a nonlinear element between {' and '.join(points)}, {character} (p < 1e-6)"
     named = replace(with_open_constants(element), name=free_name(model, element), guess=float(f"{value:.4g}"))
-    change = f"[{named.kind.section}] {element_line(named)}"
+    change = f"{element_section(named)} {element_line(named)}"
     return Phrase(text, change, (), (named,))
 
 

@@ -18,7 +18,7 @@ from dashpot.check.explain.problem import LineProblem, replaced, with_element_st
 from dashpot.check.explain.score import score_tests
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
-from dashpot.model.rigfile import element_line
+from dashpot.model.rigfile import element_line, element_section
 
 FOLLOWED = 8  # elements of a kind that are fitted in full, those of which the score promises most
 # Of a stated value, where fits begin: beside sharp resonances each ends at the next.
@@ -144,7 +144,7 @@ def missing_in_words(model: Model, element: Element, value: float) -> Phrase:
     text = f"a {word} {at} is missing: {rounded(value, '.3g')} {element.unit(model.angles)}"
     if element.kind is Kind.SPRING and value < 0 and len(points) > 1:
         text += " (negative: typical of bending of the parts in between)"
-    return Phrase(text, f"[{element.kind.section}] {element_line(element)}", (), (element,))
+    return Phrase(text, f"{element_section(element)} {element_line(element)}", (), (element,))
 
 
 def value(baseline: Baseline) -> Iterator[Effect]:
@@ -195,7 +195,7 @@ def other_value(model: Model, element: Element, found: float) -> Phrase:
         if abs(found / (stated.value * units.scale(unit, quantity, False)) - 1) < CLOSE:
             return _unit(model, name, units.scale(unit, quantity, False))
     mended = replace(stated, value=None, sd=None, guess=float(f"{found:.4g}") if found > 0 else None)
-    return Phrase(text, f"[{mended.kind.section}] {element_line(mended)}", (), (mended,))
+    return Phrase(text, f"{element_section(mended)} {element_line(mended)}", (), (mended,))
 
 
 def _unit(model: Model, name: str, ratio: float) -> Phrase:
@@ -206,7 +206,7 @@ def _unit(model: Model, name: str, ratio: float) -> Phrase:
     mended = replace(stated, value=float(f"{stated.value * ratio:.8g}"))
     meant = f"{mended.value:g} {stated.unit(model.angles)}"
     text = f"{name} would be {meant}, not {stated.value:g}. Is it {stated.value:g} {unit}?"
-    return Phrase(text, f"[{mended.kind.section}] {element_line(mended)}", (), (mended,))
+    return Phrase(text, f"{element_section(mended)} {element_line(mended)}", (), (mended,))
 
 
 # Bodies and forces that the rig has not.
@@ -264,7 +264,7 @@ def _beside_body(
 
 
 def _body(model: Model, parts: tuple[Element, ...], x: str, stiffness: float) -> Phrase:
-    lines = "; ".join(f"[{each.kind.section}] {element_line(each)}" for each in parts)
+    lines = "; ".join(f"{element_section(each)} {element_line(each)}" for each in parts)
     text = f"a body on a spring at {x} is missing from the rig ({rounded(stiffness, '.3g')} N/m)"
     return Phrase(text, f'add a coordinate "{parts[0].name.removeprefix("m_")}"; {lines}')
 

@@ -9,14 +9,22 @@ Whatever is wrong with a file is a ModelError with all its problems, each at `ri
 from dashpot.model.rigfile.reader import parse_rig, read_rig
 from dashpot.model.rigfile.rig import Rig, default_channels
 from dashpot.model.rigfile.schema import SECTIONS
-from dashpot.model.rigfile.writer import channel_line, element_line, write_rig
+from dashpot.model.rigfile.writer import (
+    channel_line,
+    channel_section,
+    element_line,
+    element_section,
+    write_rig,
+)
 
 __all__ = [
     "SECTIONS",
     "Rig",
     "channel_line",
+    "channel_section",
     "default_channels",
     "element_line",
+    "element_section",
     "parse_rig",
     "read_rig",
     "write_rig",

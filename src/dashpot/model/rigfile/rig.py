@@ -51,10 +51,7 @@ class Rig(InNotebooks):
         if not self.experiments and name is None:
             return self
         standing = self.standing_in(name)
-        model = standing.model
-        there = [e for e, acts in zip(model.elements, model.acts, strict=True) if acts]
-        elements = tuple(replace(element, only=None, stands_for=None) for element in there)
-        return replace(standing, model=replace(model, elements=elements, experiments=(), standing=0))
+        return replace(standing, model=standing.model.alone)
 
     def standing_in(self, name: str | None = None) -> Rig:
         """The same with the unknowns of all experiments, as an estimate of all has them.  Raises as `in_experiment`."""
@@ -66,7 +63,7 @@ class Rig(InNotebooks):
                 f"there is no experiment {name}", cure=f"{did_you_mean(name, names)}there are {listed(names)}"
             )
         model = self.model.standing_in(0 if name is None else names.index(name) + 1)
-        other = {e.stands_for: e.name for e, acts in zip(model.elements, model.acts, strict=True) if acts}
+        other = {element.stands_for: element.name for element in model.present_elements}
         channels = tuple(
             replace(
                 channel,

@@ -21,6 +21,8 @@ from dashpot.model.rigfile.rig import Rig, is_electrical
 from dashpot.model.rigfile.schema import EXPERIMENTS, GROUND, NUMBERS, VERDICT
 from dashpot.unknowns import Unknown
 
+OWN = "own"  # an unknown of an experiment's own
+USUAL = {"gain": "1.0", "delay": "0.0", "sign": "1.0"}  # calibrations where nothing is said
 LARGE = 1e7  # from which a number is written with a power of ten
 
 
@@ -76,32 +78,48 @@ def _differences(rig: Rig, experiment: Experiment) -> list[str]:
             element.stands_for and element.same_as
         ):  # which follows from its tie
             continue
-        if element.stands_for is None:
-            key = f"{element.kind.section}.{toml_key(element.name)}"
-            fields[key] = _inline(_element_fields(element))
-            continue
-        base, key = by_name[element.stands_for], toml_key(element.stands_for)
-        numbers = {k: getattr(element, field) for k, field in NUMBERS.items()}
-        stated = {k: _number(number) for k, number in numbers.items() if number is not None}
-        alike = all(getattr(base, field) == numbers[k] for k, field in NUMBERS.items())
-        fields[key] = quoted("own") if alike or not stated else _inline(stated)
+        key, _, value = element_line(element).partition(" = ")
+        base = by_name.get(element.stands_for or "")
+        if base is not None and all(getattr(base, f) == getattr(element, f) for f in NUMBERS.values()):
+            value = quoted(OWN)
+        fields[key] = value
     for channel in experiment.channels:
         base_channel = next(each for each in rig.channels if each.name == channel.column)
         there, usual = (_channel_fields(each, model) for each in (channel, base_channel))
-        for key, otherwise in (("gain", "1.0"), ("delay", "0.0"), ("sign", "1.0")):
+        for key, otherwise in USUAL.items():
             if there.get(key) != usual.get(key):
                 fields[f"{toml_key(channel.column)}.{key}"] = there.get(key, otherwise)
     return [f"{key} = {value}" for key, value in fields.items()]
 
 
 def channel_line(channel: Channel, model: Model) -> str:
-    """A channel's entry in [channels] of a rig file.  Raises ModelError as `write_rig`."""
-    return f"{toml_key(channel.name)} = {_inline(_channel_fields(channel, model))}"
+    """A channel's entry in its section of a rig file.  Raises ModelError as `write_rig`."""
+    fields = _channel_fields(channel, model)
+    if channel.only is not None:
+        fields = {key: fields.get(key, usual) for key, usual in USUAL.items()}
+    return f"{toml_key(channel.column)} = {_inline(fields)}"
+
+
+def channel_section(channel: Channel) -> str:
+    """The section that a channel stands in."""
+    return f"[{EXPERIMENTS}.{toml_key(channel.only)}]" if channel.only is not None else "[channels]"
 
 
 def element_line(element: Element) -> str:
-    """An element's entry in the section of its kind."""
-    return f"{toml_key(element.name)} = {_inline(_element_fields(element))}"
+    """An element's entry in the section of its kind, or in that of its experiment."""
+    if element.stands_for is not None:
+        numbers = {key: getattr(element, field) for key, field in NUMBERS.items()}
+        stated = {key: _number(number) for key, number in numbers.items() if number is not None}
+        return f"{toml_key(element.stands_for)} = {_inline(stated) if stated else quoted(OWN)}"
+    of_kind = f"{element.kind.section}." if element.only is not None else ""
+    return f"{of_kind}{toml_key(element.name)} = {_inline(_element_fields(element))}"
+
+
+def element_section(element: Element) -> str:
+    """The section that an element stands in."""
+    return (
+        f"[{element.kind.section}]" if element.only is None else f"[{EXPERIMENTS}.{toml_key(element.only)}]"
+    )
 
 
 def _number(value: float) -> str:

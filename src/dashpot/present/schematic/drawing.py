@@ -90,6 +90,7 @@ def schematic(
     `doubtful` names parameters that are marked as such.  Of more than MOST_ELEMENTS elements only the kinds and names
     are drawn.  Raises UsageError where there are too many bodies for a drawing.
     """
+    model, channels = model.alone, [channel for channel in channels if channel.only is None]
     parts = _few_bodies(model, channels)
     small = len(model.elements) <= MOST_ELEMENTS
     between = [link.item for link in parts.links if link.kind == "sensor"]
