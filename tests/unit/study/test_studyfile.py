@@ -281,3 +281,15 @@ def test_nonlinear_rigs_need_the_size_of_their_drive(folder):
         )
         == 1
     )
+
+
+def test_a_study_simulates_one_experiment_of_a_rig(folder):
+    (folder / "rig.toml").write_text(
+        RIG + '[experiments.heavy]\nk = 9200\nmasses.extra = { at = "x", value = 1 }\n'
+    )
+    with pytest.raises(UsageError, match=r"rigs\.one\.experiment"):
+        parsed(folder, STUDY)
+    heavy = parsed(folder, STUDY.replace('file = "rig.toml"', 'file = "rig.toml"\nexperiment = "heavy"'))
+    assert {e.name for e in heavy.rigs["one"].model.elements} == {"m", "c", "k@heavy", "extra"}
+    plain = parsed(folder, STUDY.replace('file = "rig.toml"', 'file = "rig.toml"\nexperiment = "none"'))
+    assert {e.name for e in plain.rigs["one"].model.elements} == {"m", "c", "k"}
