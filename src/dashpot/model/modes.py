@@ -57,6 +57,8 @@ def modes(model: Model, p: Real) -> Modes:
     rate = _typical_rate(*sizes)
     poles, shapes = _upper_half(parts, sizes, rate)
     poles = poles * rate
+    if not (parts.C.any() or parts.H.any()):  # λ² is real: what rounding leaves beside it is no damping
+        poles = np.where(np.abs(poles.imag) >= np.abs(poles.real), 1j * poles.imag, poles.real)
     order = np.lexsort((poles.imag, np.round(np.abs(poles), 9)))
     poles, shapes = poles[order], shapes[order]
     largest = shapes[np.arange(len(shapes)), np.abs(shapes).argmax(axis=-1), None]

@@ -77,3 +77,15 @@ def test_a_rig_that_overflows_has_no_modes_and_costs_the_others_nothing() -> Non
     for k in (0, 2):
         assert np.array_equal(values[k], own[0][0])
         assert np.array_equal(shapes[k], own[1][0])
+
+
+def test_a_rig_without_dampers_has_no_damping_but_for_negative_springs() -> None:
+    """It had 1e-16, and now and then an "unstable" mode of -1.6e-16."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        rig = random_rig(rng, 4, displacements=1)
+        springs = np.array([kind in (Kind.MASS, Kind.SPRING) for kind in rig.model.kinds])
+        found = modes(rig.model, np.where(springs, rig.p, 0.0))
+        assert not np.any(found.damping_ratio)
+    falling = modes(rig.model, np.where(np.array(rig.model.kinds) == Kind.SPRING, -rig.p, rig.p * springs))
+    assert np.all(falling.eigenvalues.imag == 0)

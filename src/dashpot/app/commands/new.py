@@ -15,7 +15,7 @@ CHAIN = "The rig"
 UNKNOWN = "unknown"
 WEIGHED = opt.MASS.or_words(UNKNOWN)
 MASSES = opt.Count(1, 50)
-DRIVEN = click.Choice(("base", "force"), case_sensitive=False)
+DRIVEN = click.Choice(("base", "force", "release"), case_sensitive=False)
 MEASURED = click.Choice(("displacement", "velocity", "acceleration"), case_sensitive=False)
 
 
@@ -28,7 +28,9 @@ def command(
     name: Annotated[str | None, opt.Option("--name TEXT", None, CHAIN), "Name of the rig."],
     masses: Annotated[int | None, opt.Option("--masses N", MASSES, CHAIN), "Masses in a row."],
     drive: Annotated[
-        str | None, opt.Option("--driven-by", DRIVEN, CHAIN), "The base moves, or a force acts."
+        str | None,
+        opt.Option("--driven-by", DRIVEN, CHAIN),
+        "The base moves, a force acts, or the masses are let go.",
     ],
     motion: Annotated[str | None, opt.Option("--motion", MEASURED, CHAIN), "What the sensors measure."],
     unit: Annotated[

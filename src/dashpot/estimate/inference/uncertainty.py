@@ -74,13 +74,15 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
     theta (m,), covariance (m, m).
     """
     # Of up to 12 coordinates the kernel's eigenvalues take less time than LAPACK's.
-    compiled = kernel_function("mode_values") if model.n <= 12 else None
+    p = model.parameters(theta)
+    damped = any(np.any(p[model.by_matrix[letter]]) for letter in ("C", "H"))
+    compiled = kernel_function("mode_values") if model.n <= 12 and damped else None
     if compiled is not None:
         # None where masses are missing or coupled, or where nothing holds a motion.
         table = compiled(model.B, model.letters, model.T, model.p0, theta, covariance)
         if table is not None:
             return ModeValues(*table)
-    of_rig = modes(model, model.parameters(theta))
+    of_rig = modes(model, p)
     slope = of_rig.sensitivity @ model.T
     values = of_rig.eigenvalues
     size = np.abs(values)[:, None]

@@ -1,4 +1,4 @@
-"""A rig file to start from: a chain of masses, shaken at its base or pushed, everything unknown."""
+"""A rig file to start from: a chain of masses, shaken at its base, pushed or let go, everything unknown."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ class Chain:
     """What a few questions tell of a rig.
 
     masses     in a row, x1 the farthest from the base
-    drive      "base": the base moves; "force": a force on the last mass, the base stands still
+    drive      "base": the base moves; "force": a force on the last mass, the base stands still; "release": nothing
+               drives, the masses are let go
     motion     what the sensors on the masses (and on the base) measure
     unit       of their numbers
     force_unit of the force's
@@ -27,7 +28,7 @@ class Chain:
 
     name: str = "My rig"
     masses: int = 2
-    drive: Literal["base", "force"] = "base"
+    drive: Literal["base", "force", "release"] = "base"
     motion: Literal["displacement", "velocity", "acceleration"] = "acceleration"
     unit: str = "m/s²"
     force_unit: str = "N"
@@ -36,7 +37,7 @@ class Chain:
     @property
     def lacks_scale(self) -> bool:
         """Whether only ratios to the first mass can be found."""
-        return self.known is None and self.drive == "base"
+        return self.known is None and self.drive != "force"
 
 
 def starter_text(chain: Chain) -> str:
@@ -48,11 +49,11 @@ def starter_text(chain: Chain) -> str:
     names = [f"x{i + 1}" for i in range(chain.masses)]
     base = "u" if chain.drive == "base" else "ground"
     coordinates = ", ".join(f'"{name}"' for name in names)
-    lines = [f"name = {quoted(chain.name)}", f"coordinates = [{coordinates}]", "", "[inputs]"]
+    lines = [f"name = {quoted(chain.name)}", f"coordinates = [{coordinates}]"]
     if chain.drive == "base":
-        lines.append('u = { kind = "displacement" }')
-    else:
-        lines.append(f'f = {{ kind = "force", at = "{names[-1]}" }}')
+        lines += ["", "[inputs]", 'u = { kind = "displacement" }']
+    elif chain.drive == "force":
+        lines += ["", "[inputs]", f'f = {{ kind = "force", at = "{names[-1]}" }}']
     lines += [
         "",
         "# Without a value an entry is unknown; value = …, sd = … say what has been weighed.",
