@@ -246,6 +246,8 @@ def _lines(one: Deficiency, found: Structure) -> tuple[str, str]:
     held = f"{count} line{'' if count == 1 else 's'} at {at}"
     what = f"{held} fix only {found.rank} combinations of the {M} unknowns: {_named(one.names)} stay open"
     need = "" if more is None else f"measure at {more} more frequenc{'y' if more == 1 else 'ies'}, or "
+    if more is None and one.lines.without_base:
+        need = "measure the rig as it is without the experiments, too, or "
     return what, need + with_values(one.names, M - found.rank)
 
 

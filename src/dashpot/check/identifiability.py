@@ -274,6 +274,7 @@ def _with_lines(
             len(lines.frequency),
             len(np.unique(lines.frequency)),
             _lines_missing(model, channels, lines, rng, M),
+            model.differs and 0 not in lines.kinds,
         ),
     )
     return replace(base, rank=rank, deficiencies=(deficiency,))
@@ -282,9 +283,9 @@ def _with_lines(
 def _lines_missing(
     model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np.random.Generator, M: int
 ) -> int | None:
-    """How many more lines, with all channels and inputs, would do."""
+    """How many more lines, with all channels and inputs, of each experiment at hand would do; None: none."""
     for more in range(1, M + 1):
-        longer = lines + generic_lines(model, channels, more)
+        longer = lines + generic_lines(model, channels, more, kinds=lines.kinds)
         if field.rank(exact(model, channels, longer, rng).rows) == M:
             return more
     return None

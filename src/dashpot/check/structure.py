@@ -21,7 +21,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError, ModelError, Problem
 from dashpot.estimate.method import Method
-from dashpot.experiment import RUNS, channels_of
+from dashpot.experiment import RUNS, channels_of, kind_of
 from dashpot.io.words import listed, with_values
 from dashpot.model.elements import Law
 from dashpot.model.modes import typical_sizes
@@ -187,6 +187,11 @@ class LinePattern:
     def __hash__(self) -> int:
         return hash(self._numbers)
 
+    @property
+    def kinds(self) -> list[int]:
+        """Numbers of the experiments that lines are of, 0 of none."""
+        return [0] if self.experiment is None else np.unique(kind_of(self.experiment)).tolist()
+
     def spread(self, count: int) -> LinePattern:
         """`count` of the lines at the most, evenly spread over them."""
         some = np.unique(np.linspace(0, len(self.frequency) - 1, count).astype(int))
@@ -207,18 +212,23 @@ class LinePattern:
 
 
 def generic_lines(
-    model: Model, channels: Sequence[Channel], count: int, conjugates: bool = True
+    model: Model,
+    channels: Sequence[Channel],
+    count: int,
+    conjugates: bool = True,
+    kinds: Sequence[int] | None = None,
 ) -> LinePattern:
     """`count` lines of different frequencies with every channel measured and every input driven.
 
-    As many again for each experiment of the rig, with the channels that there are in it.
+    As many again for each experiment of the rig, or of those by number (`kinds`), with the channels that it has.
     """
-    kinds = (None, *model.experiments)
-    lines = count * len(kinds)
-    there = np.array([[c in channels_of(channels, kind) for c in channels] for kind in kinds], dtype=bool)
-    present = np.repeat(there.reshape(len(kinds), len(channels)), count, axis=0)
+    numbers = np.arange(1 + len(model.experiments)) if kinds is None else np.asarray(kinds)
+    names = (None, *model.experiments)
+    there = np.array([[c in channels_of(channels, names[k]) for c in channels] for k in numbers], dtype=bool)
+    present = np.repeat(there.reshape(len(numbers), len(channels)), count, axis=0)
+    lines = count * len(numbers)
     driven = np.ones((lines, len(model.inputs)), dtype=bool)
-    experiment = np.repeat(np.arange(len(kinds)), count) * RUNS if model.experiments else None
+    experiment = np.repeat(numbers, count) * RUNS if model.experiments else None
     return LinePattern(np.arange(lines), present, driven, conjugates, experiment)
 
 
@@ -557,12 +567,14 @@ SHOWN = 1e-7  # part of the largest slope from which a further sensor shows a di
 class LinesAtHand:
     """Data whose lines are too few: `lines` at `frequencies` different ones.
 
-    `missing` more with all channels and inputs would do, None where no number does.
+    `missing` more with all channels and inputs would do, None where no number does.  `without_base`: they are of
+    experiments in which the rig differs, and none of the rig as it stands.
     """
 
     lines: int
     frequencies: int
     missing: int | None
+    without_base: bool = False
 
 
 @dataclass(frozen=True)

@@ -210,7 +210,7 @@ def kernel_rig(kernel: Any, model: Model, omega: Real, experiment: Ints | None =
     """
     if len(model.nonlinear) or not model.n:
         return None
-    if experiment is not None and model.experiments and np.any(model.kind_of(experiment)):
+    if experiment is not None and model.differs and np.any(model.kind_of(experiment)):
         return None
     key = (kernel, omega.tobytes())
     if key not in model.views:

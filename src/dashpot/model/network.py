@@ -424,6 +424,11 @@ class Model:
     # Experiments in which some elements are others
 
     @cached_property
+    def differs(self) -> bool:
+        """Whether some elements belong to one experiment only."""
+        return any(element.only is not None for element in self.elements)
+
+    @cached_property
     def acts(self) -> Bools:
         """Which elements there are in the experiment that the rig stands in, (elements,)."""
         here = self.experiments[self.standing - 1] if self.standing else None
@@ -459,7 +464,7 @@ class Model:
 
         All lines are of the rig as it stands where it has no experiments, or none is said.
         """
-        if experiment is None or not self.experiments or not len(experiment):
+        if experiment is None or not self.differs or not len(experiment):
             yield self, slice(None)
             return
         kind = self.kind_of(experiment)

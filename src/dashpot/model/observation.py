@@ -325,7 +325,7 @@ def observation_model(
     Raises DataError where a channel measures what the rig has not, or shares a gain that is not unknown.
     """
     # A view holds its channels, so that their ids stay theirs.
-    experiment = experiment if model.experiments else None
+    experiment = experiment if model.differs else None
     key = (*map(id, channels), omega.tobytes(), None if experiment is None else experiment.tobytes())
     if key not in model.views:
         model.views[key] = _observation_model(model, tuple(channels), omega, experiment)

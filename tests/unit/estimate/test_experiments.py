@@ -129,6 +129,66 @@ def test_an_own_unknown_that_nothing_shows_is_told() -> None:
         dashpot.identify(rig, replace(both, experiment=np.where(half, RUNS, 0)))
 
 
+def test_that_the_rig_as_it_stands_is_missing_is_told() -> None:
+    rig = parse_rig(f"{SHAKEN}[experiments.added]\n{ADDED}\n")
+    with pytest.raises(IdentifiabilityError, match="without the experiments"):
+        dashpot.identify(rig, table(rig, "added", np.random.default_rng(1)))
+
+
+def test_dwells_of_a_nonlinear_rig_whose_channel_differs() -> None:
+    rig = parse_rig("""
+        coordinates = ["x"]
+        [inputs]
+        f = { kind = "force", at = "x" }
+        [masses]
+        m = { at = "x", value = 1 }
+        [springs]
+        k = { between = ["x", "ground"], guess = 900 }
+        k3 = { between = ["x", "ground"], law = "d**3", guess = 1e5 }
+        [dampers]
+        c = { between = ["x", "ground"], guess = 3 }
+        [experiments.late]
+        x.gain = "own"
+    """)
+    truth, rng, records = {"k": 1000.0, "k3": 2e5, "c": 4.0}, np.random.default_rng(1), []
+    for experiment, gain in ((None, 1.0), ("late", 1.1)):
+        hz = [3.0, 4.0, 5.0, 6.0, 7.0]
+        for clean in dashpot.simulate(rig, truth, hz, amplitudes={"f": 5.0}, experiment=experiment):
+            x = gain * (clean.values[:, 0] + 1e-5 * rng.standard_normal(len(clean.time)))
+            columns = {"time_s": clean.time, "x": x, "f": clean.values[:, 1]}
+            driven = clean.frequency_hz
+            records.append(dashpot.record(columns, rig, frequency_hz=driven, experiment=experiment or 0))
+    estimate = dashpot.identify(rig, records)
+    assert estimate.names == (*truth, "x@late.gain")
+    assert np.all(np.abs(estimate.values - [*truth.values(), 1.1]) < 4 * estimate.sd)
+
+
+def test_lines_of_a_large_rig_are_each_of_their_experiment() -> None:
+    count = 60  # of coordinates: sparse dynamics, and no reduced rig
+    points = [f"x{i}" for i in range(count)]
+    tied = [f'm{i} = {{ at = "x{i}", same_as = "m0" }}' for i in range(1, count)]
+    ends = zip(points, [*points[1:], "u"], strict=True)
+    springs = [f'k{i} = {{ between = ["{a}", "{b}"], value = 1000 }}' for i, (a, b) in enumerate(ends)]
+    ends = zip(points, [*points[1:], "u"], strict=True)
+    dampers = [f'c{i} = {{ between = ["{a}", "{b}"], value = 2 }}' for i, (a, b) in enumerate(ends)]
+    rig = parse_rig(
+        f"coordinates = {points}\n[inputs]\nu = {{}}\n".replace("'", '"')
+        + '[masses]\nm0 = { at = "x0", guess = 1 }\n'
+        + "\n".join([*tied, "[springs]", *springs, "[dampers]", *dampers])
+        + '\n[channels]\nx0 = { of = "x0" }\nu = { of = "u" }\n[experiments.added]\n'
+        + 'masses.extra = { at = "x3", value = 5 }\n'
+    )
+    hz, kinds = np.linspace(0.2, 2, 12), (None, "added")
+    whole = observation_model(
+        rig.model, rig.channels, 2 * np.pi * np.tile(hz, 2), np.repeat([0, RUNS], len(hz))
+    )
+    both = transfer(whole, rig.model.parameters(np.ones(1))).G
+    for kind, part in zip(kinds, np.split(both, 2), strict=True):
+        here = rig.in_experiment(kind)
+        view = observation_model(here.model, here.channels, 2 * np.pi * hz)
+        np.testing.assert_allclose(part, transfer(view, here.model.parameters(np.ones(1))).G, rtol=1e-9)
+
+
 def test_whole_records_of_two_experiments_give_one_estimate() -> None:
     text = f'{SHAKEN}[experiments.added]\n{ADDED}\nc1 = "own"\nx1.gain = "own"\n'
     rig, rng = parse_rig(text), np.random.default_rng(5)

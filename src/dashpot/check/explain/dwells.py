@@ -204,9 +204,7 @@ def changed(baseline: Baseline) -> Iterator[Effect]:
     numbers = 2 * np.sum(problem.kept, axis=1) - 2 * len(problem.model.inputs)
     least = SPARE * len(problem.starts[0])
     parts: list[tuple[str, Bools]] = []
-    if (
-        problem.model.experiments
-    ):  # in which it is another one already, with unknowns that the others do not show
+    if problem.model.differs:  # in which it is another one already, with unknowns that the others do not show
         return
     experiments = np.unique(spectrum.experiment)
     if 1 < len(experiments) <= MOST_SPLITS:

@@ -561,7 +561,7 @@ def called_for(data: Prepared, psi: Real, sign: Real, *, thorough: bool = True) 
     show are looked for only if `thorough`: to reach them from a rig that does not fit takes seconds.  [] as well where
     the rig differs by experiment, which harmonic balance does not know.
     """
-    if data.model.experiments:
+    if data.model.differs:
         return []
     chi2 = misfit(data, psi, sign)
     seen = _passive(seen_candidates(data, psi))

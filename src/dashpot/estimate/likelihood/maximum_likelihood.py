@@ -253,6 +253,7 @@ class MaximumLikelihood(Method):
             and likelihood.exact.ends is None
             and likelihood.repeats == 1
             and view.m <= 100
+            and not view.model.differs
         ):
             # Large enough for a basis to pay, with few unknowns, each of which has a projected matrix of its own
             likelihood, minimum, sign, warnings = reduced_search(likelihood)
