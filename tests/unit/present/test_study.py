@@ -1,11 +1,11 @@
 """Words and pictures of Monte Carlo studies."""
 
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
-from dashpot.present.study import MOST_ALIKE, FactorGroup, accuracy_in_words, evenly_spread, next_study_steps
+from dashpot.present.study import MOST_ALIKE, FactorGroup, evenly_spread
 
 
 def row(method: str, error: float, *coverage: float) -> Any:
@@ -13,23 +13,6 @@ def row(method: str, error: float, *coverage: float) -> Any:
         error_over_bound=error, rms_error=2 * error, coverage=coverage, draws=100, failed=0
     )
     return SimpleNamespace(method=method, summary=summary)
-
-
-def test_the_most_accurate_method_comes_first_with_the_range_over_all_scenarios() -> None:
-    rows = [row("ls", 1.2, 5, 95), row("oiv", 0.98, 93, 96), row("ls", 3.5, 0, 80), row("oiv", 1.04, 94, 97)]
-    assert accuracy_in_words(cast("Any", rows)) == [
-        (
-            "oiv: rms error 2.0 to 2.1 % of the true values, 0.98 to 1.04 × the Cramér-Rao bound; 95 % intervals hold "
-            "the truth in 93 to 97 % of the draws."
-        ),
-        (
-            "ls: rms error 2.4 to 7.0 % of the true values, 1.20 to 3.50 × the Cramér-Rao bound; 95 % intervals hold "
-            "the truth in 0 to 95 % of the draws."
-        ),
-    ]
-    first, more = next_study_steps(cast("Any", rows))
-    assert "--method oiv" in first
-    assert "100 draws tell a share of 95 % to ± 2.2 points" in more
 
 
 @pytest.mark.parametrize("levels", [1, MOST_ALIKE, MOST_ALIKE + 1, 200])

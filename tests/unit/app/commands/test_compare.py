@@ -158,17 +158,6 @@ def test_no_method_that_suits(dashpot: Command, data: Path) -> None:
     refused(done, "velocity")
 
 
-def test_nothing_known_is_refused(dashpot: Command, data: Path) -> None:
-    Path("rig.toml").write_text(RIG.replace(", value = 4600", ""), encoding="utf-8")
-    text = RIG.replace(", value = 4600", "").replace(", value = 2.7", "")
-    Path("rig.toml").write_text(text, encoding="utf-8")
-    refused(dashpot("compare", "rig.toml", "data.csv", "--json", "out.json"), "forces scale together", code=3)
-    modes_file()
-    refused(
-        dashpot("compare", "rig.toml", "--modal", "modes.csv", "--json", "out.json"), "size of masses", code=3
-    )
-
-
 def test_methods_that_miss_the_scale_are_refused_as_by_identify(dashpot: Command, data: Path) -> None:
     """Nothing is known, and a reaction force is measured, which ml alone uses."""
     text = RIG.replace(", value = 4600", "").replace(", value = 2.7", "")

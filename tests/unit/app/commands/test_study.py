@@ -48,13 +48,6 @@ def test_a_folder_with_summary_draws_and_pictures(dashpot: Command, study: Path)
     assert (study.parent / "other" / "summary.parquet").read_bytes() == first
 
 
-def test_more_draws_on_request(dashpot: Command, study: Path) -> None:
-    assert dashpot("study", "noise.toml", "--draws", "10", "-q", "--out", "s").code == 0
-    assert dashpot("study", "noise.toml", "--draws", "40", "-q", "--out", "s").code == 0
-    table = parquet.read_table(study.parent / "s" / "summary.parquet").to_pydict()
-    assert set(table["draws"]) == {40}
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

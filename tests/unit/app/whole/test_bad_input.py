@@ -1,7 +1,6 @@
 """Whatever is wrong with a file: one line with place, cause and cure, exit code 2, no traceback, no output."""
 
 import os
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -47,13 +46,6 @@ def test_missing_files(dashpot: Command, data: Path) -> None:
     refused(dashpot("identify", "none.toml", "data.csv"), "none.toml")
     refused(identify(dashpot, "none.csv"), "none.csv")
     refused(identify(dashpot, "."), "directory")
-
-
-def test_nothing_known_is_refused_before_data_are_read(dashpot: Command, rig: Path) -> None:
-    free = re.sub(r", value = [\d.]+", "", RIG)
-    rig.write_text(free, encoding="utf-8")
-    done = identify(dashpot, "not_there.csv")
-    refused(done, "all forces scale together", "give one of m1, ", code=3)
 
 
 def test_all_known_leaves_nothing_to_find(dashpot: Command, data: Path) -> None:
@@ -102,26 +94,6 @@ def test_a_file_named_twice_is_one_test(dashpot: Command, data: Path, again: str
     """Its noise would count as that of two tests, and the intervals be too narrow by the root of two."""
     os.symlink("data.csv", "link.csv")
     refused(identify(dashpot, "data.csv", again), "2 times")
-
-
-def test_bad_table_of_amplitudes(dashpot: Command, data: Path) -> None:
-    dashpot("spectrum", "rig.toml", "data.csv", "--out", "table.csv")
-    lines = Path("table.csv").read_text(encoding="utf-8").splitlines()
-    where = lines[0].split(",").index("x1_sd")
-    broken = lines[2].split(",")
-    broken[where] = "-1"
-    Path("bad.csv").write_text("\n".join([*lines[:2], ",".join(broken), *lines[3:]]) + "\n", encoding="utf-8")
-    refused(identify(dashpot, "bad.csv"), "bad.csv:3", "x1_sd")
-    refused(dashpot("identify", "rig.toml", "table.csv", "--method", "ls"), lines=1)
-
-
-def test_data_that_do_not_determine_the_unknowns_end_with_3(dashpot: Command, data: Path) -> None:
-    dashpot("spectrum", "rig.toml", "data.csv", "--out", "table.csv")
-    text = RIG.replace(
-        'c1 = { between = ["x1", "x2"] }', 'c1 = { between = ["x1", "x2"] }\nc9 = { between = ["x1", "x2"] }'
-    )
-    Path("rig.toml").write_text(text, encoding="utf-8")
-    refused(identify(dashpot, "data.csv"), "c1", "c9", code=3)
 
 
 # Usage

@@ -13,14 +13,13 @@ from dashpot.channel import Channel, Quantity
 from dashpot.check.explain.engine import explain
 from dashpot.check.explain.examine import diagnose, examined
 from dashpot.check.explain.problem import LineProblem
-from dashpot.check.explain.rigs import missing_in_words
 from dashpot.check.verdict import assess
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import applied, assessment_from
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.global_search import candidates
 from dashpot.estimate.preparation import prepare
-from dashpot.model.elements import Kind, between
+from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 from tests import partly_seen, rigs
 from tests.mistakes import MISTAKES, times
@@ -406,15 +405,6 @@ def test_the_verdict_of_a_record_tells_the_story_of_its_causes() -> None:
     assert codes[-1] == "gain_step"
     assert len(codes) > 1
     assert "gain_step" not in {notice.code for notice in estimate.warnings}
-
-
-def test_a_negative_spring_between_two_points_says_what_it_stands_for():
-    model, _ = clean("three", np.random.default_rng(3))
-    joined = model.coordinates[0], model.coordinates[2]
-    spring = between("k_new", Kind.SPRING, *joined)
-    texts = [missing_in_words(model, spring, value).text for value in (-40.0, 40.0)]
-    assert "bending" in texts[0]
-    assert "bending" not in texts[1]
 
 
 @pytest.mark.parametrize(

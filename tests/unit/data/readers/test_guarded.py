@@ -5,9 +5,9 @@ from __future__ import annotations
 import gzip
 import os
 import signal
+import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
-from dashpot.app.cli import run
 from dashpot.data.readers.datafile import UNPACKED
 from dashpot.errors import DataError
 from dashpot.io import guarded
@@ -44,20 +43,22 @@ class Answer:
         """Nothing is open."""
 
 
-Refused = Callable[..., str]
+def dashpot(
+    *arguments: object, unpacked: str = "", folder: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """The command, as a process."""
+    return subprocess.run(
+        [sys.executable, "-m", "dashpot", *map(str, arguments)],
+        capture_output=True, text=True, env=os.environ | {UNPACKED: unpacked}, timeout=60, check=False,
+    )  # fmt: skip
 
 
-@pytest.fixture
-def refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Refused:
+def refused(path: Path, unpacked: str = "") -> str:
     """The one line in which the command refuses a file."""
-
-    def call(path: Path, unpacked: str = "") -> str:
-        monkeypatch.setenv(UNPACKED, unpacked)
-        assert run(["inspect", str(path)]) == 2
-        (line,) = capsys.readouterr().err.strip().splitlines()
-        return line
-
-    return call
+    answer = dashpot("inspect", path, unpacked=unpacked)
+    assert answer.returncode == 2
+    (line,) = answer.stderr.strip().splitlines()
+    return line
 
 
 def workbook(path: Path, cells: dict[str, float]) -> Path:
@@ -95,12 +96,12 @@ def test_a_process_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
         os.kill(process, signal.SIGCONT)
 
 
-def test_a_workbook_whose_reader_aborts_is_refused_in_one_line(tmp_path: Path, refused: Refused) -> None:
+def test_a_workbook_whose_reader_aborts_is_refused_in_one_line(tmp_path: Path) -> None:
     """A cell in the last corner makes the library ask for 549 GB, and abort."""
     assert "corner.xlsx" in refused(workbook(tmp_path / "corner.xlsx", {"XFD1048576": 1.0}))
 
 
-def test_a_fleet_loses_that_file_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fleet_loses_that_file_alone(tmp_path: Path) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(
         'name = "one"\ncoordinates = ["x1"]\n[inputs]\nf = { kind = "force", at = "x1" }\n'
@@ -121,17 +122,14 @@ def test_a_fleet_loses_that_file_alone(tmp_path: Path, capsys: pytest.CaptureFix
         if number == 1:
             book.active["XFD1048576"] = 1.0
         book.save(tmp_path / f"rig{number}.xlsx")
-    files = [str(tmp_path / f"rig{number}.xlsx") for number in range(3)]
-    told = (
-        capsys.readouterr().out
-        if run(["fleet", str(rig), *files, "--out", str(tmp_path / "f.parquet")]) == 0
-        else ""
-    )
-    assert "rig1.xlsx" in "".join(told.split())  # lines end at the width of the terminal
-    assert "2 identified" in told
+    files = [tmp_path / f"rig{number}.xlsx" for number in range(3)]
+    answer = dashpot("fleet", rig, *files, "--out", tmp_path / "fleet.parquet")
+    assert answer.returncode == 0, answer.stderr
+    assert "rig1.xlsx" in "".join(answer.stdout.split())  # lines end at the width of the terminal
+    assert "2 identified" in answer.stdout
 
 
-def test_what_unpacks_without_end_is_refused_while_it_unpacks(tmp_path: Path, refused: Refused) -> None:
+def test_what_unpacks_without_end_is_refused_while_it_unpacks(tmp_path: Path) -> None:
     path = tmp_path / "bomb.csv.gz"
     with gzip.open(path, "wb") as file:
         file.write(b"time_s,x1\n")
@@ -142,7 +140,7 @@ def test_what_unpacks_without_end_is_refused_while_it_unpacks(tmp_path: Path, re
     assert UNPACKED in line
 
 
-def test_chunks_that_unpack_to_more_than_there_may_be_are_refused(tmp_path: Path, refused: Refused) -> None:
+def test_chunks_that_unpack_to_more_than_there_may_be_are_refused(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     path = tmp_path / "bomb.h5"
     with h5py.File(path, "w") as file:
@@ -150,7 +148,7 @@ def test_chunks_that_unpack_to_more_than_there_may_be_are_refused(tmp_path: Path
     assert UNPACKED in refused(path, unpacked="0.001")
 
 
-def test_room_for_unpacked_data_is_a_number(tmp_path: Path, refused: Refused) -> None:
+def test_room_for_unpacked_data_is_a_number(tmp_path: Path) -> None:
     path = tmp_path / "a.csv.gz"
     with gzip.open(path, "wb") as file:
         file.write(b"time_s,x1\n0,1\n1,2\n")
@@ -158,7 +156,7 @@ def test_room_for_unpacked_data_is_a_number(tmp_path: Path, refused: Refused) ->
 
 
 @pytest.mark.parametrize("kind", ["npz", "mat", "parquet", "feather"])
-def test_zeros_of_every_packed_format_are_counted(tmp_path: Path, kind: str, refused: Refused) -> None:
+def test_zeros_of_every_packed_format_are_counted(tmp_path: Path, kind: str) -> None:
     path, zeros = tmp_path / f"bomb.{kind}", np.zeros(1 << 20)
     match kind:
         case "npz":
@@ -172,7 +170,7 @@ def test_zeros_of_every_packed_format_are_counted(tmp_path: Path, kind: str, ref
     assert UNPACKED in refused(path, unpacked="0.01")
 
 
-def test_texts_that_unpack_to_more_than_there_may_be_are_refused(tmp_path: Path, refused: Refused) -> None:
+def test_texts_that_unpack_to_more_than_there_may_be_are_refused(tmp_path: Path) -> None:
     path, count = tmp_path / "bomb.parquet", 1 << 14
     names = pa.chunked_array([pa.array(["a" * (1 << 16)] * 2048)] * (count // 2048))
     pq.write_table(pa.table({"time_s": np.arange(count) / 100, "x1": np.zeros(count), "name": names}), path)
