@@ -100,3 +100,21 @@ def test_what_knows_no_experiments_says_so(measured: Command) -> None:
     missing = measured("identify rig.toml bare.csv")
     assert missing.code == 2
     assert "added*.csv" in missing.err[-1]
+
+
+def test_a_spring_changed_between_two_runs_is_mended_by_what_is_said(dashpot: Command) -> None:
+    alone = RIG.partition("[experiments")[0].replace('m1 = { at = "x1" }', 'm1 = { at = "x1", value = 2 }')
+    Path("rig.toml").write_text(alone, encoding="utf-8")
+    for name, k1 in (("first", 4000), ("second", 4400)):
+        values = f"m2=3,k1={k1},k2=9000,c1=12,c2=20"
+        assert dashpot(f"simulate rig.toml --set {values} {TEST} --seed {k1} -o {name}.csv").code == 0
+    assert dashpot("identify rig.toml first.csv second.csv --json e.json -q").code == 0
+    (cause, *_) = json.loads(Path("e.json").read_text())["diagnosis"]
+    assert cause["kind"] == "changed"
+    assert 'k1 = "own"' in cause["change"]
+    told = '[experiments.other]\ndata = "second.csv"\nk1 = "own"\n'
+    Path("rig.toml").write_text(alone + told, encoding="utf-8")
+    assert dashpot("identify rig.toml first.csv second.csv --json e.json -q").code == 0
+    found = json.loads(Path("e.json").read_text())
+    assert found["fit"]["verdict"] == "fits"
+    assert abs(found["parameters"]["k1@other"]["value"] - 4400) < 5 * found["parameters"]["k1@other"]["sd"]

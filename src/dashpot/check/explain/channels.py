@@ -16,9 +16,13 @@ from dashpot.channel import Channel, Quantity
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, said
 from dashpot.check.explain.problem import LineProblem
 from dashpot.errors import DashpotError
+from dashpot.io.toml_document import toml_key
 from dashpot.model.network import Model
 from dashpot.model.rigfile import channel_line, channel_section
 from dashpot.unknowns import Unknown
+
+# How a rig file begins to say what differs in some runs.
+DIFFERENT = '[experiments.other] data = "…"'
 
 # Ratios of usual units, rms and peak, degrees and radians, and their inverses.
 RATIOS = (
@@ -412,9 +416,9 @@ def _other_range(name: str, hertz: float, factor: float) -> Phrase:
     change = 100 * (factor - 1)
     moves = f"{'rises' if change > 0 else 'falls'} by {abs(change):.3g} % from {hertz:g} Hz on"
     text = f"the gain of {name} {moves}. Did the amplifier range change?"
-    return Phrase(
-        text, f"give the dwells before and after as two data sets, the gain of {name} unknown in one"
-    )
+    own = f'{DIFFERENT}; {toml_key(name)}.gain = "own"'
+    cure = f"give those dwells a file of their own and let the gain differ there: {own}"
+    return Phrase(text, cure)
 
 
 # Two channels, another place, and a channel that is left out.

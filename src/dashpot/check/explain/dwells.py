@@ -9,12 +9,13 @@ from functools import partial
 import numpy as np
 
 from dashpot.arrays import Bools
-from dashpot.check.explain.channels import rounded
+from dashpot.check.explain.channels import DIFFERENT, rounded
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, said
 from dashpot.check.explain.problem import FEWER_DRAWS, FittedProblem, LineProblem, fitted, replaced, searched
 from dashpot.check.explain.rigs import missing_elements, points_of, stated_values
 from dashpot.data.spectrum import SettledDwell
 from dashpot.model.elements import Element
+from dashpot.model.rigfile import element_line
 
 SUSPECTS = 40  # dwells of which each is left out in turn
 NAMED = 3  # of them whose label, phases or sign may be what is wrong
@@ -248,8 +249,12 @@ def changed(baseline: Baseline) -> Iterator[Effect]:
             text = (
                 f"{subject}: {part.name} differs by {rounded(step, '+.3g')} {part.unit(problem.model.angles)}"
             )
+            own = element_line(replace(part, only="other", stands_for=part.name))
+            if part.name not in {element.name for element in problem.model.elements}:
+                own = element_line(replace(part, only="other"))
+            cure = f"{change}; or let it differ there: {DIFFERENT}; {own}"
             yield Effect(
-                "changed", points_of(part, problem.model), as_is, partial(said, Phrase(text, change)), (step,),
+                "changed", points_of(part, problem.model), as_is, partial(said, Phrase(text, cure)), (step,),
                 found=single, more=1, share=1 / len(parts),
             )  # fmt: skip
 
