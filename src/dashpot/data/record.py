@@ -27,6 +27,10 @@ def samples_at_limit(values: Real) -> int:
     return int(np.count_nonzero(at_limits(values)))
 
 
+DIFFERENT = 0.9  # of the other samples, all of different values: then two alike at a limit are no chance
+ALIKE = 3  # samples at a limit of a channel of which no two others are alike
+
+
 def at_limits(values: Real, *, in_a_row: bool = True) -> Bools:
     """Which samples are at the greatest value, and which at the least, where those are limits: (2, samples).
 
@@ -55,6 +59,25 @@ def at_limits(values: Real, *, in_a_row: bool = True) -> Bools:
         if count >= SHARE * min(len(values), LOUD * loud) and count >= 8 * np.sum(values == following):
             limits[side] = at
     return limits
+
+
+def limits(column: Real) -> Bools:
+    """Which samples are at the greatest value, and which at the least, where those are limits: (2, samples).
+
+    Where values come again elsewhere, as those of a coarse converter and of a sine in step with the sampling do, three
+    have to follow each other, and to be many more than those at the next value.  Where no two others are alike, three
+    alike are a limit, and at the other end of a channel that has one two are.
+    """
+    ends = np.stack([column == np.max(column), column == np.min(column)])
+    others = column[~np.any(ends, axis=0)]
+    if not len(others) or np.ptp(column) == 0:
+        return at_limits(column)
+    different = len(np.unique(np.round(others / np.ptp(column), 9)))  # but for rounding
+    if different <= DIFFERENT * len(others):
+        return at_limits(column)
+    counts = np.count_nonzero(ends, axis=1)
+    limited: Bools = (counts >= ALIKE) | ((counts >= 2) & (np.max(counts) >= ALIKE))
+    return np.asarray(ends & limited[:, None])
 
 
 def runs_of_one_value(column: Real, shortest: int) -> Iterator[tuple[int, int]]:

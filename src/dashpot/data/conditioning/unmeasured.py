@@ -15,17 +15,15 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from scipy.special import fdtrc
 
-from dashpot.arrays import Bools, Ints, Real
+from dashpot.arrays import Ints, Real
 from dashpot.data.conditioning.drive_frequency import at_frequencies, drive_frequencies
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
 from dashpot.data.conditioning.regression import basis, in_between, solve, window
-from dashpot.data.record import ABOVE, BELOW, MISSING, Record, at_limits, runs_of_one_value
+from dashpot.data.record import ABOVE, BELOW, MISSING, Record, limits, runs_of_one_value
 from dashpot.errors import DataError
 from dashpot.io.words import counted
 from dashpot.notices import Notice
 
-DIFFERENT = 0.9  # of the other samples, all of different values: then two alike at a limit are no chance
-ALIKE = 3  # samples at a limit of a channel of which no two others are alike
 DEPTH = 1e-3  # of a channel's range, by which the motion goes beyond a limit in the mean: less is no matter
 MOST = 0.6  # of a channel's samples: of one that clips more the rest says too little
 BEYOND = 4.0  # times the scatter of the motion around a run of one value by which that departs from it
@@ -44,7 +42,7 @@ def marked(dwells: Sequence[Record]) -> tuple[list[Record], list[Notice]]:
     """
     notices: list[Notice] = []
     with_missing = [_with_missing(record, notices) for record in dwells]
-    if not any(np.any(_limits(column)) for r in dwells if r.values.ndim == 2 for column in r.values.T):
+    if not any(np.any(limits(column)) for r in dwells if r.values.ndim == 2 for column in r.values.T):
         return with_missing, notices
     # The motion around clipped samples is that of the drive's own frequency, which they hide but little.
     perhaps = [_perhaps_clipped(record) for record in with_missing]
@@ -124,7 +122,7 @@ def _perhaps_clipped(record: Record) -> Record:
         np.zeros(record.values.shape, dtype=np.int64) if record.status is None else np.array(record.status)
     )
     for c, column in enumerate(record.values.T):
-        highest, lowest = _limits(column)
+        highest, lowest = limits(column)
         if np.mean(highest | lowest) <= MOST:
             status[highest, c], status[lowest, c] = ABOVE, BELOW
     return replace(record, status=status) if np.any(status) else record
@@ -149,25 +147,6 @@ def _with_clipped(perhaps: Record, record: Record, notices: list[Notice]) -> Rec
         else:
             status[clipped, c] = 0
     return replace(record, status=status) if np.any(status) else record
-
-
-def _limits(column: Real) -> Bools:
-    """Which samples are at the greatest value, and which at the least, where those are limits: (2, samples).
-
-    Where values come again elsewhere, as those of a coarse converter and of a sine in step with the sampling do, three
-    have to follow each other, and to be many more than those at the next value.  Where no two others are alike, three
-    alike are a limit, and at the other end of a channel that has one two are.
-    """
-    ends = np.stack([column == np.max(column), column == np.min(column)])
-    others = column[~np.any(ends, axis=0)]
-    if not len(others) or np.ptp(column) == 0:
-        return at_limits(column)
-    different = len(np.unique(np.round(others / np.ptp(column), 9)))  # but for rounding
-    if different <= DIFFERENT * len(others):
-        return at_limits(column)
-    counts = np.count_nonzero(ends, axis=1)
-    limited: Bools = (counts >= ALIKE) | ((counts >= 2) & (np.max(counts) >= ALIKE))
-    return np.asarray(ends & limited[:, None])
 
 
 def _surroundings(record: Record, c: int, status: Ints) -> Iterator[tuple[slice, slice, Real]]:

@@ -18,8 +18,9 @@ from scipy.special import chdtrc
 from dashpot.arrays import Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning.clock import even_step, fewest_samples
+from dashpot.data.conditioning.regression import in_between
 from dashpot.data.conditioning.still import HALF_WINDOW, Still, smoothed, variance_at_rest
-from dashpot.data.record import MISSING, Record, calibration, runs_of_one_value
+from dashpot.data.record import ABOVE, BELOW, MISSING, Record, calibration, limits, runs_of_one_value
 from dashpot.data.spectrum import Spectrum, Unmeasured, WholeRecord, concatenate
 from dashpot.errors import DataError
 from dashpot.io.words import counted, joined
@@ -27,9 +28,11 @@ from dashpot.notices import Notice
 
 GAP = 1.5  # sampling steps: where the next sample is later than this, another record begins
 SHORTEST = 64  # samples of a piece between gaps
+LEAKED = (-3, -2, -1, 0, 1, 2)  # powers of jω in what the ends leave: jumps of the motion, its slope and its bend
 MOST_UNKNOWN = (
     500  # samples of all channels that stay unknown in a record; with more it is cut, which takes less time
 )
+DEPTH = 1e-3  # of a channel's range, by which the motion goes beyond a limit in the mean: less is no matter
 MOST_MISSING = 0.1  # of a record's samples, or of a channel's: what misses or holds more does so for a reason
 SLIP = 0.1  # of a step: where the next sample is early or late by more, the clock has slipped
 UNEVEN = 0.02  # share of gaps from which on they are the clock's
@@ -197,7 +200,7 @@ def _runs_held(column: Real) -> list[tuple[int, int]]:
     every, at = (np.concatenate([np.arange(*run) for run in some]) for some in (runs, short))
     motion = np.array(column)
     motion[every] = np.interp(every, np.delete(np.arange(len(column)), every), np.delete(column, every))
-    expected, precision = _told_by_lines(motion, at, 0, np.zeros(len(at)))
+    expected, precision = _told_by_lines(motion, at, 0, (np.zeros(len(at)), np.zeros(len(at))))
     away, covariance = motion[at] + expected - column[at], np.linalg.inv(precision)
     for begin, end in short:
         own = (at >= begin) & (at < end)
@@ -243,7 +246,7 @@ def whole_record(
     duration = samples * step
     _require_motion(record)
     first, last = _lines_of(record.source, band_hz, samples, step)
-    record = _with_likely(record)
+    record, known = with_likely(record)
     X, floor, folded = _amplitudes(record, first, last, stated=band_hz is not None)
     if band_hz is None:
         X = X[: _moving(X, record.source, last / duration)]
@@ -276,60 +279,146 @@ def whole_record(
                 loads,
                 polynomial,
                 ramp and _drift_shows(first, lines),
-                unmeasured=_unmeasured(record, remaining, last),
+                unmeasured=_unmeasured(record, known, remaining, last),
             ),
         ),
     )
 
 
-def _with_likely(record: Record) -> Record:
-    """The record with values that are likely for samples not measured, as `Record.sd` has them, else of a motion that
-    is as loud at each frequency as the channel is."""
-    if record.status is None or record.sd is not None:
-        return record
-    values = np.array(record.values)
+def with_clipped_samples(record: Record) -> tuple[Record, tuple[Notice, ...]]:
+    """The record with the samples marked at which channels end while their motion is likely to go on, and notes.
+
+    As it is where they are too many.
+    """
+    if record.values.ndim != 2:
+        return record, ()
+    status = (
+        np.zeros(record.values.shape, dtype=np.int64) if record.status is None else np.array(record.status)
+    )
+    notes = []
+    for c, channel in enumerate(record.channels):
+        highest, lowest = limits(record.values[:, c]) & (status[:, c] == 0)
+        clipped = highest | lowest
+        if not np.any(clipped) or np.count_nonzero(status) + np.sum(clipped) > MOST_UNKNOWN:
+            continue
+        trial = np.where(clipped, MISSING, status[:, c])
+        alone = replace(record, status=np.where(np.arange(status.shape[1]) == c, trial[:, None], 0), sd=None)
+        beyond = (np.where(highest, 1, -1) * (with_likely(alone)[0].values - record.values)[:, c])[clipped]
+        if np.mean(beyond) > DEPTH * np.ptp(record.values[:, c]):  # others rest at it
+            status[highest, c], status[lowest, c] = ABOVE, BELOW
+            text = f"{channel.name} clips ({counted(int(np.sum(clipped)), 'sample')}): the other samples are used"
+            notes.append(Notice("unclipped", f"{record.source}: {text}", (channel.name,)))
+    return (replace(record, status=status), tuple(notes)) if notes else (record, ())
+
+
+Known = dict[
+    int, tuple[Real, Real]
+]  # of each channel: inverse variance and mean of what is to be added, (k,) each
+
+
+def with_likely(record: Record) -> tuple[Record, Known]:
+    """The record with values that are likely for samples not measured, and what is known of each by itself.
+
+    They are as `Record.sd` has them, else of a motion that is as loud at each frequency as the channel is, and beyond
+    its limit where it is clipped.
+    """
+    values, known = np.array(record.values), Known()
     for c in np.flatnonzero(~record.whole_channels).tolist():
+        assert record.status is not None
         at, there = np.flatnonzero(record.status[:, c]), np.flatnonzero(record.status[:, c] == 0)
+        if record.sd is not None:
+            known[c] = 1 / record.sd[at, c] ** 2, np.zeros(len(at))
+            continue
+        limit, side = values[at, c].copy(), record.status[at, c]
         values[at, c] = np.interp(at, there, values[there, c])
-        values[at, c] += _told_by_lines(values[:, c], at, 0, np.zeros(len(at)))[0]
-    return replace(record, values=values)
+        nothing = np.zeros(len(at)), np.zeros(len(at))
+        mean, precision = _told_by_lines(values[:, c], at, 0, nothing)
+        likely, *known[c] = _beyond(
+            limit - values[at, c], np.where(side == MISSING, 0, side), mean, precision
+        )
+        values[at, c] += likely
+        known[c] = known[c][0], known[c][1] - likely
+    return replace(record, values=values), known
 
 
-def _unmeasured(likely: Record, remaining: Sequence[Channel], last: int) -> tuple[Unmeasured, ...]:
-    """What is known of samples that are not measured: by `Record.sd`, and by lines above the `last` of the band, which
-    hold noise alone.  remaining: channels with what is left of their known delays."""
-    if likely.status is None:
-        return ()
+def _beyond(limit: Real, side: Ints, mean: Real, precision: Real) -> tuple[Real, Real, Real]:
+    """Mean of Gaussian numbers (k,) that are above (side 1) or below (−1) limits, and for each of these the number with
+    noise that tells as much: inverse variance and mean.
+
+    By expectation propagation (Minka 2001): each limit in turn, against what all others leave of its number.
+    """
+    tau, nu = np.zeros(len(side)), np.zeros(len(side))
+    some = side != 0
+    for _ in range(20 if np.any(some) else 0):
+        covariance = np.linalg.inv(precision + np.diag(tau))
+        every = covariance @ (precision @ mean + nu)
+        variance = np.diagonal(covariance)[some]
+        cavity = 1 / np.maximum(1 / variance - tau[some], 1e-6 / variance)
+        middle = cavity * (every[some] / variance - nu[some])
+        z = side[some] * (limit[some] - middle) / np.sqrt(cavity)
+        _, slope, _, curvature, _, _ = in_between(z, np.full(len(z), np.inf))
+        narrower = cavity * np.clip(1 + curvature, 1e-6, 1.0)
+        moved = middle + side[some] * slope * np.sqrt(cavity)
+        before = tau[some]
+        tau[some] = (before + 1 / narrower - 1 / cavity) / 2  # half a step, for all at once
+        nu[some] = (nu[some] + moved / narrower - middle / cavity) / 2
+        if np.max(np.abs(tau[some] - before) * variance) < 1e-3:
+            break
+    likely = np.linalg.solve(precision + np.diag(tau), precision @ mean + nu)
+    return likely, tau, np.where(tau > 0, nu / np.where(tau > 0, tau, 1.0), 0.0)
+
+
+def _unmeasured(
+    likely: Record, known: Known, remaining: Sequence[Channel], last: int
+) -> tuple[Unmeasured, ...]:
+    """What is known of samples that are not measured: of each by itself, and by lines above the `last` of the band,
+    which hold noise alone.  remaining: channels with what is left of their known delays."""
     found = []
-    for c in np.flatnonzero(~likely.whole_channels).tolist():
+    for c, own in known.items():
+        assert likely.status is not None
         at = np.flatnonzero(likely.status[:, c])
-        known = np.zeros(len(at)) if likely.sd is None else 1 / likely.sd[at, c] ** 2
-        found.append(Unmeasured(remaining[c], at, *_told_by_lines(likely.values[:, c], at, last, known)))
+        found.append(Unmeasured(remaining[c], at, *_told_by_lines(likely.values[:, c], at, last, own)))
     return tuple(found)
 
 
-def _told_by_lines(column: Real, at: Ints, last: int, known: Real) -> tuple[Real, Real]:
+def _told_by_lines(column: Real, at: Ints, last: int, known: tuple[Real, Real]) -> tuple[Real, Real]:
     """Mean (k,) and inverse covariance (k, k) of what is to be added to the samples `at` (k,) of a channel.
 
-    By lines above the `last`, of which each is as loud as those beside it; by what is known of each, inverse variances
-    (k,); and by the channel's size, which it does not exceed.
+    By lines above the `last`, of which each is as loud as those beside it; by what is known of each, inverse variance
+    and mean (k,); and by the channel's size, which it does not exceed.
     """
     samples, lines = len(column), len(column) // 2 - last
-    precision = np.diag(known + 1 / np.ptp(np.delete(column, at)) ** 2)
+    own = precision = np.diag(known[0] + 1 / np.ptp(np.delete(column, at)) ** 2)
+    pull = known[0] * known[1]
     filled = np.array(column)
     if len(at) > lines:  # as loud as they are for the unknowns' sake
-        return filled[at] - column[at], precision
-    own = precision
+        return pull / np.diagonal(own), own
+    # What the ends leak, smooth in jω, is none of the noise
+    s = 1j * np.arange(last + 1, len(column) // 2 + 1)[:, None] / (len(column) // 2)
+    ends = s ** np.array(LEAKED)
+    ends /= np.linalg.norm(ends, axis=0)
+    leaked = np.zeros(len(LEAKED))
     for _ in range(3):
-        Y = fft.rfft(filled - filled.mean()) - leaked_by_a_step(filled) * samples / 2
-        power = np.abs(Y[last + 1 :]) ** 2 / (1 - len(at) / (2 * lines))
+        Y = fft.rfft(filled - filled.mean())[last + 1 :]
+        power = np.abs(Y - ends @ leaked) ** 2 / (1 - len(at) / (2 * lines))
         loudness = smoothed(power.astype(np.complex128), HALF_WINDOW).real
-        weight = np.zeros(len(Y))
-        weight[last + 1 :] = 1 / np.maximum(loudness, 1e-20 * np.max(np.abs(Y)) ** 2)
+        weight = 1 / np.maximum(loudness, 1e-20 * np.max(np.abs(Y)) ** 2)
+
+        def in_time(of: Complex, weight: Real = weight) -> Real:
+            """Products of errors of all samples, one by one, with lines (lines, ...)."""
+            rows = np.zeros((samples // 2 + 1, *of.shape[1:]), dtype=np.complex128)
+            rows[last + 1 :] = (of.T * weight).T
+            return samples * fft.irfft(rows, samples, axis=0)
+
         # Real errors beside lines whose real and imaginary parts have half of the power each
-        precision = own + samples * fft.irfft(weight, samples)[np.abs(at[:, None] - at)]
-        away = samples * fft.irfft(weight * Y, samples)[at] + own @ (filled - column)[at]
+        weighted = 2 * np.conj(ends.T) * weight
+        by_ends = np.linalg.pinv((weighted @ ends).real, hermitian=True)
+        beside = in_time(ends)[at] @ by_ends
+        precision = own + in_time(np.ones(lines, dtype=np.complex128))[np.abs(at[:, None] - at)]
+        precision -= beside @ in_time(ends)[at].T
+        away = in_time(Y)[at] - beside @ (weighted @ Y).real + own @ (filled - column)[at] - pull
         filled[at] -= np.linalg.solve(precision, away)
+        leaked = by_ends @ (weighted @ Y).real
     return filled[at] - column[at], precision
 
 
@@ -451,8 +540,11 @@ def whole_records(
         notes += told
         for part in parts:
             moving, told = without_held_samples(part)
-            pieces += moving
             notes += told
+            for each in moving:
+                piece, told = with_clipped_samples(each)
+                pieces.append(piece)
+                notes += told
     spectra = [
         whole_record(piece, band_hz=band_hz, still=still, polynomial=polynomial, ramp=ramp)
         for piece in pieces

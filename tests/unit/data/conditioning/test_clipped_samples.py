@@ -9,6 +9,7 @@ from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.conditioning.unmeasured import expected, marked
+from dashpot.data.conditioning.whole_record import whole_records, with_clipped_samples, with_likely
 from dashpot.data.record import Record
 from dashpot.data.spectrum import WholeRecord
 
@@ -172,6 +173,38 @@ def test_unsettled_dwells_of_few_periods_that_clip_are_in_doubt(limit: float) ->
     assert ("clipped_in_doubt" in notes) == np.isfinite(limit)
     if np.isfinite(limit):
         assert notes["clipped_in_doubt"].of == ("x1",)
+
+
+def random_record(limit: float, noise: float, seed: int = 18) -> tuple[Record, Real]:
+    """Thirty tones, of which x1 is clipped; and x1 without a limit."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(1500) / 100
+    hz, phase = rng.uniform(0.5, 6, 30), rng.uniform(0, 2 * np.pi, 30)
+    x = np.cos(2 * np.pi * hz * t[:, None] + phase).sum(axis=1) + noise * rng.normal(size=len(t))
+    u = np.sin(2 * np.pi * hz * t[:, None] + phase).sum(axis=1) + noise * rng.normal(size=len(t))
+    return Record(CHANNELS, t, np.stack([np.clip(x, -limit, limit), u], axis=1)), x
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.5])
+def test_clipped_samples_of_a_whole_record_are_unknown_beyond_the_limit(noise: float) -> None:
+    """What is put in is off by as much as is stated, of 40 draws."""
+    z2, beyond, count = [], [], 0
+    for seed in range(40):
+        record, x = random_record(7.0, noise, seed)
+        lines = whole_records([record])
+        (whole,) = lines.stretches
+        assert isinstance(whole, WholeRecord)
+        (of,) = whole.unmeasured
+        assert np.array_equal(of.samples, np.flatnonzero(np.abs(record.values[:, 0]) == 7.0))
+        clipped, _ = with_clipped_samples(record)
+        likely, _ = with_likely(clipped)
+        error = (x - likely.values[:, 0])[of.samples] - of.mean
+        z2.append(error @ of.precision @ error)
+        beyond.append(np.mean(np.abs(likely.values[of.samples, 0])))
+        count += len(of.samples)
+    assert 0.6 < np.sum(z2) / count < 1.5
+    assert np.min(beyond) > 7.0
+    assert [note.code for note in whole_records([record]).notes if note.code == "unclipped"] == ["unclipped"]
 
 
 @pytest.mark.parametrize("kind", ["sound", "in step", "coarse", "mostly clipped", "repeats"])
