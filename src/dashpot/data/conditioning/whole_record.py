@@ -28,10 +28,7 @@ from dashpot.notices import Notice
 
 GAP = 1.5  # sampling steps: where the next sample is later than this, another record begins
 SHORTEST = 64  # samples of a piece between gaps
-LEAKED = (-3, -2, -1, 0, 1, 2)  # powers of jω in what the ends leave: jumps of the motion, its slope and its bend
-MOST_UNKNOWN = (
-    500  # samples of all channels that stay unknown in a record; with more it is cut, which takes less time
-)
+MOST_UNKNOWN = 500  # samples of all channels that stay unknown in a record: with more it is cut
 DEPTH = 1e-3  # of a channel's range, by which the motion goes beyond a limit in the mean: less is no matter
 MOST_MISSING = 0.1  # of a record's samples, or of a channel's: what misses or holds more does so for a reason
 SLIP = 0.1  # of a step: where the next sample is early or late by more, the clock has slipped
@@ -333,11 +330,10 @@ def with_likely(record: Record) -> tuple[Record, Known]:
         values[at, c] = np.interp(at, there, values[there, c])
         nothing = np.zeros(len(at)), np.zeros(len(at))
         mean, precision = _told_by_lines(values[:, c], at, 0, nothing)
-        likely, *known[c] = _beyond(
-            limit - values[at, c], np.where(side == MISSING, 0, side), mean, precision
-        )
+        side = np.where(side == MISSING, 0, side)
+        likely, inverse, at_mean = _beyond(limit - values[at, c], side, mean, precision)
         values[at, c] += likely
-        known[c] = known[c][0], known[c][1] - likely
+        known[c] = inverse, at_mean - likely
     return replace(record, values=values), known
 
 
@@ -364,7 +360,7 @@ def _beyond(limit: Real, side: Ints, mean: Real, precision: Real) -> tuple[Real,
         nu[some] = (nu[some] + moved / narrower - middle / cavity) / 2
         if np.max(np.abs(tau[some] - before) * variance) < 1e-3:
             break
-    likely = np.linalg.solve(precision + np.diag(tau), precision @ mean + nu)
+    likely = np.linalg.solve(precision + np.diag(tau), precision @ mean + nu).astype(np.float64)
     return likely, tau, np.where(tau > 0, nu / np.where(tau > 0, tau, 1.0), 0.0)
 
 
@@ -393,32 +389,27 @@ def _told_by_lines(column: Real, at: Ints, last: int, known: tuple[Real, Real]) 
     filled = np.array(column)
     if len(at) > lines:  # as loud as they are for the unknowns' sake
         return pull / np.diagonal(own), own
-    # What the ends leak, smooth in jω, is none of the noise
+    # What the ends leak by jumps of the motion, its slope and its bend is smooth in jω, and none of the noise
     s = 1j * np.arange(last + 1, len(column) // 2 + 1)[:, None] / (len(column) // 2)
-    ends = s ** np.array(LEAKED)
-    ends /= np.linalg.norm(ends, axis=0)
-    leaked = np.zeros(len(LEAKED))
+    ends = (s ** np.arange(-3, 3) / np.linalg.norm(s ** np.arange(-3, 3), axis=0)).astype(np.complex128)
+    leaked: Real = np.zeros(ends.shape[1])
+    padded = np.zeros((samples // 2 + 1, 2 + ends.shape[1]), dtype=np.complex128)
     for _ in range(3):
         Y = fft.rfft(filled - filled.mean())[last + 1 :]
         power = np.abs(Y - ends @ leaked) ** 2 / (1 - len(at) / (2 * lines))
         loudness = smoothed(power.astype(np.complex128), HALF_WINDOW).real
         weight = 1 / np.maximum(loudness, 1e-20 * np.max(np.abs(Y)) ** 2)
-
-        def in_time(of: Complex, weight: Real = weight) -> Real:
-            """Products of errors of all samples, one by one, with lines (lines, ...)."""
-            rows = np.zeros((samples // 2 + 1, *of.shape[1:]), dtype=np.complex128)
-            rows[last + 1 :] = (of.T * weight).T
-            return samples * fft.irfft(rows, samples, axis=0)
-
-        # Real errors beside lines whose real and imaginary parts have half of the power each
+        # Products of errors of single samples with lines whose real and imaginary parts have half of the power each
+        padded[last + 1 :] = weight[:, None] * np.column_stack([Y, np.ones(lines), ends])
+        in_time = samples * fft.irfft(padded, samples, axis=0)
         weighted = 2 * np.conj(ends.T) * weight
-        by_ends = np.linalg.pinv((weighted @ ends).real, hermitian=True)
-        beside = in_time(ends)[at] @ by_ends
-        precision = own + in_time(np.ones(lines, dtype=np.complex128))[np.abs(at[:, None] - at)]
-        precision -= beside @ in_time(ends)[at].T
-        away = in_time(Y)[at] - beside @ (weighted @ Y).real + own @ (filled - column)[at] - pull
+        by_ends = np.linalg.pinv((weighted @ ends).real, hermitian=True).astype(np.float64)
+        of_ends = (weighted @ Y).real
+        leaked = by_ends @ of_ends
+        beside = in_time[at, 2:] @ by_ends
+        precision = own + in_time[np.abs(at[:, None] - at), 1] - beside @ in_time[at, 2:].T
+        away = in_time[at, 0] - beside @ of_ends + own @ (filled - column)[at] - pull
         filled[at] -= np.linalg.solve(precision, away)
-        leaked = by_ends @ (weighted @ Y).real
     return filled[at] - column[at], precision
 
 
