@@ -100,6 +100,22 @@ def test_the_joint_estimate_is_that_of_stacked_least_squares(method: str | None)
     )
 
 
+@pytest.mark.parametrize("method", ["wls", "tls", "cls", "oiv", "oiv+", "ml"])
+def test_an_experiment_that_differs_in_nothing_changes_nothing(method: str) -> None:
+    known = SHAKEN.replace('m1 = { at = "x1" }', 'm1 = { at = "x1", value = 2 }')
+    plain, same = parse_rig(known), parse_rig(f"{known}[experiments.same]\nm1 = 2\n")
+    rng = np.random.default_rng(9)
+    first, second = table(plain, None, rng), table(plain, None, rng)
+    usual = identify(plain.model, concatenate([first, second]), method)
+    labelled = concatenate([first, replace(second, experiment=np.full(len(HZ), RUNS))])
+    estimate = identify(same.model, labelled, method)
+    assert estimate.names == usual.names
+    np.testing.assert_allclose(
+        estimate.values, usual.values, atol=1e-4 * np.min(usual.sd / usual.values), rtol=1e-6
+    )
+    np.testing.assert_allclose(estimate.sd, usual.sd, rtol=1e-4)
+
+
 def test_an_added_mass_sets_the_scale_of_a_shaken_rig() -> None:
     alone, rig = parse_rig(SHAKEN), parse_rig(f"{SHAKEN}[experiments.added]\n{ADDED}\n")
     with pytest.raises(IdentifiabilityError):
