@@ -380,7 +380,20 @@ def _product(tokens: deque[tuple[str, str]], quantity: str, depth: int) -> tuple
             text = text.replace("μ", "µ")
             part = _meaning_of(text, quantity)
         if part is None:
-            raise _UnreadableError(f"{_quoted(text)} is not known", _suggestion(text, quantity))
+            # A known symbol that differs in case or in a letter
+            known: list[str] = [
+                prefix + name
+                for name, symbols in SYMBOLS.items()
+                for symbol in symbols
+                if symbol.only is None or quantity in symbol.only
+                for prefix in ("", *symbol.prefixes)
+            ]
+            same = [name for name in known if name.lower() == text.lower()]
+            long = [name for name in known if len(name) > 2]
+            raise _UnreadableError(
+                f"{_quoted(text)} is not known",
+                next(iter(same or difflib.get_close_matches(text, long, n=1, cutoff=0.8)), None),
+            )
         power = sign * (int(tokens.popleft()[1]) if tokens and tokens[0][0] == "power" else 1)
         try:
             factor *= part[0] ** power
@@ -415,17 +428,3 @@ def _meaning_of(text: str, quantity: str) -> tuple[float, Dimension] | None:
             if meant is not None:
                 return _meaning_of(short + meant, quantity)
     return None
-
-
-def _suggestion(text: str, quantity: str) -> str | None:
-    """A known symbol that differs in case or in a letter."""
-    known: list[str] = [
-        prefix + name
-        for name, symbols in SYMBOLS.items()
-        for symbol in symbols
-        if symbol.only is None or quantity in symbol.only
-        for prefix in ("", *symbol.prefixes)
-    ]
-    same = [name for name in known if name.lower() == text.lower()]
-    long = [name for name in known if len(name) > 2]
-    return next(iter(same or difflib.get_close_matches(text, long, n=1, cutoff=0.8)), None)

@@ -404,7 +404,13 @@ def joint_profiles(
     for _ in range(3):  # times that a lower χ² is met before nothing is said
         ways = _Ways(base, value, half, root)
         own = base.at(value[None], np.array([0])).cost - base.cost
-        known = [(value, float(signed_root(own)[0])), *_valleys(base, half, seed)]
+        # Minima that draws about the estimate lead to, with the root of their rise
+        away = np.random.default_rng(seed).standard_normal((DRAWS, len(half)))
+        ends = _minimum(base, base.psi[0] + SPREAD * half * away)
+        known = [
+            (value, float(signed_root(own)[0])),
+            *list(zip(ends.x, signed_root(ends.cost - base.cost[0]).tolist(), strict=True)),
+        ]
         lower = ways.followed(wanted, known)
         if lower is None:
             return {j: ways.curve(j) for j in sorted(ways.ends)}
@@ -420,13 +426,6 @@ def _minimum(base: Surface, start: Real) -> OptimizeResult:
         return base.at(psi, np.zeros(len(psi), dtype=np.int64))
 
     return minimise(evaluate, start, limit=60, tolerance=1e-4, lower=base.lower, upper=base.upper)
-
-
-def _valleys(base: Surface, half: Real, seed: int) -> list[tuple[Real, float]]:
-    """Minima that draws about the estimate lead to, with the root of their rise."""
-    away = np.random.default_rng(seed).standard_normal((DRAWS, len(half)))
-    ends = _minimum(base, base.psi[0] + SPREAD * half * away)
-    return list(zip(ends.x, signed_root(ends.cost - base.cost[0]).tolist(), strict=True))
 
 
 class _Ways:
@@ -526,7 +525,14 @@ def with_profile_intervals(model: Model, spectrum: Spectrum, estimate: Estimate)
 
     It is unchanged where that takes long, where intervals count a misfit, and where bounds hold unknowns.
     """
-    if not _profiled(model, spectrum, estimate):
+    # Whether profiles are worth their time, and mean what they say
+    plain = all(isinstance(stretch, SettledDwell) for stretch in spectrum.stretches)
+    small = len(estimate.names) <= 40 and spectrum.amplitudes.size <= MOST_AMPLITUDES
+    sound = bool(estimate.converged) and estimate.basis != MISFIT
+    free = np.array_equal(estimate.free_values, estimate.values)
+    unweighed = estimate.fit.known_noise or not estimate.stated
+    efficient = estimate.method in AUTOMATIC and not len(model.nonlinear)
+    if not (plain and small and sound and free and unweighed and efficient):
         return estimate
     try:
         precise = estimate.noise_sd < OPEN * np.abs(estimate.values)
@@ -560,14 +566,3 @@ def bent_unknowns(model: Model, spectrum: Spectrum, estimate: Estimate) -> Bools
         root: Real = np.sqrt(np.maximum(cost[1:] - cost[0], 0.0) / scale).reshape(2, -1) / widened
     bent: Bools = ~np.all(np.abs(root / REACH - 1) < BENT, axis=0)
     return bent & np.isfinite(sd) & (sd > 0)
-
-
-def _profiled(model: Model, spectrum: Spectrum, estimate: Estimate) -> bool:
-    """Whether profiles are worth their time, and mean what they say."""
-    plain = all(isinstance(stretch, SettledDwell) for stretch in spectrum.stretches)
-    small = len(estimate.names) <= 40 and spectrum.amplitudes.size <= MOST_AMPLITUDES
-    sound = bool(estimate.converged) and estimate.basis != MISFIT
-    free = np.array_equal(estimate.free_values, estimate.values)
-    unweighed = estimate.fit.known_noise or not estimate.stated
-    efficient = estimate.method in AUTOMATIC and not len(model.nonlinear)
-    return plain and small and sound and free and unweighed and efficient

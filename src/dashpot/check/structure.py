@@ -358,7 +358,7 @@ def _channels(
     rig = _field_rig(model, p * law % PRIME)
     D, R = rig.stiffness()
     C, G = rig.channels(view, s)
-    solved, regular = field.solve(D, np.concatenate([R, np.swapaxes(C, 1, 2)], axis=-1))
+    solved, regular = field.solve_modulo(D, np.concatenate([R, np.swapaxes(C, 1, 2)], axis=-1))
     if not np.any(regular):
         raise _unheld(model, D[0])
     solved = solved * regular[:, None, None]

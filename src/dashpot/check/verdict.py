@@ -143,7 +143,8 @@ def standing_out(left: Residuals, spectrum: Spectrum, outputs: Bools, hum: Bools
         return []
     square = np.where(of_residuals[:, None] & outputs, np.nan_to_num(np.abs(left.normalised)) ** 2 / 2, 0.0)
     square[hum] = 0.0
-    square[_slight(left)] = 0.0
+    away = np.abs(np.nan_to_num(left.measured - left.predicted))
+    square[(away < FELT * np.nanmax(np.abs(np.nan_to_num(left.measured)), axis=0))] = 0.0
     n = np.maximum(spectrum.dof / 2, 2.0)[:, None]
     with np.errstate(divide="ignore"):
         chance = np.sum(of_residuals) * np.exp((n - 1) * np.log1p(-np.minimum(square / n, 1.0)))
@@ -189,11 +190,6 @@ def _multiple(frequency_hz: Real) -> Real:
     around = mains * np.maximum(np.round(frequency_hz[:, None] / mains), 1)
     nearest = np.argmin(np.abs(around - frequency_hz[:, None]), axis=1)
     return around[np.arange(len(around)), nearest]
-
-
-def _slight(left: Residuals) -> Bools:
-    away = np.abs(np.nan_to_num(left.measured - left.predicted))
-    return away < FELT * np.nanmax(np.abs(np.nan_to_num(left.measured)), axis=0)
 
 
 # Channels whose own numbers say that they measured nothing: still, stuck at one value, or below their
@@ -334,14 +330,19 @@ def assess(
     motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
     in_time = [notice for notice in estimate.warnings if notice.code in TIME_CHANGES]
     ended = limited_channels(left, spectrum, motions)
-    elsewhere = _sized_elsewhere(estimate, spectrum)
+    # Whether the noise is known from more than these residuals, so that their size says whether they are noise
+    elsewhere = estimate.fit.known_noise and RESIDUAL not in spectrum.noise
     shares = discrepancies(quiet, estimate, motions, elsewhere, within)
+    # Channels of moving points that do not move: they fit a rig that stands still
     against = [
         *unphysical(model, estimate),
         *unstable(estimate),
         *rejected(estimate),
         *([] if elsewhere and float(estimate.fit.p) >= REJECTED else too_far_off(shares)),
-        *_silent(model, spectrum),
+        *[
+            Notice("silent_channel", f"{name} shows no motion at any line", (name,))
+            for name in dead_channels(model, spectrum)
+        ],
         *(notice for notice in estimate.warnings if notice.code == DISAGREE),
         *in_time,
         *ended,
@@ -430,11 +431,6 @@ def with_change_in_time(assessment: Assessment, notice: Notice) -> Assessment:
     return replace(assessment, reasons=(notice, *reasons), findings=(_finding_of(notice),))
 
 
-def _sized_elsewhere(estimate: Estimate, spectrum: Spectrum) -> bool:
-    """Whether the noise is known from more than these residuals, so that their size says whether they are noise."""
-    return estimate.fit.known_noise and RESIDUAL not in spectrum.noise
-
-
 def rejected(estimate: Estimate) -> list[Notice]:
     """That χ² rejects the rig, if it does."""
     fit = estimate.fit
@@ -462,14 +458,6 @@ def powerless(estimate: Estimate, *, of_residuals: bool = False) -> list[Notice]
     if fit.dof < FEWEST:
         return [Notice("few_degrees", f"{fit.dof} degrees of freedom are too few to test the fit")]
     return []
-
-
-def _silent(model: Model, spectrum: Spectrum) -> list[Notice]:
-    """Channels of moving points that do not move: they fit a rig that stands still."""
-    return [
-        Notice("silent_channel", f"{name} shows no motion at any line", (name,))
-        for name in dead_channels(model, spectrum)
-    ]
 
 
 def unphysical(model: Model, estimate: Estimate) -> list[Notice]:

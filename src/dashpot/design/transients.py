@@ -97,7 +97,16 @@ def unsettled_dwells(
     p (elements,); drive (dwells, r + s) amplitudes of the inputs, which pass over from dwell to dwell within a period;
     known calibrations are left out.  Raises ModelError as `integrator`.
     """
-    calibrated = tuple(_calibrated(channel) for channel in channels)
+    # The channel with what is known of its calibration taken out
+    calibrated = tuple(
+        replace(
+            channel,
+            gain=None if channel.gain is None else 1.0,
+            delay=None if channel.delay is None else 0.0,
+            sign=None if channel.sign is None else 1,
+        )
+        for channel in channels
+    )
     view = observation_model(model, calibrated, np.ones(1))
     gain = np.append(view.nominal_calibrations[: view.gains], 1.0)[view.gain]
     state, begin, records = np.zeros(2 * model.n), 0.0, []
@@ -115,16 +124,6 @@ def unsettled_dwells(
         before = (f, q * np.exp(2j * np.pi * f * time[-1]))
         begin += count * step
     return records
-
-
-def _calibrated(channel: Channel) -> Channel:
-    """The channel with what is known of its calibration taken out."""
-    return replace(
-        channel,
-        gain=None if channel.gain is None else 1.0,
-        delay=None if channel.delay is None else 0.0,
-        sign=None if channel.sign is None else 1,
-    )
 
 
 def _waves(time: Real, frequency_hz: float, q: Complex) -> Real:

@@ -125,7 +125,22 @@ def plan(
     spectrum = with_settling_decided(model, spectrum, method)
     if method is None:
         method = suited_method(None, model, spectrum, seed=seed, positive=positive)
-    _require_able(model, spectrum, method)
+    # Raises UsageError where the method does not know the rig's elements or the data's transients
+    if len(model.nonlinear) and not method.traits.nonlinear:
+        raise UsageError(
+            f"the method {method.name} cannot handle nonlinear elements",
+            cure="use the method ml, oiv, iv, wls, ls or hls",
+        )
+    if spectrum.carries_loads and len(model.nonlinear):
+        raise UsageError(
+            "transients of whole records can be estimated for linear rigs only",
+            cure="give settled dwells with their frequencies, or leave the nonlinear elements out",
+        )
+    if spectrum.carries_loads and not method.traits.transients:
+        raise UsageError(
+            f"the method {method.name} works on settled lines; whole records carry transients",
+            cure="use the method ml, or give settled dwells with their frequencies",
+        )
     return with_residual_noise(model, spectrum, method)
 
 
@@ -178,25 +193,6 @@ def automatic(model: Model, spectrum: Spectrum, *, bounded: bool = False) -> Met
         if all(able or not wanted for wanted, able in asked):
             break
     return method_named(name)
-
-
-def _require_able(model: Model, spectrum: Spectrum, method: Method) -> None:
-    """Raises UsageError where the method does not know the rig's elements or the data's transients."""
-    if len(model.nonlinear) and not method.traits.nonlinear:
-        raise UsageError(
-            f"the method {method.name} cannot handle nonlinear elements",
-            cure="use the method ml, oiv, iv, wls, ls or hls",
-        )
-    if spectrum.carries_loads and len(model.nonlinear):
-        raise UsageError(
-            "transients of whole records can be estimated for linear rigs only",
-            cure="give settled dwells with their frequencies, or leave the nonlinear elements out",
-        )
-    if spectrum.carries_loads and not method.traits.transients:
-        raise UsageError(
-            f"the method {method.name} works on settled lines; whole records carry transients",
-            cure="use the method ml, or give settled dwells with their frequencies",
-        )
 
 
 def _identified(model: Model, spectrum: Spectrum, method: Method) -> Inference:

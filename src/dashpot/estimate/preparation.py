@@ -388,7 +388,11 @@ def reconstruction(
     sd = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1).real, 0.0))
     exact = used & (sd == 0)
     # Each noisy channel is measured in its standard deviations and each entry of z in those of its best channel.
-    y_size = np.where(used & ~exact, sd, _sizes(spectrum))
+    # Typical sizes of the channels, (lines, channels), which exact ones are measured in
+    magnitude = np.abs(np.nan_to_num(spectrum.amplitudes)).reshape(-1, *spectrum.amplitudes.shape[-2:])
+    size = np.mean(magnitude, axis=0)
+    overall = np.max(size, axis=0, initial=0.0)
+    y_size = np.where(used & ~exact, sd, np.maximum(size, 1e-6 * np.where(overall > 0, overall, 1.0)))
     C = C * used[..., None] / y_size[..., None]
     largest = np.max(np.abs(C), axis=-2)
     z_size = 1 / np.where(largest > 0, largest, 1.0)
@@ -425,14 +429,6 @@ def _contradiction() -> DataError:
         "two exact channels measure the same thing, or some coordinate is not seen",
         cure="give the channels their noise (a column NAME_sd), or leave one out",
     )
-
-
-def _sizes(spectrum: Spectrum) -> Real:
-    """Typical sizes of the channels, (lines, channels), which exact ones are measured in."""
-    magnitude = np.abs(np.nan_to_num(spectrum.amplitudes)).reshape(-1, *spectrum.amplitudes.shape[-2:])
-    size = np.mean(magnitude, axis=0)
-    overall = np.max(size, axis=0, initial=0.0)
-    return np.maximum(size, 1e-6 * np.where(overall > 0, overall, 1.0))
 
 
 def states_if_seen(view: ObservationModel, spectrum: Spectrum, covariance: Complex) -> States | None:

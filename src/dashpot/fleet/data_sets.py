@@ -156,7 +156,13 @@ class HeldRows:
     def checksum(self) -> str:
         """Of all numbers and texts as well, their kinds and units."""
         contents = tuple(
-            (name, str(values.dtype), hashlib.sha256(_bytes_of(values)).hexdigest())
+            (
+                name,
+                str(values.dtype),
+                hashlib.sha256(
+                    values.tobytes() if values.dtype.kind in "fib" else repr(values.tolist()).encode()
+                ).hexdigest(),
+            )
             for name, values in self.columns.items()
         )
         return digest_of(self.names, self.source, self.ends, tuple(sorted(self.units.items())), contents)
@@ -182,10 +188,6 @@ def _of_rows(columns: Mapping[str, np.ndarray], rows: slice) -> dict[str, np.nda
             with suppress(ValueError):
                 chosen[name] = np.array([text or "nan" for text in values.tolist()], dtype=float)
     return chosen
-
-
-def _bytes_of(values: np.ndarray) -> bytes:
-    return values.tobytes() if values.dtype.kind in "fib" else repr(values.tolist()).encode()
 
 
 @dataclass(frozen=True)

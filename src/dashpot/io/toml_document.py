@@ -509,7 +509,7 @@ def or_unknown(read: Callable[[object], Any]) -> BeforeValidator:
     )
 
 
-def text(value: object) -> str:
+def a_text(value: object) -> str:
     """A text."""
     if isinstance(value, str):
         return value
@@ -530,7 +530,7 @@ def one_of(*choices: str) -> BeforeValidator:
     """One of some words."""
 
     def chosen(value: object) -> str:
-        if text(value) in choices:
+        if a_text(value) in choices:
             return str(value)
         guess = did_you_mean(str(value), choices)
         raise wrong(
@@ -543,5 +543,5 @@ def one_of(*choices: str) -> BeforeValidator:
 Number = Annotated[float, BeforeValidator(number)]
 GivenAmount = Annotated[float | Amount, BeforeValidator(given_amount)]
 Share = Annotated[float, BeforeValidator(share)]
-Text = Annotated[str, BeforeValidator(text)]
+Text = Annotated[str, BeforeValidator(a_text)]
 Names = Annotated[list[Text], BeforeValidator(texts)]

@@ -44,7 +44,7 @@ def inverse(numbers: Ints) -> Ints:
     return result
 
 
-def solve(matrix: Ints, right: Ints) -> tuple[Ints, Bools]:
+def solve_modulo(matrix: Ints, right: Ints) -> tuple[Ints, Bools]:
     """(matrix⁻¹ right, whether it exists) for stacks (lines, n, n) and (lines, n, k), by Gauss and Jordan."""
     n = matrix.shape[-1]
     whole = np.concatenate([matrix, right], axis=-1) % PRIME

@@ -18,7 +18,7 @@ from dashpot.present.figures.comparison import comparison_figure
 from dashpot.present.page import figure_picture, page_html
 from dashpot.present.schematic.drawing import rig_picture
 from dashpot.present.verdict import fit_in_words
-from dashpot.present.words import flush, percent, plain, rounded, sentence, short
+from dashpot.present.words import flush, percent, plain, sentence, short, value_and_sd
 
 MISSES = "*"
 
@@ -118,7 +118,7 @@ def _column(comparison: Comparison, name: str, level: float) -> list[str]:
     pairs = []
     for estimate in comparison.estimates.values():
         v = estimate[name]
-        value, sd = rounded(v.value, v.sd)
+        value, sd = value_and_sd(v.value, v.sd)
         pairs.append((value, sd + (MISSES if _missed(estimate, name, truth, level) else "")))
     values = flush(["" if truth is None else plain(truth), *(value for value, _ in pairs)])
     unit = comparison.units[comparison.names.index(name)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from dashpot.check.evidence import channel_summaries, span_of
 from dashpot.data.inspection import InspectedColumn, InspectedPart, Inspection
@@ -156,8 +156,17 @@ def notebook_document(value: Rig | Record | Spectrum) -> Document:
         rows = ((channel.name, channel.quantity.value) for channel in value.channels)
         return Document(title, (section("", columns_of(["channel", "quantity"], rows)),))
     model = value.model
+    # What an element joins: "x1, x2"; factors of levers stand before the points
     elements = (
-        (e.name, str(e.kind.value), _points(e.along), _known(e.value, e.sd), model.unit(e))
+        (
+            e.name,
+            str(e.kind.value),
+            ", ".join(
+                point if abs(factor) == 1 else f"{plain(factor)} {point}" for point, factor in e.along.items()
+            ),
+            _known(e.value, e.sd),
+            model.unit(e),
+        )
         for e in model.elements
         if not e.is_entry
     )
@@ -168,13 +177,6 @@ def notebook_document(value: Rig | Record | Spectrum) -> Document:
             section("", columns_of(["element", "kind", "joins", "value>", "unit"], elements)),
             section("", columns_of(["channel", "quantity", "unit"], channels)),
         ),
-    )
-
-
-def _points(along: Mapping[str, float]) -> str:
-    """What an element joins: "x1, x2"; factors of levers stand before the points."""
-    return ", ".join(
-        point if abs(factor) == 1 else f"{plain(factor)} {point}" for point, factor in along.items()
     )
 
 

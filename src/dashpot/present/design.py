@@ -24,7 +24,7 @@ from dashpot.present.document import (
 from dashpot.present.figures.design import planned_test_figure
 from dashpot.present.page import figure_picture, page_html
 from dashpot.present.schematic.drawing import rig_picture
-from dashpot.present.words import alike, capitalised, names_of, percent, rounded, sentence, short
+from dashpot.present.words import alike, capitalised, names_of, percent, sentence, short, value_and_sd
 
 WASTE = 0.05  # of the information: what waiting for the steady state may cost
 NOTHING = "–"
@@ -248,7 +248,7 @@ def expected_columns(answer: Answer) -> list[TableColumn]:
     ):
         ends = alike([value - NORMAL_95 * sd, value + NORMAL_95 * sd], sd)
         share = relative.get(name, NOTHING)
-        rows.append((name, *rounded(value, sd), "" if unit == "1" else unit, share, " … ".join(ends)))
+        rows.append((name, *value_and_sd(value, sd), "" if unit == "1" else unit, share, " … ".join(ends)))
     columns = columns_of(["parameter", "value>", "expected ±>", "unit", "± %>", "95 % interval>"], rows)
     others = {}
     if answer.estimate is not None:

@@ -33,9 +33,9 @@ from dashpot.present.words import (
     flush,
     percent,
     plain,
-    rounded,
     sentence,
     short,
+    value_and_sd,
     with_remedy,
 )
 
@@ -193,12 +193,12 @@ def parameter_rows(estimate: Estimate, level: float = 0.95) -> list[ParameterRow
         estimate.names, *estimate.interval(level), estimate.noise_sd.tolist(), strict=True
     ):
         v = everything[name]
-        shown = rounded(v.value, v.sd)
+        shown = value_and_sd(v.value, v.sd)
         ends = alike((float(low), float(high)), v.sd)
         spread = percent(v.sd, v.value), *ends, short(v.bound_sd, 2), short(noise, 2)
         rows.append(ParameterRow(name, *shown, v.unit, False, "", *spread))
     for name, root, times, unit in _shown(estimate.tied):
-        shown = rounded(everything[name].value, everything[name].sd)
+        shown = value_and_sd(everything[name].value, everything[name].sd)
         tie = f"= {root}" if times == 1 else f"= {times:g} × {root}"
         rows.append(ParameterRow(name, *shown, unit, tie=tie))
     for name, number, unit in _shown(estimate.known):
@@ -246,7 +246,9 @@ def stated_columns(estimate: Estimate) -> list[TableColumn]:
         costs = [cost for cost in estimate.costs if cost.of == name and cost.share > 0.05][:MOST_COSTS]
         unit = "" if found.unit == "1" else found.unit
         told = joined([f"{100 * cost.share:.0f} % of {cost.on}" for cost in costs])
-        rows.append((name, *rounded(value, sd), *rounded(found.value, found.sd), unit, f"{pull:+.1f}", told))
+        rows.append(
+            (name, *value_and_sd(value, sd), *value_and_sd(found.value, found.sd), unit, f"{pull:+.1f}", told)
+        )
     return columns_of(["stated", "value>", "±>", "estimate>", "±>", "unit", "pull>", "costs"], rows)
 
 
@@ -263,8 +265,8 @@ def mode_columns(modes: ModeValues | None) -> list[TableColumn]:
         if eigenvalue.imag == 0:
             rows.append(("–", "", "–", "", aperiodic_in_words(eigenvalue.real)))
             continue
-        frequency = rounded(float(modes.frequency_hz[k]), float(modes.frequency_sd[k]))
-        damping = rounded(float(modes.damping_ratio[k]), float(modes.damping_sd[k]))
+        frequency = value_and_sd(float(modes.frequency_hz[k]), float(modes.frequency_sd[k]))
+        damping = value_and_sd(float(modes.damping_ratio[k]), float(modes.damping_sd[k]))
         rows.append((*frequency, *damping, "unstable" if eigenvalue.real > 0 else ""))
     *numbers, remarks = zip(*rows, strict=True)
     texts = [[str(k + 1) for k in range(len(rows))], *map(aligned, numbers), remarks]
@@ -287,7 +289,7 @@ def matrix_columns(matrices: FreeMatrices, letter: Letter, unit: str) -> list[Ta
     free = {(i, j) for which, i, j in matrices.entries if which == letter}
     columns = [TableColumn(f"{letter}, {unit}", tuple(matrices.coordinates))]
     for j, name in enumerate(matrices.coordinates):
-        pairs = [rounded(values[i, j], sd[i, j]) if (i, j) in free else ("0", "") for i in range(j + 1)]
+        pairs = [value_and_sd(values[i, j], sd[i, j]) if (i, j) in free else ("0", "") for i in range(j + 1)]
         values_shown = flush([value for value, _ in pairs])
         texts = [
             f"{value} ± {spread}" if spread else value

@@ -19,7 +19,7 @@ DIGITS = 2  # of a standard deviation that are shown
 PLAIN = 7  # digits before the point from which powers of ten are used
 
 
-def rounded(value: float, sd: float) -> tuple[str, str]:
+def value_and_sd(value: float, sd: float) -> tuple[str, str]:
     """Value and standard deviation, both to two digits of the latter: ("2.998", "0.021"), ("1.2346e8", "0.0021e8").
 
     Without a finite, positive sd the value has six digits and the sd is "–" (0: "0").

@@ -127,9 +127,9 @@ def test_the_seed_decides_the_noise(dashpot: Command, rig: Path) -> None:
 def test_not_converged_is_told_written_and_ends_with_3(
     dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from dashpot.estimate import automatic
+    from dashpot.estimate import identify as planning
 
-    monkeypatch.setattr(automatic, "method_named", lambda name, **_: method(name, max_iterations=1))
+    monkeypatch.setattr(planning, "method_named", lambda name, **_: method(name, max_iterations=1))
     done = dashpot("identify rig.toml data.csv --method oiv --json out.json")
     assert done.code == 3
     assert done.err[:-1] == [STEADY]

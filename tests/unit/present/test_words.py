@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from dashpot.present.words import aligned, alike, percent, probability, rounded, short
+from dashpot.present.words import aligned, alike, percent, probability, short, value_and_sd
 
 
 @pytest.mark.parametrize(
@@ -32,13 +32,13 @@ from dashpot.present.words import aligned, alike, percent, probability, rounded,
     ],
 )
 def test_rounded(value: float, sd: float, texts: tuple[str, str]) -> None:
-    assert rounded(value, sd) == texts
+    assert value_and_sd(value, sd) == texts
 
 
 @given(st.floats(-1e12, 1e12), st.floats(1e-12, 1e12))
 def test_rounding_loses_less_than_a_twentieth_of_the_sd(value: float, sd: float) -> None:
     assume(sd > 1e-14 * abs(value))  # else it is rounding
-    text, spread = rounded(value, sd)
+    text, spread = value_and_sd(value, sd)
     # Two digits of the sd: half a unit of the last is at most a twentieth of it.
     assert abs(float(text) - value) <= 0.0501 * sd + 1e-15 * abs(value)
     assert abs(float(spread) - sd) <= 0.0501 * sd

@@ -228,24 +228,20 @@ def _calibrated(data: Prepared, psi: Real, sign: Real, rng: np.random.Generator)
     return psi, sign
 
 
-def _response(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Complex:
-    """The channels under known inputs without their slopes, which many candidates would spend most time on."""
-    model, q = view.model, data.q
-    assert q is not None
-    r = len(model.displacement_inputs)
-    p, U, f = model.parameters(psi[..., : view.m]), q[..., :r], q[..., r:]
-    X = amplitudes(model, p, view.omega, U, f, view.experiment)
-    forces = np.zeros(len(model.elements), dtype=complex)
-    if view.has_forces:
-        forces = p[..., None, :] * unit_forces(model, view.omega, X, U, view.experiment)
-    return calibration_factors(view, psi, sign) * channel_amplitudes(view, X, q, forces)
-
-
 def _likeness(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real]:
     """Products of prediction and data, and of the prediction with itself, in units of the data; (K, channels) each."""
     y = piece.data.y
     if piece.data.ends is None and piece.data.nonlinear is None and small(piece.view.model):
-        predicted = _response(piece.view, piece.data, psi, sign)
+        # The channels under known inputs without their slopes, which many candidates would spend most time on
+        model, q = piece.view.model, piece.data.q
+        assert q is not None
+        r = len(model.displacement_inputs)
+        p, U, f = model.parameters(psi[..., : piece.view.m]), q[..., :r], q[..., r:]
+        X = amplitudes(model, p, piece.view.omega, U, f, piece.view.experiment)
+        forces = np.zeros(len(model.elements), dtype=complex)
+        if piece.view.has_forces:
+            forces = p[..., None, :] * unit_forces(model, piece.view.omega, X, U, piece.view.experiment)
+        predicted = calibration_factors(piece.view, psi, sign) * channel_amplitudes(piece.view, X, q, forces)
     else:
         predicted = y - predict(piece.view, piece.data, psi, sign).r
     weight = 1.0 / np.maximum(np.abs(y) ** 2, 1e-300) * (np.abs(y) > 0)

@@ -217,7 +217,11 @@ def _descended(fit: _Fit, fitted: Callable[[Complex, Real], tuple[Real, _Left]])
     for turn in range(30):
         for steps in (200, 1):
             sizes = fit.left.stepped(fit.sizes, fit.weighed.unused, steps)
-            V = _covariance(fit.V, fit.left, fit.left.parts @ sizes)
+            # The covariance with these variances, (rows,), of the amplitudes that are no inputs
+            changed = np.array(fit.V)
+            line, channel = fit.left.cells
+            changed[0, line, channel, channel] = fit.left.parts @ sizes
+            V = changed
             psi, left = fitted(V, fit.psi)
             if len(left.power) < len(fit.left.power):  # noise of no size: the rig is no better than none
                 return None
@@ -231,14 +235,6 @@ def _descended(fit: _Fit, fitted: Callable[[Complex, Real], tuple[Real, _Left]])
         if turn and gain < 0.05:
             return fit
     return fit
-
-
-def _covariance(V: Complex, left: _Left, variance: Real) -> Complex:
-    """The covariance with these variances, (rows,), of the amplitudes that are no inputs."""
-    changed = np.array(V)
-    line, channel = left.cells
-    changed[0, line, channel, channel] = variance
-    return changed
 
 
 # The noise of data that do not tell it themselves, from what the model leaves over of them.

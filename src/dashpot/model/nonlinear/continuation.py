@@ -59,7 +59,15 @@ def floquet_multipliers(model: Model, theta: Real, drive: Drive, at: Periodic) -
         monodromy = _integrated(model, theta, drive, at, times)
     else:
         monodromy = _along_motions(model, theta, drive, at, times)
-    return np.where(at.converged[:, None], _eigenvalues(monodromy), np.nan)
+    # Multipliers, largest first, (N, states); infinite where the matrix is not finite
+    finite = np.all(np.isfinite(monodromy), axis=(-2, -1))
+    values = np.linalg.eigvals(np.where(finite[:, None, None], monodromy, 0.0)).astype(np.complex128)
+    order = np.argsort(-np.abs(values), axis=-1)
+    return np.where(
+        at.converged[:, None],
+        np.where(finite[:, None], np.take_along_axis(values, order, axis=-1), np.inf),
+        np.nan,
+    )
 
 
 def _along_motions(model: Model, theta: Real, drive: Drive, at: Periodic, times: int) -> Real:
@@ -103,14 +111,6 @@ def _product(tangents: Real) -> Real:
             tangents = np.concatenate([tangents, np.eye(tangents.shape[-1])[None]])
         tangents = tangents[1::2] @ tangents[::2]
     return tangents[0]
-
-
-def _eigenvalues(monodromy: Real) -> Complex:
-    """Multipliers, largest first, (N, states); infinite where the matrix is not finite."""
-    finite = np.all(np.isfinite(monodromy), axis=(-2, -1))
-    values = np.linalg.eigvals(np.where(finite[:, None, None], monodromy, 0.0)).astype(np.complex128)
-    order = np.argsort(-np.abs(values), axis=-1)
-    return np.where(finite[:, None], np.take_along_axis(values, order, axis=-1), np.inf)
 
 
 def stable_motions(model: Model, theta: Real, drive: Drive, at: Periodic) -> Bools | None:

@@ -130,7 +130,25 @@ def interval_plot(
         axes.xaxis.set_major_locator(MaxNLocator(4 if panel >= PANEL else 3, min_n_ticks=2))
         axes.set_title(name)
         axes.set_xlabel("" if units[k] == "1" else units[k], labelpad=1)
-    _legend(figure, bool(truth), bool(bands), wider, level, 5 if columns == 3 else columns)
+    dot: dict[str, Any] = {"marker": "o", "ms": 4, "lw": 1.6}
+    filled: dict[str, Any] = {"color": COLOURS[0], "mec": "white", "mew": 0.6}
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], label=f"value and {100 * level:g} % interval", **dot, **filled)
+    ]
+    if bool(truth):
+        handles.append(Line2D([], [], color=BAD, mfc="white", mew=1.0, label="misses the truth", **dot))
+        handles.append(Line2D([], [], color=INK, lw=0.9, label="truth"))
+    if bool(bands):
+        handles.append(Patch(color=MODEL, alpha=0.12, lw=0, label="interval at the Cramér-Rao bound"))
+    if wider:
+        arrow: dict[str, Any] = {"marker": ">", "ms": 4.5, "mew": 0, "lw": 1.6}
+        handles.append(Line2D([], [], color=COLOURS[0], label="beyond the axis", **arrow))
+    layout: dict[str, Any] = {
+        "ncols": (5 if columns == 3 else columns),
+        "handlelength": 1.8,
+        "columnspacing": 1.6,
+    }
+    figure.legend(handles=handles, loc="outside lower center", **layout)
     return figure
 
 
@@ -184,21 +202,3 @@ def _view(value: Real, low: Real, high: Real, truth: float | None) -> tuple[floa
         ends.append(truth)
     margin = 0.08 * (max(ends) - min(ends))
     return min(ends) - margin, max(ends) + margin
-
-
-def _legend(figure: Figure, truth: bool, bound: bool, wider: bool, level: float, columns: int) -> None:
-    dot: dict[str, Any] = {"marker": "o", "ms": 4, "lw": 1.6}
-    filled: dict[str, Any] = {"color": COLOURS[0], "mec": "white", "mew": 0.6}
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], label=f"value and {100 * level:g} % interval", **dot, **filled)
-    ]
-    if truth:
-        handles.append(Line2D([], [], color=BAD, mfc="white", mew=1.0, label="misses the truth", **dot))
-        handles.append(Line2D([], [], color=INK, lw=0.9, label="truth"))
-    if bound:
-        handles.append(Patch(color=MODEL, alpha=0.12, lw=0, label="interval at the Cramér-Rao bound"))
-    if wider:
-        arrow: dict[str, Any] = {"marker": ">", "ms": 4.5, "mew": 0, "lw": 1.6}
-        handles.append(Line2D([], [], color=COLOURS[0], label="beyond the axis", **arrow))
-    layout: dict[str, Any] = {"ncols": columns, "handlelength": 1.8, "columnspacing": 1.6}
-    figure.legend(handles=handles, loc="outside lower center", **layout)
