@@ -8,7 +8,7 @@ import pytest
 from dashpot.channel import Quantity
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.conditioning.whole_record import whole_record
-from dashpot.estimate.automatic import identify_automatically
+from dashpot.estimate.automatic import identify_with_noise
 from dashpot.estimate.identify import identify
 from tests.record_draws import CASES, Case, draws, draws_of
 from tests.whole_rigs import chain, record_of
@@ -100,8 +100,8 @@ def test_a_twentieth_of_the_samples_missing_in_ten_gaps() -> None:
         lines = spectrum([replace(record, time=record.time[keep], values=record.values[keep])])
         assert len(lines.records) == 1
         estimate, whole = (
-            identify_automatically(model, lines),
-            identify_automatically(model, spectrum([record])),
+            identify_with_noise(model, lines)[0],
+            identify_with_noise(model, spectrum([record]))[0],
         )
         low, high = np.array([estimate[name].interval95 for name in estimate.names]).T
         held += int(np.sum((low <= theta) & (theta <= high)))
