@@ -230,3 +230,12 @@ def test_a_stand_without_its_force_is_refused() -> None:
     )
     with pytest.raises(dashpot.IdentifiabilityError, match="k, c"):
         rig.identify({"time_s": np.arange(100) / 1e3, "u": np.arange(100) % 7, "G": np.arange(100) % 5})
+
+
+@pytest.mark.parametrize(("friction", "seed"), [(10.0, 6), (3.0, 7)])
+def test_noise_of_a_record_is_no_more_than_what_was_measured(friction: float, seed: int) -> None:
+    """A linear stand that rubs: its residuals had come to count for so little that k was -5e6 and 2e5."""
+    truth = {"k": 2e4, "c": 100.0, "q": friction, "q.v0": 0.005}
+    rig = dashpot.parse_rig(RIG.format(spring=SPRING, damper=""))
+    estimate = rig.identify(wide("coulomb", truth, np.random.default_rng(seed)), judge=False)
+    assert abs(estimate["k"].value / truth["k"]) < 2
