@@ -35,9 +35,6 @@ from dashpot.model.network import Model
 # Which parameters are in doubt: intervals tell little of them, or the channels cannot determine them.
 
 
-MOST = 0.5  # half an interval over the value
-
-
 def doubtful(estimate: Estimate, level: float = 0.95) -> tuple[str, ...]:
     """Names of the unknowns whose interval at `level` reaches further than half their value to a side.
 
@@ -48,7 +45,7 @@ def doubtful(estimate: Estimate, level: float = 0.95) -> tuple[str, ...]:
     low, high = estimate.interval(level)
     half = np.maximum(high - estimate.values, estimate.values - low)
     with np.errstate(invalid="ignore"):
-        good = half <= MOST * np.abs(estimate.values)
+        good = half <= 0.5 * np.abs(estimate.values)  # half an interval over the value
     return tuple(name for name, kept in zip(estimate.names, good.tolist(), strict=True) if not kept)
 
 

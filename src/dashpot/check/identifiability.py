@@ -87,9 +87,7 @@ def _has_image(element: Element, swap: Mapping[str, str], shapes: set[Shape]) ->
     return _shape(element, image) in shapes or _shape(element, turned) in shapes
 
 
-MANY = 2_000_000  # coordinates² · unknowns² above which lines are counted that add to the rank
 KEPT = 16  # rigs with their channels and patterns of lines, of which the rank is remembered
-LARGE = 300_000_000  # and above which exact ranks take too long for a check before each identification
 
 
 @dataclass(frozen=True)
@@ -167,7 +165,8 @@ def _rank(model: Model, channels: tuple[Channel, ...], lines: LinePattern) -> in
 
 def is_large(model: Model) -> bool:
     """Whether exact ranks would take minutes, or do not exist: nonlinear laws have none in a finite field."""
-    return bool(len(model.nonlinear)) or _work(model) > LARGE
+    # 300_000_000: above it exact ranks take too long for a check before each identification
+    return bool(len(model.nonlinear)) or _work(model) > 300_000_000
 
 
 def parallel_unknowns(model: Model, channels: Sequence[Channel]) -> tuple[tuple[str, ...], ...]:
@@ -200,7 +199,8 @@ def _lines_enough(
     Each further line at random adds no more than the one before, so where twice as many add nothing, none will.
     """
     most = enough_lines(model, channels, unknowns)
-    if _work(model) <= MANY:
+    # 2_000_000: coordinates² · unknowns² above which lines are counted that add to the rank
+    if _work(model) <= 2_000_000:
         return most
     equations = unknowns + loads_at_ends(model)
     count, before = 2 * -(-equations // (2 * max(len(channels), 1))) + 2, -1
@@ -299,11 +299,7 @@ def _lines_missing(
 
 FREQUENCIES = 12  # of the drive, around the rig's own
 SIZES = (1.0, 0.4)  # of the drive
-HARMONICS = (1, 2, 3)  # harmonics that are looked at
 NOMINAL = 1e-3  # amplitude of displacement inputs, m
-STRENGTH = 0.2  # of a nonlinear force over the linear one, where nothing tells
-BLIND = 1e-7  # singular value over the largest below which a combination shows nothing
-SHARE = 1e-3  # part of a direction from which an unknown belongs to it
 
 
 def nonlinear_structure(
@@ -339,14 +335,16 @@ def nonlinear_structure(
         )
     known = np.diag(np.where(view.prior_precision > 0, np.linalg.norm(rows), 0.0))
     _, s, Vh = np.linalg.svd(np.concatenate([rows, known]), full_matrices=False)
-    rank = int(np.sum(s > BLIND * s[0])) if s[0] > 0 else 0
+    # 1e-7: singular value over the largest below which a combination shows nothing
+    rank = int(np.sum(s > 1e-7 * s[0])) if s[0] > 0 else 0
     deficiencies = tuple(_deficiency(view.names, vector, scale) for vector in Vh[rank:])
     return Structure(view.names, view.units, rank, psi, deficiencies)
 
 
 def _deficiency(names: Sequence[str], vector: Real, scale: Real) -> Deficiency:
     """One direction that no channel shows; an unknown alone is one that has no effect at all."""
-    part = np.abs(vector) > SHARE * np.max(np.abs(vector))
+    # 1e-3: part of a direction from which an unknown belongs to it
+    part = np.abs(vector) > 1e-3 * np.max(np.abs(vector))
     chosen = tuple(name for name, there in zip(names, part, strict=True) if there)
     direction = np.where(part, vector, 0.0) * scale
     return Deficiency("mixed", chosen, direction[None], np.zeros((0, len(chosen))))
@@ -362,7 +360,7 @@ def _settled_test(model: Model, channels: Sequence[Channel]) -> Spectrum:
     base = rate / (2 * np.pi) * np.geomspace(0.3, 2.0, FREQUENCIES)
     lines, dwell, amplitude = [], [], []
     for number, (f, size) in enumerate((f, size) for size in SIZES for f in base):
-        for order in HARMONICS:
+        for order in (1, 2, 3):  # harmonics that are looked at
             lines.append(order * f)
             dwell.append(number)
             amplitude.append(size if order == 1 else 0.0)
@@ -405,7 +403,8 @@ def _nominal(model: Model, elongation: float) -> Real:
             values.append(sizes[kinds[unknown.name].kind])
     apart = 0.9 + 0.2 * np.modf(np.arange(1, len(values) + 1) * GOLDEN)[0]
     theta = np.array(values) * apart
-    return _with_strengths(model, theta, elongation, rate, STRENGTH * stiffness * elongation)
+    # 0.2 of a nonlinear force over the linear one, where nothing tells
+    return _with_strengths(model, theta, elongation, rate, 0.2 * stiffness * elongation)
 
 
 def _with_strengths(model: Model, theta: Real, elongation: float, rate: float, force: float) -> Real:

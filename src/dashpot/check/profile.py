@@ -103,7 +103,6 @@ def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surfac
     return Surface(view, exact, sign, minimum.x, minimum.cost, information, lower, upper, lacking)
 
 
-MISLEADS = 0.1  # of the normal interval's length by which an end may be off
 FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of the normal half-length, the first steps outwards
 GROWTH, FARTHEST = 1.5, 24  # then steps grow; 1.5²⁴ is 17,000 half-lengths
 CLOSE = 1e-3  # of the root of the rise
@@ -164,7 +163,7 @@ class Profile:
     @property
     def misleads(self) -> Bools:
         """Whether the normal interval is off by more than a tenth of its length, (...,)."""
-        return np.asarray(self.difference > MISLEADS)
+        return np.asarray(self.difference > 0.1)  # of the normal interval's length by which an end may be off
 
 
 def profile(
@@ -386,10 +385,7 @@ class _Bracket:
 
 Curve = tuple[tuple[float, ...], tuple[float, ...]]
 
-MOST_WAYS = 120  # outwards, in all
-SHORT = 0.02  # of the half-length of a normal interval: what an interval ends short of
 DRAWS = 40  # points from which other valleys are looked for
-SPREAD = 1.5  # half-lengths of the normal intervals: their standard deviation
 
 
 def joint_profiles(
@@ -406,7 +402,8 @@ def joint_profiles(
         own = base.at(value[None], np.array([0])).cost - base.cost
         # Minima that draws about the estimate lead to, with the root of their rise
         away = np.random.default_rng(seed).standard_normal((DRAWS, len(half)))
-        ends = _minimum(base, base.psi[0] + SPREAD * half * away)
+        # 1.5: half-lengths of the normal intervals: their standard deviation
+        ends = _minimum(base, base.psi[0] + 1.5 * half * away)
         known = [
             (value, float(signed_root(own)[0])),
             *list(zip(ends.x, signed_root(ends.cost - base.cost[0]).tolist(), strict=True)),
@@ -465,11 +462,12 @@ class _Ways:
         """Whether the interval of one unknown ended short of what was met elsewhere, and goes on now."""
         outwards = 2 * side - 1
         inside = [(psi, root) for psi, root in self.visited if root < (1 - CLOSE) * self.root[j]]
-        if not inside or self.count >= MOST_WAYS:
+        if not inside or self.count >= 120:  # outwards, in all
             return False
         start = max(inside, key=lambda point: outwards * point[0][j])
         end = self.ends[j][side] if j in self.ends else self.value[j] + outwards * self.half[j]
-        if outwards * (start[0][j] - end) <= SHORT * self.half[j]:
+        # 0.02 of the half-length of a normal interval: what an interval ends short of
+        if outwards * (start[0][j] - end) <= 0.02 * self.half[j]:
             return False
         if j not in self.ends:
             self._profiled(j)
@@ -515,8 +513,6 @@ class _Ways:
 
 
 REACH = 2.0  # standard deviations
-BENT = 0.12  # relative error of the root of the rise there
-OPEN = 5.0  # sd over the value from which on the data say nothing of it, along whatever curve
 MOST_AMPLITUDES = 3000  # with more, profiles take longer than anyone waits
 
 
@@ -535,7 +531,8 @@ def with_profile_intervals(model: Model, spectrum: Spectrum, estimate: Estimate)
     if not (plain and small and sound and free and unweighed and efficient):
         return estimate
     try:
-        precise = estimate.noise_sd < OPEN * np.abs(estimate.values)
+        # 5.0: sd over the value from which on the data say nothing of it, along whatever curve
+        precise = estimate.noise_sd < 5.0 * np.abs(estimate.values)
         bent = np.flatnonzero(bent_unknowns(model, spectrum, estimate) & precise)[:12]
         if not len(bent):
             return estimate
@@ -564,5 +561,6 @@ def bent_unknowns(model: Model, spectrum: Spectrum, estimate: Estimate) -> Bools
         cost = stage.cost(points, sign, np.zeros(len(points), dtype=np.int64))
         scale = 1.0 if data.noise_known else cost[0] / max(estimate.fit.dof, 1)
         root: Real = np.sqrt(np.maximum(cost[1:] - cost[0], 0.0) / scale).reshape(2, -1) / widened
-    bent: Bools = ~np.all(np.abs(root / REACH - 1) < BENT, axis=0)
+    # 0.12: relative error of the root of the rise there
+    bent: Bools = ~np.all(np.abs(root / REACH - 1) < 0.12, axis=0)
     return bent & np.isfinite(sd) & (sd > 0)

@@ -559,8 +559,6 @@ def floating(
 Sort = Literal["unseen", "sum", "scale", "series", "mixed", "lines"]
 
 DRAWS = 3  # random rigs that a constant direction must hold at
-ORDERS = 12  # orders of the unknowns tried for short descriptions
-SHOWN = 1e-7  # part of the largest slope from which a further sensor shows a direction
 
 
 @dataclass(frozen=True)
@@ -659,7 +657,7 @@ class Deficient:
         """A basis of the unseen directions among some unknowns, of small support."""
         rows = self.draws[0].rows
         pool: list[Ints] = []
-        for turn in range(ORDERS):
+        for turn in range(12):  # orders of the unknowns tried for short descriptions
             order = np.array(columns) if turn == 0 else self.rng.permutation(columns)
             for vector in field.null_space(rows[:, order]):
                 whole = np.zeros(len(self.names), dtype=np.int64)
@@ -719,7 +717,8 @@ class Deficient:
             size = float(np.max(np.linalg.norm(slopes * scale, axis=0)))
             for k, deficiency in enumerate(found):
                 shown = np.linalg.svd(slopes @ deficiency.directions.T, compute_uv=False)
-                if shown[-1] > SHOWN * size and elements & set(deficiency.names):
+                # 1e-7: part of the largest slope from which a further sensor shows a direction
+                if shown[-1] > 1e-7 * size and elements & set(deficiency.names):
                     sensors[k].append(channel)
         return [tuple(more) for more in sensors]
 

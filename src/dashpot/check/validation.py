@@ -36,7 +36,6 @@ from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, channel_unit, observation_model
 
 MISSED = 0.8  # FIT below which the data may be wrong, or the rig another one
-WEIGHT = 1e-2  # of a channel's size: its weight in the fit of the transients where its noise is not known
 
 
 @dataclass(frozen=True)
@@ -160,7 +159,8 @@ def _weights(spectrum: Spectrum, outputs: Bools) -> tuple[Complex, bool]:
     # The quiet end of a band is no measure of the noise elsewhere.
     known = bool(np.all(usable[:, outputs])) and FLOOR not in spectrum.noise
     size = np.nanmean(np.abs(spectrum.amplitudes) ** 2, axis=0)
-    chosen = np.where(usable & known, variance, WEIGHT**2 * size) * outputs
+    # 1e-2 of a channel's size: its weight in the fit of the transients where its noise is not known
+    chosen = np.where(usable & known, variance, 1e-2**2 * size) * outputs
     V: Complex = (chosen[..., None] * np.eye(len(spectrum.channels))).astype(np.complex128)
     return V, known
 

@@ -58,11 +58,7 @@ from dashpot.notices import Notice
 LIMITED = "limited_channel"
 LEVELS = (0.3, 0.5, 0.7, 0.85)  # of the largest motion, beyond which a channel may read less
 SIDES = np.array([1.0, -1.0])  # of the motion
-FAR = 0.999  # quantile of the motion that counts as the largest
 IMPROBABLE = 1e-6  # p-value of a form by chance
-BENT = 0.6  # of the slope in the middle: what a channel near its limit shows at most
-ENDS = 0.02  # of a record at either end, where what its ends leave in its lines is least well known
-BY_BENDING = 0.4  # share of what a straight line leaves that bending must explain
 
 
 def limited_channels(left: Residuals, spectrum: Spectrum, motions: Bools) -> list[Notice]:
@@ -92,9 +88,10 @@ def clipped_at(shown: Real, should: Real, independent: int) -> float | None:
 
     independent: how many of the samples are.  None where it does not bend, or where that explains too little.
     """
-    ends = int(ENDS * len(should))
+    # 0.02 of a record at either end, where what its ends leave in its lines is least well known
+    ends = int(0.02 * len(should))
     shown, should = shown[ends : len(shown) - ends], should[ends : len(should) - ends]
-    largest = float(np.quantile(np.abs(should), FAR))
+    largest = float(np.quantile(np.abs(should), 0.999))  # quantile of the motion that counts as the largest
     if largest == 0:
         return None
     p = should / largest
@@ -104,7 +101,8 @@ def clipped_at(shown: Real, should: Real, independent: int) -> float | None:
     rest = _left(straight, shown)[1]
     values, bent = _left(whole, shown)
     freedom = independent - whole.shape[1]
-    if not 0 < bent < (1 - BY_BENDING) * rest or freedom < 1:
+    # 0.4: share of what a straight line leaves that bending must explain
+    if not 0 < bent < (1 - 0.4) * rest or freedom < 1:
         return None
     if not fdtrc(len(beyond), freedom, (rest - bent) / len(beyond) / (bent / freedom)) < IMPROBABLE:
         return None
@@ -112,7 +110,8 @@ def clipped_at(shown: Real, should: Real, independent: int) -> float | None:
     bends = values[2:].reshape(len(SIDES), len(LEVELS))
     slopes = slope + SIDES * np.sum(bends, axis=1)  # beyond the last level
     k = int(np.argmin(np.abs(slopes)))
-    if not abs(slopes[k]) < BENT * abs(slope):
+    # 0.6 of the slope in the middle: what a channel near its limit shows at most
+    if not abs(slopes[k]) < 0.6 * abs(slope):
         return None
     return float(abs(offset + SIDES[k] * slope + bends[k] @ (1 - np.array(LEVELS))))
 
@@ -127,9 +126,7 @@ def _left(columns: Real, y: Real) -> tuple[Real, float]:
 
 
 IMPROBABLE_RECORD_RESIDUALS = 1e-4  # chance of the largest residual of a right rig
-FELT = 0.005  # of a channel's largest amplitude: what stands out less is of no account
 MAINS_HZ = (50.0, 60.0)
-UNDRIVEN = 0.3  # of an amplitude: what the rig can explain of a tone that nothing drives
 
 
 def standing_out(left: Residuals, spectrum: Spectrum, outputs: Bools, hum: Bools) -> list[Notice]:
@@ -144,7 +141,8 @@ def standing_out(left: Residuals, spectrum: Spectrum, outputs: Bools, hum: Bools
     square = np.where(of_residuals[:, None] & outputs, np.nan_to_num(np.abs(left.normalised)) ** 2 / 2, 0.0)
     square[hum] = 0.0
     away = np.abs(np.nan_to_num(left.measured - left.predicted))
-    square[(away < FELT * np.nanmax(np.abs(np.nan_to_num(left.measured)), axis=0))] = 0.0
+    # 0.005 of a channel's largest amplitude: what stands out less is of no account
+    square[(away < 0.005 * np.nanmax(np.abs(np.nan_to_num(left.measured)), axis=0))] = 0.0
     n = np.maximum(spectrum.dof / 2, 2.0)[:, None]
     with np.errstate(divide="ignore"):
         chance = np.sum(of_residuals) * np.exp((n - 1) * np.log1p(-np.minimum(square / n, 1.0)))
@@ -180,7 +178,8 @@ def mains_hum(left: Residuals, spectrum: Spectrum) -> Bools:
     near = np.abs(left.frequency_hz - _multiple(left.frequency_hz)) * duration_s[spectrum.stretch]
     whole = np.isin(spectrum.stretch, spectrum.records)
     with np.errstate(invalid="ignore"):
-        undriven = np.abs(left.predicted) < UNDRIVEN * np.abs(left.measured)
+        # 0.3 of an amplitude: what the rig can explain of a tone that nothing drives
+        undriven = np.abs(left.predicted) < 0.3 * np.abs(left.measured)
     return (whole & (near <= 2.0))[:, None] & undriven
 
 
@@ -196,10 +195,8 @@ def _multiple(frequency_hz: Real) -> Real:
 # noise.
 
 
-HEARD = 3.0  # standard deviations that an amplitude must have to be more than noise
 MOSTLY = 0.5  # share of a channel's lines
 FEWEST = 4  # lines at which a channel that moves does not read alike
-ALIKE = 1e-9  # of its size
 
 
 def mostly_unheard(measured: Complex, sd: Real, lines: Bools) -> Bools:
@@ -209,7 +206,8 @@ def mostly_unheard(measured: Complex, sd: Real, lines: Bools) -> Bools:
     """
     present = np.isfinite(measured) & lines[:, None]
     with np.errstate(invalid="ignore"):
-        heard = present & (np.abs(measured) > HEARD * np.sqrt(2) * sd)
+        # 3.0: standard deviations that an amplitude must have to be more than noise
+        heard = present & (np.abs(measured) > 3.0 * np.sqrt(2) * sd)
     share = np.sum(heard, axis=0) / np.maximum(np.sum(present, axis=0), 1)
     return (share < MOSTLY) & np.any(sd > 0, axis=0)
 
@@ -239,7 +237,7 @@ def silent_channels(model: Model, spectrum: Spectrum) -> dict[str, str]:
         if measures_input(model, channel) or channel.name in shows:
             continue
         y = Y[np.isfinite(Y[:, c]), c]
-        if len(y) >= FEWEST and np.all(np.abs(y - y[0]) <= ALIKE * np.abs(y[0])):
+        if len(y) >= FEWEST and np.all(np.abs(y - y[0]) <= 1e-9 * np.abs(y[0])):  # of its size
             shows[channel.name] = "reads the same at every line"
         elif noisy[c]:
             shows[channel.name] = "shows little but noise at most lines"
@@ -287,10 +285,8 @@ def several_motions(model: Model, spectrum: Spectrum, estimate: Estimate) -> lis
 
 
 REJECTED = 0.01  # p-value of χ² below which a rig does not fit: one clean test in a hundred
-MORE_THAN_NOISE = 2.0  # rms of a channel's residuals over the noise
 PERHAPS_UNSTABLE = "perhaps_unstable"  # a code
 BEYOND = 3.0  # standard deviations by which a sign or a damping ratio must be wrong
-SMOOTH = 4.5  # standard deviations of the correlation of neighbouring residuals
 WORST = 3  # amplitudes that are named
 UNTESTED = ("no_noise", "noise_from_residuals", "few_degrees")  # codes of doubts that no χ² has settled
 # Codes of reasons that say nothing against a rig that describes the motion as closely as it should.
@@ -534,7 +530,8 @@ def _smooth(left: Residuals, motions: Bools, least: float, uneven: bool) -> list
         if len(r) < 8 or size < least * len(r):
             continue
         loud = np.abs(motion[finite]) > np.median(np.abs(motion[finite])) if uneven else np.ones(len(r), bool)
-        if max(_likeness(turned, loud) for turned in (r, r * phase)) > SMOOTH:
+        # 4.5: standard deviations of the correlation of neighbouring residuals
+        if max(_likeness(turned, loud) for turned in (r, r * phase)) > 4.5:
             names.append(left.channels[c])
     if not names:
         return []
@@ -572,7 +569,8 @@ def _relative_verdict(left: Residuals, motions: Bools) -> Mapping[str, float]:
     parts = rms(away[:, shown]) / np.where(sizes > 0, sizes, 1.0)
     names = [name for name, there in zip(left.channels, shown, strict=True) if there]
     moved = motions[shown]
-    otherwise = (left.rms()[shown] > MORE_THAN_NOISE) & (parts > np.max(parts[moved], initial=0.0))
+    # 2.0: rms of a channel's residuals over the noise
+    otherwise = (left.rms()[shown] > 2.0) & (parts > np.max(parts[moved], initial=0.0))
     said = moved | otherwise
     return {name: float(part) for name, part, motion in zip(names, parts, said, strict=True) if motion}
 

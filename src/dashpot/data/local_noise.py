@@ -19,10 +19,6 @@ from dashpot.notices import Notice
 SMOOTH = "smooth"  # kind of noise
 WINDOW = 9  # lines that a polynomial goes through
 DEGREES = (3, 5)  # of the polynomial, and of the one that must leave as much
-ALIKE = 1.5  # ratio of the variances that the two leave, above which the lower one is bent
-MOSTLY = 0.5  # share of the lines at which it must not be
-LARGEST = 0.3  # of the motion: what scatters more is no noise about a curve
-EXACT = 1e-18  # of the mean square of the motion
 
 
 def with_local_noise(spectrum: Spectrum) -> Spectrum:
@@ -62,12 +58,16 @@ def with_local_noise(spectrum: Spectrum) -> Spectrum:
 def _noise_of(f: Real, y: Complex) -> tuple[Real, float] | None:
     """Variance E|Δ|² of each line of a channel and the degrees of freedom behind it; None where none is to be seen."""
     low, high = (_scatter(f, y, degree) for degree in DEGREES)
-    straight: Bools = _drawn_together(low) <= ALIKE * _drawn_together(high)
-    if np.mean(straight) < MOSTLY or np.median(low[straight]) < EXACT * float(np.mean(np.abs(y) ** 2)):
+    # 1.5: ratio of the variances that the two leave, above which the lower one is bent
+    straight: Bools = _drawn_together(low) <= 1.5 * _drawn_together(high)
+    # 0.5: share of the lines at which it must not be
+    # 1e-18 of the mean square of the motion
+    if np.mean(straight) < 0.5 or np.median(low[straight]) < 1e-18 * float(np.mean(np.abs(y) ** 2)):
         return None
     size = np.abs(y[straight]) ** 2
     variance = _of_constant_and_share(low[straight], size, np.abs(y) ** 2)
-    if np.median(variance / np.maximum(np.abs(y) ** 2, 1e-300)) > LARGEST**2:
+    # 0.3 of the motion: what scatters more is no noise about a curve
+    if np.median(variance / np.maximum(np.abs(y) ** 2, 1e-300)) > 0.3**2:
         return None
     # Neighbouring windows share their lines: as many degrees of freedom as one window in WINDOW lines would give.
     free = 2.0 * (WINDOW - DEGREES[0] - 1) * np.sum(straight) / WINDOW

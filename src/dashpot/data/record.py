@@ -27,7 +27,6 @@ def samples_at_limit(values: Real) -> int:
     return int(np.count_nonzero(at_limits(values)))
 
 
-DIFFERENT = 0.9  # of the other samples, all of different values: then two alike at a limit are no chance
 ALIKE = 3  # samples at a limit of a channel of which no two others are alike
 
 
@@ -73,7 +72,8 @@ def limits(column: Real) -> Bools:
     if not len(others) or np.ptp(column) == 0:
         return at_limits(column)
     different = len(np.unique(np.round(others / np.ptp(column), 9)))  # but for rounding
-    if different <= DIFFERENT * len(others):
+    # 0.9 of the other samples, all of different values: then two alike at a limit are no chance
+    if different <= 0.9 * len(others):
         return at_limits(column)
     counts = np.count_nonzero(ends, axis=1)
     limited: Bools = (counts >= ALIKE) | ((counts >= 2) & (np.max(counts) >= ALIKE))

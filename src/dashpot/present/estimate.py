@@ -233,7 +233,6 @@ STATED_TEXT = (
     "The pull is how far the data draw a statement, in standard deviations of that: beyond 3, the two contradict each "
     "other. 'costs' is the share of a variance that would go were the statement exact."
 )
-MOST_COSTS = 3  # unknowns named beside a statement, where it costs them at least 5 % of their variance
 
 
 def stated_columns(estimate: Estimate) -> list[TableColumn]:
@@ -243,7 +242,8 @@ def stated_columns(estimate: Estimate) -> list[TableColumn]:
         estimate.stated, estimate.pulls[~np.isnan(estimate.pulls)].tolist(), strict=True
     ):
         found = estimate[name]
-        costs = [cost for cost in estimate.costs if cost.of == name and cost.share > 0.05][:MOST_COSTS]
+        # 3: unknowns named beside a statement, where it costs them at least 5 % of their variance
+        costs = [cost for cost in estimate.costs if cost.of == name and cost.share > 0.05][:3]
         unit = "" if found.unit == "1" else found.unit
         told = joined([f"{100 * cost.share:.0f} % of {cost.on}" for cost in costs])
         rows.append(

@@ -253,7 +253,6 @@ def _free_modes(pieces: RecordPieces, fit: EndsFitted, theta: Real) -> list[_Fre
 
 
 ZERO = 1.96  # standard deviations within which a negative part may be none
-PULLED = 3.0  # standard deviations beyond which a statement and the data contradict each other
 APART = 4.0  # standard deviations beyond which a value is negative without doubt
 
 
@@ -308,7 +307,8 @@ def prior_conflict(
         if stated is None or sd is None:
             continue
         apart = float(pull(value, variance, stated, sd, fit.tested))
-        if not abs(apart) > PULLED:
+        # 3.0: standard deviations beyond which a statement and the data contradict each other
+        if not abs(apart) > 3.0:
             continue
         alone = stated + apart**2 * sd**2 / (value - stated)
         text = (
@@ -506,10 +506,10 @@ def require_determined(
 
 
 UNSEEN_LAW = "law_not_seen"  # code of a notice
-ROUNDING = 1e-13  # of an information matrix with ones on its diagonal
 
 
-def require_traces(model: Model, names: Sequence[str], information: Real, least: float = ROUNDING) -> None:
+# 1e-13 of an information matrix with ones on its diagonal
+def require_traces(model: Model, names: Sequence[str], information: Real, least: float = 1e-13) -> None:
     """Raises IdentifiabilityError that names laws or combinations of unknowns that leave no trace.
 
     names: the first unknowns of information (M, M); least: eigenvalue, of the matrix with ones on its diagonal, below

@@ -45,7 +45,6 @@ SPIKES = "spikes"
 JUMP = "residual_jump"
 TIME_CHANGES = (GAIN_STEP, CLOCK_STEP, SPIKES, JUMP)  # codes of the notices made here
 
-NEARBY = 200  # independent samples on either side that show the usual size
 AT_ONCE = 6  # of them that one departure lasts
 LINES_EACH = 10  # of a block at the least, of all channels: short records have fewer blocks
 DECAY = 4  # blocks that a new start decays in
@@ -183,7 +182,8 @@ def _jump(of: _Histories) -> list[TimeChange]:
     e, each = of.residual, of.each
     power = np.concatenate([[0.0], np.cumsum(e**2)])
     rows = np.arange(len(e))
-    near, edge = round(NEARBY * each), round(AT_ONCE * each)
+    # 200: independent samples on either side that show the usual size
+    near, edge = round(200 * each), round(AT_ONCE * each)
     sums, counts = list[Real](), list[Ints]()
     for reach in (near, edge):
         begin, end = np.maximum(rows - reach, 0), np.minimum(rows + reach + 1, len(e))

@@ -49,15 +49,12 @@ from dashpot.unknowns import Unknown
 # The modes of an estimate with their uncertainty.
 
 
-MODES_TO = 400  # coordinates: the modes of larger rigs would take longer than all else
-
-
 def linear_modes(model: Model, theta: Real, covariance: Real) -> ModeValues | None:
     """Modes of the linear elements; None where nonlinear ones hold the rig together, and of no or many coordinates.
 
     theta (m,), covariance (m, m).
     """
-    if not 0 < model.n <= MODES_TO:
+    if not 0 < model.n <= 400:  # coordinates: the modes of larger rigs would take longer than all else
         return None
     try:
         return mode_values(model, theta, covariance)

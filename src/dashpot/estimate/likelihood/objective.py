@@ -52,9 +52,6 @@ from dashpot.unknowns import bounds_of
 # Where exact channels give them they are known; else they are estimated at each line with everything else.
 
 
-BLIND = 1e-12  # relative precision of "zero" for inputs that no channel of a line sees
-
-
 def inputs_by_channel(view: ObservationModel, exact: Bools) -> Complex | None:
     """Inputs by the exact channels, (lines, r + s, channels); None where they do not give them at every line."""
     C = view.direct_q * exact[..., None]
@@ -93,7 +90,8 @@ def estimated_inputs(G: Complex, W: Complex, y: Complex) -> tuple[Complex, Compl
     diagonal = np.diagonal(normal, axis1=-2, axis2=-1).real
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     outer = scale[..., :, None] * scale[..., None, :]
-    regular = normal / outer + BLIND * np.eye(normal.shape[-1])
+    # 1e-12: relative precision of "zero" for inputs that no channel of a line sees
+    regular = normal / outer + 1e-12 * np.eye(normal.shape[-1])
     half = hermitian(solve_small(regular, hermitian(WG / scale[..., None, :]))) / scale[..., None, :]
     q: Complex = np.einsum("...cq,...c->...q", np.conj(half), y)
     return q, half

@@ -322,9 +322,6 @@ def _compact(lines: Ints) -> slice | Ints:
 # nothing.
 
 
-UNSEEN = 1e-12  # squared, of an input's size: what other inputs leave of it is rounding
-
-
 @dataclass(frozen=True)
 class EstimatedInputs:
     """Inputs that are estimated line by line, of the whitened responses G (K, channels, q, lines).
@@ -348,7 +345,8 @@ class EstimatedInputs:
                 triangle[:, i, j] = np.sum(np.conj(basis[:, :, i]) * left, axis=1)
                 left = left - basis[:, :, i] * triangle[:, None, i, j]
             square, whole = (np.sum(np.abs(part) ** 2, axis=1) for part in (left, G[:, :, j]))
-            seen = square > UNSEEN * whole
+            # 1e-12, squared, of an input's size: what other inputs leave of it is rounding
+            seen = square > 1e-12 * whole
             size = np.sqrt(np.where(seen, square, 1.0))
             basis[:, :, j] = np.where(seen[:, None], left / size[:, None], 0.0)
             triangle[:, j, j] = np.where(seen, size, 0.0)

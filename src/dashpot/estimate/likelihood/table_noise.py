@@ -34,8 +34,6 @@ from dashpot.model.observation import ObservationModel
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse
 
-LEAST = 1e-9  # of the larger part of a channel's noise
-
 
 def with_table_noise(model: Model, spectrum: Spectrum, method: Method) -> Spectrum:
     """The amplitudes with the noise that their residuals show.
@@ -158,7 +156,7 @@ class _Left:
             variance = self.parts @ sizes
             shown, expected = (self.power / variance**2) @ self.parts, (unused / variance) @ self.parts
             ratio = np.sqrt(shown / expected)
-            sizes = np.maximum(sizes * ratio, LEAST * np.max(sizes))
+            sizes = np.maximum(sizes * ratio, 1e-9 * np.max(sizes))  # of the larger part of a channel's noise
             if np.all((np.abs(ratio - 1) < 1e-4) | (sizes <= 1e-6 * np.max(sizes))):
                 break
         return sizes
