@@ -16,7 +16,7 @@ import numpy as np
 from dashpot.arrays import Bools, Ints
 from dashpot.data.spectrum import Moments, Spectrum, flattened, in_chunks
 from dashpot.errors import ConvergenceError, IdentifiabilityError
-from dashpot.estimate.identify import fitted, identify, plan
+from dashpot.estimate.identify import estimate_by_plan, estimation_plan, identify
 from dashpot.estimate.inference.diagnostics import of_one_sign
 from dashpot.estimate.likelihood.global_search import DOUBT, TIE, apart, not_unique
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
@@ -45,12 +45,12 @@ def identify_with_noise(
     A method that is named or given stands; without one, a thorough search may take the place of the one that suits.
     Repeats are estimated by that alone.  `seed` and `positive` as of `suited_method`.  Raises as that and `identify`.
     """
-    spectrum, first = plan(model, spectrum, method, seed=seed, positive=positive)
+    spectrum, first = estimation_plan(model, spectrum, method, seed=seed, positive=positive)
     plain = MaximumLikelihood(seed=seed)
     if method is not None or spectrum.batch or first.traits.by_output:
-        return fitted(model, spectrum, first, progress=progress), spectrum
+        return estimate_by_plan(model, spectrum, first, progress=progress), spectrum
     try:
-        estimate = fitted(model, spectrum, first, progress=progress)
+        estimate = estimate_by_plan(model, spectrum, first, progress=progress)
     except (IdentifiabilityError, ConvergenceError):
         # ml, from many starts if the rig is small, where the first has no answer; its error where neither has
         search = _searched if model.n <= LARGEST else _converged

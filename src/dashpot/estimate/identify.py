@@ -101,10 +101,10 @@ def identify(
     Raises UsageError or DataError where the data lack what the method needs, IdentifiabilityError where they do not
     determine the unknowns.
     """
-    return fitted(model, *plan(model, spectrum, method), progress=progress)
+    return estimate_by_plan(model, *estimation_plan(model, spectrum, method), progress=progress)
 
 
-def plan(
+def estimation_plan(
     model: Model,
     spectrum: Spectrum,
     method: Method | str | None = None,
@@ -144,7 +144,7 @@ def plan(
     return with_residual_noise(model, spectrum, method)
 
 
-def fitted(
+def estimate_by_plan(
     model: Model,
     spectrum: Spectrum,
     method: Method,

@@ -197,7 +197,7 @@ def test_an_error_without_known_causes_is_raised_as_it_is(
 
 
 DECISIONS = {
-    "estimate/identify.py": {"plan"},
+    "estimate/identify.py": {"estimation_plan"},
     "likelihood/settling.py": {"settling_test"},
     "likelihood/table_noise.py": {"with_residual_noise"},
     "check/identifiability.py": {"structure", "determines"},
@@ -242,5 +242,5 @@ def test_no_decision_is_taken_twice_from_the_command_to_the_numbers(
     with counted() as calls:
         ran = dashpot("identify rig.toml data.csv --json estimate.json --quiet")
     assert ran.code == 0, ran.err
-    once = ("plan", "with_residual_noise", "structure", "determines")
+    once = ("estimation_plan", "with_residual_noise", "structure", "determines")
     assert calls == Counter(dict.fromkeys(once, 1) | ({"settling_test": tests} if tests else {}))

@@ -40,7 +40,7 @@ def test_another_method_answers_where_the_first_refuses(monkeypatch: pytest.Monk
     def refusing(model, spectrum, method, **rest):  # type: ignore[no-untyped-def]
         raise IdentifiabilityError("the data do not determine m1")
 
-    monkeypatch.setattr(automatic, "fitted", refusing)
+    monkeypatch.setattr(automatic, "estimate_by_plan", refusing)
     estimate = identify_with_noise(rig.model, spectrum)[0]
     assert estimate.method == "ml"
     assert [warning.code for warning in estimate.warnings][-1] == "another_method"
