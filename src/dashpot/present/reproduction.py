@@ -56,7 +56,7 @@ def reproduction_document(reproduction: Reproduction) -> Document:
     """What is printed: tables, findings, and how the print was read."""
     tables = [
         section("", Paragraph(each.title, "bold"), *map(_narrow, each.blocks))
-        for each in tables_of(reproduction)
+        for each in printed_tables(reproduction)
     ]
     findings = [
         section("", Paragraph(f"{title}.", "bold"), text)
@@ -114,7 +114,7 @@ def reproduction_report(
                 ),
                 section("Figures", *(part for pair in pictures for part in pair), whole=True),
                 section("Tables", Paragraph(f"{LEGEND} {more}", "dim"), whole=True),
-                *tables_of(reproduction),
+                *printed_tables(reproduction),
                 section("Corrections of the print", corrections, whole=True),
             ),
             "open",
@@ -158,7 +158,7 @@ def write_reproduction(
 # Tables: rows belong to groups, whose headings stand before their first row.
 
 
-def tables_of(reproduction: Reproduction) -> list[Section]:
+def printed_tables(reproduction: Reproduction) -> list[Section]:
     """All tables of the reproduction, each with a note."""
     eigenvalues = [(_pair(row.printed, 4), _pair(row.mean, 4)) for row in reproduction.eigenvalues]
     case = "CASE-3, 10 %, 1,400 samples; relative errors in %."
