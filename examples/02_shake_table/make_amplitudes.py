@@ -41,7 +41,7 @@ def records(folder: Path, channels: tuple[Channel, ...]) -> list[Record]:
         name = f"flexible_3_story__sine_{nominal}__{{sensor}}.csv.gz"
         files = FilesEntry(name=name, sensors=sensors, frequency_hz=float(nominal))
         for group in resolved(files, folder, str(folder), number):
-            interpreted = read_group(group, channels, None)
+            interpreted = read_group(group, None, (), channels)
             print(*interpreted.notes, sep="\n", file=sys.stderr)
             found += interpreted.records
     return found

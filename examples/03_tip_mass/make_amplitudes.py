@@ -34,7 +34,7 @@ def records(folder: Path) -> list[Record]:
         columns = {f"a{number + 1}": "Acceleration (Trigger)", f"F{number + 1}": "Force (Trigger)"}
         files = FilesEntry(name=f"mass{number + 1}/*.txt", columns=columns)
         for group in resolved(files, folder, str(folder), number):
-            found += read_group(group, channels, None).records
+            found += read_group(group, None, (), channels).records
     driven = [(record.experiment, record.frequency_hz, record) for record in found]
     return [record for _, f, record in sorted(driven, key=lambda d: d[:2]) if f is not None and f > LOWEST]
 

@@ -32,7 +32,7 @@ def joined(
     sensors = {sensor: {channel: "Acc_X"} for channel, sensor in files.items()}
     name = f"flexible_3_story__{run}__{{sensor}}.csv.gz"
     (group,) = resolved(FilesEntry(name=name, sensors=sensors, frequency_hz=frequency_hz), FILES, run, 0)
-    (record,) = read_group(group, channels, None).records
+    (record,) = read_group(group, None, (), channels).records
     return record
 
 

@@ -12,9 +12,10 @@ from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.result import Estimate
 from dashpot.model.rigfile import read_rig
-from tests.real.recordings import EXAMPLES
+from tests.real.recordings import EXAMPLES, RAW, needs_recordings, tables
 
 EXAMPLE = EXAMPLES / "04_motor_bench"
+FILES = RAW / "two_inertia_bench" / "MultisineTypeA.mat"
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +51,18 @@ def test_resonance_and_antiresonance(bench: Estimate) -> None:
 def test_friction_is_not_hidden(bench: Estimate) -> None:
     assert bool(bench.fit.rejected)
     assert bench.basis == "model misfit"
+
+
+@needs_recordings
+def test_the_table_is_what_the_raw_file_gives(tmp_path: Path) -> None:
+    again, kept = tables(EXAMPLE, FILES, tmp_path)
+    assert list(again.frequency_hz) == list(range(11, 251))
+    assert np.max(np.abs(again.amplitudes - kept.amplitudes) / kept.sd()) < 1e-3
+    assert np.max(np.abs(again.sd() / kept.sd() - 1)) < 1e-3
+    correlation = np.abs(again.covariance[:, 1, 2]) / (2 * again.sd()[:, 1] * again.sd()[:, 2])
+    assert (
+        np.median(correlation[:60]) > 0.9
+    )  # both angles drift together: the covariance between channels matters
 
 
 def test_the_bench_without_sign_and_delay_is_told_both_one_after_the_other(tmp_path: Path) -> None:

@@ -156,7 +156,7 @@ def test_a_range_is_by_its_step_in_every_command(dashpot: Command, rig: Path) ->
 
 def test_records_are_conditioned_alike_in_every_command() -> None:
     """Whoever reads records has all options that `identify` has for them, and those mean the same (above)."""
-    own = {"--hold-out", "--modal-sd"}
+    own = {"--hold-out", "--modal-sd", "--experiment"}
     parameters = {name: command.params for name, command in commands().items()}
     conditioning = {
         parameter.opts[0]
