@@ -130,7 +130,8 @@ Failure = TypeVar("Failure", bound=DashpotError)
 
 
 def with_likely_causes(error: Failure, findings: Sequence[Finding]) -> Failure:
-    """The error, with what may be behind it."""
+    """The error, with what may be behind it; that nothing listed explains the data is no cause."""
+    findings = [each for each in findings if each.kind != "unexplained"]
     if not findings:
         return error
     more = [Problem(f"a likely cause: {each.text}", cure=each.change) for each in findings]

@@ -10,12 +10,14 @@ import pytest
 
 import dashpot
 from dashpot.channel import Channel, Quantity
+from dashpot.check.explain.effect import with_likely_causes
 from dashpot.check.explain.engine import explain
 from dashpot.check.explain.examine import diagnose, examined
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.verdict import assess
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.assessment import applied, assessment_from
+from dashpot.errors import IdentifiabilityError
+from dashpot.estimate.assessment import Finding, applied, assessment_from
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.global_search import candidates
 from dashpot.estimate.preparation import prepare
@@ -443,3 +445,11 @@ def test_friction_that_a_linear_rig_lacks_is_found_whatever_the_speed_at_which_i
     assert best.elements[0].force_law is not None
     assert best.elements[0].force_law.text == "coulomb"
     assert abs((best.number or 0.0) / 0.8 - 1) < 0.01  # N, the truth; 1 % noise of 6 dwells of 1,024 samples
+
+
+def test_that_nothing_explains_the_data_is_no_likely_cause_of_a_refusal() -> None:
+    refused = IdentifiabilityError("the data do not determine k")
+    nothing = Finding("unexplained", (), "no listed cause explains half of the misfit", "look there")
+    named = Finding("sign", ("x",), "x has the opposite sign", "sign = -1")
+    assert with_likely_causes(refused, [nothing]) is refused
+    assert [cause.kind for cause in with_likely_causes(refused, [nothing, named]).causes] == ["sign"]
