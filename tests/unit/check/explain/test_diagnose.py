@@ -449,7 +449,7 @@ def test_friction_that_a_linear_rig_lacks_is_found_whatever_the_speed_at_which_i
 
 def test_that_nothing_explains_the_data_is_no_likely_cause_of_a_refusal() -> None:
     refused = IdentifiabilityError("the data do not determine k")
-    nothing = Finding("unexplained", (), "no listed cause explains half of the misfit", "look there")
-    named = Finding("sign", ("x",), "x has the opposite sign", "sign = -1")
+    nothing = Finding("unexplained", (), "no listed cause explains half of the misfit", "look there", None)
+    named = Finding("sign", ("x",), "x has the opposite sign", "sign = -1", None)
     assert with_likely_causes(refused, [nothing]) is refused
     assert [cause.kind for cause in with_likely_causes(refused, [nothing, named]).causes] == ["sign"]
