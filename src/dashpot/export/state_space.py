@@ -88,8 +88,12 @@ def realisation(model: Model, p: Matrix, orders: Ints) -> Realisation:
     lead = p.shape[:-1]
     rig = matrices(model, p)
     size = np.sqrt(np.abs(np.diagonal(rig.M, axis1=-2, axis2=-1)))
-    scaled = rig.M / (size[..., :, None] * size[..., None, :])
-    if np.any(size == 0) or (n and np.any(np.linalg.cond(scaled) > 1e13)):  # singular but for rounding
+    if np.any(size == 0) or (
+        n
+        and np.any(
+            np.linalg.cond(rig.M / (size[..., :, None] * size[..., None, :])) > 1e13
+        )  # but for rounding
+    ):
         raise ModelError(
             "the rig has a coordinate without mass: its motion in time is not determined by its state",
             cure="give every coordinate a mass",

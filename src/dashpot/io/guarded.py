@@ -32,6 +32,10 @@ else:
 SECONDS = 30.0  # for one answer, and one more for each MiB of the file
 
 
+# Pipes to processes that live: a later one inherits them, and must not hold them open when they are to end.
+_pipes: weakref.WeakSet[Connection] = weakref.WeakSet()
+
+
 class Answers(Protocol):
     """What a process does for another one: it answers requests, and puts away at the end what it has opened."""
 
@@ -61,9 +65,11 @@ class Child:
             what = f"no process could be started to read it ({error.strerror})"
             raise DataError(what, source, "free memory, or end other programs") from None
         if self.process == 0:
-            self.pipe.close()
+            for pipe in (self.pipe, *_pipes):
+                pipe.close()
             _serve(answer, theirs, memory, self.seconds)
         theirs.close()
+        _pipes.add(self.pipe)
         self.end = weakref.finalize(self, _end, self.process, self.pipe, os.getpid())
 
     def ask(self, request: object) -> Any:

@@ -120,7 +120,7 @@ def test_every_quantity_of_every_command_takes_units_or_per_cent() -> None:
                 texts.add(parameter.opts[0])
     assert texts == {
         "--methods", "--profile", "--for",  # names of methods, parameters and criteria
-        "--name", "--unit", "--rig-column", "--dask", "--drive", "--label",
+        "--name", "--unit", "--rig-column", "--dask", "--drive", "--label", "--experiment",
     }  # fmt: skip
 
 

@@ -73,6 +73,16 @@ def workbook(path: Path, cells: dict[str, float]) -> Path:
     return path
 
 
+def test_a_process_ends_by_itself_while_later_ones_live() -> None:
+    """A later one had held its pipe open, so that it was killed after a second: of forty damaged files one each."""
+    first, later = Child(Answer(), "a.bin", 1 << 30, 0), Child(Answer(), "b.bin", 1 << 30, 0)
+    assert (first.ask(1), later.ask(2)) == (1, 2)
+    status = first.end()
+    assert status is not None
+    assert os.WIFEXITED(status)
+    assert later.ask(3) == 3
+
+
 def test_a_process_that_answers_goes_on_answering() -> None:
     child = Child(Answer(), "a.bin", 1 << 30, 0)
     assert [child.ask(k) for k in range(3)] == [0, 1, 2]
