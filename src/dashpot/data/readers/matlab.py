@@ -57,6 +57,7 @@ def read_matlab(file: DataFile, scipy_io: Any) -> Iterator[ArrayColumns]:
 
 MATRIX, COMPRESSED = 14, 15  # kinds of data elements
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+NESTED = (1, 2, 3)  # classes of arrays of arrays: cells, structures, objects
 NUMERIC = range(6, 16)  # classes of arrays, from double to uint64
 HEAD = 1 << 16  # bytes of an element that are looked at
 
@@ -78,10 +79,11 @@ def variables_of(file: DataFile) -> Iterator[tuple[str, Any]]:
         head = bytes(data[start : min(position, start + HEAD)])
         if kind == COMPRESSED:
             head = zlib.decompressobj().decompress(head, HEAD)
-            unpacked += struct.unpack_from(f"{order}I", head, 4)[0]
+            size = struct.unpack_from(f"{order}I", head, 4)[0]
+            unpacked += size
             file.check_unpacked(unpacked)
             head = head[8:]
-        name, rows, dtype, at = _header(head, order)
+        name, rows, dtype, at = _header(head, order, size)
         if dtype is None:
             yield name, None
         elif kind == COMPRESSED:
@@ -90,10 +92,11 @@ def variables_of(file: DataFile) -> Iterator[tuple[str, Any]]:
             yield name, np.memmap(noted(file.path), dtype, "r", start + at, (rows,))
 
 
-def _header(head: bytes, order: str) -> tuple[str, int, np.dtype[Any] | None, int]:
+def _header(head: bytes, order: str, room: int) -> tuple[str, int, np.dtype[Any] | None, int]:
     """The name of an array, how many numbers it holds and, of a long real vector, their kind and where they begin.
 
-    Raises ValueError where they take another number of bytes.
+    room: bytes of it all.  Raises ValueError where its numbers take another number of bytes, or its cells or
+    structures, each of which is an element with a head of eight bytes, more than there are.
     """
     flags_at, _, _, following = _element(head, 0, order)
     dimensions_at, size, _, following = _element(head, following, order)
@@ -103,6 +106,8 @@ def _header(head: bytes, order: str) -> tuple[str, int, np.dtype[Any] | None, in
     shape = struct.unpack_from(f"{order}{size // 4}i", head, dimensions_at)
     rows = prod(shape)
     # Flags hold the class of an array, and whether it is complex.
+    if flags & 0xFF in NESTED and 8 * rows > room:
+        raise ValueError("it claims more than it holds")
     if flags & 0xFF not in NUMERIC or flags & 0x0800 or rows < LONG or rows != max(shape):
         return name, rows, None, 0
     numbers_at, size, kind, _ = _element(head, following, order)
