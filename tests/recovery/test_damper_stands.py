@@ -178,9 +178,12 @@ def test_every_law_is_found_without_guesses(law: str, kind: str) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize(("kind", "laws"), [("dwells", tuple(LAWS)), ("record", QUICK)])
 def test_intervals_cover(kind: str, laws: tuple[str, ...]) -> None:
-    """Three draws of each law, seeds from 100 on: some 60 to 140 values, correlated within a fit: 95 % ± 7 % (3 sd)."""
+    """Three draws of each law, seeds from 100 on: 60 to 140 values that count for a third, being correlated in a fit:
+    95 % ± 13 % and an rms of 1 ± 0.4 (3 sd).  Fourteen draws of each from records gave 94 to 95 % and 1.03.
+    """
     z = np.concatenate([standardised(law, kind, 100 + draw) for law in laws for draw in range(3)])
-    assert np.mean(np.abs(z) < 1.96) > 0.88
+    assert np.mean(np.abs(z) < 1.96) > 0.82
+    assert 0.6 < np.sqrt(np.mean(z**2)) < 1.4
     assert np.max(np.abs(z)) < 5
 
 
