@@ -22,12 +22,12 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Quantity
-from dashpot.errors import ModelError, UsageError
+from dashpot.errors import UsageError
 from dashpot.export.formats import ExportOptions, Written
 from dashpot.export.identified_rig import IdentifiedRig
 from dashpot.io.atomic import write_bytes, write_text
 from dashpot.io.json_document import optional_library, to_json
-from dashpot.model.dynamics import matrices
+from dashpot.model.dynamics import matrices, require_masses
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, channel_unit, observation_model
 from dashpot.units import si_unit
@@ -87,17 +87,7 @@ def realisation(model: Model, p: Matrix, orders: Ints) -> Realisation:
     n, r, s = model.n, len(orders), model.S.shape[1]
     lead = p.shape[:-1]
     rig = matrices(model, p)
-    size = np.sqrt(np.abs(np.diagonal(rig.M, axis1=-2, axis2=-1)))
-    if np.any(size == 0) or (
-        n
-        and np.any(
-            np.linalg.cond(rig.M / (size[..., :, None] * size[..., None, :])) > 1e13
-        )  # but for rounding
-    ):
-        raise ModelError(
-            "the rig has a coordinate without mass: its motion in time is not determined by its state",
-            cure="give every coordinate a mass",
-        )
+    require_masses(rig.M)
     S = np.broadcast_to(model.S, (*lead, n, s))
     everything = np.linalg.solve(rig.M, np.concatenate([rig.K, rig.C, rig.G, rig.F, rig.J, S], axis=-1))
     stiffness, damping, by_u, by_rate, by_acceleration, by_force = np.split(

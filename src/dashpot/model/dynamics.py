@@ -141,6 +141,18 @@ def dynamic_stiffness(model: Model, p: Real, omega: Real, experiment: Ints | Non
     return stiffness(model, p, omega, experiment)[..., : model.n]
 
 
+def require_masses(M: Real | Complex) -> None:
+    """Raises ModelError where a mass matrix (..., n, n) is singular but for rounding: no motion in time follows."""
+    if not M.shape[-1]:
+        return
+    size = np.sqrt(np.abs(np.diagonal(M, axis1=-2, axis2=-1)))
+    if np.any(size == 0) or np.any(np.linalg.cond(M / (size[..., :, None] * size[..., None, :])) > 1e13):
+        raise ModelError(
+            "the rig has a coordinate without mass: its motion in time is not determined by its state",
+            cure="give every coordinate a mass",
+        )
+
+
 def no_steady_response() -> ModelError:
     """The error of a rig that hits an undamped resonance, or has a coordinate that nothing holds."""
     return ModelError(

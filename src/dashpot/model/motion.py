@@ -13,7 +13,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.errors import ModelError
-from dashpot.model.dynamics import matrices
+from dashpot.model.dynamics import matrices, require_masses
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel
 
@@ -70,12 +70,7 @@ def integrator(model: Model, p: Real, step_s: float) -> LinearIntegrator:
             cure="use a viscous damper, or settled data of single frequencies",
         )
     n, r, s = model.n, model.D.shape[1], model.S.shape[1]
-    size = np.sqrt(np.abs(np.diagonal(rig.M)))
-    if np.any(size == 0) or (n and np.linalg.cond(rig.M / np.outer(size, size)) > 1e13):
-        raise ModelError(
-            "the rig has a coordinate without mass: its motion in time is not determined by its state",
-            cure="give every coordinate a mass",
-        )
+    require_masses(rig.M)
     count = r + s
     nothing = np.zeros((n, s))
     forces = [np.hstack([rig.G, model.S]), np.hstack([rig.F, nothing]), np.hstack([rig.J, nothing])]
