@@ -25,7 +25,7 @@ from dashpot.experiment import RUNS, channels_of, kind_of
 from dashpot.io.words import listed, with_values
 from dashpot.model.elements import Law
 from dashpot.model.modes import typical_sizes
-from dashpot.model.network import Input, Model
+from dashpot.model.network import Model, pushed_everywhere
 from dashpot.model.observation import (
     ObservationModel,
     calibrated_transfer,
@@ -244,13 +244,6 @@ def loads_at_ends(model: Model) -> int:
     return 0 if model.inputs else 2 * model.n
 
 
-def _let_go(model: Model) -> Model:
-    """A rig without inputs with a force at each coordinate; others as they are."""
-    if model.inputs:
-        return model
-    return replace(model, inputs=tuple(Input(f"{x}, let go", "force", {x: 1.0}) for x in model.coordinates))
-
-
 def lines_of(model: Model, spectrum: Spectrum) -> LinePattern:
     """The lines of data: an input is idle where an exact channel of it alone shows 0."""
     finite = np.isfinite(spectrum.amplitudes).reshape(-1, spectrum.lines, len(spectrum.channels))
@@ -289,7 +282,7 @@ def exact(model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np
 
     Raises IdentifiabilityError where the rig has no steady response, whatever its parameters.
     """
-    free, model = not model.inputs, _let_go(model)
+    free, model = not model.inputs, model if model.inputs else pushed_everywhere(model)
     view = view_of(model, channels)
     m, M = view.m, len(view.names)
     psi = rng.integers(1, PRIME, M)
@@ -517,7 +510,7 @@ def floating(
     distinct = int(np.max(lines.frequency)) + 1
     grid = rate * np.geomspace(0.25, 3.0, distinct) * np.exp(rng.uniform(-0.05, 0.05, distinct))
     omega = grid[lines.frequency]
-    free, model = not model.inputs, _let_go(model)
+    free, model = not model.inputs, model if model.inputs else pushed_everywhere(model)
     shape = (len(omega), len(model.inputs))
     drawn = np.exp(rng.uniform(-0.5, 0.5, shape) + 2j * np.pi * rng.random(shape))
     s = 1j * omega / rate

@@ -776,3 +776,15 @@ class Model:
 
     def __hash__(self) -> int:
         return hash((self.coordinates, self.name, len(self.elements)))
+
+
+def pushed_everywhere(model: Model) -> Model:
+    """The rig with a force input at every coordinate, behind its own inputs."""
+    taken = {*model.coordinates, *(given.name for given in model.inputs)}
+    loads = []
+    for coordinate in model.coordinates:
+        name = f"load at {coordinate}"
+        while name in taken:
+            name += "'"
+        loads.append(Input(name, "force", {coordinate: 1.0}))
+    return replace(model, inputs=(*model.inputs, *loads))

@@ -26,7 +26,7 @@ from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import DataError
 from dashpot.model.dynamics import matrices
-from dashpot.model.network import Input
+from dashpot.model.network import pushed_everywhere
 from dashpot.model.observation import ObservationModel, observation_model, small
 from dashpot.numerics.small_systems import (
     FREE,
@@ -277,18 +277,7 @@ def with_loads(view: ObservationModel) -> ObservationModel:
     when = None if view.experiment is None else view.experiment.tobytes()
     key = (with_loads, *map(id, view.channels), view.omega.tobytes(), when)
     if key not in model.views:
-        taken = {*model.coordinates, *(given.name for given in model.inputs)}
-        names = []
-        for coordinate in model.coordinates:
-            name = f"load at {coordinate}"
-            while name in taken:
-                name += "'"
-            names.append(name)
-        loads = tuple(
-            Input(name, "force", {coordinate: 1.0})
-            for name, coordinate in zip(names, model.coordinates, strict=True)
-        )
-        driven = replace(model, inputs=(*model.inputs, *loads))
+        driven = pushed_everywhere(model)
         model.views[key] = observation_model(driven, view.channels, view.omega, view.experiment)
     return cast(ObservationModel, model.views[key])
 
