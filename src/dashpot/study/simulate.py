@@ -161,11 +161,10 @@ def _nonlinear(view: ObservationModel, theta: Real, source: str, step: float, sh
     """What the channels of a nonlinear rig show, (samples, channels)."""
     model, channels = view.model, view.channels
     count = len(channels)
-    names, orders = tuple(channel.name for channel in channels), tuple(map(int, view.derivative))
     nothing = np.zeros((len(shown.values), count))
-    reactions = np.zeros((count, len(model.displacement_inputs)))
-    how = (view.on_x, view.on_q, view.force, reactions, orders, (-1,) * count, (False,) * count)
-    data = RecordData(source, step, names, shown.values, nothing, *how)
+    orders = tuple(map(int, view.derivative))
+    how = (view.on_x, view.on_q, view.force, orders, (-1,) * count, (False,) * count)
+    data = RecordData(source, step, tuple(channels), shown.values, nothing, *how)
     data = beside_bases(model, data, shown.orders)
     substeps = 2 * enough_substeps(model, theta, step)
     machine = Integrator(

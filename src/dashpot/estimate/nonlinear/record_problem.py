@@ -420,11 +420,12 @@ class RecordProblem:
         more = tuple(replace(e, guess=0.0) for e in elements)
         beside = (self.records[0].bases.beside(e) for e in more)
         model = replace(self.model, elements=(*self.model.elements, *beside))
+        rig = replace(self.rig, elements=(*self.rig.elements, *more))
         larger = replace(
             self,
-            rig=replace(self.rig, elements=(*self.rig.elements, *more)),
+            rig=rig,
             model=model,
-            records=tuple(data.beside(more, self.rig.displacement_inputs) for data in self.records),
+            records=tuple(data.with_forces_of(rig, len(more)) for data in self.records),
             trail=Trail(self.motions()),
         )
         own = psi[self.inner :].reshape(len(self.records), self.states)

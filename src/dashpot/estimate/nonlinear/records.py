@@ -9,16 +9,15 @@ from itertools import pairwise
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Channel
 from dashpot.data.conditioning.still import Still
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.io.words import joined
-from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.force_law import ForceLaw
 from dashpot.model.nonlinear.integration import NO_BASES, Bases, Integrator, Motion, bases_of
-from dashpot.model.observation import measures_input, observation_model
+from dashpot.model.observation import channel_incidence, measures_input, observation_model
 from dashpot.unknowns import Unknown
 
 
@@ -26,10 +25,9 @@ from dashpot.unknowns import Unknown
 class RecordData:
     """One record, arranged: inputs (samples, r + s) and outputs (samples, channels) in SI units on one uniform clock.
 
-    on_x (channels, n), on_q (channels, r + s), derivative (channels,): what the outputs show of the motion; force
-    (channels, elements): of the forces in the first elements of the rig as it moves, reactions (channels, r): of those
-    that move displacement inputs; gain (channels,): index
-    of an unknown gain, −1 where known; drift (channels,): whether the sensor's zero is unknown.
+    channels: of the outputs; on_x (channels, n), on_q (channels, r + s), derivative (channels,): what they show of the
+    motion, force (channels, elements): of the forces in the first elements of the rig as it moves; gain (channels,):
+    index of an unknown gain, −1 where known; drift (channels,): whether the sensor's zero is unknown.
     bases: those known by velocity or acceleration, which stand behind the coordinates in n and behind the forces in s;
     rated (r + s,): which inputs are such velocities, none where it is empty; steady: samples over which noise of these
     rates hardly moves a base, whose place the outputs show; all of them where it is 0.
@@ -37,13 +35,12 @@ class RecordData:
 
     source: str
     step_s: float
-    names: tuple[str, ...]
+    channels: tuple[Channel, ...]
     inputs: Real
     outputs: Real
     on_x: Real
     on_q: Real
     force: Real
-    reactions: Real
     derivative: tuple[int, ...]
     gain: tuple[int, ...]
     drift: tuple[bool, ...]
@@ -57,11 +54,15 @@ class RecordData:
         """Number of samples."""
         return len(self.outputs)
 
-    def beside(self, elements: Sequence[Element], moved: Sequence[str]) -> RecordData:
-        """The same where the rig has further elements, on its displacement inputs `moved` (r,) or elsewhere."""
-        along = np.array([[e.along.get(name, 0.0) for name in moved] for e in elements])
-        force = np.hstack([self.force, self.reactions @ along.reshape(len(elements), len(moved)).T])
-        return replace(self, force=force)
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the channels."""
+        return tuple(channel.name for channel in self.channels)
+
+    def with_forces_of(self, rig: Model, count: int) -> RecordData:
+        """The same with what the channels show of the forces in the last `count` elements of a larger rig."""
+        force = channel_incidence(rig, self.channels)[2][:, len(rig.elements) - count :]
+        return replace(self, force=np.hstack([self.force, force]))
 
     def part(self, samples: slice) -> RecordData:
         """Some of its samples."""
@@ -77,8 +78,7 @@ def arranged(model: Model, record: Record) -> RecordData:
     outputs = [i for i, channel in enumerate(record.channels) if not measures_input(model, channel)]
     if not outputs:
         raise DataError("no channel shows the motion", record.source, "measure a coordinate")
-    names = tuple(record.channels[i].name for i in outputs)
-    still = [name for i, name in zip(outputs, names, strict=True) if not np.ptp(record.values[:, i]) > 0]
+    still = [record.channels[i].name for i in outputs if not np.ptp(record.values[:, i]) > 0]
     if still:
         raise DataError(
             f"{joined(still)} show{'s' if len(still) == 1 else ''} no motion: the samples are all one number",
@@ -89,25 +89,18 @@ def arranged(model: Model, record: Record) -> RecordData:
     data = RecordData(
         record.source,
         step,
-        names,
+        tuple(record.channels[i] for i in outputs),
         shown.values,
         values[:, outputs],
         view.on_x[outputs],
         view.on_q[outputs],
         view.force[outputs],
-        np.array([_reactions(model, record.channels[i]) for i in outputs]),
         derivative=orders,
         gain=tuple(int(view.gain[i]) for i in outputs),
         drift=tuple(order > 0 or not model.force_inputs for order in orders),
         gains=view.unknowns[view.m : view.m + view.gains],
     )
     return beside_bases(model, data, shown.orders)
-
-
-def _reactions(model: Model, channel: Channel) -> list[float]:
-    """Factors of the forces that move displacement inputs in what a channel shows, (r,)."""
-    force = channel.quantity is Quantity.FORCE
-    return [channel.of.get(name, 0.0) if force else 0.0 for name in model.displacement_inputs]
 
 
 def beside_bases(model: Model, data: RecordData, orders: Sequence[int]) -> RecordData:

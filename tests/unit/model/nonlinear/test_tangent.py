@@ -36,8 +36,8 @@ def shown(law: str, u: np.ndarray) -> tuple[Integrator, Motion, np.ndarray]:
     assert motion.closed
     count = len(CHANNELS)
     data = RecordData(
-        "", STEP, tuple(c.name for c in CHANNELS), u, np.zeros((len(u), count)), view.on_x, view.on_q,
-        view.force, np.zeros((count, 1)), tuple(int(d) for d in view.derivative), (-1,) * count, (False,) * count,
+        "", STEP, CHANNELS, u, np.zeros((len(u), count)), view.on_x, view.on_q,
+        view.force, tuple(int(d) for d in view.derivative), (-1,) * count, (False,) * count,
     )  # fmt: skip
     return machine, motion, shown_outputs(machine, data, motion)[0]
 
