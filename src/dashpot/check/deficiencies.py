@@ -170,8 +170,8 @@ def _scaled(one: Deficiency, found: Structure, model: Model, give: str) -> tuple
     exponents = _relative(one, found)
     even = len(exponents) == 1 and np.allclose(exponents[0], exponents[0, 0], rtol=1e-5)
     if even and set(names) == set(model.unknown_names):
-        driven = "" if model.force_inputs else " and only displacements go in"
-        driven = driven if model.inputs else " and no force is measured"
+        why = " and only displacements go in" if model.inputs else " and no force is measured"
+        driven = "" if model.force_inputs else why
         together = f"all forces scale together: only the ratios of {_named(names)} can be found"
         return f"nothing is known{driven}, so {together}", cure
     if even and not elements:

@@ -17,12 +17,12 @@ from dashpot.arrays import Complex, Real, freeze, random_generator
 from dashpot.channel import Channel, Quantity
 from dashpot.check.structure import (
     DRAWS,
-    GOLDEN,
     Deficiency,
     Deficient,
     Draw,
     LinePattern,
     LinesAtHand,
+    apart,
     enough_lines,
     exact,
     floating,
@@ -401,8 +401,7 @@ def _nominal(model: Model, elongation: float) -> Real:
             values.append(np.nan)
         else:
             values.append(sizes[kinds[unknown.name].kind])
-    apart = 0.9 + 0.2 * np.modf(np.arange(1, len(values) + 1) * GOLDEN)[0]
-    theta = np.array(values) * apart
+    theta = np.array(values) * apart(len(values), 0.9, 1.1)
     # 0.2 of a nonlinear force over the linear one, where nothing tells
     return _with_strengths(model, theta, elongation, rate, 0.2 * stiffness * elongation)
 
@@ -428,16 +427,13 @@ def _slopes_let_go(model: Model, channels: Sequence[Channel], psi: Real) -> Real
     """
     samples, rate = 600, typical_sizes(model)[1]  # of a record of some 20 typical periods
     time = np.arange(samples) * 2 * np.pi / rate / 30
-    some = np.random.default_rng(0).standard_normal(
-        (samples, len(channels))
-    )  # what was measured is no matter
-    data = arranged(model, Record(tuple(channels), time, some))
+    measured = np.random.default_rng(0).standard_normal((samples, len(channels)))  # is no matter
+    data = arranged(model, Record(tuple(channels), time, measured))
     problem, _ = begun_problem(model, (data,), psi[: len(model.unknowns)], np.ones(len(channels)))
     start = problem.begun[0].copy()
-    start[: model.n] = NOMINAL * (0.7 + 0.6 * np.modf(np.arange(1, model.n + 1) * GOLDEN)[0])
-    J = replace(problem, begun=(start,)).residual(0, np.concatenate([psi, start[problem.constants.starts]]))[
-        1
-    ]
+    start[: model.n] = NOMINAL * apart(model.n, 0.7, 1.3)
+    at = np.concatenate([psi, start[problem.constants.starts]])
+    _, J = replace(problem, begun=(start,)).residual(0, at)
     if J is None:
         raise IdentifiabilityError(
             "no motion is found at the nominal values of the rig", cure="give the unknowns guesses"

@@ -497,7 +497,7 @@ def _response(
     measured = at_lines + (np.degrees(np.angle(H)) - at_lines + 180) % 360 - 180
     turns = 360 * np.round(float(np.median(measured)) / 360) if len(H) else 0.0
     log_sd, phase_sd = _spread(slopes, covariance, len(grid))
-    here = model.experiments[model.standing - 1] if model.standing else None
+    here = model.here
     apart = here is not None and spectrum.channels[c].only != here
     return FrequencyResponse(
         f"{found.channels[c]}@{here}" if apart else found.channels[c],

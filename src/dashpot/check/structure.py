@@ -153,7 +153,9 @@ def _ends(model: Model, name: str) -> list[Node]:
     return [("element", element) for element in touching]
 
 
-GOLDEN = (np.sqrt(5) - 1) / 2
+def apart(count: int, least: float, most: float) -> Real:
+    """Numbers (count,) between two, no two alike however many there are: steps of the golden section."""
+    return least + (most - least) * np.modf(np.arange(1, count + 1) * (np.sqrt(5) - 1) / 2)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -491,8 +493,7 @@ def nominal(model: Model, channels: Sequence[Channel]) -> tuple[Real, float]:
         values.append(unknown.nominal or size[kinds[unknown.name]])
     calibrations = view.nominal_calibrations.tolist()
     values += calibrations[: view.gains]
-    apart = 0.8 + 0.45 * np.modf(np.arange(1, len(values) + 1) * GOLDEN)[0]
-    return np.array([*(np.array(values) * apart), *calibrations[view.gains :]]), rate
+    return np.array([*(np.array(values) * apart(len(values), 0.8, 1.25)), *calibrations[view.gains :]]), rate
 
 
 def floating(

@@ -14,6 +14,7 @@ import numpy as np
 from dashpot.arrays import Complex, Real
 from dashpot.errors import ModelError
 from dashpot.model.dynamics import matrices, require_masses
+from dashpot.model.elements import MATRICES
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel
 
@@ -134,8 +135,7 @@ def channel_samples(view: ObservationModel, p: Real, motion: LinearMotion) -> Re
         at = view.derivative == d
         Y[:, at] = x @ view.on_x[at].T + w @ view.on_q[at].T
     if view.has_forces:
-        order = {"K": 0, "C": 1, "M": 2}
         for letter, index in model.by_matrix.items():
             if len(index):
-                Y += (p[index] * elongations[order[letter]][:, index]) @ view.force[:, index].T
+                Y += (p[index] * elongations[MATRICES[letter].power][:, index]) @ view.force[:, index].T
     return Y

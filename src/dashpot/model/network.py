@@ -428,10 +428,15 @@ class Model:
         """Whether some elements belong to one experiment only."""
         return any(element.only is not None for element in self.elements)
 
+    @property
+    def here(self) -> str | None:
+        """Name of the experiment that the rig stands in, None of none."""
+        return self.experiments[self.standing - 1] if self.standing else None
+
     @cached_property
     def acts(self) -> Bools:
         """Which elements there are in the experiment that the rig stands in, (elements,)."""
-        here = self.experiments[self.standing - 1] if self.standing else None
+        here = self.here
         replaced = {e.stands_for for e in self.elements if here is not None and e.only == here}
         own = [e.only == here or (e.only is None and e.name not in replaced) for e in self.elements]
         return frozen(own, np.bool_)

@@ -15,7 +15,7 @@ import numpy as np
 from dashpot.arrays import Ints, Real
 from dashpot.errors import ModelError
 from dashpot.model.dynamics import matrices
-from dashpot.model.elements import Element, Kind
+from dashpot.model.elements import MATRICES, Element, Kind
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.force_law import ForceLaw
 
@@ -382,23 +382,21 @@ class Integrator:
         motion."""
         model, n, chosen = self.model, self.model.n, self.model.nonlinear
         acceleration, d_acceleration, at, d_a = self._accelerated(motion)
-        linear = [e.law.power if e.force_law is None else None for e in model.elements]
-        coordinates = (motion.state[:, :n], motion.state[:, n : 2 * n], acceleration)
         _, _, _, u, du = self._instants(motion)
+        coordinates = (motion.state[:, :n], motion.state[:, n : 2 * n], acceleration)
         inputs = (u[:, 0], du[:, 0], self.input_rates()[1])
-        a = np.zeros((len(motion.state), len(linear)))
+        orders = [(MATRICES[letter].power, rows) for letter, rows in model.by_matrix.items()]
+        a = np.zeros((len(motion.state), len(model.elements)))
         a[:, chosen] = at.a[:, 0]
-        for power, (x, q) in enumerate(zip(coordinates, inputs, strict=True)):
-            rows = [i for i, own in enumerate(linear) if own == power]
-            a[:, rows] = x @ model.B[rows].T + q @ model.D[rows].T
+        for power, rows in orders:
+            a[:, rows] = coordinates[power] @ model.B[rows].T + inputs[power] @ model.D[rows].T
         if motion.slope is None or d_acceleration is None or d_a is None:
             return a * self.p, None
+        along = (motion.slope[:, :n], motion.slope[:, n : 2 * n], d_acceleration)
         slope = np.zeros((*a.shape, motion.slope.shape[-1]))
         slope[:, chosen] = d_a
-        along = (motion.slope[:, :n], motion.slope[:, n : 2 * n], d_acceleration)
-        for power, d_x in enumerate(along):
-            rows = [i for i, own in enumerate(linear) if own == power]
-            slope[:, rows] = model.B[rows] @ d_x
+        for power, rows in orders:
+            slope[:, rows] = model.B[rows] @ along[power]
         slope *= self.p[:, None]
         slope[..., self.states : self.states + len(model.unknowns)] += a[..., None] * model.T
         return a * self.p, slope
