@@ -134,6 +134,10 @@ class Record(InNotebooks):
         sd = None if self.sd is None else self.sd[rows]
         return replace(some, sd=sd, status=None if self.status is None else self.status[rows])
 
+    def marks(self) -> Ints:
+        """How each value counts, as `status`, to be changed, (samples, channels)."""
+        return np.zeros(self.values.shape, dtype=np.int64) if self.status is None else np.array(self.status)
+
     @property
     def whole_channels(self) -> Bools:
         """(channels,): of which every sample is measured."""

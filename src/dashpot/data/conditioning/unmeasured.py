@@ -118,9 +118,7 @@ def _perhaps_clipped(record: Record) -> Record:
     """The dwell with all samples marked that stand at what may be limits."""
     if record.values.ndim != 2 or record.frequency_hz is None:
         return record
-    status = (
-        np.zeros(record.values.shape, dtype=np.int64) if record.status is None else np.array(record.status)
-    )
+    status = record.marks()
     for c, column in enumerate(record.values.T):
         highest, lowest = limits(column)
         if np.mean(highest | lowest) <= MOST:

@@ -111,7 +111,7 @@ def _with_unknown_rows(record: Record, steps: Ints) -> Record | None:
     at = np.arange(rows)
     values = np.stack([np.interp(at, number, column) for column in record.values.T], axis=1)
     status = np.full(values.shape, MISSING)
-    status[number] = 0 if record.status is None else record.status
+    status[number] = record.marks()
     whole = replace(record, time=np.interp(at, number, record.time), values=values, sd=None, status=status)
     try:
         even_step(whole)
@@ -130,9 +130,8 @@ SHORTEST_HELD_SAMPLES = 4  # samples of a run
 LONG_HELD = 10  # samples, in which no motion of many steps a sample turns about
 CHANCE_HELD = 1e-6  # that a motion through a short run is as far from its value
 AROUND_HELD_SAMPLES = 20  # samples on either side that show how the channel moves
-RESOLVED = (
-    4.0  # steps of the converter, or standard deviations, by which a motion does not stand still by chance
-)
+# Steps of the converter, or standard deviations, by which a motion does not stand still by chance
+RESOLVED = 4.0
 MOST_RUNS = 5  # in one channel: what rests more often does so for a reason
 SIDES = 64  # samples of a part that is used
 
@@ -145,9 +144,7 @@ def without_held_samples(record: Record) -> tuple[list[Record], tuple[Notice, ..
     """
     if record.values.ndim != 2:
         return [record], ()
-    status = np.zeros(record.values.shape, dtype=np.int64)
-    if record.status is not None:
-        status[:] = record.status
+    status = record.marks()
     held = np.zeros(len(record.time), dtype=bool)
     names = []
     still = record.values[1:] == record.values[:-1]
@@ -289,9 +286,7 @@ def with_clipped_samples(record: Record) -> tuple[Record, tuple[Notice, ...]]:
     """
     if record.values.ndim != 2:
         return record, ()
-    status = (
-        np.zeros(record.values.shape, dtype=np.int64) if record.status is None else np.array(record.status)
-    )
+    status = record.marks()
     notes = []
     for c, channel in enumerate(record.channels):
         highest, lowest = limits(record.values[:, c]) & (status[:, c] == 0)
@@ -308,9 +303,8 @@ def with_clipped_samples(record: Record) -> tuple[Record, tuple[Notice, ...]]:
     return (replace(record, status=status), tuple(notes)) if notes else (record, ())
 
 
-Known = dict[
-    int, tuple[Real, Real]
-]  # of each channel: inverse variance and mean of what is to be added, (k,) each
+# Of each channel: inverse variance and mean of what is to be added, (k,) each
+Known = dict[int, tuple[Real, Real]]
 
 
 def with_likely(record: Record) -> tuple[Record, Known]:
