@@ -5,21 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.two_masses import OPEN
 from tests.unit.app.conftest import Command
 
-RIG = """
-coordinates = ["x1", "x2"]
-[inputs]
-u = { kind = "displacement" }
-[masses]
-m1 = { at = "x1" }
-m2 = { at = "x2" }
-[springs]
-k1 = { between = ["x1", "x2"] }
-k2 = { between = ["x2", "u"] }
-[dampers]
-c1 = { between = ["x1", "x2"] }
-c2 = { between = ["x2", "u"] }
+RIG = (
+    OPEN
+    + """\
 [channels]
 x1 = { of = "x1", unit = "mm" }
 x2 = { of = "x2", unit = "mm" }
@@ -30,6 +21,7 @@ masses.extra = { at = "x1", value = 0.5 }
 c1 = "own"
 x1.gain = { value = 1, sd = "1 %" }
 """
+)
 VALUES = "m1=2,m2=3,k1=4000,k2=9000,c2=20"
 TEST = "--frequencies 2:16:1 --samples 100 --relative-noise 1%"
 

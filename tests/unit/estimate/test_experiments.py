@@ -18,21 +18,8 @@ from dashpot.estimate.identify import identify
 from dashpot.experiment import RUNS
 from dashpot.model.observation import observation_model, transfer
 from dashpot.model.rigfile import Rig, parse_rig
+from tests.two_masses import OPEN as SHAKEN
 
-SHAKEN = """
-coordinates = ["x1", "x2"]
-[inputs]
-u = { kind = "displacement" }
-[masses]
-m1 = { at = "x1" }
-m2 = { at = "x2" }
-[springs]
-k1 = { between = ["x1", "x2"] }
-k2 = { between = ["x2", "u"] }
-[dampers]
-c1 = { between = ["x1", "x2"] }
-c2 = { between = ["x2", "u"] }
-"""
 ADDED = 'masses.extra = { at = "x1", value = 0.5 }'
 TRUTH = {"m1": 2.0, "m2": 3.0, "k1": 4000.0, "k2": 9000.0, "c1": 12.0, "c2": 20.0, "c1@added": 30.0}
 HZ = np.linspace(2, 16, 15)
