@@ -218,6 +218,11 @@ class ObservationModel:
         """Which channels show inputs and nothing else of the rig, (channels,)."""
         return np.any(self.on_q, axis=-1) & ~np.any(self.on_x, axis=-1) & ~np.any(self.force, axis=-1)
 
+    @property
+    def calibration_known(self) -> Bools:
+        """Of which channels gain, delay and sign are known, (channels,)."""
+        return (self.gain < 0) & (self.delay < 0) & ~self.flips
+
     @cached_property
     def sees(self) -> Bools:
         """Which inputs each channel shows in a rig of this structure, (channels, r + s).

@@ -157,12 +157,9 @@ def compiled_output(view: ObservationModel, data: Measured) -> Any | None:
     key = (id(core), id(view))
     if key not in cache:
         cache.clear()
-        output, rig = (
-            None,
-            kernel_rig(core, view.model, view.omega, view.experiment)
-            if view.model.n and len(view.omega)
-            else None,
-        )
+        output, rig = None, None
+        if len(view.omega):
+            rig = kernel_rig(core, view.model, view.omega, view.experiment)
         if rig is not None:
             q = None if data.q is None else np.ascontiguousarray(data.q)
             measured = np.ascontiguousarray(data.y), np.ascontiguousarray(data.W), q

@@ -156,7 +156,7 @@ def directly_driven(view: ObservationModel, data: Measured) -> Measured | None:
     if data.q is not None:
         return data
     alone = view.inputs_alone & np.any(view.direct_q, axis=-1) & np.all(data.y != 0, axis=0)
-    calibrated = (view.gain < 0) & (view.delay < 0) & ~view.flips
+    calibrated = view.calibration_known
     by_channel = inputs_by_channel(view, alone & calibrated)
     if by_channel is None:
         return None

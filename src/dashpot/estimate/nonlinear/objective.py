@@ -298,7 +298,7 @@ def nonlinear_part(data: Prepared, y: Complex, q: Complex | None) -> NonlinearPa
     """
     dwells, view = dwells_of(data.model, data.spectrum), data.view
     if q is None:
-        alone = view.inputs_alone & (view.gain < 0) & (view.delay < 0) & ~view.flips
+        alone = view.inputs_alone & view.calibration_known
         C = view.direct_q * alone[:, None]
         if np.any(np.linalg.matrix_rank(C) < C.shape[-1]):
             raise DataError(

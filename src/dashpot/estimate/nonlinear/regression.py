@@ -103,7 +103,7 @@ def measured_motion(data: Prepared) -> MeasuredMotion:
     dwells = dwells_of(model, data.spectrum)
     linear = unit_forces(model, data.spectrum.omega, states.X, states.U)
     view = data.view
-    shown = np.any(view.force, axis=-1) & (view.gain < 0) & (view.delay < 0) & ~view.flips
+    shown = np.any(view.force, axis=-1) & view.calibration_known
     shown &= ~np.any(np.isnan(data.spectrum.amplitudes), axis=tuple(range(data.spectrum.amplitudes.ndim - 1)))
     motion = MeasuredMotion(
         model,
