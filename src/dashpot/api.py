@@ -46,7 +46,7 @@ from dashpot.estimate.method import Method
 from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import method_class, methods_for
-from dashpot.estimate.result import Estimate, Origin, Value
+from dashpot.estimate.result import Cycle, Estimate, Origin, Value
 from dashpot.experiment import RUNS, kind_of
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
@@ -142,7 +142,7 @@ def identify(
             still = None if conditioning is None else conditioning.still
             name = method if method is None or isinstance(method, str) else method.name
             estimate = _in_time(model, data.records, name, still, judged, within, progress)
-            return _of_rig(rig, estimate, None, files)
+            return _of_rig(rig, estimate, None, files, data.records)
     spectrum = _spectrum(rig, data, frequency_hz, conditioning, [] if method is None else [method])
     _require_measured(rig, spectrum)
     require_identifiable(
@@ -428,6 +428,22 @@ def frf(
     return value.reshape(frequency_hz.shape)[()], spread.reshape(frequency_hz.shape)[()]
 
 
+def cycles(
+    estimate: Estimate, amplitudes: Any, frequencies_hz: Any, rig: Rig | None = None
+) -> tuple[Cycle, ...]:
+    """Energy per cycle, equivalent stiffness and damping of elements in sines: `Estimate.cycles_at`."""
+    from dashpot.estimate.cycles import cycles_at
+
+    if estimate.values.ndim != 1:
+        raise UsageError("a batch of estimates has no cycles", cure="take one of them")
+    named = {"amplitudes": amplitudes, "frequencies_hz": frequencies_hz}
+    numbers = {name: np.atleast_1d(_numbers(value, name)) for name, value in named.items()}
+    for name, array in numbers.items():
+        if array.ndim > 1 or not np.all(array > 0):
+            raise UsageError(f"{name} is {named[name]!r}", cure="give numbers above 0")
+    return cycles_at(_rig_of(estimate, rig).model, estimate, *(each.tolist() for each in numbers.values()))
+
+
 def predicted_motion(
     estimate: Estimate, inputs: Any, rig: Rig | None = None, **changes: float
 ) -> tuple[Record, ...]:
@@ -474,6 +490,7 @@ def with_exact_values(estimate: Estimate, changes: Mapping[str, float]) -> Estim
         stated=tuple(statement for statement in estimate.stated if statement[0] not in given),
         modes=None,
         assessment=None,
+        cycles=(),
     )
     if estimate.origin is None:
         return changed
@@ -544,9 +561,23 @@ def plot(value: Estimate | Comparison, level: float = 0.95) -> Any:
 
 
 def _of_rig(
-    rig: Rig | Model, estimate: Estimate, spectrum: Spectrum | None = None, files: tuple[str, ...] = ()
+    rig: Rig | Model,
+    estimate: Estimate,
+    spectrum: Spectrum | None = None,
+    files: tuple[str, ...] = (),
+    records: Sequence[Record] = (),
 ) -> Estimate:
-    """The estimate with its rig, the name of its file where it has one, and what it was made from."""
+    """The estimate with its rig, the name of its file where it has one, and what it was made from; a stand's cycles."""
+    model = _model(rig)
+    if not model.n and not estimate.values.ndim > 1:  # a test stand
+        from dashpot.estimate.cycles import cycles_of_records, cycles_of_spectrum
+
+        cycles = (
+            cycles_of_records(model, estimate, records)
+            if spectrum is None
+            else cycles_of_spectrum(model, estimate, spectrum)
+        )
+        estimate = replace(estimate, cycles=cycles)
     if isinstance(rig, Model):
         return estimate
     return replace(estimate, rig=rig.path or estimate.rig, origin=Origin(rig, spectrum, files))

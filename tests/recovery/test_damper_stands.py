@@ -10,6 +10,7 @@ import pytest
 
 import dashpot
 from dashpot.arrays import Real
+from dashpot.present.figures.comparison import cycle_figure
 
 RATE, FINE = 2000, 16  # samples a second, and instants that the forces are computed at for each of them
 FORCE_NOISE = 0.02  # of the rms force
@@ -185,6 +186,96 @@ def test_intervals_cover(kind: str, laws: tuple[str, ...]) -> None:
     assert np.mean(np.abs(z) < 1.96) > 0.82
     assert 0.6 < np.sqrt(np.mean(z**2)) < 1.4
     assert np.max(np.abs(z)) < 5
+
+
+def grid_cycle(law: str, values: dict[str, float], amplitude: float, frequency: float) -> Real:
+    """Energy, equivalent stiffness and damping of the last of three cycles, from forces on the fine grid."""
+    samples, turn = round(RATE * FINE / frequency), 2 * np.pi * frequency
+    time = np.arange(3 * samples) / (samples * frequency)
+    d, v = amplitude * np.sin(turn * time), amplitude * turn * np.cos(turn * time)
+    force = values.get("k", 0.0) * d + values["c"] * v + values["q"] * LAWS[law][0](d, v, values)
+    last = slice(2 * samples, None)
+    in_phase, with_rate = (2 / samples * force[last] @ part[last] / np.max(part) for part in (d, v))
+    energy = np.sum(force[last] * v[last]) / (samples * frequency)
+    return np.array([energy, in_phase / amplitude, with_rate / amplitude / turn])
+
+
+@pytest.mark.parametrize("kind", ["dwells", "record"])
+@pytest.mark.parametrize(
+    "law", [pytest.param(law, marks=() if law == "maxwell" else pytest.mark.long) for law in LAWS]
+)
+def test_cycles_are_those_of_forces_on_a_grid_with_deviations_by_differences(law: str, kind: str) -> None:
+    """At the estimate, with slopes by central differences of the grid's numbers; and the truth is held."""
+    rig, truth = stand(law)
+    rng = np.random.default_rng(21)
+    data = dwells(law, truth, rng) if kind == "dwells" else wide(law, truth, rng)
+    estimate = rig.identify(data, judge=False)
+    assert len(estimate.cycles) == 9
+    for cycle in estimate.cycles[::4]:
+        at = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
+        of = (cycle.amplitude, cycle.frequency_hz)
+        numbers = np.array([cycle.energy, cycle.stiffness, cycle.damping])
+        spread = np.array([cycle.energy_sd, cycle.stiffness_sd, cycle.damping_sd])
+        scale = np.abs(grid_cycle(law, at, *of)) + np.array([0, 1e2, 1.0])
+        np.testing.assert_allclose(numbers / scale, grid_cycle(law, at, *of) / scale, atol=2e-3)
+        slopes = np.stack(
+            [
+                (
+                    grid_cycle(law, at | {name: at[name] + sd}, *of)
+                    - grid_cycle(law, at | {name: at[name] - sd}, *of)
+                )
+                / (2 * sd)
+                for name, sd in zip(estimate.names, estimate.sd.tolist(), strict=True)
+            ],
+            axis=1,
+        )
+        by_differences = np.sqrt(np.einsum("qi,ij,qj->q", slopes, estimate.covariance, slopes))
+        np.testing.assert_allclose(spread, by_differences, rtol=0.1, atol=1e-12)
+        assert np.all(np.abs(numbers - grid_cycle(law, truth, *of)) < 5 * spread + 1e-3 * scale)
+
+
+def test_cycles_of_two_moving_ends_and_of_amplitudes_that_are_asked_for() -> None:
+    """k and c between u and w, b of an inerter: K = k − ω² b, C = c, E = π ω c A² of the difference of both ends."""
+    rig = dashpot.parse_rig(
+        """
+        coordinates = []
+        [inputs]
+        u = { kind = "displacement" }
+        w = { kind = "displacement" }
+        [springs]
+        k = { between = ["u", "w"] }
+        [dampers]
+        c = { between = ["w", "u"] }
+        [inerters]
+        b = { between = ["u", "w"] }
+        [channels]
+        u = { of = "u" }
+        w = { of = "w" }
+        F = { of = "u", quantity = "force", noise = 0.01 }
+        """
+    )
+    values = {"k": 2e4, "c": 100.0, "b": 3.0}
+    frequencies = [2.0, 5.0, 11.0]
+    data = rig.simulate(values, frequencies, amplitudes={"u": 1e-3, "w": 0.5e-3j})
+    estimate = rig.identify(data)
+    for cycle, frequency in zip(estimate.cycles, frequencies, strict=True):
+        turn, size = 2 * np.pi * frequency, abs(1e-3 - 0.5e-3j)
+        np.testing.assert_allclose(
+            [cycle.amplitude, cycle.stiffness, cycle.damping, cycle.energy],
+            [size, 2e4 - turn**2 * 3.0, 100.0, np.pi * turn * 100.0 * size**2],
+            rtol=2e-3,
+        )
+    assert dashpot.Estimate.from_json(estimate.to_json()).cycles == estimate.cycles
+    asked = estimate.cycles_at([1e-3, 2e-3], 7.0)
+    assert [(cycle.amplitude, cycle.frequency_hz) for cycle in asked] == [(1e-3, 7.0), (2e-3, 7.0)]
+    assert asked[0].damping_sd == pytest.approx(estimate["c"].sd)
+    assert asked[1].energy == pytest.approx(4 * asked[0].energy)
+    assert "energy, J" in str(estimate)
+    stiffness, damping = cycle_figure(estimate.cycles).axes
+    assert stiffness.get_xlabel() == damping.get_xlabel() == "frequency, Hz"
+    assert cycle_figure(estimate.cycles_at([1e-3, 2e-3], [5.0, 7.0])).axes[0].get_xlabel() == "amplitude, mm"
+    with pytest.raises(dashpot.UsageError, match="above 0"):
+        estimate.cycles_at(0.0, 7.0)
 
 
 def test_a_linear_stand_is_a_regression_of_its_force() -> None:

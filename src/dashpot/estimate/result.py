@@ -284,6 +284,32 @@ class Cost:
 
 
 @dataclass(frozen=True)
+class Cycle:
+    """A settled cycle of the elements that join two ends, with standard deviations; SI units (`estimate.cycles`).
+
+    elements      their names
+    between       the ends that are no ground
+    frequency_hz  of the motion
+    amplitude     of its fundamental, m, or rad between angles (`unit`)
+    energy        that a cycle takes, J
+    stiffness     equivalent: force in phase with the elongation, over its amplitude, N/m or N·m/rad
+    damping       equivalent viscous: force in phase with the rate, over its amplitude, N·s/m or N·m·s/rad
+    """
+
+    elements: tuple[str, ...]
+    between: tuple[str, ...]
+    frequency_hz: float
+    amplitude: float
+    unit: str
+    energy: float
+    energy_sd: float
+    stiffness: float
+    stiffness_sd: float
+    damping: float
+    damping_sd: float
+
+
+@dataclass(frozen=True)
 class Estimate(Printable):
     """Values of the unknowns with their full covariance; every array may have leading batch axes.
 
@@ -312,6 +338,7 @@ class Estimate(Printable):
     profiles            profiles (`profile_interval`) of the unknowns along which χ² is no parabola, by name
     origin              what it was made from, where that was a Rig; it is not saved
     stated              (name, value, sd) of the unknowns that were known with a standard deviation
+    cycles              of a test stand: energy, equivalent stiffness and damping in the cycles of its data
     """
 
     model: str
@@ -342,6 +369,7 @@ class Estimate(Printable):
     profiles: Mapping[str, tuple[tuple[float, ...], tuple[float, ...]]] = field(default_factory=dict)
     origin: Origin | None = field(default=None, repr=False, compare=False)
     stated: tuple[tuple[str, float, float], ...] = ()
+    cycles: tuple[Cycle, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -547,6 +575,14 @@ class Estimate(Printable):
         """
         return cast("tuple[Record, ...]", call("predicted_motion", self, inputs, rig, **changes))
 
+    def cycles_at(self, amplitudes: Any, frequencies_hz: Any, rig: Any = None) -> tuple[Cycle, ...]:
+        """Energy per cycle, equivalent stiffness and damping of elements in sines of each amplitude and frequency.
+
+        amplitudes (m, or rad between angles) and frequencies (Hz) are numbers, or one-dimensional; a Cycle comes back
+        for each pair and all elements that join the same ends.  Raises UsageError where one is not above 0.
+        """
+        return cast("tuple[Cycle, ...]", call("cycles", self, amplitudes, frequencies_hz, rig))
+
     def with_values(self, **changes: Any) -> Estimate:
         """The estimate with these values, SI units, exact and the rest as it was.
 
@@ -703,6 +739,7 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         **_statements(estimate),
         "signs": {name: float(sign) for name, sign in estimate.signs.items()},
         "modes": [] if estimate.modes is None else _mode_rows(estimate.modes),
+        **({"cycles": [asdict(cycle) for cycle in estimate.cycles]} if estimate.cycles else {}),
         "fit": {
             "chi2": float(estimate.fit.chi2),
             "dof": estimate.fit.dof,
@@ -792,7 +829,13 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         rig=content.get("rig"),
         stated=tuple((str(a), float(b), float(c)) for a, b, c in content.get("stated", ())),
         profiles=profiles,
+        cycles=tuple(_cycle(row) for row in content.get("cycles", ())),
     )
+
+
+def _cycle(row: Mapping[str, Any]) -> Cycle:
+    numbers = {key: nullable(row[key]) for key in row.keys() - {"elements", "between", "unit"}}
+    return Cycle(tuple(row["elements"]), tuple(row["between"]), unit=str(row["unit"]), **numbers)
 
 
 def _numbers(values: Sequence[Any], missing: float = math.nan) -> Real:

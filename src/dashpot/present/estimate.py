@@ -11,7 +11,7 @@ import numpy as np
 
 from dashpot.estimate.likelihood.record_noise import INPUT_NOISE
 from dashpot.estimate.linear.instrumental_variables import FreeMatrices
-from dashpot.estimate.result import MISFIT, RESIDUALS, Estimate, ModeValues
+from dashpot.estimate.result import MISFIT, RESIDUALS, Cycle, Estimate, ModeValues
 from dashpot.io.words import joined
 from dashpot.model.matrix_elements import Letter
 from dashpot.present.document import (
@@ -63,6 +63,9 @@ def estimate_document(
         ),
         section("Signs", signs_in_words(estimate)),
         section("Modes", mode_columns(estimate.modes) if has_modes(estimate) else None),
+        section(
+            CYCLES, *((CYCLES_TEXT, cycle_columns(estimate.cycles[:MOST_CYCLES])) if estimate.cycles else ())
+        ),
         section(
             "Fit",
             *fit_paragraphs(estimate),
@@ -273,6 +276,35 @@ def mode_columns(modes: ModeValues | None) -> list[TableColumn]:
     heads = ["mode>", "frequency, Hz>", "±>", "damping ratio>", "±>", ""]
     columns = columns_of(heads, zip(*texts, strict=True))
     return columns if any(remarks) else columns[:-1]
+
+
+CYCLES = "Cycles of motion"
+CYCLES_TEXT = (
+    "Energy per cycle, equivalent stiffness and equivalent viscous damping in the motion of these data "
+    "(of continuous records: in sines as large and as fast)."
+)
+MOST_CYCLES = 30  # rows of a table; the JSON has all
+
+
+def cycle_columns(cycles: Sequence[Cycle]) -> list[TableColumn]:
+    """A row for each cycle, SI units but mm; of several specimens their elements first."""
+    angular = cycles[0].unit == "rad"
+    units = ("N·m/rad", "N·m·s/rad") if angular else ("N/m", "N·s/m")
+    rows = []
+    for cycle in cycles:
+        pairs = [
+            value_and_sd(getattr(cycle, name), getattr(cycle, f"{name}_sd"))
+            for name in ("energy", "stiffness", "damping")
+        ]
+        size = cycle.amplitude * (1.0 if cycle.unit == "rad" else 1e3)
+        numbers = [text for pair in pairs for text in pair]
+        rows.append(("+".join(cycle.elements), short(cycle.frequency_hz, 4), short(size, 4), *numbers))
+    texts = list(zip(*rows, strict=True))
+    heads = ["elements", "Hz>", f"{'rad' if angular else 'mm'}>"]
+    heads += ["energy, J>", "±>", f"stiffness, {units[0]}>", "±>", f"damping, {units[1]}>", "±>"]
+    shown = texts[:1] + [tuple(aligned(column)) for column in texts[1:]]
+    columns = columns_of(heads, zip(*shown, strict=True))
+    return columns if len(set(texts[0])) > 1 else columns[1:]
 
 
 def matrix_sections(matrices: FreeMatrices, angular: bool = False) -> tuple[Section, ...]:

@@ -20,9 +20,13 @@ from dashpot.model.network import Model
 from dashpot.present.check import profile_in_words, shares_section
 from dashpot.present.document import Document, Items, Picture, Provenance, Section, section
 from dashpot.present.estimate import (
+    CYCLES,
+    CYCLES_TEXT,
+    MOST_CYCLES,
     STATED,
     STATED_TEXT,
     convergence_in_words,
+    cycle_columns,
     has_modes,
     mode_columns,
     parameter_columns,
@@ -32,7 +36,7 @@ from dashpot.present.estimate import (
     warnings_in_words,
 )
 from dashpot.present.figures import spectra as figures
-from dashpot.present.figures.comparison import cost_figure, estimate_figure
+from dashpot.present.figures.comparison import cost_figure, cycle_figure, estimate_figure
 from dashpot.present.figures.spectra import rows_of_pictures
 from dashpot.present.page import figure_picture, page_html
 from dashpot.present.schematic.drawing import mode_drawing, numbered_mode, rig_picture
@@ -191,6 +195,15 @@ def _evidence(
         sections.append(section("Why it does not fit", causes, whole=True))
     if has_modes(estimate):
         sections.append(_modes(model, estimate))
+    if estimate.cycles:
+        pictures = []
+        for elements in dict.fromkeys(cycle.elements for cycle in estimate.cycles):
+            figure = cycle_figure([cycle for cycle in estimate.cycles if cycle.elements == elements])
+            said = f"Equivalent stiffness and damping of {joined(elements)} over the amplitude"
+            pictures.append(figure_picture(figure, said))
+        sections.append(
+            section(CYCLES, CYCLES_TEXT, *pictures, cycle_columns(estimate.cycles[:MOST_CYCLES]), whole=True)
+        )
     if spectrum is not None and found.residuals is not None:
         sections += _responses(found, found.residuals, spectrum.carries_loads)
         if found.records:

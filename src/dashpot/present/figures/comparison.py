@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from dashpot.arrays import Real
 from dashpot.estimate.comparison import Comparison
-from dashpot.estimate.result import Cost, Estimate
+from dashpot.estimate.result import Cost, Cycle, Estimate
 from dashpot.present.figures.style import (
     BAD,
     COLOURS,
@@ -94,6 +94,47 @@ def cost_figure(costs: Sequence[Cost]) -> Figure:
     axes.set_xlim(0, 100)
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("% of the variance")
+    return figure
+
+
+@style()
+def cycle_figure(cycles: Sequence[Cycle]) -> Figure:
+    """Equivalent stiffness and damping of one specimen over the amplitude, a curve for each frequency, ± 2 sd.
+
+    Over the frequency, where each has one amplitude.
+    """
+    angular = cycles[0].unit == "rad"
+    length, scale = ("rad", 1.0) if angular else ("mm", 1e3)
+    units = {
+        "stiffness": f"N{'·m/rad' if angular else '/m'}",
+        "damping": f"N·{'m·s/rad' if angular else 's/m'}",
+    }
+    figure, grid = panels(2, 2, (HALF_PAGE, 2.9), ShownFigure)
+    frequencies = sorted({cycle.frequency_hz for cycle in cycles})
+    single = len(frequencies) == len(cycles)
+    curves = [
+        [c for c in sorted(cycles, key=lambda c: c.amplitude) if c.frequency_hz == f]
+        for f in frequencies[:: -(-len(frequencies) // len(COLOURS))]
+    ]
+    for axes, (name, unit) in zip(grid, units.items(), strict=True):
+        for colour, curve in zip(
+            COLOURS, [sorted(cycles, key=lambda c: c.frequency_hz)] if single else curves, strict=False
+        ):
+            axes.errorbar(
+                [c.frequency_hz if single else scale * c.amplitude for c in curve],
+                [getattr(c, name) for c in curve],
+                [2 * getattr(c, f"{name}_sd") for c in curve],
+                color=colour,
+                marker="o",
+                ms=3.5,
+                lw=1.2,
+                capsize=2,
+                label=f"{curve[0].frequency_hz:.4g} Hz",
+            )
+        axes.set_title(f"Equivalent {name}, {unit}")
+        axes.set_xlabel("frequency, Hz" if single else f"amplitude, {length}")
+    if not single:
+        grid[1].legend()
     return figure
 
 
