@@ -130,12 +130,13 @@ def inspect_file(path: str | os.PathLike[str]) -> Inspection:
 
 def _part(columns: Columns) -> InspectedPart:
     damaged: list[DashpotError] = []
+    notes = list(columns.notes)
     time_at = _tried(lambda: time_column(columns, (), may_lack=True), None, [])
     f_at = _tried(lambda: frequency_column(columns, ()), None, [])
     time: Real = np.zeros(0)
     driven: Real = np.zeros(0)
     if time_at is not None:
-        time = _tried(lambda: read_time(columns, time_at, [], None)[0], time, damaged)
+        time = _tried(lambda: read_time(columns, time_at, [], None, (), notes)[0], time, damaged)
     if f_at is not None:
         driven = _tried(partial(_numbers, columns, f_at), driven, damaged)
     # Where the drive changes its frequency or the clock starts again another stretch begins
@@ -149,7 +150,7 @@ def _part(columns: Columns) -> InspectedPart:
     rates = [stretch.rate_hz for stretch in stretches]
     inspected: list[InspectedColumn] = []
     others, samples = [], len(time)
-    for i, name in enumerate(columns.header):
+    for i, name in enumerate(columns.names):
         if i in (time_at, f_at):
             continue
         values: Real = np.zeros(0)
@@ -158,8 +159,8 @@ def _part(columns: Columns) -> InspectedPart:
             noted = damaged if begins_with_number else []
             values = _tried(partial(_numbers, columns, i), values, noted)
         if not np.any(np.isfinite(values)):
-            if name:
-                others.append(name)
+            if columns.header[i]:
+                others.append(columns.header[i])
             continue
         samples = max(samples, len(values))
         inspected.append(_column(name, columns.unit(i), values, stretches))
@@ -177,7 +178,7 @@ def _part(columns: Columns) -> InspectedPart:
         tuple(inspected),
         tuple(others),
         tuple(damaged),
-        columns.notes,
+        tuple(notes),
     )
 
 

@@ -23,6 +23,7 @@ from dashpot.units import SHARE
 
 LARGEST = 1e100  # beyond this squares overflow, and no measurement is meant
 MOST_COLUMNS = 10_000
+UNNAMED = "column"  # and its number from 1: what a column without a name is called
 _UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _DIVIDED = re.compile(
     r"^(?P<name>.*\S)\s+(?:/|in)\s+(?P<unit>\S+)$"
@@ -120,7 +121,7 @@ class Columns(ABC):
         return tuple(bare(column)[0] for column in self.header)
 
     def find(self, name: str) -> int | None:
-        """Position of a column, by its name or by its name in front of a unit in brackets.
+        """Position of a column, by its name, by that in front of a unit in brackets, or by its number (`names`).
 
         Raises DataError where there are two.
         """
@@ -135,7 +136,15 @@ class Columns(ABC):
                     "rename one of them",
                 )
             return names.index(name)
+        place = re.fullmatch(rf"{UNNAMED}([1-9]\d{{0,4}})", name)
+        if place is not None and int(place[1]) <= len(self.header) and not self.header[int(place[1]) - 1]:
+            return int(place[1]) - 1
         return None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns as `find` takes them: what has none is called by its number, column2."""
+        return tuple(bare(name)[0] or f"{UNNAMED}{i}" for i, name in enumerate(self.header, 1))
 
     def need(self, name: str, why: str = "", cure: str | None = None) -> int:
         """Position of a column.  Raises DataError with the cure, or the nearest column, where there is none."""
@@ -144,7 +153,7 @@ class Columns(ABC):
             return at
         lower = {column.lower(): column for column in self.header}
         near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.6)
-        known = f"there are {listed(self.header)}{f'; {cure}' if cure else ''}"
+        known = f"there are {listed(self.names)}{f'; {cure}' if cure else ''}"
         if near:
             known = f"did you mean {shown(lower[near[0]])}?"
         raise DataError(f"column {shown(name)}: missing{why}", self.heading, known)
@@ -334,8 +343,9 @@ def read_time(
     others: Sequence[int],
     rate_hz: float | None,
     together: Sequence[int] = (),
+    notes: list[Notice] | None = None,
 ) -> tuple[Real, dict[int, Real]]:
-    """Time in s, (samples,), and the other columns.
+    """Time in s, (samples,), and the other columns; a unit of time that is guessed is added to `notes`.
 
     Without a column of time the samples are 1/rate_hz apart; `together` as of Columns.numbers, and so are errors.
     """
@@ -361,6 +371,13 @@ def read_time(
     named = match["unit"] if match and match["name"] in TIME_NAMES else None
     scale = _unit_scale(columns, time_at, "time", "give the time in s, ms, µs, min or h", named)
     time = numbers[time_at] if time_at in others else numbers.pop(time_at)
+    if not named and not columns.unit(time_at):
+        scale, unit = guessed_time_unit(time)
+        if unit != "s" and notes is not None:
+            name = columns.names[time_at]
+            what = f"{columns.source}: {name} has no unit and counts in whole numbers; it is taken to be in {unit}"
+            text = f"{what} (else call it {name}_s or {name}_ms)"
+            notes.append(Notice("time_unit_guessed", text, (name,)))
     time = time if scale == 1.0 else time * scale
     check_range(columns, time_at, time, LONGEST, "s")
     at_once = 1 << 18
@@ -372,6 +389,22 @@ def read_time(
             what = f"a sampling step of {steps[row - at - 1]:g} s"
             raise DataError(what, columns.place(row), "correct the times, or the step in the header")
     return time, numbers
+
+
+def guessed_time_unit(time: Real) -> tuple[float, str]:
+    """(s per unit, unit) of times that state none: whole numbers are those of a clock that counts, others seconds.
+
+    No recording of a rig has samples whole seconds apart: from 1 on they are ms (1000 Hz and less), from 50 on µs
+    (20 kHz and less), from 1e5 on ns.
+    """
+    some = time[:1000]
+    steps = np.diff(some)
+    steps = steps[steps > 0]  # the clock may begin again
+    if not len(steps) or np.any(some != np.round(some)):
+        return 1.0, "s"
+    step = float(np.median(steps))
+    limits = {"ns": (1e5, 1e-9), "µs": (50.0, 1e-6), "ms": (1.0, 1e-3)}
+    return next((scale, unit) for unit, (least, scale) in limits.items() if step >= least)
 
 
 def _unit_scale(columns: Columns, column: int, quantity: str, cure: str, named: str | None = None) -> float:

@@ -68,7 +68,7 @@ def read_records(
     wanted = list(dict.fromkeys(i for i in (f_at, numeric, *at) if i is not None))
     notes += columns.not_read((*wanted, time_at, experiment_at))
     apart = set(at).isdisjoint({time_at, f_at, experiment_at})
-    time, numbers = read_time(columns, time_at, wanted, circumstances.rate_hz, at if apart else ())
+    time, numbers = read_time(columns, time_at, wanted, circumstances.rate_hz, at if apart else (), notes)
     frequency, frequency_hz, said = _drive(columns, f_at, numbers, circumstances)
     notes += said
     experiments: Ints = np.broadcast_to(np.int64(circumstances.experiment), len(time))

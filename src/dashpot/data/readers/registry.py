@@ -74,10 +74,25 @@ READERS = (
 )
 
 
+_NO_DATA = {  # what is given in the place of a recording, by what such files begin with
+    "a PDF document": (b"%PDF",),
+    "a picture": (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"II*\0", b"MM\0*"),
+    "an archive": (b"PK\x03\x04", b"7z\xbc\xaf", b"Rar!", b"\xfd7zXZ"),
+    "a film": (b"\x1aE\xdf\xa3", b"\0\0\0\x18ftyp", b"\0\0\0\x1cftyp", b"\0\0\0 ftyp"),
+    "a program": (b"\x7fELF",),
+}
+
+
 def reader_of(file: DataFile) -> Reader:
     """The first reader whose file it is.  Raises DataError where there is none."""
-    for reader in READERS:
+    *formats, text = READERS
+    for reader in formats:
         if file.head.startswith(reader.starts) or reader.sniff(file):
             return reader
+    for what, begins in _NO_DATA.items():
+        if file.head.startswith(begins):
+            raise DataError(f"this is {what}, and no recording", file.name, "name the file with the numbers")
+    if text.sniff(file):
+        return text
     known = ", ".join(reader.format for reader in READERS)
     raise DataError("the file is not text, and its format is not known", file.name, f"there are {known}")

@@ -23,6 +23,7 @@ from dashpot.arrays import Bools, Real
 from dashpot.data.readers.columns import (
     LARGEST,
     MOST_COLUMNS,
+    UNNAMED,
     Columns,
     bare,
     columns_of_block,
@@ -193,7 +194,7 @@ class TextTable(Columns):
     @property
     def heading(self) -> str:
         """The file and its header row."""
-        return f"{self.source}:{self.first_row - 1}"
+        return f"{self.source}:{max(self.first_row - 1, 1)}"
 
     def place(self, index: int) -> str:
         """The file and the row."""
@@ -400,11 +401,12 @@ _BLANKS = " "  # as a delimiter: any number of blanks and tabs
 
 @dataclass(frozen=True)
 class _Row:
-    """A row that is not blank: its number in the file, where the next one begins, its text."""
+    """A row that is not blank: its number in the file, where the next one begins, its text, where it begins."""
 
     number: int
     end: int
     text: str
+    begin: int
 
 
 def open_table(
@@ -425,8 +427,13 @@ def open_table(
     names = _names(text, "\t" if delimiter == _BLANKS else delimiter, place)
     units: tuple[str | None, ...] = ()
     notes: tuple[Notice, ...] = ()
+    unnamed: tuple[Notice, ...] = ()
     start, first_row = header.end, header.number + 1
-    if first_column is None:
+    if all(_is_number(name) for name in names):
+        names, unnamed = _without_header(file.contents, header, delimiter, source)
+        start, first_row = header.begin, header.number
+        file, notes = _without_stray_rows(file, start, source)
+    elif first_column is None:
         below = _next_row(file.contents, start, header.number)
         cells = [] if below is None else _cells(below.text, delimiter)
         if below is not None and len(cells) == len(names) and _is_unit_row(cells):
@@ -442,7 +449,7 @@ def open_table(
     names, units = _of_width(names, units, _cells(first.text, delimiter))
     sample = data[start : start + 4096].decode("utf-8", errors="replace")
     decimal, thousands = _decimal(sample, delimiter, source)
-    notes = (*thousands, *notes)
+    notes = (*unnamed, *thousands, *notes)
     # The table, whose last row, where it has no line end, may have been cut off within its last number
     table = TextTable(source, names, units, notes, file, start, first_row, delimiter, decimal)
     data = table.file.contents
@@ -462,6 +469,29 @@ def open_table(
         )
     text = f"{table.source}: the last row has no line end; if the file was cut off, its last number is wrong"
     return replace(table, notes=(*table.notes, Notice("no_line_end", text, (table.source,))))
+
+
+def _without_header(
+    data: Text, first: _Row, delimiter: str, source: str
+) -> tuple[tuple[str, ...], tuple[Notice, ...]]:
+    """Names of columns of a file without a header row, blank but that of the time, and a note that says so.
+
+    The first column is the time where it increases evenly.
+    """
+    rows, cells = [first], [_cells(first.text, delimiter)]
+    while len(rows) < 50 and (row := _next_row(data, rows[-1].end, rows[-1].number)) is not None:
+        rows.append(row)
+        cells.append(_cells(row.text, delimiter))
+    column = [float(row[0].replace(",", ".")) for row in cells if row and _is_number(row[0])]
+    steps = np.diff(column)
+    # 1.5: stamps are rounded, and now and then one is late
+    timed = (
+        len(cells[0]) > 1 and len(steps) > 1 and np.min(steps) > 0 and np.max(steps) <= 1.5 * np.min(steps)
+    )
+    names = ("time" if timed else "", *[""] * (len(cells[0]) - 1))
+    shown_names = listed([name or f"{UNNAMED}{i + 1}" for i, name in enumerate(names)])
+    text = f"{source}: no header row; its columns are called {shown_names}"
+    return names, (Notice("no_header", text, (source,)),)
 
 
 def _header(data: Text, source: str, first_column: str | None) -> tuple[_Row, str]:
@@ -523,13 +553,13 @@ def _leading_rows(data: Text, source: str, first_column: str | None) -> tuple[_R
         except UnicodeDecodeError as error:
             what = f"byte {error.start + 1} of the row is not UTF-8"
             raise DataError(what, f"{source}:{number}", "save the file as UTF-8") from None
-        position = min(end + 1, len(data))
+        begin, position = position, min(end + 1, len(data))
         if text.lower().startswith("sep=") and len(text) == 5:
             delimiter = text[4]
         elif text.startswith(first_column) if first_column else text and not text.startswith("#"):
-            return _Row(number, position, text), commented, delimiter
+            return _Row(number, position, text, begin), commented, delimiter
         elif text.startswith("#"):
-            commented = _Row(number, position, text.lstrip("# \t"))
+            commented = _Row(number, position, text.lstrip("# \t"), begin)
         if position >= len(data):
             begins = "" if first_column is None else f" that begins with {first_column}"
             cure = f"give a file with a header row{begins} and data"
@@ -542,9 +572,9 @@ def _next_row(data: Text, position: int, number: int) -> _Row | None:
         end = data.find(b"\n", position, position + LOOKED_AT)
         end = min(len(data), position + LOOKED_AT) if end < 0 else end
         text = data[position:end].decode("utf-8", errors="replace").strip("\r\n ")
-        position, number = min(end + 1, len(data)), number + 1
+        begin, position, number = position, min(end + 1, len(data)), number + 1
         if text:
-            return _Row(number, position, text)
+            return _Row(number, position, text, begin)
     return None
 
 
@@ -562,9 +592,12 @@ def _in_front_of_numbers(data: Text, candidate: _Row, delimiter: str | None) -> 
         rows.append(following)
         if len(rows) == 2 and _follow_at_once(rows, delimiter):
             break
-        header = _header_in_front(rows, delimiter) if len(rows) > 2 else None
-        if header is not None:
-            return rows[header]
+        if len(rows) > 2:
+            header = _header_in_front(rows, delimiter)
+            if header is not None:
+                return rows[header]
+            if _only_remarks_above(rows, delimiter):
+                return rows[-2]
     return candidate
 
 
@@ -592,6 +625,14 @@ def _header_in_front(rows: Sequence[_Row], delimiter: str | None) -> int | None:
         if not _is_unit_row(cells):
             return at
     return None
+
+
+def _only_remarks_above(rows: Sequence[_Row], delimiter: str | None) -> bool:
+    """Whether the last two rows are the first ones of numbers, and the row above has too few cells to name them."""
+    mark = _delimiter(rows[-1].text) if delimiter is None else delimiter
+    above, first, second = (_cells(row.text, mark) for row in rows[-3:])
+    alike = len(first) == len(second) > 1 and all(map(_is_number, (*first, *second)))
+    return alike and 2 * len(above) <= len(first) and not any(map(_is_number, above))
 
 
 def _delimiter(text: str) -> str:
@@ -649,8 +690,6 @@ def _names(text: str, delimiter: str, place: str) -> tuple[str, ...]:
         names = next(csv.reader([text], delimiter=delimiter))
     except (csv.Error, StopIteration, TypeError):
         raise DataError("the header row cannot be taken apart", place, "look for a stray quote") from None
-    if all(_is_number(name) for name in names):
-        raise DataError("the file has no header row", place, "name the columns in the first row")
     names[0] = names[0].lstrip("%")
     return tuple(name_in(name.strip()) for name in names)
 

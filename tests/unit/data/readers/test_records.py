@@ -122,6 +122,26 @@ def test_dialects(put, text, dress):
         np.testing.assert_array_equal(a.time, b.time)
 
 
+@pytest.mark.parametrize(
+    ("content", "step_s", "codes"),
+    [
+        ("0.00,1,2\n0.01,3,4\n0.02,5,6\n", 0.01, ["no_header"]),
+        ("# taken by hand\n0;1,5;2\n500;3;4\n1000;5;6\n", 500e-6, ["no_header", "time_unit_guessed"]),
+        ("Rig 3, bay 2\nRun of May\n\n0\t1\t2\n1\t3\t4\n2\t5\t6\n", 1e-3, ["no_header", "time_unit_guessed"]),
+        ("t,,acc\n0,1,2\n2000000,3,4\n4000000,5,6\n", 2e-3, ["time_unit_guessed"]),
+        ("t [us],,acc\n0,1,2\n200,3,4\n400,5,6\n", 200e-6, []),
+        ("time_s,,acc\n0,1,2\n200,3,4\n400,5,6\n", 200.0, []),
+    ],
+)
+def test_columns_without_names_and_times_without_a_unit(put, content, step_s, codes):
+    """Columns are called by their numbers, and stamps in whole numbers are those of a counting clock."""
+    reading = read(put(content), [Channel("column2", {"x": 1.0})])
+    (record,) = reading.records
+    np.testing.assert_allclose(np.diff(record.time), step_s)
+    assert [note.code for note in reading.notes if note.code != "columns_not_read"] == codes
+    assert record.values[1:].ravel().tolist() == [3.0, 5.0]
+
+
 HEAD = "frequency_hz,time_s,x1,u\n"
 ROWS = "1,0.0,1.5,2\n1,0.1,1.5,2\n1,0.2,1.5,2\n"
 
@@ -134,7 +154,7 @@ ROWS = "1,0.0,1.5,2\n1,0.1,1.5,2\n1,0.2,1.5,2\n"
         ("# only\n# comments\n", "test.csv: the file has no header row;"),
         (HEAD, "test.csv:1: the file has a header and no rows;"),
         (HEAD + "\n\n", "test.csv:1: the file has a header and no rows;"),
-        (ROWS, "test.csv:1: the file has no header row;"),
+        (ROWS, "test.csv:1: column time_s: missing; there are column1, column2, column3, column4;"),
         (HEAD + ROWS + "1,0.3,nan,2\n", 'test.csv:5: column x1: "nan" is not a finite number;'),
         (HEAD + ROWS + "1,0.3,1,-inf\n", 'test.csv:5: column u: "-inf" is not a finite number;'),
         (HEAD + ROWS + "1,0.3,1,1e999\n", 'test.csv:5: column u: "1e999" is not a finite number;'),
@@ -157,7 +177,9 @@ ROWS = "1,0.0,1.5,2\n1,0.1,1.5,2\n1,0.2,1.5,2\n"
         (HEAD.replace("x1", "x1 [N]") + ROWS, "column x1: N is not a unit of displacement;"),
         ((HEAD + ROWS).replace("x1", "\x81").encode("latin1"), "test.csv:1: byte 21 of the row is not UTF-8"),
         ((HEAD + ROWS).encode("utf-16")[:-1], "test.csv: the file is damaged UTF-16;"),
-        (b"PK\x03\x04\x00\x00\x00", "test.csv: the file is not text, and its format is not known;"),
+        (b"PK\x03\x04\x00\x00\x00", "test.csv: this is an archive, and no recording;"),
+        (b"%PDF-1.7\n\x00", "test.csv: this is a PDF document, and no recording;"),
+        (b"\x00\x01\x02\x03", "test.csv: the file is not text, and its format is not known;"),
         (gzip.compress((HEAD + ROWS).encode(), mtime=0)[:-12], "test.csv: the packed file is damaged or cut"),
         (HEAD.replace(",u", ",u,experiment") + "1,0,1,2,0.5\n1,1,1,2,0.5\n", "column experiment: 0.5"),
         (HEAD + ROWS + '1,0.3,"1,2\n', "test.csv:5: "),
