@@ -108,8 +108,8 @@ def basis_in_words(estimate: Estimate) -> str:
     """What ± is, and what it includes."""
     if estimate.basis == MISFIT:
         return (
-            "± is one standard deviation. It is widened for the misfit of the model; "
-            "'noise only' assumes a perfect model and is too small here."
+            "± is one standard deviation. It is widened for the misfit of the model, and allows for what the values "
+            "would be with each likely cause mended; 'noise only' assumes a perfect model and is too small here."
         )
     if estimate.basis == RESIDUALS:
         return "± is one standard deviation, estimated from the scatter of the residuals."

@@ -113,12 +113,19 @@ class Explanation:
 
     unlisted  odds that it is nothing of the list, or what explains less than half
     nearest   the likeliest of what explains less than half, where that is likelier than any cause; else None
+    weighed   all causes that were fitted closely, whatever they explain; their odds and `as_stated` sum to 1
     """
 
     as_is: FittedProblem
     causes: tuple[Cause, ...]
     unlisted: float
     nearest: Cause | None = None
+    weighed: tuple[Cause, ...] = ()
+
+    @property
+    def as_stated(self) -> float:
+        """Odds that nothing which was fitted is the matter."""
+        return max(1 - sum(cause.odds for cause in self.weighed), 0.0)
 
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
@@ -147,13 +154,16 @@ def explain(
     if not more:
         return first
     both = replace(more[0], odds=best.odds * more[0].odds)
+    beside = tuple(replace(each, odds=best.odds * each.odds) for each in second.weighed)
+    weighed = (*(each for each in first.weighed if each.effect is not best.effect), *beside)
     if first.causes:
         nearly_all = not _leaves_more_than_noise(both.fit) or both.explains >= NEARLY_ALL
-        return replace(first, causes=(best, both, *first.causes[1:])[:MOST]) if nearly_all else first
+        causes = (best, both, *first.causes[1:])[:MOST]
+        return replace(first, causes=causes, weighed=weighed) if nearly_all else first
     together = _explained(baseline.as_is, log_possible(baseline.as_is), both)
     if together < NEARLY_ALL:
         return first
-    return replace(first, causes=(best, both), unlisted=1 - both.odds)
+    return replace(first, causes=(best, both), unlisted=1 - both.odds, weighed=weighed)
 
 
 def _begun(problem: LineProblem, silent: Mapping[str, str], of_samples: bool, seed: int) -> Baseline:
@@ -381,6 +391,7 @@ def _weighed_all(
         replace(cause, odds=float(chance), explains=_explained(baseline.as_is, possible, cause))
         for cause, chance in zip(causes, odds[:-1], strict=True)
     ]
+    every = tuple(causes)
     nearest = causes[0] if causes and causes[0].explains < LIKELY and causes[0].odds > odds[-1] else None
     causes = [cause for cause in causes if cause.explains >= LIKELY]
     unlisted = max(1 - sum(cause.odds for cause in causes), 0.0)
@@ -390,7 +401,7 @@ def _weighed_all(
     listed = list(unique.values())
     total = np.cumsum([cause.odds for cause in listed])
     count = int(np.searchsorted(total, LISTED)) + 1 if len(listed) else 0
-    return Explanation(baseline.as_is, _grouped(listed[: min(count, MOST)]), unlisted, nearest)
+    return Explanation(baseline.as_is, _grouped(listed[: min(count, MOST)]), unlisted, nearest, every)
 
 
 def _same(first: Cause, second: Cause) -> bool:

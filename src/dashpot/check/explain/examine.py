@@ -32,11 +32,12 @@ from dashpot.errors import DashpotError, ModelError
 from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.time_course import TIME_CHANGES
+from dashpot.estimate.inference.uncertainty import linear_modes
 from dashpot.estimate.likelihood.global_search import candidates
 from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.nonlinear.search import linear_rig, starting_points
 from dashpot.estimate.preparation import Prepared, prepare
-from dashpot.estimate.result import Estimate
+from dashpot.estimate.result import MISFIT, Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input, observation_model
 from dashpot.notices import Notice
@@ -56,13 +57,20 @@ def diagnose(
 
     `spectrum` has no batch axes.  The estimate, where there is one, is one more start.  Nothing is applied.
     """
+    return _diagnosed(model, spectrum, estimate, seed)[0]
+
+
+def _diagnosed(
+    model: Model, spectrum: Spectrum, estimate: Estimate | None, seed: int
+) -> tuple[tuple[Finding, ...], Explanation | None]:
+    """As `diagnose`, and what the engine found, where it was asked."""
     backwards = _pushed_backwards(model, spectrum, estimate)
     if backwards or model.n > LARGEST:
-        return backwards
+        return backwards, None
     if len(model.nonlinear):
-        return _where_laws_are_seen(model, spectrum, estimate, np.inf)
+        return _where_laws_are_seen(model, spectrum, estimate, np.inf), None
     found = explained(model, spectrum, estimate, seed=seed)
-    return () if found is None else _findings(found)
+    return ((), None) if found is None else (_findings(found), found)
 
 
 def explained(
@@ -144,6 +152,7 @@ def examined(
         # A search that was lost may end at a rig without any response; what misled it can be told all the same.
         assessment = Assessment("does not fit", (Notice("no_response", error.problems[0].what),), {}, ())
     unsettled = assessment.verdict == "does not fit" or not bool(estimate.converged)
+    found: Explanation | None = None
     if len(model.nonlinear):
         if unsettled:
             misfit = float(estimate.fit.misfit) ** 2
@@ -153,23 +162,58 @@ def examined(
     else:
         laws = _laws_in_records(model, spectrum, estimate)
         if unsettled or laws:
-            assessment = _with_causes(model, spectrum, estimate, assessment, laws, seed)
+            findings, found = _diagnosed(model, spectrum, estimate, seed)
+            assessment = _with_causes(assessment, findings, laws)
         elif not estimate.fit.known_noise and max(assessment.relative_residual.values(), default=0.0) > MUCH:
-            assessment = _with_causes_of_much(model, spectrum, estimate, assessment, seed)
+            findings, found = _diagnosed(model, spectrum, estimate, seed)
+            assessment = _with_causes_of_much(assessment, findings)
     estimate, assessment = _without_changes_in_time(estimate, assessment)
     assessment = settled_by_size(assessment, within is not None)
-    return _closed(model, spectrum, estimate, assessment)
+    estimate = _closed(model, spectrum, estimate, assessment)
+    if found is None or estimate.assessment is None or estimate.assessment.verdict != "does not fit":
+        return estimate
+    return _allowing_for_causes(model, estimate, found)
 
 
-def _with_causes(
-    model: Model, spectrum: Spectrum, estimate: Estimate, assessment: Assessment, laws: tuple[Finding, ...], seed: int
-) -> Assessment:  # fmt: skip
-    """The assessment with what may be the matter.
+@np.errstate(all="ignore")  # values where a search was lost may be absurd
+def _allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) -> Estimate:
+    """The estimate with intervals that allow for what its unknowns would be with each cause mended, by its odds.
+
+    The values stay those of the rig as it is stated.  Their covariance is the mean square about them of the mixture
+    of all fits that were weighed, the rig as it is among them.
+    """
+    fits = [(cause.odds, cause.fit.parts or (cause.fit,)) for cause in found.weighed]
+    fits.append(
+        (found.as_stated / 2, (found.as_is,))
+    )  # which weighs the lines otherwise than the estimate does
+    names, total = estimate.names, found.as_stated / 2
+    mean_square = total * estimate.covariance
+    for odds, parts in fits:
+        for part in parts:
+            there = part.problem.view.names
+            if not set(names) <= set(there):
+                continue
+            places = [there.index(name) for name in names]
+            away, spread = part.psi[places] - estimate.values, part.covariance[np.ix_(places, places)]
+            if np.all(np.isfinite(spread)):
+                mean_square = mean_square + odds / len(parts) * (spread + np.outer(away, away))
+                total += odds / len(parts)
+    if not total > 0:
+        return estimate
+    covariance = mean_square / total
+    if not np.all(np.isfinite(covariance)):
+        return estimate
+    m = len(model.unknowns)
+    modes = linear_modes(model, estimate.values[:m], covariance[:m, :m])
+    return replace(estimate, covariance=covariance, basis=MISFIT, modes=modes)
+
+
+def _with_causes(assessment: Assessment, found: tuple[Finding, ...], laws: tuple[Finding, ...]) -> Assessment:
+    """The assessment with what was found to be the matter.
 
     Nonlinear elements that whole records call for stand first, unless a cause of the list explains more than they;
     so do changes in the course of a record and channels that end, unless a cause explains nearly all.
     """
-    found = diagnose(model, spectrum, estimate, seed=seed)
     best = found[0] if found else None
     by_law = laws[0].explains or 0.0 if laws else 0.0
     explains = 0.0 if best is None or best.explains is None else best.explains
@@ -188,11 +232,8 @@ def _with_causes(
     return replace(assessment, findings=(*in_time, *kept))
 
 
-def _with_causes_of_much(
-    model: Model, spectrum: Spectrum, estimate: Estimate, assessment: Assessment, seed: int
-) -> Assessment:
+def _with_causes_of_much(assessment: Assessment, found: tuple[Finding, ...]) -> Assessment:
     """The assessment of a fit without known noise, which is none where a cause explains nearly all that it leaves."""
-    found = diagnose(model, spectrum, estimate, seed=seed)
     if not found or found[0].kind in (*LEFT_OUT, "unexplained") or (found[0].explains or 0.0) < MOSTLY:
         return assessment
     name, left = max(assessment.relative_residual.items(), key=lambda each: each[1])
