@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -89,6 +90,7 @@ def runs_of_one_value(column: Real, shortest: int) -> Iterator[tuple[int, int]]:
 
 
 ABOVE, BELOW, MISSING = 1, -1, 2  # how a value counts that is not measured
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,17 @@ class Record(InNotebooks):
                 self.source,
                 "cut the gap out or fill it",
             )
+
+
+def kept(find: Callable[[Record], T]) -> Callable[[Record], T]:
+    """What several steps of conditioning ask of a record: found once, kept with it."""
+
+    def found(record: Record) -> T:
+        if find not in record.kept:
+            record.kept[find] = find(record)
+        return cast("T", record.kept[find])
+
+    return found
 
 
 def _all_finite(values: Real) -> bool:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel
-from dashpot.data.conditioning.regression import CHUNK, basis, solve_harmonics, window
+from dashpot.data.conditioning.regression import CHUNK, Terms, solve_harmonics, window
 from dashpot.data.record import Record
 from dashpot.numerics.harmonic_sums import even_gram, harmonic_sums
 from dashpot.numerics.kernel import using
@@ -41,7 +41,7 @@ def test_the_gram_in_closed_form_is_that_of_the_columns(degree: int) -> None:
     rate, f, samples, orders = 100.0, 1.37, 1003, (1, 2, 5)
     time = 0.8 + np.arange(samples) / rate
     centre, half = window(time)
-    A = basis(time, f, orders, degree, centre, half)
+    A = Terms(degree, tuple(orders)).columns(time, f, centre, half)
     gram = even_gram(samples, f / rate, 2 * np.pi * f * centre, orders, degree)
     assert gram is not None
     np.testing.assert_allclose(gram, A.T @ A, atol=1e-10 * samples)
@@ -61,8 +61,8 @@ def test_a_long_record_has_the_same_harmonics_either_way(degree: int) -> None:
         (Channel("a", {"x": 1.0}), Channel("b", {"x": 1.0})), time, values + rng.normal(size=values.shape)
     )
     with using("numpy"):
-        twin = solve_harmonics(record, 7.1, (1, 2), degree)
-    found = solve_harmonics(record, 7.1, (1, 2), degree)
+        twin = solve_harmonics(record, 7.1, Terms(degree, (1, 2)))
+    found = solve_harmonics(record, 7.1, Terms(degree, (1, 2)))
     np.testing.assert_allclose(found.coefficients, twin.coefficients, rtol=1e-11, atol=1e-12)
     np.testing.assert_allclose(found.P, twin.P, rtol=1e-10, atol=1e-16)
     np.testing.assert_array_equal(found.largest, twin.largest)

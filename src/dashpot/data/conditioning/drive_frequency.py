@@ -4,263 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 from scipy import fft
-from scipy.special import chdtrc, fdtrc
+from scipy.special import chdtrc
 
-from dashpot.arrays import Complex, Real
+from dashpot.arrays import Real
 from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL
-from dashpot.data.conditioning.regression import check_length, duration, solve_harmonics, window
+from dashpot.data.conditioning.regression import Terms, check_length, duration, window
 from dashpot.data.conditioning.settings import USUAL_DRIFT, Conditioning, Drift
-from dashpot.data.conditioning.transients import BESIDE, MANY_SAMPLES, PeriodBlocks, period_blocks, periods_of
+from dashpot.data.conditioning.steadiness import common_ramp, periods_of
 from dashpot.data.record import Record
 from dashpot.errors import DataError, Problem
 from dashpot.notices import Notice
-from dashpot.numerics.variance_tests import fishers_product
-
-# Whether the drive frequency of dwells wanders while they last: then they are no steady sines.
-#
-# A frequency that wanders turns the phase of all channels together and leaves their amplitudes nearly as
-# they are. Noise, whatever its colour and however alike in the channels, and transients do as much to the
-# one as to the other: so the scatter of the common phase over blocks of whole periods is tested against
-# that of the common amplitude. Stamps that jitter turn the phase, too, but from sample to sample: what that
-# explains of the scatter is no wandering.
-
-
-LEVEL = 1e-4  # of the test for a frequency that wanders
-ROUNDED = 1e-6  # of an amplitude, and rad: what scatters less is exact
-
-
-def drive_wanders(records: Sequence[Record]) -> float:
-    """p-value of every dwell having one frequency: Fisher's product of the F tests of all dwells.
-
-    1 where no dwell has blocks enough to tell.
-    """
-    return float(fishers_product([p for p in map(_steady, records) if p is not None]))
-
-
-def _steady(record: Record) -> float | None:
-    """p-value of one dwell having one frequency; None where it has too few periods, or repeats."""
-    record = _wholly_measured(record)
-    f = record.frequency_hz
-    blocks = None if f is None or record.values.ndim != 2 else period_blocks(record, f)
-    if f is None or blocks is None or not np.any(np.ptp(record.values, axis=0)):
-        return None
-    windows = [
-        _Window.of(record, f, *edges) for edges in zip(blocks.starts[:-1], blocks.ends[1:], strict=True)
-    ]
-    Z = np.array([each.amplitude for each in windows])
-    noise = np.median(blocks.rms, axis=0)
-    size = np.mean(np.abs(Z), axis=0)
-    weight = np.where(size > 0, 1 / np.where(size > 0, noise**2 + (ROUNDED * size) ** 2, 1.0), 0.0)
-    turns = np.angle(np.sum(weight * Z[1:] * np.conj(Z[:-1]), axis=1))
-    phase = np.concatenate([[0.0], np.cumsum(turns)])
-    mean = np.mean(Z * np.exp(-1j * phase)[:, None], axis=0)
-    look = weight * np.conj(mean) / float(np.abs(mean) ** 2 @ weight)
-    common = np.exp(-1j * phase) * (Z @ look)
-    phase = phase + np.angle(common)
-    looks = look * np.exp(-1j * phase)[:, None]
-    jitter = max(float(np.mean([each.jitter(way) for each, way in zip(windows, looks, strict=True)])), 0.0)
-    freedom = len(Z) - 2
-    of_phase, of_amplitude = (_about_a_line(x) / freedom + ROUNDED**2 for x in (phase, np.abs(common)))
-    return float(fdtrc(freedom, freedom, of_phase / (of_amplitude + jitter)))
-
-
-@dataclass(frozen=True)
-class _Window:
-    """Two neighbouring blocks under Hann's window.
-
-    It keeps noise at low frequencies, and a slope, from doing more to one phase than to the other.
-
-    amplitude (channels,): at the drive's frequency; left (samples, channels): what each sample adds to it beyond a
-    steady sine
-    """
-
-    amplitude: Complex
-    left: Complex
-
-    @staticmethod
-    def of(record: Record, f: float, first: int, last: int) -> _Window:
-        t = record.time[first:last]
-        values = record.values[first:last] - np.mean(record.values, axis=0)
-        share = (np.arange(len(t)) + 0.5) / len(t)
-        hann = np.sin(np.pi * share) ** 2
-        turned = np.exp(-2j * np.pi * f * t)
-        carrier = (2 * hann * turned / np.sum(hann))[:, None]
-        even = values - np.mean(values, axis=0)
-        steady = np.outer(np.conj(turned), 2 * np.mean(turned[:, None] * even, axis=0)).real
-        return _Window(np.sum(carrier * values, axis=0), carrier * (even - steady))
-
-    def jitter(self, look: Complex) -> float:
-        """Variance of the common phase that samples out of time with each other explain, look (channels,).
-
-        Stamps that jitter turn the phase from sample to sample, in all channels alike; noise beside them is as large
-        in phase as in amplitude.
-        """
-        each = self.left @ look
-        return float(np.sum(each.imag**2) - np.sum(each.real**2))
-
-
-def _about_a_line(x: Real) -> float:
-    """Sum of squares about the line through x, (blocks,)."""
-    index = np.arange(len(x)) - (len(x) - 1) / 2
-    away = x - np.mean(x)
-    away = away - index * (index @ away) / (index @ index)
-    return float(away @ away)
-
-
-# The sine of a dwell times time: how far all channels together turn or grow while the dwell lasts.
-
-
-CONTRADICTED = 1e-3  # level of the test whether the channels agree
-
-
-@dataclass(frozen=True)
-class CommonRamp:
-    """κ of channels X (1 + κ s), or X (1 − jκ s) for the phase, s running from −1 to 1 in the dwell.
-
-    information  1 over the variance of κ if the noise is white and each channel has its own; 0 where nothing moves
-    variance     of κ with noise that channels have in common
-    apart        χ² of the channels' own κ about the common one, `others` degrees of freedom
-    free         degrees of freedom of a channel's residual
-    """
-
-    kappa: float
-    information: float
-    variance: float
-    apart: float
-    others: int
-    free: float
-
-    @property
-    def widening(self) -> float:
-        """By which the variance of κ grows where the channels contradict each other: what they share is one drive."""
-        return contradiction(self.apart, self.others)
-
-
-def contradiction(apart: float, others: int) -> float:
-    """χ² over its degrees of freedom where that is significant, else 1."""
-    contradicted = others > 0 and float(chdtrc(others, apart)) < CONTRADICTED
-    return apart / others if contradicted else 1.0
-
-
-def common_ramp(
-    record: Record, f: float, degree: int, of: Literal["phase", "amplitude"], orders: Sequence[int] = (1,)
-) -> CommonRamp:
-    """The ramp of phase or of amplitude at f Hz beside a polynomial of `degree` and multiples of f, over all repeats.
-
-    The columns s cos and s sin (s = (t − centre)/half) of a signal a cos + b sin have the coefficients κ (b, −a) where
-    its phase runs, and κ (a, b) where its amplitude grows.  Raises DataError as `solve_harmonics`.
-    """
-    solution = solve_harmonics(record, f, orders, degree, ramps=True)
-    free = float(np.min(solution.free))
-    a, b = solution.coefficients[:, degree + 1], solution.coefficients[:, degree + 2]
-    ramp = np.swapaxes(solution.coefficients[:, -2:], 1, 2)
-    noise = solution.squares / max(free, 1) if record.status is None else solution.covariance
-    variance = np.diagonal(noise, axis1=1, axis2=2)
-    size = a**2 + b**2
-    floor = np.maximum(1e-24 * size, (np.finfo(float).eps * solution.largest) ** 2)
-    weight = np.where(size > 0, 1 / np.maximum(variance, np.where(floor > 0, floor, 1.0)), 0.0)
-    P = solution.P[:, -2:, -2:]
-    along = np.stack([b, -a] if of == "phase" else [a, b], axis=-1)
-    inside = np.linalg.solve(P, along[..., None])[..., 0]
-    each = weight * np.sum(along * inside, axis=-1)
-    information = float(np.sum(each))
-    if information <= 0:
-        return CommonRamp(0.0, 0.0, np.inf, 0.0, 0, free)
-    by_channel = weight * np.sum(ramp * inside, axis=-1)
-    kappa = float(np.sum(by_channel)) / information
-    telling = each > 0
-    apart = float(np.sum((by_channel[telling] - each[telling] * kappa) ** 2 / each[telling]))
-    look = np.einsum("cij,bci->bcj", np.linalg.cholesky(P), weight[..., None] * inside)
-    shared = float(np.einsum("bcj,bcd,bdj->", look, noise, look)) / information**2
-    return CommonRamp(kappa, information, shared, apart, int(np.sum(telling)) - 1, free)
-
-
-# Whether the drive's amplitude drifts while dwells last: then they are no steady sines.
-#
-# A drive that fades scales the motion of all channels by one factor that changes slowly. A sine of one
-# amplitude counts the change as noise, and the rig, whose response lags behind its drive, is not the one
-# that ratios of the channels show. What changes in one channel alone, by its sensor or by hum, is no drive:
-# there channels contradict each other.
-
-
-LEVEL_DRIVE_FADING = 1e-3  # of the test for an amplitude that drifts
-FEWEST_PERIODS = 2.0  # below which drift of a sensor and a growing sine look alike
-BENT = 2  # degree of the polynomial that the amplitude of many periods may follow
-START = 8  # th part of a dwell in which transients decay
-SLIGHT = 5e-4  # of an amplitude: a drift by less spoils no more than gains are known to
-USABLE = 0.45  # of the sampling rate
-
-
-def drive_fades(records: Sequence[Record]) -> float:
-    """p-value of every dwell having one amplitude: Fisher's product of the F tests of all dwells.
-
-    1 where no dwell has periods enough to tell.  Channels with samples that are not measured have no say: where their
-    peaks are clipped they know little of the amplitude.
-    """
-    each = map(_steady_drive_fading, map(_wholly_measured, records))
-    return float(fishers_product([p for p in each if p is not None]))
-
-
-def _wholly_measured(record: Record) -> Record:
-    """The record with those channels alone of which every sample is measured."""
-    whole = record.whole_channels
-    if np.all(whole):
-        return record
-    channels = tuple(record.channels[c] for c in np.flatnonzero(whole))
-    return replace(record, channels=channels, values=record.values[..., whole], status=None)
-
-
-def _steady_drive_fading(record: Record) -> float | None:
-    """p-value of one dwell having one amplitude; None where it has too few periods, or repeats."""
-    f = record.frequency_hz
-    if f is None or record.values.ndim != 2 or periods_of(record) < FEWEST_PERIODS or not record.channels:
-        return None
-    blocks = period_blocks(record, f)
-    return _of_few_periods(record, f) if blocks is None else _of_blocks(blocks)
-
-
-def _of_few_periods(record: Record, f: float) -> float | None:
-    """F of a drift of the common amplitude over the residual, taken as white."""
-    rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
-    many = len(record.time) >= MANY_SAMPLES and BESIDE[-1] * f < USABLE * rate
-    try:
-        ramp = common_ramp(record, f, 1, "amplitude", BESIDE if many else (1,))
-    except DataError:
-        return None
-    if ramp.free < 1 or ramp.information <= 0:
-        return None
-    variance = max(ramp.variance, ramp.widening / ramp.information) + SLIGHT**2
-    return float(fdtrc(1, ramp.free, ramp.kappa**2 / variance))
-
-
-def _of_blocks(blocks: PeriodBlocks) -> float | None:
-    """F of a slow change of the common amplitude over its scatter from block to block, which knows the noise.
-
-    The first blocks have no say: what decays there is a transient, which has a test of its own.
-    """
-    size = np.abs(blocks.amplitudes[len(blocks.amplitudes) // START :])
-    mean, noise = np.mean(size, axis=0), np.median(blocks.rms, axis=0)
-    moves = mean > 0
-    if not np.any(moves):
-        return None
-    relative = size[:, moves] / mean[moves]
-    weight = 1 / ((noise[moves] / mean[moves]) ** 2 + SLIGHT**2)
-    both = np.column_stack([relative, relative @ weight / np.sum(weight)])
-    slow = np.linalg.qr(legvander(np.linspace(-1, 1, len(both)), BENT))[0][:, 1:]
-    along = slow.T @ (both - np.mean(both, axis=0))
-    free = len(both) - 1 - BENT
-    left = np.sum((both - np.mean(both, axis=0)) ** 2, axis=0) - np.sum(along**2, axis=0)
-    variance = np.maximum(left, 0.0) / free + SLIGHT**2
-    apart = float(np.sum(np.sum((along[:, :-1] - along[:, -1:]) ** 2, axis=0) / variance[:-1]))
-    widening = contradiction(apart, BENT * (relative.shape[1] - 1))
-    F = float(np.sum(along[:, -1] ** 2)) / BENT / (variance[-1] * widening)
-    return float(fdtrc(BENT, free, F))
-
 
 FEW_PERIODS = 2.0  # below which the peak of a periodogram is as wide as the frequency is high
 
@@ -290,7 +46,7 @@ def refine_frequency(
         )
     nominal = float(f)
     degree = Conditioning(drift=drift).degree
-    check_length(record, nominal, (1,), max(degree, 0) + 2)
+    check_length(record, nominal, Terms(max(degree, 0) + 2))
     T = duration(record.time)
     search = min(max(within * nominal, 3 / T), 0.5 * nominal)
     f = nominal if nominal * T < FEW_PERIODS else _peak(record, nominal, search)
@@ -349,7 +105,7 @@ def frequency_step(record: Record, f: float, degree: int) -> tuple[float, float]
     own.
     """
     _, half = window(record.time)
-    ramp = common_ramp(record, f, degree, "phase")
+    ramp = common_ramp(record, f, Terms(degree, (1,), 1), "phase")
     if ramp.information <= 0:
         return 0.0, np.inf
     per_turn = 2 * np.pi * half

@@ -13,17 +13,15 @@ from scipy.special import bdtrc, chdtrc, digamma, fdtr, fdtrc, polygamma
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.conditioning.regression import (
+    BELOW_HALF_RATE,
     DITHERED,
-    basis,
+    HIGHEST_HARMONIC,
+    HarmonicSolution,
+    Terms,
     check_length,
     cholesky_solve,
-    chunks,
-    coefficients_of,
     duration,
-    exact_channels,
-    factor,
     solve_harmonics,
-    tiles,
     window,
 )
 from dashpot.data.conditioning.settings import (
@@ -52,18 +50,18 @@ SIGNIFICANT = 0.01
 class ResidualMonitor:
     """Collects, while the residual streams by, its autocovariances and its Fourier sums beside each harmonic."""
 
-    def __init__(self, record: Record, f: float, orders: Sequence[int], terms: int) -> None:
+    def __init__(self, record: Record, f: float, terms: Terms) -> None:
         samples, channels = record.values.shape[-2:]
         batch = int(np.prod(record.values.shape[:-2]))
-        self.orders = len(orders)
+        self.orders = len(terms.orders)
         self.lags = min(LAGS, samples // 5) if samples >= 40 else 0
         self.step = 1 / duration(record.time)
-        self.first = terms - 2 * len(orders)
-        self.offset, self.owner = _neighbours(f, orders, self.step, samples)
+        self.first = terms.degree + 1
+        self.offset, self.owner = _neighbours(f, terms.orders, self.step, samples)
         self.products = np.zeros((batch, self.lags, channels))
         self.tail = np.zeros((batch, channels, self.lags))
         self.sums = np.zeros((batch, len(self.owner), channels), dtype=complex)
-        self.overlap = np.zeros((terms, len(self.owner)), dtype=complex)
+        self.overlap = np.zeros((terms.count, len(self.owner)), dtype=complex)
         self.waves = np.zeros((len(self.owner), 0), dtype=complex)
 
     def next_rows(self, t: Real, A: Real) -> None:
@@ -127,56 +125,44 @@ class NoiseLevel:
     notes: tuple[Notice, ...] = ()
 
 
-@dataclass(frozen=True)
-class LocalNoise:
-    """The noise on lines beside each harmonic: `level` as of NoiseLevel, `counts` lines (orders,), `whiteness`."""
-
-    level: Complex
-    counts: Real
-    whiteness: Real
-
-    def chosen(self, white: NoiseLevel, noise: Noise, record: Record, f: float) -> NoiseLevel:
-        """This noise, or the white one.  Raises DataError where it is asked for and the record is too short."""
-        enough = bool(np.all(self.counts >= FEWEST_LINES))
-        periods = f * duration(record.time)
-        if noise == "blocks" and not enough:
-            raise DataError(
-                f"{periods:.3g} periods are too few to see the colour of the noise at {f:g} Hz",
-                record.source,
-                'record at least eight periods, or take the noise as "white"',
-            )
-        coloured = is_coloured(self.whiteness)
-        if noise == "blocks" or (coloured and enough):
-            return NoiseLevel("blocks", self.level, 2.0 * self.counts, self.whiteness)
-        if not coloured:
-            return replace(white, whiteness=self.whiteness)
-        text = (
-            f"{record.source}: the residual at {f:g} Hz is not white, but {periods:.3g} periods "
-            "are too few to measure its colour; the intervals treat it as white"
-        )
-        note = Notice("colour_unresolved", text, (record.source,))
-        return replace(white, whiteness=self.whiteness, notes=(note,))
-
-
-def white_noise(sigma: Real, orders: int, free: float) -> NoiseLevel:
-    """The residual covariance (batch, channels, channels) at every harmonic alike; `free` degrees of freedom."""
-    batch, channels, _ = sigma.shape
-    level = np.broadcast_to(sigma[:, None].astype(complex), (batch, orders, channels, channels))
-    return NoiseLevel("white", level, np.full(orders, float(free)), np.full(batch, np.nan))
-
-
-def noise_beside_harmonics(
-    monitor: ResidualMonitor, L: Real, samples: int, free: int, sigma: Real, exact: Bools, written: Bools
-) -> LocalNoise:
-    """What the monitor saw beside each harmonic; L is the factor of the Gram of the fit.
-
-    sigma (batch, channels, channels): covariance of the residual; exact (batch, channels): where it is nothing;
-    written (batch, channels): where it is the digits of the numbers, which repeat with the drive and are no noise.
-    """
-    level, counts = _local_level(monitor, L, samples, sigma, exact)
-    return LocalNoise(
-        level, counts, _whiteness(monitor, sigma, exact | written, level, counts, samples, free)
+def _noise_level(
+    record: Record, f: float, solution: HarmonicSolution, monitor: ResidualMonitor | None, noise: Noise
+) -> NoiseLevel:
+    """The white noise of the residual at every harmonic alike, or that on the lines beside each, which is chosen where
+    it is another.  Raises DataError where it is asked for and the record is too short."""
+    sigma, exact, orders = solution.covariance, solution.exact(), len(solution.terms.orders)
+    sigma = np.where(exact[:, :, None] | exact[:, None, :], 0.0, sigma)
+    level = np.broadcast_to(sigma[:, None].astype(complex), (len(sigma), orders, *sigma.shape[1:]))
+    dof = np.full(orders, float(np.min(solution.free)))
+    white = NoiseLevel("white", level, dof, np.full(len(sigma), np.nan))
+    if monitor is None:
+        return white
+    samples = len(record.time)
+    local, counts = _local_level(monitor, solution.L, samples, sigma, exact)
+    # What rounding leaves over in cells is no noise, nor are the digits of the numbers, which repeat with the drive
+    quiet = exact | solution.exact(DIGITS) | solution.in_cells
+    p = _whiteness(monitor, sigma, quiet, local, counts, samples, samples - solution.terms.count)
+    enough, coloured, periods = (
+        bool(np.all(counts >= FEWEST_LINES)),
+        is_coloured(p),
+        f * duration(record.time),
     )
+    if noise == "blocks" and not enough:
+        raise DataError(
+            f"{periods:.3g} periods are too few to see the colour of the noise at {f:g} Hz",
+            record.source,
+            'record at least eight periods, or take the noise as "white"',
+        )
+    if noise == "blocks" or (coloured and enough):
+        apart = solution.in_cells[:, None] | solution.in_cells
+        return NoiseLevel("blocks", np.where(apart, level, local), 2.0 * counts, p)
+    if not coloured:
+        return replace(white, whiteness=p)
+    text = (
+        f"{record.source}: the residual at {f:g} Hz is not white, but {periods:.3g} periods "
+        "are too few to measure its colour; the intervals treat it as white"
+    )
+    return replace(white, whiteness=p, notes=(Notice("colour_unresolved", text, (record.source,)),))
 
 
 def _local_level(
@@ -268,28 +254,18 @@ def second_moments(record: Record, drift: Drift = USUAL_DRIFT) -> Moments:
     if record.frequency_hz is None:
         raise DataError("the drive frequency is not known", record.source, "give the frequency of the record")
     degree = Conditioning(drift=drift).degree
-    samples, channels = record.values.shape[-2:]
-    Y = record.values.reshape(-1, samples, channels)
+    leading, channels = record.values.shape[:-2], len(record.channels)
     factors = np.array([1 / real_factor(channel) for channel in record.channels])
-    centre, half = window(record.time)
-    gram = np.zeros((degree + 1, degree + 1))
-    right = np.zeros((len(Y), degree + 1, channels + 2))
-    for rows in chunks(samples):
-        A = basis(record.time[rows], record.frequency_hz, (1,), degree, centre, half)
-        gram += A[:, : degree + 1].T @ A[:, : degree + 1]
-        for part in tiles(len(Y), len(A), channels):
-            right[part, :, :channels] += A[:, : degree + 1].T @ (Y[part, rows] * factors)
-            right[part, :, channels:] += A[:, : degree + 1].T @ A[:, degree + 1 :]
-    trend = cholesky_solve(factor(gram, record, record.frequency_hz), right) if degree >= 0 else right
-    products = np.zeros((len(Y), channels + 2, channels + 2))
-    for rows in chunks(samples):
-        A = basis(record.time[rows], record.frequency_hz, (1,), degree, centre, half)
-        for part in tiles(len(Y), len(A), channels + 2):
-            y = Y[part, rows] * factors
-            q = np.concatenate([y, np.broadcast_to(A[:, degree + 1 :], (*y.shape[:-1], 2))], axis=-1)
-            q = q - A[:, : degree + 1] @ trend[part]
-            products[part] += np.swapaxes(q, 1, 2) @ q
-    return Moments(products.reshape(*record.values.shape[:-2], 1, channels + 2, channels + 2))
+    waves = Terms(-1).columns(record.time, record.frequency_hz, *window(record.time))
+    q = np.concatenate(
+        [record.values * factors, np.broadcast_to(waves, (*leading, *waves.shape))], axis=-1
+    ).reshape(-1, len(waves), channels + 2)
+    products = np.swapaxes(q, 1, 2) @ q
+    if degree >= 0:
+        every = (*record.channels, *(Channel(name, {}) for name in ("cos", "sin")))
+        of_all = replace(record, channels=every, values=q, sd=None, status=None, cell=None)
+        products = solve_harmonics(of_all, record.frequency_hz, Terms(degree, ())).squares
+    return Moments(products.reshape(*leading, 1, channels + 2, channels + 2))
 
 
 # Variances of short dwells, moderated by those of the others (Smyth 2004; THEORY §11).
@@ -448,29 +424,24 @@ def _common_step(codes: Real, largest: float) -> float:
     return float(np.sum(apart) / np.sum(multiples))
 
 
-def distinct_phases(record: Record, f: float, size: Real, step: Real) -> Real:
-    """Samples at different phases of a motion of amplitude `size` (channels,), as far as steps (channels,) tell them.
+def rounding_variance(record: Record, fit: HarmonicFit, step: Real) -> Real:
+    """What rounding to steps (channels,) adds to the variances of amplitudes, (..., orders, channels).
 
-    Two phases are one where the motion between them is less than a quarter of a step, and where they are half a period
-    apart: about a zero on a code or between two, both are rounded alike.
+    The least of each is 4 · step²/12 over the samples at different phases of the motion, unless the residual shows it
+    all.  Two phases are one where the motion between them is less than a quarter of a step, and where they are half a
+    period apart: about a zero on a code or between two, both are rounded alike.
     """
-    cycles = 2 * f * record.time
+    cycles = 2 * fit.frequency_hz * record.time
     phase = np.sort(cycles - np.floor(cycles)) / 2
     gaps = np.diff(np.concatenate([phase, phase[:1] + 0.5]))
-    counts = np.ones(len(step))
-    for c, (amplitude, each) in enumerate(zip(size, step, strict=True)):
-        if each > 0 and amplitude > 0:
-            counts[c] = max(1, int(np.sum(2 * np.pi * amplitude * gaps > each / 4)))
-    return counts
+    size = np.max(np.abs(fit.amplitudes), axis=-2)
+    variance = np.diagonal(fit.covariance, axis1=-2, axis2=-1).real
+    sd = np.sqrt(np.diagonal(fit.residual_covariance, axis1=-2, axis2=-1))
+    apart = np.sum(2 * np.pi * size[..., None] * gaps > step[:, None] / 4, axis=-1)
+    floor = np.where((step > 0) & (sd < DITHERED * step), step**2 / 3 / np.maximum(apart, 1), 0.0)
+    return np.asarray(np.maximum(floor[..., None, :] - variance, 0.0) * ~fit.in_cells)
 
 
-def rounding_floor(record: Record, f: float, size: Real, residual_sd: Real, step: Real) -> Real:
-    """Least variance E|Δ|² of each channel's amplitude by rounding, (channels,); 0 where the residual shows it all."""
-    floor = 4 * step**2 / 12 / distinct_phases(record, f, size, step)
-    return np.where((step > 0) & (residual_sd < DITHERED * step), floor, 0.0)
-
-
-HIGHEST_HARMONIC = 10  # looked for
 DIGITS = 1e-6  # residual over amplitude below which it is how numbers are written: no sensor is as quiet
 
 
@@ -519,10 +490,9 @@ class HarmonicFit:
 
     def __call__(self, time: Real) -> Real:
         """The fitted signal at times in s: (..., times, channels)."""
-        A = basis(
-            np.asarray(time, dtype=float), self.frequency_hz, self.orders, self.degree, self.centre, self.half
-        )
-        return A @ coefficients_of(self.trend, self.amplitudes)
+        terms = Terms(self.degree, self.orders)
+        A = terms.columns(np.asarray(time, dtype=float), self.frequency_hz, self.centre, self.half)
+        return A @ terms.coefficients(self.trend, self.amplitudes)
 
     @property
     def degree(self) -> int:
@@ -549,58 +519,43 @@ def fit_harmonics(
     if not (np.isfinite(f) and f > 0):
         raise DataError(f"frequency {f} Hz", record.source, "frequencies must be positive and finite")
     settings = conditioning_of(conditioning, treatments)
-    orders = settings.wanted
-    check_length(record, f, orders, settings.degree)
+    terms = Terms(settings.degree, settings.wanted)
+    check_length(record, f, terms)
     beside = settings.nuisance_orders
     if beside is None:
-        orders = _with_significant(record, f, orders, settings.degree)
+        terms = _with_significant(record, f, terms)
     else:
-        orders = tuple(sorted({*orders, *beside}))
-        check_length(record, f, orders, settings.degree)
-    return _fit(record, f, orders, settings.degree, settings.noise)
+        terms = replace(terms, orders=tuple(sorted({*terms.orders, *beside})))
+        check_length(record, f, terms)
+    return _fit(record, f, terms, settings.noise)
 
 
-def _fit(record: Record, f: float, orders: tuple[int, ...], degree: int, noise: Noise) -> HarmonicFit:
+def _fit(record: Record, f: float, terms: Terms, noise: Noise) -> HarmonicFit:
     samples, channels = record.values.shape[-2:]
-    leading, terms = record.values.shape[:-2], degree + 1 + 2 * len(orders)
-    monitor = None if noise == "white" else ResidualMonitor(record, f, orders, terms)
-    solution = solve_harmonics(record, f, orders, degree, monitor=monitor)
-    X = solution.amplitudes(degree)
-    free = samples - terms
-    sigma = solution.covariance
-    exact = exact_channels(sigma, X, solution.largest)
-    sigma = np.where(exact[:, :, None] | exact[:, None, :], 0.0, sigma)
-    level = white_noise(sigma, len(orders), float(np.min(solution.free)))
-    if monitor is not None:
-        written = exact_channels(sigma, X, solution.largest, DIGITS)
-        # What rounding leaves over in cells is no noise
-        quiet = written | solution.in_cells
-        local = noise_beside_harmonics(monitor, solution.L, samples, free, sigma, exact, quiet)
-        white, level = level.level, local.chosen(level, noise, record, f)
-        if level.kind == "blocks" and np.any(solution.in_cells):
-            apart = solution.in_cells[:, None] | solution.in_cells
-            level = replace(level, level=np.where(apart, white, level.level))
-    P = _real_and_imaginary(solution.P, degree, len(orders))
+    leading, orders = record.values.shape[:-2], len(terms.orders)
+    monitor = None if noise == "white" else ResidualMonitor(record, f, terms)
+    solution = solve_harmonics(record, f, terms, monitor)
+    level, exact = _noise_level(record, f, solution, monitor, noise), solution.exact()
+    P = _real_and_imaginary(solution.P, terms)
     spread = P[..., 0, 0] + P[..., 1, 1]  # (orders, channels)
     real = P * np.diagonal(level.level.real, axis1=-2, axis2=-1)[..., None, None]
     told = np.ones(spread.shape)
     if not np.all(record.whole_channels & ~solution.in_cells):
-        of_all = cholesky_solve(solution.L, np.eye(terms)[None])
-        all_told = _real_and_imaginary(of_all, degree, len(orders))
-        told = np.minimum((all_told[..., 0, 0] + all_told[..., 1, 1]) / spread, 1.0)
+        of_all = _real_and_imaginary(cholesky_solve(solution.L, np.eye(terms.count)[None]), terms)
+        told = np.minimum((of_all[..., 0, 0] + of_all[..., 1, 1]) / spread, 1.0)
     both = np.sqrt(spread[:, :, None] * spread[:, None, :])
-    centre, half = window(record.time)
     return HarmonicFit(
         record.channels,
         float(f),
-        orders,
-        X.reshape(*leading, len(orders), channels),
-        (both * level.level).reshape(*leading, len(orders), channels, channels),
-        real.reshape(*leading, len(orders), channels, 2, 2),
-        solution.coefficients[:, : degree + 1].reshape(*leading, degree + 1, channels),
-        centre,
-        half,
-        sigma.reshape(*leading, channels, channels),
+        terms.orders,
+        solution.amplitudes.reshape(*leading, orders, channels),
+        (both * level.level).reshape(*leading, orders, channels, channels),
+        real.reshape(*leading, orders, channels, 2, 2),
+        solution.trend.reshape(*leading, terms.degree + 1, channels),
+        *window(record.time),
+        np.where(exact[:, :, None] | exact[:, None, :], 0.0, solution.covariance).reshape(
+            *leading, channels, channels
+        ),
         samples,
         float(f * duration(record.time)),
         level.dof,
@@ -612,40 +567,36 @@ def _fit(record: Record, f: float, orders: tuple[int, ...], degree: int, noise: 
     )
 
 
-def _real_and_imaginary(P: Real, degree: int, orders: int) -> Real:
+def _real_and_imaginary(P: Real, terms: Terms) -> Real:
     """Covariance of (Re X, Im X) per unit variance of a sample, (orders, channels, 2, 2), from that of coefficients."""
     # (cos, sin) coefficients are (Re X, −Im X), hence the sign of the off-diagonal
-    first = degree + 1 + 2 * np.arange(orders)
-    pair = first[:, None] + np.arange(2)
+    pair = terms.degree + 1 + 2 * np.arange(len(terms.orders))[:, None] + np.arange(2)
     blocks = P[:, pair[:, :, None], pair[:, None, :]] * np.array([[1.0, -1.0], [-1.0, 1.0]])
     return np.swapaxes(blocks, 0, 1)
 
 
-def _with_significant(record: Record, f: float, orders: tuple[int, ...], degree: int) -> tuple[int, ...]:
-    """The orders asked for and those harmonics that are there beyond doubt."""
-    samples, channels = record.values.shape[-2:]
+def _with_significant(record: Record, f: float, terms: Terms) -> Terms:
+    """The terms asked for and those harmonics that are there beyond doubt."""
+    samples = len(record.time)
     nyquist = (samples - 1) / float(record.time[-1] - record.time[0]) / 2
     if record.status is not None:
         samples = int(np.min(np.count_nonzero(record.status == 0, axis=0)))
-    highest = min(HIGHEST_HARMONIC, int(0.95 * nyquist / f), (samples - degree - 1) // 6)
-    candidates = tuple(k for k in range(1, highest + 1) if k not in orders)
-    if not candidates:
-        return orders
-    every = tuple(sorted({*orders, *candidates}))
+    highest = min(HIGHEST_HARMONIC, int(BELOW_HALF_RATE * nyquist / f), (samples - terms.degree - 1) // 6)
+    candidates = [order for order in range(1, highest + 1) if order not in terms.orders]
+    every = replace(terms, orders=tuple(sorted({*terms.orders, *candidates})))
     try:
-        solution = solve_harmonics(record, f, every, degree)
+        solution = solve_harmonics(record, f, every) if candidates else None
     except DataError:
-        return orders  # the record cannot tell them apart
-    X = solution.amplitudes(degree)
-    exact = exact_channels(solution.covariance, X, solution.largest)
-    strongest = np.maximum(np.max(np.abs(X), axis=1), 1e-5 * solution.largest)
-    level = SIGNIFICANT / (len(candidates) * channels * len(X))
-    significant = list(orders)
-    for i, order in enumerate(every):
-        if order in orders:
-            continue
-        first = degree + 1 + 2 * i
-        p = fdtrc(2, solution.free, solution.wald((first, first + 1)))
-        if np.any(np.where(exact, np.abs(X[:, i]) > 1e-9 * strongest, p < level)):
+        return terms  # the record cannot tell them apart
+    if solution is None:
+        return terms
+    size, exact = np.abs(solution.amplitudes), solution.exact()
+    strongest = np.maximum(np.max(size, axis=1), 1e-5 * solution.largest)
+    level = SIGNIFICANT / (len(candidates) * exact.size)
+    significant = list(terms.orders)
+    p = solution.tails([every.wave(order) for order in candidates])
+    for k, order in enumerate(candidates):
+        beyond_rounding = size[:, every.orders.index(order)] > 1e-9 * strongest
+        if np.any(np.where(exact, beyond_rounding, p[..., k] < level)):
             significant.append(order)
-    return tuple(sorted(significant))
+    return replace(terms, orders=tuple(sorted(significant)))

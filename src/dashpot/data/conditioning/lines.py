@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Unpack
 
@@ -10,16 +10,12 @@ import numpy as np
 from scipy import fft
 from scipy.special import fdtrc
 
-from dashpot.arrays import Bools, Complex, Real
+from dashpot.arrays import Bools, Complex, Real, diagonal_matrices
 from dashpot.data.conditioning.clock import with_even_stamps
-from dashpot.data.conditioning.drive_frequency import LEVEL as WANDER_LEVEL
-from dashpot.data.conditioning.drive_frequency import LEVEL_DRIVE_FADING as FADING_LEVEL
 from dashpot.data.conditioning.drive_frequency import (
     at_frequencies,
     beyond_half_rate,
-    drive_fades,
     drive_frequencies,
-    drive_wanders,
     refine_frequency,
     require_stated,
 )
@@ -27,25 +23,29 @@ from dashpot.data.conditioning.harmonic_fit import (
     HarmonicFit,
     fit_harmonics,
     moderated,
-    rounding_floor,
     rounding_steps,
+    rounding_variance,
     second_moments,
 )
 from dashpot.data.conditioning.regression import duration, holds_a_period
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
-from dashpot.data.conditioning.transients import LEVEL as DRIFT_LEVEL
+from dashpot.data.conditioning.steadiness import (
+    CHEAP,
+    FADES,
+    SLOPE_LEVEL,
+    UNSETTLED,
+    UNSTEADY,
+    WANDERS,
+    Unsteady,
+    periods_of,
+    shows_settling,
+    slopes_show,
+)
 from dashpot.data.conditioning.transients import (
     continuous,
     driven_throughout,
     dwells_with_transients,
-    periods_of,
     settled,
-    short_dwells_bend,
-    shows_settling,
-    slope_costs,
-    slopes_show,
-    taken_as_settled,
-    transients_matter,
     without_start,
 )
 from dashpot.data.conditioning.unmeasured import expected, marked, notices_of_doubt
@@ -119,23 +119,26 @@ def summed_up(notes: Iterable[Notice]) -> list[Notice]:
     return [*others, *such]
 
 
+Treated = tuple[Sequence[Record], Conditioning, list[Notice]]
+
+
 # Dwells too brief to hold an amplitude: left out where most dwells are longer.
 
 
-def long_enough(dwells: Sequence[Record]) -> tuple[Sequence[Record], list[Notice]]:
-    """The dwells without those that end before their first period, where most are longer, and what was left out.
+def long_enough(dwells: Sequence[Record], settings: Conditioning) -> Treated:
+    """The dwells without those that end before their first period, where most are longer.
 
     A recording that was stopped within a dwell, or one dwell that failed, is no reason to refuse the others.
     """
     brief = {k: text for k, record in enumerate(dwells) if (text := _too_brief(record))}
-    if not brief or 2 * len(brief) >= len(dwells):
-        return dwells, []
+    if 2 * len(brief) >= len(dwells):
+        return dwells, settings, []
     kept = [record for k, record in enumerate(dwells) if k not in brief]
     notes = [
         Notice("dwell_left_out", f"{dwells[k].source}: left out: {text}", (dwells[k].source,))
         for k, text in brief.items()
     ]
-    return kept, notes
+    return kept, settings, notes
 
 
 def _too_brief(record: Record) -> str:
@@ -321,8 +324,6 @@ def _driven_repetition(X: Complex) -> list[int]:
     return [int(line) + 1 for line in np.flatnonzero(there)]
 
 
-WANDERS = "the drive frequency wanders within a dwell, which is nevertheless treated as steady"
-FADES = "the drive's amplitude drifts within a dwell, which is nevertheless treated as steady"
 LONG_ENOUGH = 8  # periods that must be left of a dwell that rests for a part
 
 
@@ -370,56 +371,108 @@ def _may_repeat(settings: Conditioning) -> bool:
 
 
 def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
-    """The lines of dwells, treated as all of them together ask for: what was driven, frequency, settling, drift."""
-    dwells, left_out = long_enough(dwells)
-    dwells, notes = _evened(dwells, settings)
-    notes = [*left_out, *notes]
-    uncut, of_stamps = dwells, list(notes)
-    if settings.transients == "settle" and settings.settle == "none" and _unsettled_lines(dwells):
-        settings = settings.changed(settle="auto")
-    if settings.refine == "auto":
-        require_stated([record for record in dwells if beyond_half_rate(record)], settings.wanted)
-    dwells, cut = driven_parts(dwells, settings)
-    notes += cut
-    wanders = False
-    if settings.refine == "auto":
-        dwells, wanders, refined = _at_drive_frequencies(dwells, settings)
-        notes += refined
-    why_whole = _why_whole(dwells, settings, wanders)
-    if wanders and why_whole is None:
-        notes.append(Notice("drive_wanders", WANDERS))
-    if why_whole is not None:
+    """The lines of dwells, treated as all of them together ask for."""
+    uncut, settings, of_samples = _treated(OF_SAMPLES, dwells, settings)
+    dwells, settings, of_sines = _treated(OF_SINES, uncut, settings)
+    notes = [*of_samples, *of_sines]
+    found = [row for row in UNSTEADY if _asked(row, settings) and row.shows(dwells)]
+    why = _why_whole(dwells, settings, found)
+    if why is not None:
         at_hz = [record.frequency_hz for record in dwells]
         if settings.settle == "none":  # what was cut off to see a steady sine is data like the rest
-            dwells, notes = uncut, of_stamps
-        notes = [*notes, *notices_of_doubt(dwells)]
-        lines = _as_whole(dwells, at_hz, settings, why_whole)
-        return replace(lines, notes=(*notes, *lines.notes))
-    if settings.drift == "auto" and slope_costs(dwells):
+            dwells, notes = uncut, of_samples
+        lines = _as_whole(dwells, at_hz, settings, why)
+        return replace(lines, notes=(*notes, *notices_of_doubt(dwells), *lines.notes))
+    if settings.drift == "auto" and any(periods_of(record) < CHEAP for record in dwells):
         settings, evidence = _with_drift(dwells, settings)
         notes.append(evidence)
     lines = _of_settled(dwells, uncut, settings)
-    if (
-        settings.settle == "none"
-        and settings.refine != "always"
-        and settings.transients in ("auto", "settle")
-    ):
-        notes += taken_as_settled(dwells)
-    notes += _taken_as_steady(dwells, settings, notes)
+    notes += _taken_as_steady(dwells, settings, found)
     return replace(lines, notes=(*notes, *lines.notes), unsettled=_as_unsettled(dwells, settings))
 
 
-def _evened(dwells: Sequence[Record], settings: Conditioning) -> tuple[Sequence[Record], list[Notice]]:
-    """The dwells on even stamps where those are even but for rounding, with the samples marked that channels clip or
-    miss, and notes.
+# Treatments of dwells: what these become, the settings for what follows, notices.
 
-    As they are with "none".
-    """
+
+def _treated(
+    treatments: Sequence[Callable[[Sequence[Record], Conditioning], Treated]],
+    dwells: Sequence[Record],
+    settings: Conditioning,
+) -> Treated:
+    """The dwells after some treatments, one after another."""
+    notes: list[Notice] = []
+    for treatment in treatments:
+        dwells, settings, told = treatment(dwells, settings)
+        notes += told
+    return dwells, settings, notes
+
+
+def _evened_and_marked(dwells: Sequence[Record], settings: Conditioning) -> Treated:
+    """On even stamps where those are even but for rounding, with the samples marked that channels clip or miss; as they
+    are with "none"."""
     if settings.refine == "none":
-        return dwells, []
+        return dwells, settings, []
     evened = [with_even_stamps(record) for record in dwells]
     with_marks, notes = marked([record for record, _ in evened])
-    return with_marks, [*(note for _, note in evened if note is not None), *notes]
+    return with_marks, settings, [*(note for _, note in evened if note is not None), *notes]
+
+
+def _made_to_settle(dwells: Sequence[Record], settings: Conditioning) -> Treated:
+    """Without their transients where those are not to be estimated and matter."""
+    wanted = settings.transients == "settle" and settings.settle == "none"
+    if wanted and (UNSETTLED.shows(dwells) or not all(map(driven_throughout, dwells))):
+        settings = settings.changed(settle="auto")
+    return dwells, settings, []
+
+
+def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
+    """The dwells without their starts as `settle` says; with "none", those that rest for a part cut to what is driven.
+
+    A dwell that is driven for too few periods to see its transient decay is left whole.
+    """
+    if settings.refine == "auto":
+        require_stated([record for record in dwells if beyond_half_rate(record)], settings.wanted)
+    if settings.settle not in ("auto", "none"):
+        return [without_start(record, float(settings.settle)) for record in dwells], settings, []
+    if settings.settle == "none" and settings.transients != "auto":
+        return list(dwells), settings, []
+    kept, notes = [], []
+    for record in dwells:
+        if settings.settle == "none" and driven_throughout(record):
+            kept.append(record)
+            continue
+        part = settled(record)
+        enough = settings.settle == "auto" or periods_of(part.record) >= LONG_ENOUGH
+        kept.append(part.record if enough else record)
+        notes += [part.note] if enough and part.note is not None else []
+    return kept, settings, notes
+
+
+def _at_drive_frequencies(dwells: Sequence[Record], settings: Conditioning) -> Treated:
+    """At the frequencies that they show, or as they are where those wander within a dwell."""
+    if settings.refine != "auto":
+        return dwells, settings, []
+    require_stated(dwells, settings.wanted)
+    drive = drive_frequencies(dwells)
+    refined = at_frequencies(dwells, drive)
+    return (dwells, settings, []) if WANDERS.shows(refined) else (refined, settings, drive.note(dwells))
+
+
+OF_SAMPLES = (long_enough, _evened_and_marked)
+OF_SINES = (_made_to_settle, driven_parts, _at_drive_frequencies)
+
+
+def _asked(row: Unsteady, settings: Conditioning) -> bool:
+    """Whether the settings leave open if dwells are steady in some way."""
+    if row is WANDERS:
+        return settings.refine == "auto"
+    if row is FADES:
+        return settings.refine != "none" or settings.dwells_may_be_whole
+    return (
+        settings.settle == "none"
+        and settings.refine != "always"
+        and settings.transients in ("auto", "settle")
+    )
 
 
 def _as_whole(
@@ -453,25 +506,13 @@ def _as_unsettled(dwells: Sequence[Record], settings: Conditioning) -> Spectrum 
     return concatenate([_of_settled(rest, rest, settings), whole]) if rest else whole
 
 
-def _at_drive_frequencies(
-    dwells: Sequence[Record], settings: Conditioning
-) -> tuple[Sequence[Record], bool, list[Notice]]:
-    """The dwells at the frequencies that they show, or as they are if those wander within a dwell; whether they do."""
-    require_stated(dwells, settings.wanted)
-    drive = drive_frequencies(dwells)
-    refined = at_frequencies(dwells, drive)
-    if drive_wanders(refined) < WANDER_LEVEL:
-        return dwells, True, []
-    return refined, False, drive.note(dwells)
-
-
 def _with_drift(dwells: Sequence[Record], settings: Conditioning) -> tuple[Conditioning, Notice]:
     """The settings with the drift that all dwells together call for."""
     p = slopes_show(dwells, settings.wanted)
-    what = "only an offset is" if p > DRIFT_LEVEL else "an offset and a slope are"
+    what = "only an offset is" if p > SLOPE_LEVEL else "an offset and a slope are"
     chance = f"p = {p:.2g}" if p >= 1e-6 else "p < 1e-6"
     text = f"{what} removed from each dwell (drift over all dwells: {chance})"
-    return settings.changed(drift=0 if p > DRIFT_LEVEL else 1), Notice("drift_by_evidence", text)
+    return settings.changed(drift=0 if p > SLOPE_LEVEL else 1), Notice("drift_by_evidence", text)
 
 
 def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Conditioning) -> Spectrum:
@@ -494,11 +535,8 @@ def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Con
     return replace(lines, notes=(*notes, *summed_up(lines.notes)))
 
 
-def _why_whole(dwells: Sequence[Record], settings: Conditioning, wanders: bool) -> str | None:
-    """Why dwells are used as whole records: asked for, no steady sines, or unsettled; None where they are not.
-
-    Whether they have settled is one test of all of them together.
-    """
+def _why_whole(dwells: Sequence[Record], settings: Conditioning, found: Sequence[Unsteady]) -> str | None:
+    """Why dwells are used as whole records: asked for, no steady sines, or unsettled; None where they are not."""
     if not settings.dwells_may_be_whole:
         return None
     if settings.transients == "estimate":
@@ -506,50 +544,31 @@ def _why_whole(dwells: Sequence[Record], settings: Conditioning, wanders: bool) 
     # samples of a dwell that shows by itself whether it is a steady sine
     if not all(record.values.ndim == 2 and len(record.time) >= 16 for record in dwells):
         return None
-    if wanders:
-        return "not steady (the drive frequency wanders)"
-    unsettled, fades = _unsettled_lines(dwells), drive_fades(dwells) < FADING_LEVEL
-    if fades:
-        return f"not steady (the drive's amplitude drifts{', or they have not settled' if unsettled else ''})"
-    if unsettled:
-        return "not settled"
-    return "not steady sines" if short_dwells_bend(dwells) else None
+    if WANDERS in found:
+        return WANDERS.why
+    reasons = [row.why for row in found]
+    if not all(map(driven_throughout, dwells)):
+        reasons.append(UNSETTLED.why)
+    return " or ".join(dict.fromkeys(reasons)) or None
 
 
 def _taken_as_steady(
-    dwells: Sequence[Record], settings: Conditioning, notes: Sequence[Notice]
+    dwells: Sequence[Record], settings: Conditioning, found: Sequence[Unsteady]
 ) -> list[Notice]:
-    """That the drive's amplitude drifts, where dwells may not be whole records and no transient explains as much."""
-    asked = settings.dwells_may_be_whole or settings.refine == "none"
-    if asked or any(note.code in ("transients_ignored", "drive_wanders") for note in notes):
-        return []
-    return [Notice("drive_fades", FADES)] if drive_fades(dwells) < FADING_LEVEL else []
+    """What is to be said of dwells that count as settled sines, and are none or too short to show it.
 
-
-def _unsettled_lines(dwells: Sequence[Record]) -> bool:
-    """Whether dwells have transients that spoil their amplitudes, or rest for a part."""
-    return transients_matter(dwells) or not all(driven_throughout(record) for record in dwells)
-
-
-def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> tuple[list[Record], list[Notice]]:
-    """The dwells without their starts as `settle` says; with "none", those that rest for a part cut to what is driven.
-
-    A dwell that is driven for too few periods to see its transient decay is left whole.
+    A drive whose amplitude drifts explains nothing where something else does.
     """
-    if settings.settle not in ("auto", "none"):
-        return [without_start(record, float(settings.settle)) for record in dwells], []
-    if settings.settle == "none" and settings.transients != "auto":
-        return list(dwells), []
-    kept, notes = [], []
-    for record in dwells:
-        if settings.settle == "none" and driven_throughout(record):
-            kept.append(record)
-            continue
-        part = settled(record)
-        enough = settings.settle == "auto" or periods_of(part.record) >= LONG_ENOUGH
-        kept.append(part.record if enough else record)
-        notes += [part.note] if enough and part.note is not None else []
-    return kept, notes
+    others = [row for row in found if row is not FADES]
+    notes = {row.code: Notice(row.code, row.ignored) for row in others or found}
+    brief = tuple(
+        record.source for record in dwells if not shows_settling(record) and record.values.ndim == 2
+    )
+    if brief and _asked(UNSETTLED, settings) and UNSETTLED.code not in notes:
+        which, them = ("one dwell is", "it") if len(brief) == 1 else (f"{len(brief)} dwells are", "them")
+        text = f"{which} too short to show whether a transient is in {them}: taken as settled"
+        notes["transient_undetectable"] = Notice("transient_undetectable", text, brief)
+    return list(notes.values())
 
 
 def _lines(
@@ -564,7 +583,9 @@ def _lines(
     wanted = [fit.orders.index(order) for order in settings.wanted]
     frequencies = fit.frequency_hz * np.array([fit.orders[i] for i in wanted], dtype=float)
     h = calibration(record.channels, frequencies)
-    covariance = fit.covariance[..., wanted, :, :] + _rounding(record, fit, wanted, steps)
+    covariance = fit.covariance[..., wanted, :, :]
+    if np.any(steps > 0):
+        covariance = covariance + diagonal_matrices(rounding_variance(record, fit, steps)[..., wanted, :])
     # Whether second moments are asked for, and with "auto" whether they can be had
     if settings.moments != "auto":
         with_moments = settings.moments
@@ -586,21 +607,6 @@ def _lines(
     return lines, fit.told[wanted]
 
 
-def _rounding(record: Record, fit: HarmonicFit, wanted: Sequence[int], steps: Real) -> Real:
-    """What rounding adds to the covariance of the wanted orders, (..., orders, channels, channels)."""
-    if not np.any(steps > 0):
-        return np.zeros(1)
-    channels = len(steps)
-    size = np.max(np.abs(fit.amplitudes), axis=-2).reshape(-1, channels)
-    sd = np.sqrt(np.diagonal(fit.residual_covariance, axis1=-2, axis2=-1)).reshape(-1, channels)
-    floor = np.array(
-        [rounding_floor(record, fit.frequency_hz, a, b, steps) for a, b in zip(size, sd, strict=True)]
-    )
-    variance = np.diagonal(fit.covariance, axis1=-2, axis2=-1).real[..., wanted, :]
-    missing = np.maximum(floor.reshape(*variance.shape[:-2], 1, channels) - variance, 0.0) * ~fit.in_cells
-    return missing[..., None] * np.eye(channels)
-
-
 def _at_its_frequency(record: Record, settings: Conditioning) -> tuple[Record, list[Notice]]:
     """The record with its frequency refined where that is always wanted, and a note."""
     if settings.refine != "always":
@@ -611,6 +617,6 @@ def _at_its_frequency(record: Record, settings: Conditioning) -> tuple[Record, l
         text = f"{record.source}: driven at {refined.frequency_hz:.7g} Hz, not at {refined.nominal_hz:.7g} Hz"
         notes.append(Notice("frequency_refined", text, (record.source,)))
     record = replace(record, frequency_hz=refined.frequency_hz)
-    if drive_wanders([record]) < WANDER_LEVEL:
-        notes.append(Notice("drive_wanders", f"{record.source}: {WANDERS}", (record.source,)))
+    if WANDERS.shows([record]):
+        notes.append(Notice(WANDERS.code, f"{record.source}: {WANDERS.ignored}", (record.source,)))
     return record, notes

@@ -16,10 +16,10 @@ from typing import Protocol
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from scipy.linalg import cho_solve
-from scipy.special import log_ndtr
+from scipy.special import fdtrc, log_ndtr
 
 from dashpot.arrays import Bools, Complex, Real
-from dashpot.data.record import Record
+from dashpot.data.record import Record, kept
 from dashpot.errors import DataError
 from dashpot.numerics.harmonic_sums import even_gram, harmonic_sums
 from dashpot.numerics.kernel import kernel
@@ -27,34 +27,11 @@ from dashpot.numerics.kernel import kernel
 CHUNK = 1 << 15  # samples whose design matrix is held at a time
 TILE = 1 << 21  # numbers of a batch worked on at a time
 EXACT = 1e-10  # residual over amplitude below which a channel counts as noise-free
-
-
-def check_length(record: Record, f: float, orders: tuple[int, ...], degree: int) -> None:
-    """Raises DataError where there are fewer samples than terms, less than one period, or too slow samples.
-
-    Harmonics beyond half the sampling rate are taken for lower ones; a fundamental there is `factor`'s to judge.
-    """
-    samples, terms = len(record.time), degree + 1 + 2 * len(orders)
-    if samples <= terms:
-        raise DataError(
-            f"{samples} samples are too few for {terms} terms (offset, drift and harmonics) at {f:g} Hz",
-            record.source,
-            f"record at least {terms + 1} samples, better some hundred",
-        )
-    if not holds_a_period(record.time, f):
-        raise DataError(
-            f"the record holds {f * duration(record.time):.3g} of a period at {f:g} Hz",
-            record.source,
-            "record at least one whole period, better ten, or correct the frequency",
-        )
-    rate = 1 / float(np.min(np.diff(record.time)))
-    highest = max(orders)
-    if highest > 1 and highest * f >= rate / 2:
-        raise DataError(
-            f"order {highest} of {f:g} Hz is {highest * f:g} Hz, beyond half the sampling rate of {rate:.4g} Hz",
-            record.source,
-            "ask for lower orders, or sample faster",
-        )
+LITTLE = 1e-6  # rms of a column that is nothing
+ALIKE = 1e-7  # least eigenvalue of the correlations of columns that the samples tell apart
+HIGHEST_HARMONIC = 10  # that is looked for where nobody asks for more
+BELOW_HALF_RATE = 0.95  # of half the sampling rate, up to which harmonics are told from others
+HIGHEST_DEGREE = 3  # of the polynomials that short dwells may be bent by
 
 
 def holds_a_period(time: Real, f: float) -> bool:
@@ -72,33 +49,93 @@ def window(time: Real) -> tuple[float, float]:
     return float(time[0] + time[-1]) / 2, float(time[-1] - time[0]) / 2
 
 
-def basis(
-    t: Real, f: float, orders: Sequence[int], degree: int, centre: float, half: float, ramps: bool = False
-) -> Real:
-    """Columns P_0 … P_degree, cos kωt and sin kωt of each order, then those of order 1 times (t − centre)/half."""
-    s = (t - centre) / half
-    cycles = f * t
-    z = np.exp(2j * np.pi * (cycles - np.floor(cycles)))
-    columns = np.empty((len(t), degree + 1 + 2 * len(orders) + 2 * ramps))
-    if degree >= 0:
-        columns[:, : degree + 1] = legvander(s, degree)
-    power, at = np.ones_like(z), 0
-    for i, order in enumerate(orders):
-        while at < order:
-            power, at = power * z, at + 1
-        columns[:, degree + 1 + 2 * i] = power.real
-        columns[:, degree + 2 + 2 * i] = power.imag
-    if ramps:
-        columns[:, -2] = s * z.real
-        columns[:, -1] = s * z.imag
-    return columns
+@dataclass(frozen=True)
+class Terms:
+    """What a dwell's motion may have beside noise, as columns over the samples.
+
+    degree  of the polynomial in time; 0 is an offset alone, −1 nothing
+    orders  multiples of the drive frequency, ascending
+    bends   degree of the polynomials by which the sine of order 1 may grow and turn while the dwell lasts
+    """
+
+    degree: int = 1
+    orders: tuple[int, ...] = (1,)
+    bends: int = 0
+
+    @property
+    def count(self) -> int:
+        """How many columns there are: P_0 … P_degree, cos and sin of each order, P_i cos and P_i sin of order 1."""
+        return self.degree + 1 + 2 * len(self.orders) + 2 * self.bends
+
+    def wave(self, order: int) -> list[int]:
+        """The columns of an order."""
+        first = self.degree + 1 + 2 * self.orders.index(order)
+        return [first, first + 1]
+
+    def within(self, other: Terms) -> list[int] | None:
+        """Which columns of others these are; None where some are not among them."""
+        if (
+            self.degree > other.degree
+            or self.bends > other.bends
+            or not set(self.orders) <= set(other.orders)
+        ):
+            return None
+        trend, waves = list(range(self.degree + 1)), [c for order in self.orders for c in other.wave(order)]
+        first = other.count - 2 * other.bends
+        return [*trend, *waves, *range(first, first + 2 * self.bends)]
+
+    def columns(self, t: Real, f: float, centre: float, half: float) -> Real:
+        """The columns at times t (samples,), s; (t − centre)/half runs from −1 to 1 in the dwell."""
+        cycles = f * t
+        z = np.exp(2j * np.pi * (cycles - np.floor(cycles)))
+        columns = np.empty((len(t), self.count))
+        shape = legvander((t - centre) / half, max(self.degree, self.bends, 0))
+        columns[:, : self.degree + 1] = shape[:, : self.degree + 1]
+        power, at = np.ones_like(z), 0
+        for i, order in enumerate(self.orders):
+            while at < order:
+                power, at = power * z, at + 1
+            columns[:, self.degree + 1 + 2 * i] = power.real
+            columns[:, self.degree + 2 + 2 * i] = power.imag
+        first = self.count - 2 * self.bends
+        for k in range(1, self.bends + 1):
+            columns[:, first + 2 * k - 2] = shape[:, k] * z.real
+            columns[:, first + 2 * k - 1] = shape[:, k] * z.imag
+        return columns
+
+    def coefficients(self, trend: Real, amplitudes: Complex) -> Real:
+        """(trend, amplitudes) as coefficients: Re(X e^{jφ}) = Re X cos φ − Im X sin φ."""
+        pairs = np.stack([amplitudes.real, -amplitudes.imag], axis=-2)
+        waves = pairs.reshape(*pairs.shape[:-3], -1, pairs.shape[-1])
+        return np.concatenate([trend, waves], axis=-2)
 
 
-def coefficients_of(trend: Real, amplitudes: Complex) -> Real:
-    """(trend, amplitudes) as coefficients of the columns of `_basis`: Re(X e^{jφ}) = Re X cos φ − Im X sin φ."""
-    pairs = np.stack([amplitudes.real, -amplitudes.imag], axis=-2)
-    waves = pairs.reshape(*pairs.shape[:-3], -1, pairs.shape[-1])
-    return np.concatenate([trend, waves], axis=-2)
+def check_length(record: Record, f: float, terms: Terms) -> None:
+    """Raises DataError where there are fewer samples than terms, less than one period, or too slow samples.
+
+    Harmonics beyond half the sampling rate are taken for lower ones; a fundamental there is `factor`'s to judge.
+    """
+    samples, count = len(record.time), terms.count
+    if samples <= count:
+        raise DataError(
+            f"{samples} samples are too few for {count} terms (offset, drift and harmonics) at {f:g} Hz",
+            record.source,
+            f"record at least {count + 1} samples, better some hundred",
+        )
+    if not holds_a_period(record.time, f):
+        raise DataError(
+            f"the record holds {f * duration(record.time):.3g} of a period at {f:g} Hz",
+            record.source,
+            "record at least one whole period, better ten, or correct the frequency",
+        )
+    rate = 1 / float(np.min(np.diff(record.time)))
+    highest = max(terms.orders)
+    if highest > 1 and highest * f >= rate / 2:
+        raise DataError(
+            f"order {highest} of {f:g} Hz is {highest * f:g} Hz, beyond half the sampling rate of {rate:.4g} Hz",
+            record.source,
+            "ask for lower orders, or sample faster",
+        )
 
 
 def tiles(batch: int, rows: int, channels: int) -> Iterator[slice]:
@@ -116,8 +153,9 @@ def chunks(samples: int) -> Iterator[slice]:
 
 @dataclass(frozen=True)
 class HarmonicSolution:
-    """Least squares over one basis, of clipped samples by the likelihood of being beyond their value.
+    """Least squares over some terms, of clipped samples by the likelihood of being beyond their value.
 
+    terms         what was solved for
     L             (terms, terms)  factor of the Gram AᵀA = L Lᵀ of all samples
     P             (channels, terms, terms)  covariance of coefficients per unit variance of a sample
     coefficients  (batch, terms, channels)
@@ -127,6 +165,7 @@ class HarmonicSolution:
     in_cells      (channels,)  of which a value stands for all that a converter rounds to it
     """
 
+    terms: Terms
     L: Real
     P: Real
     coefficients: Real
@@ -135,9 +174,16 @@ class HarmonicSolution:
     largest: Real
     in_cells: Bools
 
-    def amplitudes(self, degree: int) -> Complex:
+    @property
+    def trend(self) -> Real:
+        """Coefficients of the polynomial, (batch, degree + 1, channels)."""
+        return self.coefficients[:, : self.terms.degree + 1]
+
+    @property
+    def amplitudes(self) -> Complex:
         """Complex amplitudes of the harmonics, (batch, orders, channels)."""
-        waves = self.coefficients[:, degree + 1 :]
+        first = self.terms.degree + 1
+        waves = self.coefficients[:, first : first + 2 * len(self.terms.orders)]
         return waves[:, 0::2] - 1j * waves[:, 1::2]
 
     @property
@@ -145,14 +191,24 @@ class HarmonicSolution:
         """Of the residual of one sample, (batch, channels, channels)."""
         return self.squares / np.sqrt(self.free[:, None] * self.free)
 
-    def wald(self, columns: Sequence[int]) -> Real:
-        """F of some coefficients being 0, (batch, channels): as of the two regressions with and without them."""
-        some = list(columns)
-        c = np.swapaxes(self.coefficients[:, some], 1, 2)
-        inside = np.linalg.solve(self.P[:, some][:, :, some], c[..., None])[..., 0]
+    def exact(self, share: float = EXACT) -> Bools:
+        """(batch, channels): the residual is rounding, a `share` of the amplitude or of the numbers themselves."""
+        rms = np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=1, axis2=2), 0.0))
+        bound = share * np.max(np.abs(self.amplitudes), axis=1)
+        return rms <= np.maximum(bound, 32 * np.finfo(float).eps * self.largest)
+
+    def tails(self, columns: Sequence[Sequence[int]]) -> Real:
+        """p-values of sets (sets, k) of coefficients being 0, (batch, channels, sets).
+
+        By the F of the two regressions with and without them.
+        """
+        some = np.asarray(columns)
+        c = np.swapaxes(self.coefficients, 1, 2)[..., some]
+        inside = np.linalg.solve(self.P[:, some[:, :, None], some[:, None, :]], c[..., None])[..., 0]
         variance = np.diagonal(self.squares, axis1=1, axis2=2) / self.free
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(np.sum(c * inside, axis=-1) / (len(some) * variance))
+            F = np.sum(c * inside, axis=-1) / (some.shape[1] * variance)[..., None]
+        return np.asarray(fdtrc(some.shape[1], self.free[:, None], F))
 
 
 class Monitor(Protocol):
@@ -166,51 +222,42 @@ class Monitor(Protocol):
 
 
 def solve_harmonics(
-    record: Record,
-    f: float,
-    orders: Sequence[int],
-    degree: int,
-    ramps: bool = False,
-    monitor: Monitor | None = None,
+    record: Record, f: float, terms: Terms, monitor: Monitor | None = None
 ) -> HarmonicSolution:
-    """Two passes over the samples: normal equations, then residual (shown to `monitor`) and one refinement.
+    """Least squares of some terms over the samples; the residual is shown to `monitor`.
 
-    Channels with samples that are not measured are solved for by themselves, `_partly_measured`.
+    A dwell at its own frequency is factored once for all terms that are usual.  Else there are two passes over the
+    samples: normal equations, then the residual and one refinement.  Channels with samples that are not measured are
+    solved for by themselves, `_partly_measured`.  Raises DataError where the samples of some channel cannot tell the
+    columns apart.
     """
-    time, centre, half = record.time, *window(record.time)
+    plain = record.values.ndim == 2 and record.status is None and record.cell is None
+    if plain and terms.count < len(record.time) <= CHUNK and f == record.frequency_hz:
+        columns = terms.within(_factored(record)[0])
+        if columns is not None:
+            found = _nested(record, terms, columns)
+            if monitor is not None:
+                A = terms.columns(record.time, f, *window(record.time))
+                monitor.next_rows(record.time, A)
+                monitor.see(slice(0, 1), (record.values - A @ found.coefficients[0])[None])
+            return found
+    return _in_two_passes(record, f, terms, monitor)
 
-    def design(rows: slice) -> Real:
-        return basis(time[rows], f, orders, degree, centre, half, ramps)
 
-    terms = degree + 1 + 2 * len(orders) + 2 * ramps
-    even = None if ramps else _even_sums(time, record.values, f, orders, degree)
-    return solve(record, design, terms, f, monitor, even)
-
-
-def solve(
-    record: Record,
-    design: Callable[[slice], Real],
-    terms: int,
-    f: float,
-    monitor: Monitor | None = None,
-    sums: tuple[Real, Real, Real] | None = None,
-) -> HarmonicSolution:
-    """Least squares over any columns: design gives the rows (samples, terms) of some samples.
-
-    sums: Gram, right sides and largest |y| where they are known.  Raises DataError where the samples of some channel
-    cannot tell the columns apart.
-    """
+def _in_two_passes(record: Record, f: float, terms: Terms, monitor: Monitor | None) -> HarmonicSolution:
     samples, channels = record.values.shape[-2:]
     Y = record.values.reshape(-1, samples, channels)
     batch = len(Y)
-    held = design(slice(None)) if samples <= CHUNK else None
+    centre, half = window(record.time)
+    held = terms.columns(record.time, f, centre, half) if samples <= CHUNK else None
 
     def pieces() -> Iterator[tuple[slice, Real]]:
         for rows in chunks(samples):
-            yield rows, design(rows) if held is None else held
+            yield rows, terms.columns(record.time[rows], f, centre, half) if held is None else held
 
+    sums = _even_sums(record.time, record.values, f, terms)
     if sums is None:
-        gram, right = np.zeros((terms, terms)), np.zeros((batch, terms, channels))
+        gram, right = np.zeros((terms.count, terms.count)), np.zeros((batch, terms.count, channels))
         largest = np.zeros((batch, channels))
         for rows, A in pieces():
             gram += A.T @ A
@@ -221,9 +268,9 @@ def solve(
     else:
         gram, right, largest = sums
     L: Real = factor(gram, record, f)
-    identity = cholesky_solve(L, np.eye(terms)[None])[0]
-    P = np.broadcast_to((identity + identity.T) / 2, (channels, terms, terms))
-    coefficients, free = cholesky_solve(L, right), np.full(channels, float(samples - terms))
+    identity = cholesky_solve(L, np.eye(terms.count)[None])[0]
+    P = np.broadcast_to((identity + identity.T) / 2, (channels, *gram.shape))
+    coefficients, free = cholesky_solve(L, right), np.full(channels, float(samples - terms.count))
     rounded = False if record.cell is None else record.cell > 0
     shown, partly, times = np.ones(channels), np.zeros(channels, dtype=bool), np.zeros(channels)
     for c in np.flatnonzero(~record.whole_channels | rounded).tolist():
@@ -232,7 +279,7 @@ def solve(
             continue
         P = P if np.any(partly) else np.array(P)
         coefficients[0, :, c], P[c], free[c] = found.coefficients, found.P, found.free
-        shown[c] = 0.0 if found.in_cells else np.sqrt(samples / (found.free + terms))
+        shown[c] = 0.0 if found.in_cells else np.sqrt(samples / (found.free + terms.count))
         partly[c], times[c] = True, found.variance * found.free
     correction, squares = np.zeros_like(right), np.zeros((batch, channels, channels))
     for rows, A in pieces():
@@ -253,7 +300,50 @@ def solve(
         size = np.maximum(np.diagonal(squares[0]), 1e-300)
         times = np.sqrt(np.where(partly, times / size, 1.0))
         squares = squares * times[:, None] * times
-    return HarmonicSolution(L, P, coefficients, squares, free, largest, shown == 0)
+    return HarmonicSolution(terms, L, P, coefficients, squares, free, largest, shown == 0)
+
+
+@kept
+def _factored(record: Record) -> tuple[Terms, Real, Real]:
+    """The usual terms of a dwell at its frequency, R of the QR factors of their columns and channels, and |y| at most.
+
+    Whatever is solved for among them follows from R, without the samples and as accurately as from these.
+    """
+    f = record.frequency_hz or 0.0
+    rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
+    highest = max(1, min(HIGHEST_HARMONIC, int(BELOW_HALF_RATE * rate / 2 / f)))
+    every = Terms(HIGHEST_DEGREE, tuple(range(1, highest + 1)), 1)
+    A = every.columns(record.time, f, *window(record.time))
+    R: Real = np.linalg.qr(np.concatenate([A, record.values], axis=1), mode="r")  # type: ignore[assignment]
+    return every, R, np.max(np.abs(record.values), axis=0)[None]
+
+
+def _nested(record: Record, terms: Terms, columns: Sequence[int]) -> HarmonicSolution:
+    """Least squares of some terms, at these columns of `_factored`."""
+    every, R, largest = _factored(record)
+    k, channels = terms.count, len(record.channels)
+    some = R[:, [*columns, *range(every.count, R.shape[1])]]
+    inner: Real = np.linalg.qr(some, mode="r")  # type: ignore[assignment]
+    size = np.sqrt(np.sum(inner[:, :k] ** 2, axis=0))
+    require_told_apart(
+        bool(np.all(size > LITTLE * len(record.time) ** 0.5)), record, record.frequency_hz or 0.0
+    )
+    both = np.linalg.solve(inner[:k, :k], np.concatenate([np.eye(k), inner[:k, k:]], axis=1))
+    P = both[:, :k] @ both[:, :k].T
+    require_told_apart(
+        float(np.sum(np.diagonal(P) * size**2)) < 1 / ALIKE, record, record.frequency_hz or 0.0
+    )
+    left = inner[k:, k:]
+    return HarmonicSolution(
+        terms,
+        inner[:k, :k].T,
+        np.broadcast_to(P, (channels, k, k)),
+        both[None, :, k:],
+        (left.T @ left)[None],
+        np.full(channels, float(len(record.time) - k)),
+        largest,
+        np.zeros(channels, dtype=bool),
+    )
 
 
 FAR = 1e4  # standard deviations: what is beyond counts as that
@@ -376,9 +466,10 @@ def in_between(a: Real, b: Real) -> tuple[Real, Real, Real, Real, Real, Real]:
     x, w = np.where(flip, -b, a), np.where(flip, -a, b)
     top = log_ndtr(w)
     L = top + np.log1p(-np.exp(log_ndtr(x) - top))
-    fa, fb = (np.exp(-(z**2) / 2 - L) / np.sqrt(2 * np.pi) for z in (a, b))
-    a, b = np.where(np.isfinite(a), a, 0.0), np.where(np.isfinite(b), b, 0.0)
-    aa, bb = a * fa - fa**2, -b * fb - fb**2
+    with np.errstate(over="ignore", invalid="ignore"):
+        fa, fb = (np.exp(-(z**2) / 2 - L) / np.sqrt(2 * np.pi) for z in (a, b))
+        a, b = np.where(np.isfinite(a), a, 0.0), np.where(np.isfinite(b), b, 0.0)
+        aa, bb = a * fa - fa**2, -b * fb - fb**2
     # What rounding leaves of these far beyond an end
     L = np.where(a > FAR, -(a**2) / 2, np.where(b < -FAR, -(b**2) / 2, L))
     fa, aa = np.where(a > FAR, a, fa), np.where(a > FAR, -1.0, aa)
@@ -386,15 +477,14 @@ def in_between(a: Real, b: Real) -> tuple[Real, Real, Real, Real, Real, Real]:
     return L, fa, fb, aa, fa * fb, bb
 
 
-def _even_sums(
-    time: Real, values: Real, f: float, orders: Sequence[int], degree: int
-) -> tuple[Real, Real, Real] | None:
+def _even_sums(time: Real, values: Real, f: float, terms: Terms) -> tuple[Real, Real, Real] | None:
     """Gram, right sides and largest |y| of many even samples, by the compiled pass; None where NumPy does as well.
 
     What the recurrence of its waves rounds off, the refinement by the residual takes out.
     """
     samples, (centre, _) = len(time), window(time)
-    if kernel() is None or samples <= CHUNK or degree > 1:
+    orders, degree = terms.orders, terms.degree
+    if kernel() is None or samples <= CHUNK or degree > 1 or terms.bends:
         return None
     Y = values.reshape(-1, *values.shape[-2:])
     step = float(time[-1] - time[0]) / (samples - 1)
@@ -423,17 +513,20 @@ def factor(gram: Real, record: Record, f: float) -> Real:
     (..., columns, columns).
     """
     size = np.sqrt(np.diagonal(gram))
-    singular = not np.all(size > 1e-6 * np.sqrt(len(record.time)))
-    if not singular:
-        singular = float(np.linalg.eigvalsh(gram / np.outer(size, size))[0]) < 1e-7
-    if singular:
+    some = bool(np.all(size > LITTLE * np.sqrt(len(record.time))))
+    require_told_apart(some and float(np.linalg.eigvalsh(gram / np.outer(size, size))[0]) >= ALIKE, record, f)
+    return np.linalg.cholesky(gram).astype(np.float64)
+
+
+def require_told_apart(apart: bool, record: Record, f: float) -> None:
+    """Raises DataError where the samples do not tell the columns apart."""
+    if not apart:
         rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
         raise DataError(
             f"the samples (about {rate:g} per second) cannot tell offset, drift and harmonics apart at {f:g} Hz",
             record.source,
             "record more periods, at a rate that is not twice the frequency or less, or ask for fewer harmonics",
         )
-    return np.linalg.cholesky(gram).astype(np.float64)
 
 
 def cholesky_solve(L: Real, right: Real) -> Real:
@@ -443,11 +536,3 @@ def cholesky_solve(L: Real, right: Real) -> Real:
     # Not by two solve_triangular: its LAPACK wakes threads for the smallest matrix, 8 ms each where cores are busy.
     whole = cho_solve((L, True), flat, check_finite=False)
     return np.ascontiguousarray(np.moveaxis(whole.reshape(terms, batch, columns), 0, 1))
-
-
-def exact_channels(sigma: Real, X: Complex, largest: Real, share: float = EXACT) -> Bools:
-    """(batch, channels): the residual is rounding, a `share` of the amplitude or of the numbers themselves."""
-    rms = np.sqrt(np.maximum(np.diagonal(sigma, axis1=1, axis2=2), 0.0))
-    strongest = np.max(np.abs(X), axis=1)
-    bound = np.maximum(share * strongest, 32 * np.finfo(float).eps * largest)
-    return rms <= bound

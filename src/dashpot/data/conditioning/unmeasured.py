@@ -12,13 +12,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 from scipy.special import fdtrc
 
 from dashpot.arrays import Ints, Real
 from dashpot.data.conditioning.drive_frequency import at_frequencies, drive_frequencies
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
-from dashpot.data.conditioning.regression import basis, in_between, solve, window
+from dashpot.data.conditioning.regression import Terms, in_between, solve_harmonics, window
 from dashpot.data.record import ABOVE, BELOW, MISSING, Record, limits, runs_of_one_value
 from dashpot.errors import DataError
 from dashpot.io.words import counted
@@ -147,8 +146,8 @@ def _with_clipped(perhaps: Record, record: Record, notices: list[Notice]) -> Rec
     return replace(record, status=status) if np.any(status) else record
 
 
-def _surroundings(record: Record, c: int, status: Ints) -> Iterator[tuple[slice, slice, Real]]:
-    """Pieces of a channel with samples that are not measured: samples around, those of it, columns (around, terms).
+def _surroundings(record: Record, c: int, status: Ints) -> Iterator[tuple[slice, slice, Terms, Real]]:
+    """Pieces of a channel with samples not measured: samples around, those of it, terms and columns (around, terms).
 
     Three periods with one more on either side.  The columns are an offset, a slope and two multiples of a steady sine,
     or where that leaves more than noise would, of one whose amplitude and phase run.  Pieces with too few samples
@@ -163,22 +162,19 @@ def _surroundings(record: Record, c: int, status: Ints) -> Iterator[tuple[slice,
         time, y = record.time[around], record.values[around, c]
         if not np.any(status[begin:end]) or np.count_nonzero(measured) < 6 + FREEDOM:
             continue
-        A = basis(time, record.frequency_hz, (1, 2), 1, *window(time))
+        terms, inside = Terms(1, (1, 2)), window(time)
+        A = terms.columns(time, record.frequency_hz, *inside)
         for degree in range(1, MOST_BENDS + 1):
-            shape = legvander(np.linspace(-1.0, 1.0, len(time)), degree + 1)
-            steady = A[:, :6]
-            bent = np.concatenate(
-                [steady, shape[:, 2:], *(steady[:, 2:4] * shape[:, k : k + 1] for k in range(1, degree + 1))],
-                axis=1,
-            )
-            free, more = int(np.count_nonzero(measured)) - bent.shape[1], bent.shape[1] - A.shape[1]
+            more = Terms(degree + 1, (1, 2), degree)
+            free = int(np.count_nonzero(measured)) - more.count
             if free < FREEDOM:
                 break
+            bent = more.columns(time, record.frequency_hz, *inside)
             before, after = (_left(of[measured], y[measured]) for of in (A, bent))
-            F = max(before - after, 0.0) / more / max(after / free, 1e-300)
-            if fdtrc(more, free, F) < LEVEL:
-                A = bent
-        yield around, slice(begin, end), A
+            F = max(before - after, 0.0) / (more.count - terms.count) / max(after / free, 1e-300)
+            if fdtrc(more.count - terms.count, free, F) < LEVEL:
+                terms, A = more, bent
+        yield around, slice(begin, end), terms, A
 
 
 def _left(A: Real, y: Real) -> float:
@@ -188,7 +184,7 @@ def _left(A: Real, y: Real) -> float:
 def _motion_there(record: Record, c: int, status: Ints) -> tuple[Real, Real]:
     """The motion of a channel as the samples measured show it, and their scatter, (samples,); NaN where they do not."""
     motion, scatter = np.full((2, len(status)), np.nan)
-    for around, inside, A in _surroundings(record, c, status):
+    for around, inside, _, A in _surroundings(record, c, status):
         measured = status[around] == 0
         y = record.values[around, c][measured]
         fitted = A @ np.linalg.lstsq(A[measured], y, rcond=None)[0]
@@ -209,12 +205,12 @@ def expected(record: Record) -> Record:
     sd = np.where(record.status != 0, np.inf, 0.0)
     for c in np.flatnonzero(~record.whole_channels).tolist():
         status = record.status[:, c]
-        for around, inside, A in _surroundings(record, c, status):
+        for around, inside, terms, A in _surroundings(record, c, status):
             here = record.part(around)
             here = replace(here, channels=here.channels[c : c + 1], values=here.values[:, c : c + 1])
             here = replace(here, status=status[around, None])
             try:
-                found = solve(here, lambda rows, A=A: A[rows], A.shape[1], f)  # type: ignore[misc]
+                found = solve_harmonics(here, f, terms)
             except DataError:
                 continue
             motion = A @ found.coefficients[0, :, 0]

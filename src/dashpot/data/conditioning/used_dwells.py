@@ -40,7 +40,7 @@ def used_dwells(
 
     Nothing where lines do not stand for one settled dwell each: whole records, averaged periods, tables beside them.
     """
-    records, _ = long_enough(records)
+    records, _, _ = long_enough(records, settings)
     # The lines of one dwell after another: of a stretch with a fundamental all, else each line alone
     groups: list[list[int]] = []
     for line, number in enumerate(spectrum.stretch.tolist()):
@@ -56,7 +56,7 @@ def used_dwells(
         return ()
     if settings.refine != "none":
         records = [with_even_stamps(record)[0] for record in records]
-    parts, _ = driven_parts(records, settings)
+    parts, _, _ = driven_parts(records, settings)
     return tuple(
         UsedDwell(record, float(part.time[0]), float(part.time[-1]), numbers)
         for record, part, numbers in zip(records, parts, lines, strict=True)

@@ -8,7 +8,7 @@ from scipy.stats import kstest
 
 from dashpot.channel import Quantity
 from dashpot.data.conditioning.lines import spectrum
-from dashpot.data.conditioning.transients import slopes_show
+from dashpot.data.conditioning.steadiness import slopes_show
 from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
 from tests import rigs

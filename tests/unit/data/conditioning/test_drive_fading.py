@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.data.conditioning.drive_frequency import drive_fades
 from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.conditioning.steadiness import FADES
 from dashpot.data.conditioning.unmeasured import marked
 from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
@@ -30,8 +30,8 @@ def test_dwells_of_a_drive_that_drifts_are_whole_records(periods: float, drift: 
     """In five periods it may be a transient as well, which is said."""
     lines = spectrum(dwells(drift, periods=periods))
     assert len(lines.records) == len(FREQUENCIES)
-    or_not = ", or they have not settled" if periods == 5 else ""
-    assert f"5 dwells are not steady (the drive's amplitude drifts{or_not}): all" in lines.notes[-1].text
+    or_not = " or not settled" if periods == 5 else ""
+    assert f"5 dwells are {FADES.why}{or_not}: all" in lines.notes[-1].text
     estimate = identify(MODEL, lines)
     assert np.all(np.abs(estimate.values - THETA) < 4 * estimate.sd)
 
@@ -60,10 +60,7 @@ def test_an_even_drive_leaves_dwells_steady() -> None:
 def test_noise_is_no_drift(memory: float, alike: float, periods: int) -> None:
     """80 tests of two dwells: p values as of uniform ones or larger, 4 standard deviations; seed of each its number."""
     p = np.array(
-        [
-            drive_fades(noisy_sines(memory, alike, np.random.default_rng(k), periods=periods))
-            for k in range(80)
-        ]
+        [FADES.p(noisy_sines(memory, alike, np.random.default_rng(k), periods=periods)) for k in range(80)]
     )
     assert np.mean(p) > 0.5 - 4 / np.sqrt(12 * 80)
     assert np.mean(p < 0.05) < 0.05 + 4 * np.sqrt(0.05 * 0.95 / 80)
@@ -90,7 +87,7 @@ def test_what_is_not_of_all_channels_is_no_drift(what: str, periods: float) -> N
             if what == "clipped":
                 values[:, 0] = np.clip(values[:, 0], -1.2 * size[0], 1.2 * size[0])
             records.append(replace(record, values=values))
-        assert drive_fades(marked(records)[0]) > 1e-3
+        assert FADES.p(marked(records)[0]) > 1e-3
 
 
 @pytest.mark.long

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel
-from dashpot.data.conditioning.drive_frequency import drive_wanders
 from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.conditioning.steadiness import WANDERS
 from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
 from dashpot.model.motion import channel_samples, integrator
@@ -34,7 +34,7 @@ def dwell(f: float, drift: float, rng: np.random.Generator, seconds: float = 6.0
 def test_dwells_that_drift_are_whole_records() -> None:
     rng = np.random.default_rng(1)
     dwells = [dwell(f, 0.02, rng) for f in (6.0, 9.0, 12.0)]
-    assert drive_wanders(dwells) < 1e-20
+    assert WANDERS.p(dwells) < 1e-20
     lines = spectrum(dwells)
     assert len(lines.records) == 3
     assert "not steady (the drive frequency wanders)" in lines.notes[-1].text
@@ -60,13 +60,13 @@ def test_steady_dwells_stay() -> None:
 @pytest.mark.parametrize(("memory", "alike"), [(0.0, 0.0), (0.9, 0.7)])
 def test_noise_is_no_wandering(memory: float, alike: float) -> None:
     """80 tests of two dwells of 12 periods: uniform p values, 4 standard deviations; seed of each its number."""
-    p = [drive_wanders(noisy_sines(memory, alike, np.random.default_rng(k))) for k in range(80)]
+    p = [WANDERS.p(noisy_sines(memory, alike, np.random.default_rng(k))) for k in range(80)]
     assert np.mean(p) == pytest.approx(0.5, abs=4 / np.sqrt(12 * 80))
     assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 80))
 
 
 def test_stamps_that_jitter_are_no_wandering() -> None:
     """As above with 4 % of a step of jitter: without its share 7 of 80 were taken for wandering."""
-    p = [drive_wanders(noisy_sines(0.0, 0.0, np.random.default_rng(k), 0.002, 0.04)) for k in range(40)]
+    p = [WANDERS.p(noisy_sines(0.0, 0.0, np.random.default_rng(k), 0.002, 0.04)) for k in range(40)]
     assert min(p) > 1e-4
     assert np.mean(np.array(p) < 0.05) < 0.05 + 4 * np.sqrt(0.05 * 0.95 / 40)

@@ -7,13 +7,8 @@ import pytest
 
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.conditioning.settings import Conditioning
-from dashpot.data.conditioning.transients import (
-    continuous,
-    first_to_last,
-    short_dwells_bend,
-    transients_matter,
-    transients_show,
-)
+from dashpot.data.conditioning.steadiness import BENT, UNSETTLED, transients_show
+from dashpot.data.conditioning.transients import continuous
 from dashpot.data.readers import Reading
 from dashpot.data.record import Record
 from dashpot.data.spectrum import SettledDwell, WholeRecord
@@ -33,9 +28,9 @@ def stepped(noise: float, *, periods: float = 5, settle: float = 0.0, seed: int 
 
 
 def test_transients_are_found_and_nothing_where_none_are() -> None:
-    assert transients_show(first_to_last(stepped(0.01))) < 1e-6
-    assert transients_show(first_to_last(stepped(0.05))) < 1e-3
-    p = [transients_show(first_to_last(stepped(0.05, settle=4.0, seed=k))) for k in range(40)]
+    assert transients_show(stepped(0.01)) < 1e-6
+    assert transients_show(stepped(0.05)) < 1e-3
+    p = [transients_show(stepped(0.05, settle=4.0, seed=k)) for k in range(40)]
     assert min(p) > 1e-3
     assert np.mean(p) == pytest.approx(0.5, abs=0.19)  # 4 sd of 40 uniform numbers
 
@@ -52,8 +47,8 @@ def test_a_transient_within_the_first_period_of_one_dwell_is_no_noise_of_it(peri
     def one(noise: float, settle: float, seed: int) -> list[Record]:
         return stepped_sine(model, theta, channels, (6.5,), noise, periods=periods, settle=settle, seed=seed)
 
-    assert all(transients_matter(one(0.01, 0.0, seed)) for seed in range(5))
-    assert not any(transients_matter(one(0.05, 4.0, seed)) for seed in range(40))
+    assert all(UNSETTLED.shows(one(0.01, 0.0, seed)) for seed in range(5))
+    assert not any(UNSETTLED.shows(one(0.05, 4.0, seed)) for seed in range(40))
     estimate = identify(model, spectrum(one(0.005, 0.0, 0)))
     assert np.all(np.abs(estimate.values / theta - 1) < 0.05)
 
@@ -72,14 +67,14 @@ def test_unsettled_dwells_become_records() -> None:
 
 def test_dwells_too_short_to_compare_their_periods_show_transients_too() -> None:
     periods = 1.4
-    assert short_dwells_bend(stepped(0.01, periods=periods))
-    assert not any(short_dwells_bend(stepped(0.05, periods=periods, settle=4.0, seed=k)) for k in range(8))
+    assert BENT.shows(stepped(0.01, periods=periods))
+    assert not any(BENT.shows(stepped(0.05, periods=periods, settle=4.0, seed=k)) for k in range(8))
     estimate = identify(MODEL, spectrum(stepped(0.01, periods=periods)))
     assert np.all(np.abs(estimate.values - THETA) < 4 * estimate.sd)
     # One dwell of many that is odd does not turn all others into records.
     some = [*stepped(0.01, periods=5, settle=4.0), *stepped(0.01, periods=5, settle=4.0, seed=9)]
     odd = stepped(0.01, periods=periods)[0]
-    assert not short_dwells_bend([odd, *some])
+    assert not BENT.shows([odd, *some])
 
 
 def test_slopes_of_unsettled_dwells_spoil_nothing() -> None:
@@ -129,10 +124,10 @@ def test_what_hardly_reaches_a_long_dwell_leaves_it_settled() -> None:
         size = np.std(record.values, axis=0)
         values = record.values * (1 + slight) + 1e-3 * size * rng.normal(size=record.values.shape)
         records.append(replace(record, values=values))
-    assert transients_show(first_to_last(records)) < 1e-3
-    assert not transients_matter(records)
+    assert transients_show(records) < 1e-3
+    assert not UNSETTLED.shows(records)
     assert not spectrum(records).records
-    assert transients_matter(stepped(0.01, periods=30))
+    assert UNSETTLED.shows(stepped(0.01, periods=30))
 
 
 def test_what_builds_up_slowly_is_used_from_its_start() -> None:

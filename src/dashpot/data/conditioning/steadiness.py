@@ -1,0 +1,528 @@
+"""Whether dwells are steady sines: what each may have beside them, tested of all dwells together.
+
+Each test gives p-values of single dwells, or of their channels, which `together` makes one.  Terms that a regression
+may have more are tested by `Nested`, what changes from one whole period to the next by `Blocks`.  `UNSTEADY` has what
+makes dwells whole records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, cast
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+from scipy.special import chdtrc, chdtri, fdtrc
+
+from dashpot.arrays import Bools, Complex, Ints, Real, freeze
+from dashpot.data.conditioning.regression import CHUNK, Terms, duration, solve_harmonics, window
+from dashpot.data.record import Record, kept
+from dashpot.errors import DataError
+
+
+def periods_of(record: Record) -> float:
+    """Periods of the drive that a record lasts; 0 without a frequency."""
+    return 0.0 if record.frequency_hz is None else record.frequency_hz * duration(record.time)
+
+
+def together(tails: Iterable[Real | float | None]) -> float:
+    """One p-value of independent ones: the squares of the normal numbers that have these are χ²; 1 of none."""
+    every = [np.ravel(tail) for tail in tails if tail is not None]
+    p = np.concatenate(every) if every else np.zeros(0)
+    return float(chdtrc(len(p), np.sum(chdtri(1, np.clip(p, 1e-250, 1.0))))) if len(p) else 1.0
+
+
+# Terms of a regression
+
+
+EXACT = 1e-9  # of a channel's size: what scatters less is rounding
+BESIDE, MANY_SAMPLES = (1, 2, 3), 24  # multiples solved for beside the fundamental, from so many samples on
+USABLE = 0.45  # of the sampling rate, up to which they are
+CONTRADICTED = 1e-3  # level of the test whether the channels agree
+SLIGHT_DRIFT = 5e-4  # of an amplitude: a drift by less spoils no more than gains are known to
+
+
+@dataclass(frozen=True)
+class Nested:
+    """Terms that a dwell may have more, and which of their columns those are.
+
+    common: columns P_1 cos and P_1 sin that all channels have by one factor, of their amplitude or of their phase; else
+    each has its own
+    """
+
+    terms: Terms
+    columns: tuple[int, ...] = (-2, -1)
+    common: Literal["amplitude", "phase"] | None = None
+
+    def tails(self, record: Record) -> Real | float | None:
+        """p-values of a dwell without them, of each channel with noise or of all; None where the samples do not tell.
+
+        A channel without noise has them where they are no rounding.
+        """
+        terms, samples, f = self.terms, len(record.time), record.frequency_hz
+        if f is None:
+            return None
+        rate = (samples - 1) / float(record.time[-1] - record.time[0])
+        if terms.orders == BESIDE and (samples < MANY_SAMPLES or BESIDE[-1] * f >= USABLE * rate):
+            terms = replace(terms, orders=(1,))
+        try:
+            if self.common is not None:
+                return common_ramp(record, f, terms, self.common).tail
+            solution = solve_harmonics(record, f, terms)
+        except DataError:
+            return None
+        if np.min(solution.free) < 1:
+            return None
+        size = EXACT * solution.largest
+        noisy = np.diagonal(solution.covariance, axis1=1, axis2=2) > size**2
+        there = np.any(np.abs(solution.coefficients[:, list(self.columns)]) > size[:, None], axis=1)
+        p = np.where(noisy, solution.tails([self.columns])[..., 0], 0.0)
+        return np.asarray(p[noisy | there])
+
+
+@dataclass(frozen=True)
+class CommonRamp:
+    """κ of channels X (1 + κ s), or X (1 − jκ s) for the phase, s running from −1 to 1 in the dwell.
+
+    information  1 over the variance of κ if the noise is white and each channel has its own; 0 where nothing moves
+    variance     of κ with noise that channels have in common
+    widening     by which it grows where the channels contradict each other: what they share is one drive
+    free         degrees of freedom of a channel's residual
+    """
+
+    kappa: float
+    information: float
+    variance: float
+    widening: float
+    free: float
+
+    @property
+    def tail(self) -> float | None:
+        """p-value of κ being slight; None where nothing tells."""
+        if self.free < 1 or self.information <= 0:
+            return None
+        variance = max(self.variance, self.widening / self.information) + SLIGHT_DRIFT**2
+        return float(fdtrc(1, self.free, self.kappa**2 / variance))
+
+
+def common_ramp(record: Record, f: float, terms: Terms, of: Literal["phase", "amplitude"]) -> CommonRamp:
+    """The ramp of phase or of amplitude at f Hz beside other terms, over all channels and repeats.
+
+    The columns s cos and s sin (s = (t − centre)/half) of a signal a cos + b sin have the coefficients κ (b, −a) where
+    its phase runs, and κ (a, b) where its amplitude grows.  Raises DataError as `solve_harmonics`.
+    """
+    solution = solve_harmonics(record, f, terms)
+    free, X = float(np.min(solution.free)), solution.amplitudes[:, 0]
+    ramp = np.swapaxes(solution.coefficients[:, -2:], 1, 2)
+    noise = solution.squares / max(free, 1) if record.status is None else solution.covariance
+    size = np.abs(X) ** 2
+    floor = np.maximum(1e-24 * size, (np.finfo(float).eps * solution.largest) ** 2)
+    variance = np.maximum(np.diagonal(noise, axis1=1, axis2=2), np.where(floor > 0, floor, 1.0))
+    weight = np.where(size > 0, 1 / variance, 0.0)
+    P = solution.P[:, -2:, -2:]
+    along = np.stack([-X.imag, -X.real] if of == "phase" else [X.real, -X.imag], axis=-1)
+    inside = np.linalg.solve(P, along[..., None])[..., 0]
+    each = weight * np.sum(along * inside, axis=-1)
+    information = float(np.sum(each))
+    if information <= 0:
+        return CommonRamp(0.0, 0.0, np.inf, 1.0, free)
+    by_channel = weight * np.sum(ramp * inside, axis=-1)
+    kappa = float(np.sum(by_channel)) / information
+    telling = each > 0
+    apart = float(np.sum((by_channel[telling] - each[telling] * kappa) ** 2 / each[telling]))
+    look = np.einsum("cij,bci->bcj", np.linalg.cholesky(P), weight[..., None] * inside)
+    shared = float(np.einsum("bcj,bcd,bdj->", look, noise, look)) / information**2
+    return CommonRamp(kappa, information, shared, _contradiction(apart, int(np.sum(telling)) - 1), free)
+
+
+def _contradiction(apart: float, others: int) -> float:
+    """χ² over its degrees of freedom where that is significant, else 1."""
+    contradicted = others > 0 and float(chdtrc(others, apart)) < CONTRADICTED
+    return apart / others if contradicted else 1.0
+
+
+# Whole periods of a dwell
+
+
+MOST = 32  # blocks, of more periods each where there are many
+FEWEST = 8
+SAMPLES = 8  # that a block has on average, at least
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """An offset and a sine in each of some pieces of a dwell, by the samples measured.
+
+    starts, ends (pieces,): the first sample of each and the one after its last
+    amplitudes at the drive frequency; squares that are left over; spread of an amplitude per unit variance of a sample;
+    free degrees of freedom: (pieces, batch · channels)
+    """
+
+    starts: Ints
+    ends: Ints
+    amplitudes: Complex
+    squares: Real
+    spread: Real
+    free: Real
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def rms(self) -> Real:
+        """Of what the sine leaves in each, (pieces, batch · channels)."""
+        return np.asarray(np.sqrt(self.squares / (self.free + 3)))
+
+    @staticmethod
+    def of(record: Record, f: float, starts: Ints, ends: Ints) -> Blocks:
+        """Pieces from one sample to the one before another.  Raises LinAlgError where the terms are not to be told."""
+        longest = int(np.max(ends - starts))
+        each = max(1, CHUNK // longest)
+        parts = [
+            _sines(record, f, starts[k : k + each], ends[k : k + each], longest)
+            for k in range(0, len(starts), each)
+        ]
+        return Blocks(starts, ends, *(np.concatenate(of) for of in zip(*parts, strict=True)))
+
+
+def _sines(
+    record: Record, f: float, starts: Ints, ends: Ints, longest: int
+) -> tuple[Complex, Real, Real, Real]:
+    rows = starts[:, None] + np.arange(longest)
+    inside = rows < ends[:, None]
+    rows = np.where(inside, rows, 0)
+    cycles = f * record.time[rows]
+    turn = 2 * np.pi * (cycles - np.floor(cycles))
+    A = np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)], axis=-1) * inside[..., None]
+    y = np.moveaxis(record.values[..., rows, :], -1, -3).reshape(-1, *rows.shape).swapaxes(0, 1)
+    y = y - np.mean(y, axis=-1, keepdims=True)
+    counts, B = inside[:, None], A[:, None]  # (pieces, channels or 1, samples, terms)
+    if record.status is not None:
+        counts = np.moveaxis(record.status[rows] == 0, -1, 1) & counts
+        B = B * counts[..., None]
+    P = np.linalg.pinv(np.swapaxes(B, -1, -2) @ B, rcond=1e-12, hermitian=True)
+    c = (P @ (np.swapaxes(B, -1, -2) @ y[..., None]))[..., 0]
+    left = (y - (A[:, None] @ c[..., None])[..., 0]) * counts
+    free = np.broadcast_to(np.sum(counts, axis=-1) - 3.0, c.shape[:2])
+    spread = np.broadcast_to(P[..., 1, 1] + P[..., 2, 2], c.shape[:2])
+    return c[..., 1] - 1j * c[..., 2], np.sum(left**2, axis=-1), spread, free
+
+
+@kept
+def period_blocks(record: Record) -> Blocks | None:
+    """Blocks of whole periods, counted from the end; None where these are too few, or have gaps."""
+    edges = None if record.frequency_hz is None else _edges(record.time, record.frequency_hz)
+    return None if edges is None else Blocks.of(record, record.frequency_hz or 0.0, *edges)
+
+
+def _edges(time: Real, f: float) -> tuple[Ints, Ints] | None:
+    """Where the blocks start and end."""
+    periods = int(f * duration(time) + 1e-6)
+    each = max(1, periods // MOST, int(np.ceil(SAMPLES * periods / len(time))))
+    blocks = periods // each
+    if blocks < FEWEST:
+        return None
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    starts = np.searchsorted(time, time[-1] + step - (each / f) * np.arange(blocks, 0, -1) - step / 4)
+    ends = np.append(starts[1:], len(time))
+    return None if np.min(ends - starts) < 4 else (starts, ends)
+
+
+# The drive frequency wanders: it turns the phase of all channels together and leaves their amplitudes nearly as they
+# are.  Noise, whatever its colour and however alike in the channels, and transients do as much to the one as to the
+# other: so the scatter of the common phase over blocks is tested against that of the common amplitude.  Stamps that
+# jitter turn the phase, too, but from sample to sample: what that explains of the scatter is no wandering.
+
+
+ROUNDED = 1e-6  # of an amplitude, and rad: what scatters less is exact
+
+
+@kept
+def _wander(record: Record) -> float | None:
+    """p-value of one dwell having one frequency; None where it has too few periods, or repeats."""
+    record = _wholly_measured(record)
+    f = record.frequency_hz
+    blocks = None if record.values.ndim != 2 else period_blocks(record)
+    if f is None or blocks is None or not np.any(np.ptp(record.values, axis=0)):
+        return None
+    # Two neighbouring blocks under Hann's window, which keeps noise at low frequencies, and a slope, from doing more to
+    # one phase than to the other
+    starts, ends = blocks.starts[:-1], blocks.ends[1:]
+    counts = (ends - starts)[:, None]
+    k = np.arange(int(np.max(counts)))
+    inside = k < counts
+    rows = np.where(inside, starts[:, None] + k, 0)
+    hann = np.sin(np.pi * (k + 0.5) / counts) ** 2 * inside
+    turned = np.exp(-2j * np.pi * f * record.time[rows]) * inside
+    carrier = (2 * hann * turned / np.sum(hann, axis=1, keepdims=True))[..., None]
+    values = record.values[rows] - np.mean(record.values, axis=0)
+    Z = np.sum(carrier * values, axis=1)
+    even = (values - np.sum(values * inside[..., None], axis=1, keepdims=True) / counts[..., None]) * inside[
+        ..., None
+    ]
+    sine = 2 * np.swapaxes(turned[:, None] @ even, 1, 2)[..., 0] / counts
+    # What each sample adds to the amplitude beyond a steady sine, (windows, samples, channels)
+    left = carrier * (even - (np.conj(turned)[..., None] * sine[:, None]).real)
+    noise, size = np.median(blocks.rms, axis=0), np.mean(np.abs(Z), axis=0)
+    weight = np.where(size > 0, 1 / np.where(size > 0, noise**2 + (ROUNDED * size) ** 2, 1.0), 0.0)
+    turns = np.angle(np.sum(weight * Z[1:] * np.conj(Z[:-1]), axis=1))
+    phase = np.concatenate([[0.0], np.cumsum(turns)])
+    mean = np.mean(Z * np.exp(-1j * phase)[:, None], axis=0)
+    look = weight * np.conj(mean) / float(np.abs(mean) ** 2 @ weight)
+    common = np.exp(-1j * phase) * (Z @ look)
+    phase = phase + np.angle(common)
+    each = (left @ look) * np.exp(-1j * phase)[:, None]
+    jitter = max(float(np.sum(each.imag**2) - np.sum(each.real**2)) / len(Z), 0.0)
+    freedom = len(Z) - 2
+    of_phase, of_amplitude = (_about_a_line(x) / freedom + ROUNDED**2 for x in (phase, np.abs(common)))
+    return float(fdtrc(freedom, freedom, of_phase / (of_amplitude + jitter)))
+
+
+def _about_a_line(x: Real) -> float:
+    """Sum of squares about the line through x, (blocks,)."""
+    away = x - np.mean(x)
+    index = np.arange(len(x)) - (len(x) - 1) / 2
+    away = away - index * (index @ away) / (index @ index)
+    return float(away @ away)
+
+
+# The drive's amplitude drifts: it scales the motion of all channels by one factor that changes slowly.  A sine of one
+# amplitude counts the change as noise, and the rig, whose response lags behind its drive, is not the one that ratios of
+# the channels show.  What changes in one channel alone, by its sensor or by hum, is no drive: there channels contradict
+# each other.
+
+
+AMPLITUDE = Nested(Terms(1, BESIDE, 1), common="amplitude")  # in few periods
+FEWEST_PERIODS = 2.0  # below which drift of a sensor and a growing sine look alike
+BENT_AMPLITUDE = 2  # degree of the polynomial that the amplitude of many periods may follow
+START = 8  # th part of a dwell in which transients decay
+
+
+def _fading(record: Record) -> float | None:
+    """p-value of one dwell having one amplitude; None where it has too few periods, or repeats."""
+    record = _wholly_measured(record)
+    if record.values.ndim != 2 or periods_of(record) < FEWEST_PERIODS or not record.channels:
+        return None
+    blocks = period_blocks(record)
+    return cast("float | None", AMPLITUDE.tails(record)) if blocks is None else _of_blocks(blocks)
+
+
+def _of_blocks(blocks: Blocks) -> float | None:
+    """F of a slow change of the common amplitude over its scatter from block to block, which knows the noise.
+
+    The first blocks have no say: what decays there is a transient, which has a test of its own.
+    """
+    size = np.abs(blocks.amplitudes[len(blocks.amplitudes) // START :])
+    mean, noise = np.mean(size, axis=0), np.median(blocks.rms, axis=0)
+    moves = mean > 0
+    if not np.any(moves):
+        return None
+    relative = size[:, moves] / mean[moves]
+    weight = 1 / ((noise[moves] / mean[moves]) ** 2 + SLIGHT_DRIFT**2)
+    both = np.column_stack([relative, relative @ weight / np.sum(weight)])
+    slow = np.linalg.qr(legvander(np.linspace(-1, 1, len(both)), BENT_AMPLITUDE))[0][:, 1:]
+    away = both - np.mean(both, axis=0)
+    along = slow.T @ away
+    free = len(both) - 1 - BENT_AMPLITUDE
+    left = np.sum(away**2, axis=0) - np.sum(along**2, axis=0)
+    variance = np.maximum(left, 0.0) / free + SLIGHT_DRIFT**2
+    apart = float(np.sum(np.sum((along[:, :-1] - along[:, -1:]) ** 2, axis=0) / variance[:-1]))
+    widening = _contradiction(apart, BENT_AMPLITUDE * (relative.shape[1] - 1))
+    F = float(np.sum(along[:, -1] ** 2)) / BENT_AMPLITUDE / (variance[-1] * widening)
+    return float(fdtrc(BENT_AMPLITUDE, free, F))
+
+
+def _wholly_measured(record: Record) -> Record:
+    """The record with those channels alone of which every sample is measured.
+
+    Where their peaks are clipped the others know little of the amplitude.
+    """
+    whole = record.whole_channels
+    if np.all(whole):
+        return record
+    channels = tuple(record.channels[c] for c in np.flatnonzero(whole))
+    return replace(record, channels=channels, values=record.values[..., whole], status=None)
+
+
+# Dwells have not settled: their first period is another than their last.  What a long dwell shows in its first period
+# hardly reaches its amplitude, and the noise beside its line contains it.
+
+
+LEVEL = 1e-3  # of the tests for transients
+MANY_PERIODS = 8  # from which on the scatter of the later ones is a better measure of the noise
+MOST_A_PERIOD = 1e9  # samples, beyond which the stamps of the record are damaged
+CLEAR = 6.0  # standard deviations of a change that no drift of a sensor makes: one of them is enough
+SEEN = 3.0  # and of changes that are transients where there are many
+MANY = 0.1  # of all dwells and channels
+SLIGHT = 3e-3  # of an amplitude: what a transient may leave in it of a long dwell
+SLIGHT_IN_FEW = 5e-4  # and in a short one, whose noise does not contain it
+FEWEST_A_BLOCK = 6  # samples, for amplitudes of single periods with a residual
+
+
+@dataclass(frozen=True)
+class DwellChange:
+    """How the amplitudes of a dwell's channels change from its first period to its last.
+
+    difference, variance E|Δ|², dof of that and amplitude (channels,) of those with noise
+    """
+
+    difference: Complex
+    variance: Real
+    dof: Real
+    amplitude: Real
+    periods: int
+
+    @property
+    def tails(self) -> Real:
+        """(channels,): p-values of the changes being noise."""
+        F = np.abs(self.difference) ** 2 / self.variance
+        return np.asarray(fdtrc(2, self.dof, F))
+
+    def spoiled(self, beyond: float) -> Bools:
+        """(channels,): changes `beyond` so many sd that, spread over all periods, are more than gains are known to."""
+        change = np.abs(self.difference)
+        share = change / (np.maximum(self.amplitude, 1e-300) * self.periods)
+        slight = SLIGHT if self.periods >= MANY_PERIODS else SLIGHT_IN_FEW
+        return (share > slight) & (change > beyond * np.sqrt(self.variance))
+
+
+def transients_show(records: Sequence[Record]) -> float:
+    """p-value of no change from the first period of any dwell to its last."""
+    return together(change.tails for change in map(first_to_last, records) if change is not None)
+
+
+def settling(records: Sequence[Record]) -> float:
+    """As `transients_show`, and 1 where changes are neither clear in some channel nor seen in many."""
+    changes = [change for change in map(first_to_last, records) if change is not None]
+    pairs = sum(len(change.variance) for change in changes)
+    clear = any(np.any(change.spoiled(CLEAR)) for change in changes)
+    many = sum(int(np.sum(change.spoiled(SEEN))) for change in changes) > MANY * pairs
+    return transients_show(records) if clear or many else 1.0
+
+
+def shows_settling(record: Record) -> bool:
+    """Whether a dwell has a first and a last block of whole periods, whose comparison tells if it has settled."""
+    return _block(record) is not None
+
+
+def _block(record: Record) -> tuple[int, int] | None:
+    """Samples and periods of the shortest block that gives an amplitude; None where no two fit into the dwell."""
+    if record.frequency_hz is None or record.values.ndim != 2:
+        return None
+    period = 1 / record.frequency_hz
+    step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
+    if not 2 * step < period < step * MOST_A_PERIOD:
+        return None
+    periods = max(1, int(np.ceil((FEWEST_A_BLOCK - 0.5) * step / period)))
+    each = round(periods * period / step)
+    return (each, periods) if len(record.time) >= 2 * each else None
+
+
+@kept
+def first_to_last(record: Record) -> DwellChange | None:
+    """The change of a dwell's amplitudes; None where it has no two blocks to compare."""
+    block, f, time = _block(record), record.frequency_hz, record.time
+    if block is None or f is None:
+        return None
+    each, periods = block
+    count = len(time) // each
+    later = count - count // 2 if count >= MANY_PERIODS else 0
+    first = np.array([0, *(len(time) - each * k for k in range(max(later, 1), 0, -1))])
+    stamps = time[first[:, None] + np.arange(each)]
+    # Whether each holds a period, as of `holds_a_period`
+    if np.any(f * (stamps[:, -1] - stamps[:, 0] + 2 * np.max(np.diff(stamps), axis=1, initial=0.0)) < 1):
+        return None
+    # The record without the slope that it has beside its sine: seen through a period at another phase, that
+    # looks like a change of amplitude
+    try:
+        slope = solve_harmonics(record, f, Terms()).coefficients[0, 1]
+    except DataError:
+        return None
+    centre, half = window(time)
+    record = replace(record, values=record.values - ((time - centre) / half)[:, None] * slope)
+    sines = Blocks.of(record, f, first, first + each)
+    difference = sines.amplitudes[0] - sines.amplitudes[-1]
+    if later:
+        # The scatter of the later periods knows the colour of the noise.
+        variance = 2 * np.var(sines.amplitudes[1:], axis=0, ddof=1)
+        dof = np.full(len(variance), 2.0 * (later - 1))
+    else:
+        # What a sine leaves of the first period is no noise: a transient that decays in it would hide itself.
+        begin = len(time) - each * (count - 1)
+        rest = Blocks.of(record, f, np.array([begin]), np.array([len(time)]))
+        dof = rest.free[0]
+        if np.min(dof) < 1:
+            return None
+        variance = 2 * rest.spread[0] * rest.squares[0] / dof * (count - 1)
+    noisy = variance > (EXACT * np.max(np.abs(record.values), axis=0)) ** 2
+    size = np.abs(sines.amplitudes[-1][noisy])
+    return DwellChange(difference[noisy], variance[noisy], dof[noisy], size, count * periods)
+
+
+# Dwells of less than two periods have no first to set against a last.  A transient, or a frequency that is off, bends
+# the offset and lets amplitude and phase run: two more polynomials and the sine times time, beside harmonics where
+# there are samples enough, explain more of the residual than noise would.
+
+
+COMPARED = 2.0  # periods from which on a dwell's first can be set against its last
+BENDS = Nested(Terms(3, BESIDE, 1), (2, 3, -2, -1))
+
+
+def bending(records: Sequence[Record]) -> float:
+    """p-value of dwells of less than two periods being steady sines; 1 where few of all dwells are none."""
+    short = [record for record in records if record.values.ndim == 2 and 0 < periods_of(record) < COMPARED]
+    tails = [np.asarray(tail) for tail in map(BENDS.tails, short) if tail is not None]
+    bent = sum(bool(np.any(tail < LEVEL / max(tail.size, 1))) for tail in tails)
+    return together(tails) if bent > MANY * len(records) else 1.0
+
+
+@dataclass(frozen=True)
+class Unsteady:
+    """What makes dwells other than steady sines: p-value of all dwells without it, the level of the test, the reason
+    that is given where they are used as whole records, the notice's code and text where they count as steady."""
+
+    p: Callable[[Sequence[Record]], float]
+    level: float
+    why: str
+    code: str
+    ignored: str
+
+    def shows(self, records: Sequence[Record]) -> bool:
+        """Whether all dwells together show it."""
+        return self.p(records) < self.level
+
+
+NOT_SETTLED = "the dwells have not settled, but are treated as settled"
+IGNORED = "within a dwell, which is nevertheless treated as steady"
+WANDERS = Unsteady(
+    lambda records: together(map(_wander, records)),
+    1e-4,
+    "not steady (the drive frequency wanders)",
+    "drive_wanders",
+    f"the drive frequency wanders {IGNORED}",
+)
+FADES = Unsteady(
+    lambda records: together(map(_fading, records)),
+    1e-3,
+    "not steady (the drive's amplitude drifts)",
+    "drive_fades",
+    f"the drive's amplitude drifts {IGNORED}",
+)
+UNSETTLED = Unsteady(settling, LEVEL, "not settled", "transients_ignored", NOT_SETTLED)
+BENT = Unsteady(bending, LEVEL, "not steady sines", "transients_ignored", NOT_SETTLED)
+UNSTEADY = (WANDERS, FADES, UNSETTLED, BENT)
+
+
+# A slope that is taken out of a dwell of one period costs up to a half of its standard deviation, of five periods 1 %;
+# one that is left in spoils the amplitude.  So it is taken out of short dwells where all of them together show it, and
+# of long ones always (THEORY §11).
+
+
+SLOPE_LEVEL = 0.05  # of the test: a slope too many costs less than one too few
+CHEAP = 5.0  # periods from which on a slope costs nothing
+
+
+def slopes_show(records: Sequence[Record], orders: Sequence[int]) -> float:
+    """p-value of no slope in any dwell or channel, whose motion has these multiples of its frequency."""
+    return together(map(Nested(Terms(1, tuple(orders)), (1,)).tails, records))
