@@ -74,9 +74,8 @@ class Nested:
             return None
         if np.min(solution.free) < 1:
             return None
-        size = EXACT * solution.largest
-        noisy = np.diagonal(solution.covariance, axis1=1, axis2=2) > size**2
-        there = np.any(np.abs(solution.coefficients[:, list(self.columns)]) > size[:, None], axis=1)
+        noisy, some = ~solution.exact(), solution.coefficients[:, list(self.columns)]
+        there = np.any(np.abs(some) > EXACT * solution.largest[:, None], axis=1)
         p = np.where(noisy, solution.tails([self.columns])[..., 0], 0.0)
         return np.asarray(p[noisy | there])
 
