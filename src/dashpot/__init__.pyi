@@ -5,6 +5,7 @@ from dashpot.api import draw as draw
 from dashpot.api import identify as identify
 from dashpot.api import read as read
 from dashpot.api import simulate as simulate
+from dashpot.api import start as start
 from dashpot.api import state_space as state_space
 from dashpot.api import transfer_functions as transfer_functions
 from dashpot.channel import Channel as Channel

@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -52,7 +52,7 @@ from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
-from dashpot.model.rigfile import Rig, default_channels, read_rig
+from dashpot.model.rigfile import Rig, default_channels, parse_rig, read_rig
 from dashpot.numerics.blas_threads import one_blas_thread
 from dashpot.quantities import frequencies as frequencies_of
 
@@ -288,6 +288,51 @@ def simulate(
             model, model.parameters(theta), rig.channels, test, random_generator(seed)
         )
     )
+
+
+def start(
+    data: AnyPath | Columns | Sequence[AnyPath],
+    *,
+    driven_by: Literal["base", "force", "release", "stand"] | None = None,
+    units: Mapping[str, str] | None = None,
+    name: str = "My rig",
+    first_mass: float | None = None,
+) -> Rig:
+    """A rig to begin with, suggested by what is in data: a channel for each column, everything unknown.
+
+    data        files by name, a data frame or a mapping of columns
+    driven_by   what drives the rig; without it what the columns suggest
+    units       of columns that state none, by name; otherwise numbers count as SI
+    first_mass  kg, where it was weighed; 1 where nothing else gives the scale
+
+    `dashpot.write_rig(rig)` is its rig file.  Raises UsageError where the columns cannot be those of a rig, or nothing
+    tells what one measures.
+    """
+    from dashpot.check.first_rig import first_rig, seen_data
+    from dashpot.data.inspection import inspect_columns, inspect_file
+    from dashpot.data.readers.in_memory import columns_in_memory
+    from dashpot.model.rigfile.starter import starter_text
+
+    several = _several(data)
+    seen = seen_data(
+        [
+            inspect_file(each)
+            if isinstance(each, str | os.PathLike)
+            else inspect_columns(columns_in_memory(each, type(each).__name__))
+            for each in several
+        ]
+    )
+    stated = units or {}
+    si = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²", "force": "N"}
+    columns = []
+    for column in seen.columns:
+        unit = stated.get(column.name, column.unit or si.get(column.quantity or ""))
+        if unit is None:
+            cure = f'give its unit, units={{"{column.name}": "m/s²"}}'
+            raise UsageError(f"nothing tells what the column {column.name} measures", cure=cure)
+        columns.append(column.in_unit(unit))
+    chain = first_rig(replace(seen, columns=tuple(columns)), name, driven_by or seen.drive, first_mass)
+    return parse_rig(starter_text(chain))
 
 
 def draw(
@@ -694,13 +739,7 @@ def _reading(rig: Rig | Model, data: Data, frequency_hz: float | None) -> Readin
     """Files read by the channels of the rig, or what was read before, with the calibrations that the rig states."""
     if isinstance(data, Reading):
         return replace(data, records=tuple(_calibrated(rig, record) for record in data.records))
-    single = isinstance(data, Record | str | os.PathLike) or _has_columns(data)
-    if not single and not isinstance(data, Sequence):
-        raise UsageError(
-            f"a {type(data).__name__} is no data",
-            cure="give the name of a file, a data frame or a mapping of columns with time_s, Records or a Spectrum",
-        )
-    several: list[Any] = [data] if single else list(cast("Sequence[Any]", data))
+    several = _several(data)
     if several and all(isinstance(item, str | os.PathLike) for item in several):
         return read(several, rig if isinstance(rig, Rig) else _channels(rig), frequency_hz=frequency_hz)
     records: list[Record] = []
@@ -711,6 +750,18 @@ def _reading(rig: Rig | Model, data: Data, frequency_hz: float | None) -> Readin
         else:
             records.append(_calibrated(rig, item))
     return Reading(tuple(records), None, ())
+
+
+def _several(data: Any) -> list[Any]:
+    """Files, tables or Records, one or several, as a list.  Raises UsageError where they are none of these."""
+    if isinstance(data, Record | str | os.PathLike) or _has_columns(data):
+        return [data]
+    if not isinstance(data, Sequence):
+        raise UsageError(
+            f"a {type(data).__name__} is no data",
+            cure="give the name of a file, a data frame or a mapping of columns with time_s, Records or a Spectrum",
+        )
+    return list(data)
 
 
 def _calibrated(rig: Rig | Model, record: Record) -> Record:

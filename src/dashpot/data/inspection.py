@@ -19,7 +19,7 @@ from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.registry import reader_of
 from dashpot.data.record import samples_at_limit
 from dashpot.errors import DashpotError, DataError
-from dashpot.io.toml_document import toml_key
+from dashpot.io.toml_document import PLACEHOLDER, toml_key
 from dashpot.io.words import quoted
 from dashpot.notices import Notice
 
@@ -43,6 +43,7 @@ class InspectedColumn:
     resolution  the smallest step between values that differ, in the column's unit; NaN where all are alike
     bands_hz    (bands,) upper ends of the bands of `level_db`
     level_db    (bands,) power in each band below the strongest, dB; empty where the sampling is not known
+    decay       rms of the last quarter of the longest stretch over that of its first; NaN where that rests
     """
 
     name: str
@@ -57,6 +58,7 @@ class InspectedColumn:
     resolution: float
     bands_hz: Real
     level_db: Real
+    decay: float = np.nan
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -126,6 +128,14 @@ def inspect_file(path: str | os.PathLike[str]) -> Inspection:
                 raise part.damaged[0]
         raise DataError("no column holds numbers", file.name, "name a data file")
     return Inspection(file.name, reader.format, tuple(parts), more)
+
+
+def inspect_columns(columns: Columns) -> Inspection:
+    """What is in columns that a program holds.  Raises DataError where none holds numbers."""
+    part = _part(columns)
+    if not part.columns:
+        raise DataError("no column holds numbers", columns.source, "give columns of numbers")
+    return Inspection(columns.source, "columns", (part,), 0)
 
 
 def _part(columns: Columns) -> InspectedPart:
@@ -236,7 +246,19 @@ def _column(name: str, unit: str | None, values: Real, stretches: Sequence[_Stre
         float(np.min(steps)) if len(steps) else np.nan,
         bands,
         level,
+        _decay(values, stretches),
     )
+
+
+def _decay(values: Real, stretches: Sequence[_Stretch]) -> float:
+    longest = max(stretches, key=lambda s: s.end - s.begin, default=None)
+    if longest is None or len(values) < longest.end or longest.end - longest.begin < FEWEST_FOR_CONTENT:
+        return np.nan
+    x = values[longest.begin : longest.end]
+    quarter = len(x) // 4
+    x = x - np.nanmean(x[-quarter:])
+    first, last = (float(np.sqrt(np.nanmean(part**2))) for part in (x[:quarter], x[-quarter:]))
+    return last / first if first > 0 else np.nan
 
 
 def _content(values: Real, stretches: Sequence[_Stretch]) -> tuple[Real, Real]:
@@ -278,5 +300,5 @@ def suggested_channels(inspections: Sequence[Inspection]) -> str:
     for column in (each for inspection in inspections for part in inspection.parts for each in part.columns):
         quantity = f', quantity = "{column.quantity}"' if column.quantity else ""
         unit = f", unit = {quoted(column.unit)}" if column.unit else ""
-        lines.setdefault(column.name, f'{toml_key(column.name)} = {{ of = "?"{quantity}{unit} }}')
+        lines.setdefault(column.name, f'{toml_key(column.name)} = {{ of = "{PLACEHOLDER}"{quantity}{unit} }}')
     return "\n".join(["[channels]", *lines.values()]) + "\n"

@@ -13,7 +13,7 @@ import os
 import re
 import tomllib
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -289,7 +289,7 @@ def parse_toml(text: str, path: str, error: type[DashpotError], wanted: Wanted) 
         line = text.count("\n", 0, deep.start()) + 1
         raise error("a key of more than 32 parts", f"{path}:{line}", f"a {wanted.kind} needs three levels")
     try:
-        return TomlDocument(tomllib.loads(text), text, path)
+        document = TomlDocument(tomllib.loads(text), text, path)
     except tomllib.TOMLDecodeError as cause:
         raise error([_syntax_problem(str(cause), text, path)]) from None
     except RecursionError:
@@ -297,6 +297,33 @@ def parse_toml(text: str, path: str, error: type[DashpotError], wanted: Wanted) 
         raise error("lists or tables are nested too deep", path, cure) from None
     except ValueError:  # Python reads no integers of more than some thousand digits
         raise error("a number has too many digits", path, "write it as 1.5e10") from None
+    report = Report(document, error)
+    for place in _placeholders(document.table, ()):
+        key = str(place[-1])
+        cure = _PLACEHOLDER_CURES.get(key, "write what belongs there")
+        report.add(place, f'"{PLACEHOLDER}" is a placeholder', cure)
+    report.raise_any()
+    return document
+
+
+PLACEHOLDER = "?"  # for what somebody still has to write: `start` and `inspect` put it there
+_PLACEHOLDER_CURES = {
+    "of": 'name the point that the column measures, such as "x1"',
+    "at": 'name the point where it acts, such as "x1"',
+    "unit": 'write the unit of the numbers, such as "mm", "g" or "V"',
+    "quantity": 'write "displacement", "velocity", "acceleration" or "force"',
+    "gain": 'write the sensitivity of the sensor, such as "100 mV/g", or "unknown"',
+    "rate_hz": "write the sampling rate in Hz, such as rate_hz = 1000",
+}
+
+
+def _placeholders(value: object, place: Place) -> Iterator[Place]:
+    """Where PLACEHOLDER stands."""
+    if isinstance(value, dict | list):
+        for key, each in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _placeholders(each, (*place, key))
+    elif value == PLACEHOLDER:
+        yield place
 
 
 def dotted(place: Place) -> str:

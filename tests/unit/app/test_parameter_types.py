@@ -60,7 +60,7 @@ def test_extreme_numbers_are_refused_in_one_line(dashpot: Command, rig: Path, ca
         "spectrum": ["rig.toml", "data.csv", "--out", "o.csv"], "study": ["study.toml"], "reproduce": ["yamane1989"],
         "new": ["new.toml"], "validate": ["estimate.json", "data.csv"], "draw": ["rig.toml", "--out", "o.svg"],
         "export": ["rig.toml", "--out", "o.json"], "response": ["rig.toml", "--out", "o.svg"],
-        "fleet": ["rig.toml", "data.csv", "--out", "o.parquet"],
+        "fleet": ["rig.toml", "data.csv", "--out", "o.parquet"], "start": ["data.csv", "--out", "n.toml"],
     }  # fmt: skip
     for form, extreme in product(forms, EXTREMES):
         value = form.format(extreme)
@@ -121,6 +121,7 @@ def test_every_quantity_of_every_command_takes_units_or_per_cent() -> None:
     assert texts == {
         "--methods", "--profile", "--for",  # names of methods, parameters and criteria
         "--name", "--unit", "--rig-column", "--dask", "--drive", "--label", "--experiment",
+        "--force-at",
     }  # fmt: skip
 
 

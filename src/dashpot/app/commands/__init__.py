@@ -19,6 +19,7 @@ COMMANDS: Mapping[str, str] = {
     "draw": "Draw a rig as a schematic, with the values of an estimate, or one of its modes.",
     "export": "Export a rig with its estimate to another program: MATLAB, FMU, MuJoCo and more.",
     "response": "Follow the settled motion of a nonlinear rig through folds, and draw it.",
+    "start": "Show what is in data files, and write a rig file for them.",
     "new": "Write a rig file to start from.",
     "inspect": "Show what is in data files, and suggest channels for a rig file.",
     "spectrum": "Turn time records into a table of complex amplitudes.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Any, cast
 
@@ -15,7 +16,8 @@ CHAIN = "The rig"
 UNKNOWN = "unknown"
 WEIGHED = opt.MASS.or_words(UNKNOWN)
 MASSES = opt.Count(1, 50)
-DRIVEN = click.Choice(("base", "force", "release"), case_sensitive=False)
+DRIVES = ("base", "force", "release")
+DRIVEN = click.Choice(DRIVES, case_sensitive=False)
 MEASURED = click.Choice(("displacement", "velocity", "acceleration"), case_sensitive=False)
 
 
@@ -51,7 +53,7 @@ def command(
     from dashpot.model.rigfile.starter import STAND_IN, Chain, starter_text
     from dashpot.units import scale
 
-    ask = _asked if sys.stdin.isatty() else _usual
+    ask = ask_for()
     usual = Chain()
     name = name if name is not None else ask("Name of the rig", usual.name)
     masses = masses if masses is not None else ask("How many masses in a row", usual.masses, MASSES)
@@ -83,6 +85,11 @@ def _unit(motion: str, text: str) -> str:
     except DashpotError as error:
         raise UsageError(error.problems[0].what, cure=error.problems[0].cure) from None
     return text
+
+
+def ask_for() -> Callable[..., Any]:
+    """What asks a question, with its usual answer and kind, on a terminal; what gives the usual answer without one."""
+    return _asked if sys.stdin.isatty() else _usual
 
 
 def _asked(question: str, usual: Any, kind: click.ParamType[Any] = click.STRING) -> Any:

@@ -297,7 +297,8 @@ def whole_block(arrays: Sequence[Real]) -> Real | None:
 
 
 FREQUENCY, TIME = "frequency_hz", "time_s"
-_TIMES = "time_s time t zeit temps tiempo timestamp datetime date_time x_value seconds"
+_TIMES = "time_s time t zeit temps tiempo timestamp datetime date_time x_value seconds millis micros"
+_CLOCKS = {"millis": "ms", "micros": "µs"}  # what counting clocks are called
 TIME_NAMES = set(_TIMES.split())
 _NAMED_UNIT = re.compile(r"(?P<name>.+)_(?P<unit>s|ms|us|µs|min|h)")  # time_ms
 _FREQUENCIES = {"frequency", "freq", "f", "frequenz"}
@@ -367,8 +368,9 @@ def read_time(
         raise columns.error(0, time_at, cause, "write it as 2025-03-06 12:21:16.125")
     numbers = columns.numbers(list(dict.fromkeys([time_at, *others])), together=together)
     # Seconds per unit of the column
-    match = _NAMED_UNIT.fullmatch(bare(columns.header[time_at])[0].lower())
-    named = match["unit"] if match and match["name"] in TIME_NAMES else None
+    plain = bare(columns.header[time_at])[0].lower()
+    match = _NAMED_UNIT.fullmatch(plain)
+    named = match["unit"] if match and match["name"] in TIME_NAMES else _CLOCKS.get(plain)
     scale = _unit_scale(columns, time_at, "time", "give the time in s, ms, µs, min or h", named)
     time = numbers[time_at] if time_at in others else numbers.pop(time_at)
     if not named and not columns.unit(time_at):
@@ -431,7 +433,10 @@ def frequency_column(columns: Columns, channels: Sequence[Channel]) -> int | Non
     usual = [
         i
         for i, name in enumerate(columns.header)
-        if bare(name)[0].lower() in _FREQUENCIES and columns.unit(i) and bare(name)[0] not in taken
+        if bare(name)[0].lower() in _FREQUENCIES
+        and columns.unit(i)
+        and bare(name)[0] not in taken
+        and not (bare(name)[0].lower() == "f" and factors(str(columns.unit(i)), "force"))  # f [N]
     ]
     return usual[0] if len(usual) == 1 else None
 

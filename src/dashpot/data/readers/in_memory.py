@@ -119,6 +119,13 @@ def records_of(
     return content.records
 
 
+def columns_in_memory(data: Any, source: str) -> ArrayColumns:
+    """All columns of a data frame, a mapping, a Dataset or a structured array.  Raises DataError where it is none."""
+    values, units = _variables(data, source)
+    variables = {name: _array(name, value, source) for name, value in values.items()}
+    return next(parts_of_variables(source, variables, units))
+
+
 def _named(channels: Sequence[Channel] | HasChannels, source: str) -> Sequence[Channel]:
     """The channels, of a rig or by themselves.  Raises DataError where there are none."""
     named = channels.channels if hasattr(channels, "channels") else channels

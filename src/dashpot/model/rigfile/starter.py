@@ -1,4 +1,4 @@
-"""A rig file to start from: a chain of masses, shaken at its base, pushed or let go, everything unknown."""
+"""A rig file to start from: a chain of masses, shaken, pushed or let go, or an element on its stand; all unknown."""
 
 from __future__ import annotations
 
@@ -7,10 +7,34 @@ from dataclasses import dataclass
 from typing import Literal
 
 from dashpot.errors import ModelError
+from dashpot.io.toml_document import PLACEHOLDER, toml_key
 from dashpot.io.words import quoted
 
 MOST_MASSES = 50
 STAND_IN = 1.0  # kg, of a first mass that nobody has weighed where nothing else gives the scale
+
+
+Drive = Literal["base", "force", "release", "stand"]
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A channel of a rig file: its column, the point, what is measured in which unit; PLACEHOLDER where it is open."""
+
+    column: str
+    of: str
+    quantity: str
+    unit: str
+    raw: bool = False  # volts or counts, which want a sensitivity
+
+    @property
+    def line(self) -> str:
+        """Its line in [channels]."""
+        gain = f', gain = "{PLACEHOLDER}"' if self.raw else ""
+        fields = (
+            f"of = {quoted(self.of)}, quantity = {quoted(self.quantity)}, unit = {quoted(self.unit)}{gain}"
+        )
+        return f"{toml_key(self.column)} = {{ {fields} }}"
 
 
 @dataclass(frozen=True)
@@ -19,25 +43,29 @@ class Chain:
 
     masses     in a row, x1 the farthest from the base
     drive      "base": the base moves; "force": a force on the last mass, the base stands still; "release": nothing
-               drives, the masses are let go
+               drives, the masses are let go; "stand": no masses, an element between a moved end and the ground
     motion     what the sensors on the masses (and on the base) measure
     unit       of their numbers
     force_unit of the force's
     known      kg of x1; None: it was not weighed, and where no force gives the scale STAND_IN stands there
+    at         the mass that the force acts on; None: the last
+    sensors    the channels; none: every coordinate and what drives, of those names
     """
 
     name: str = "My rig"
     masses: int = 2
-    drive: Literal["base", "force", "release"] = "base"
+    drive: Drive = "base"
     motion: Literal["displacement", "velocity", "acceleration"] = "acceleration"
     unit: str = "m/s²"
     force_unit: str = "N"
     known: float | None = None
+    at: str | None = None
+    sensors: tuple[Sensor, ...] = ()
 
     @property
     def lacks_scale(self) -> bool:
         """Whether only ratios to the first mass can be found."""
-        return self.known is None and self.drive != "force"
+        return self.known is None and self.drive not in ("force", "stand")
 
 
 def starter_text(chain: Chain) -> str:
@@ -46,43 +74,44 @@ def starter_text(chain: Chain) -> str:
         raise ModelError(f"a chain of {chain.masses} masses", cure=f"give 1 to {MOST_MASSES}")
     if chain.known is not None and not 0 < chain.known < 1e12:
         raise ModelError(f"a mass of {chain.known:g} kg", cure="give one above 0")
-    names = [f"x{i + 1}" for i in range(chain.masses)]
+    names = [] if chain.drive == "stand" else [f"x{i + 1}" for i in range(chain.masses)]
     base = "u" if chain.drive == "base" else "ground"
     coordinates = ", ".join(f'"{name}"' for name in names)
     lines = [f"name = {quoted(chain.name)}", f"coordinates = [{coordinates}]"]
-    if chain.drive == "base":
+    if chain.drive in ("base", "stand"):
         lines += ["", "[inputs]", 'u = { kind = "displacement" }']
     elif chain.drive == "force":
-        lines += ["", "[inputs]", f'f = {{ kind = "force", at = "{names[-1]}" }}']
+        lines += ["", "[inputs]", f'f = {{ kind = "force", at = {quoted(chain.at or names[-1])} }}']
     lines += [
         "",
         "# Without a value an entry is unknown; value = …, sd = … say what has been weighed.",
-        *_elements(chain, names, [*names, base]),
+        *_elements(chain, names, [*names, base] if names else ["u", "ground"]),
         "",
         "# One entry for each column of the data, of its name.",
-        *_channels(chain, names),
+        "[channels]",
+        *([sensor.line for sensor in chain.sensors] or _usual(chain, names)),
     ]
     return "\n".join(lines) + "\n"
 
 
 def _elements(chain: Chain, names: Sequence[str], points: Sequence[str]) -> Iterator[str]:
     """Sections of masses, springs and dampers; each spring and damper joins a point to the next."""
-    yield "[masses]"
-    if chain.lacks_scale:
-        yield "# Without a force only ratios to one value can be found: put the weighed mass in place of this one."
+    if names:
+        yield "[masses]"
+        if chain.lacks_scale:
+            yield "# Without a force only ratios to one value can be found: put the weighed mass in place of this one."
     first = STAND_IN if chain.lacks_scale else chain.known
     for i, name in enumerate(names):
         value = f", value = {first!r}" if i == 0 and first is not None else ""
         yield f'm{i + 1} = {{ at = "{name}"{value} }}'
-    for section, letter in (("springs", "k"), ("dampers", "c")):
-        yield from ("", f"[{section}]")
-        for i in range(chain.masses):
+    for number, (section, letter) in enumerate((("springs", "k"), ("dampers", "c"))):
+        yield from ("", f"[{section}]") if names or number else (f"[{section}]",)
+        for i in range(len(points) - 1):
             yield f'{letter}{i + 1} = {{ between = ["{points[i]}", "{points[i + 1]}"] }}'
 
 
-def _channels(chain: Chain, names: Sequence[str]) -> Iterator[str]:
-    """The section of channels: every coordinate, and the base or the force."""
-    yield "[channels]"
+def _usual(chain: Chain, names: Sequence[str]) -> Iterator[str]:
+    """Channels of every coordinate, and of the base or the force."""
     fields = f'quantity = "{chain.motion}", unit = {quoted(chain.unit)}'
     for name in [*names, "u"] if chain.drive == "base" else names:
         yield f'{name} = {{ of = "{name}", {fields} }}'

@@ -128,6 +128,8 @@ BAD_USAGE = {
     "rig as data": (["identify", "rig.toml", "rig.toml"], "this is a rig file, not a manifest of data"),
     "no file of a fleet": (["fleet", "rig.toml", "none.csv", "-o", "f.parquet"], "none.csv: there is no such file"),
     "inspect a rig": (["inspect", "rig.toml"], "rig.toml: this is a rig file, not a manifest of data"),
+    "start over old": (["start", "data.csv", "-o", "rig.toml"], "rig.toml: a file of this name exists"),
+    "start from a rig": (["start", "rig.toml", "-o", "n.toml"], "rig.toml: this is a rig file, not a manifest of data"),
     "new over old": (["new", "rig.toml", "--masses", "2"], "rig.toml: a file of this name exists"),
     "new in bananas": (["new", "new.toml", "--unit", "bananas"], '"bananas" is not a unit'),
     "no curve": (["response", "rig.toml"], "--band 1:10 to follow the frequency"),

@@ -1,0 +1,170 @@
+"""dashpot start: from data that nobody has described to a rig file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import click
+
+from dashpot.app import options as opt
+from dashpot.app.commands.new import CHAIN, DRIVES, UNKNOWN, WEIGHED, ask_for
+from dashpot.app.data_files import reading_of
+from dashpot.app.workers import progress
+
+if TYPE_CHECKING:
+    from dashpot.data.inspection import Inspection
+
+DRIVEN = click.Choice((*DRIVES, "stand"), case_sensitive=False)
+
+
+@opt.dashpot_command("dashpot start run1.csv", "dashpot start *.csv --driven-by base --unit g --out rig.toml")
+def command(
+    files: Annotated[
+        tuple[str, ...], opt.NEEDED_FILES, "Data files of any format, or a manifest (TOML) of them."
+    ],
+    out: Annotated[
+        str,
+        opt.Option("--out -o RIG.toml", opt.OutputFile(new=True), opt.OUTPUT, default="rig.toml"),
+        "The rig file.",
+    ],
+    drive: Annotated[
+        str | None,
+        opt.Option("--driven-by", DRIVEN, CHAIN),
+        "The base moves, a force acts, the masses are let go, or an element stands on a test stand.",
+    ],
+    unit: Annotated[
+        str | None,
+        opt.Option("--unit UNIT", None, CHAIN),
+        "Unit of the columns that state none, such as mm or g.",
+    ],
+    known: Annotated[
+        float | None,
+        opt.Option("--first-mass KG", opt.MASS, CHAIN),
+        "The first mass, where it has been weighed.",
+    ],
+    at: Annotated[
+        str | None, opt.Option("--force-at NAME", None, CHAIN), "The mass that the force acts on, such as x1."
+    ],
+    rate: Annotated[
+        float | None, opt.Option("--rate HZ", opt.FREQUENCY, CHAIN), "Sampling rate of files without times."
+    ],
+) -> None:
+    """Show what is in FILES, and write a rig file that names their columns as channels, with its drawing.
+
+    Asks where an answer matters and the data do not tell; without a terminal "?" stands there, and other commands point
+    at it.
+    """
+    from dashpot.check.first_rig import first_rig, seen_data
+    from dashpot.data.inspection import inspect_file
+    from dashpot.data.readers.manifest import files_named, is_manifest
+    from dashpot.errors import UsageError
+    from dashpot.io.atomic import write_text
+    from dashpot.io.toml_document import PLACEHOLDER
+    from dashpot.model.rigfile.starter import STAND_IN, starter_text
+    from dashpot.present.data import inspection_document
+    from dashpot.present.document import say
+
+    manifest, picture = (str(Path(out).with_name(Path(out).stem + end)) for end in ("-data.toml", ".svg"))
+    for beside in filter(os.path.exists, (manifest, picture)):
+        raise UsageError(
+            "a file of this name exists", beside, "choose another name for --out, or remove this one"
+        )
+    paths = [path for name in files for path in files_named(name)]
+    inspections: list[Inspection] = []
+    for path in paths:
+        with progress(reading_of([str(path)])):
+            inspections.append(inspect_file(path))
+        say(inspection_document(inspections[-1]))
+    seen, ask = seen_data(inspections), ask_for()
+    columns = []
+    for column in seen.columns:
+        if column.unit is None:
+            said = unit if unit and column.may_be_in(unit) else ask(f"Unit of {column.name}", PLACEHOLDER)
+            column = column if said == PLACEHOLDER else column.in_unit(said)
+        columns.append(column)
+    seen = replace(seen, columns=tuple(columns))
+    drive = drive or (seen.drive if seen.sure else ask("What drives it", seen.drive, DRIVEN))
+    chain = first_rig(seen, _title(paths), cast(Any, drive), known, at)
+    if (
+        chain.lacks_scale
+        and (first := ask("Mass of x1, where it has been weighed", UNKNOWN, WEIGHED)) != UNKNOWN
+    ):
+        chain = replace(chain, known=first)
+    places = click.Choice((*(f"x{i + 1}" for i in range(chain.masses)), PLACEHOLDER))
+    if chain.at == PLACEHOLDER:
+        chain = replace(chain, at=ask("Mass that the force acts on", PLACEHOLDER, places))
+    elif chain.at not in (None, *places.choices):
+        raise UsageError(
+            f"there is no mass {at}", "--force-at", f"take one of {', '.join(places.choices[:-1])}"
+        )
+    data = list(files)
+    if not seen.timed and not any(map(is_manifest, files)):
+        rate = rate or ask("Sampling rate, Hz", PLACEHOLDER, opt.FREQUENCY.or_words(PLACEHOLDER))
+        write_text(manifest, _manifest(paths, Path(manifest), rate))
+        stated = (
+            "where the sampling rate has to be written" if rate == PLACEHOLDER else "with the sampling rate"
+        )
+        click.echo(f"Written: {manifest}, {stated}.")
+        data = [manifest]
+    text = starter_text(chain)
+    write_text(out, text)
+    if chain.lacks_scale:
+        click.echo(
+            f"No force is measured: m1 = {STAND_IN:g} kg stands in {out} until you write the weighed mass there."
+        )
+    if chain.masses > 1:
+        click.echo(
+            "The masses are in a row, in the order of the columns, the last next to the base: change that in the file."
+        )
+    _tell(out, picture, text, data)
+
+
+def _title(paths: Sequence[Path]) -> str:
+    return f"Rig of {os.path.basename(paths[0])}" if len(paths) == 1 else "My rig"
+
+
+def _manifest(paths: Sequence[Path], at: Path, rate: float | str) -> str:
+    """A manifest of files whose samples have no times."""
+    from dashpot.io.words import quoted
+
+    number = quoted(rate) if isinstance(rate, str) else f"{rate!r}"
+    entries = (
+        f"[[files]]\nname = {quoted(os.path.relpath(path, at.parent))}\nrate_hz = {number}\n"
+        for path in paths
+    )
+    return "\n".join(entries)
+
+
+def _tell(out: str, picture: str, text: str, data: Sequence[str]) -> None:
+    """What was written, what can be found with it, and what is next; or what has to be filled in first."""
+    from dashpot.api import check, draw
+    from dashpot.check.deficiencies import require_full_rank
+    from dashpot.errors import DashpotError
+    from dashpot.model.rigfile import parse_rig
+    from dashpot.present.check import structure_in_words
+    from dashpot.present.schematic.drawing import Drawing
+
+    try:
+        rig = parse_rig(text, out)
+    except DashpotError as error:
+        click.echo(f"Written: {out}. Fill in what nobody said:")
+        for problem in error.problems:
+            click.echo(f"  {problem}")
+        return
+    drawing = draw(rig)
+    assert isinstance(drawing, Drawing)
+    drawing.save(picture)
+    verdict = check(rig)
+    try:
+        require_full_rank(verdict, rig.model, rig.all_channels, out)
+        for line in structure_in_words(verdict, [channel.name for channel in rig.channels], None):
+            click.echo(line)
+    except DashpotError as error:
+        for problem in error.problems:
+            click.echo(f"Cannot be found yet: {problem}")
+    names = " ".join(f"'{name}'" if " " in name else name for name in data)
+    click.echo(f"Written: {out} and its drawing, {picture}. Next: dashpot identify {out} {names}")

@@ -1,0 +1,179 @@
+"""A first rig for data that nobody has described: what their columns seem to measure, and what moves the rig.
+
+Units say what is measured, names say it where there is no unit, and what is said by neither is left open.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dashpot.channel import RESERVED_NAMES, Quantity
+from dashpot.data.inspection import InspectedColumn, Inspection, guessed_quantity
+from dashpot.data.readers.columns import factors, is_unit
+from dashpot.errors import UsageError
+from dashpot.io.toml_document import PLACEHOLDER
+from dashpot.model.rigfile.starter import MOST_MASSES, Chain, Drive, Sensor
+
+_LETTERS = {"a": "acceleration", "v": "velocity", "f": "force", **dict.fromkeys("xyzdsuqw", "displacement")}
+_BASE = re.compile(
+    r"(base|table|shaker|ground|floor_?0|input|drive|excit|ref|boden|tisch|fuss|fuß)", re.IGNORECASE
+)
+_BASE_LETTERS = re.compile(r"([auw]?[_ ]?(base|table|ground)|u\d*|w\d*|a?0)$", re.IGNORECASE)
+_AMPLITUDE = re.compile(r"_(re|im|sd|amplitude|amp|abs|magnitude|mag|phase|phase_deg|phase_rad|ph|arg)$")
+DECAYED = 0.5  # rms of the last quarter of a record over that of its first, below which the rig was let go
+
+
+@dataclass(frozen=True)
+class SeenColumn:
+    """A column of the data: its name, unit and quantity (None: unknown), whether it may be the motion of the base."""
+
+    name: str
+    unit: str | None
+    quantity: str | None
+    of_base: bool
+    decay: float = np.nan
+
+    @property
+    def raw(self) -> bool:
+        """Whether its numbers are volts or counts, which want a sensitivity."""
+        return bool(self.unit) and not any(factors(str(self.unit), quantity.value) for quantity in Quantity)
+
+    def may_be_in(self, unit: str) -> bool:
+        """Whether the unit is one of what its name says, where that says anything."""
+        return self.quantity is None or not is_unit(unit) or bool(factors(unit, self.quantity))
+
+    def in_unit(self, unit: str) -> SeenColumn:
+        """The same in a unit that somebody has said.  Raises UsageError where it is none."""
+        if not is_unit(unit):
+            raise UsageError(
+                f"{unit!r} is not a unit of what is measured", cure="write one such as mm, m/s, g, N or V"
+            )
+        quantity = next((q.value for q in Quantity if factors(unit, q.value)), self.quantity)
+        return replace(self, unit=unit, quantity=quantity)
+
+
+@dataclass(frozen=True)
+class SeenData:
+    """All columns of some files, and what drives the rig as far as they tell.
+
+    timed  whether samples have times, or need none
+    sure   whether no other drive is as likely
+    """
+
+    columns: tuple[SeenColumn, ...]
+    drive: Drive
+    sure: bool
+    timed: bool
+
+
+def seen_data(inspections: Sequence[Inspection]) -> SeenData:
+    """What files seem to hold.  Raises UsageError where they hold no channel, or too many."""
+    by_name: dict[str, SeenColumn] = {}
+    parts = [part for inspection in inspections for part in inspection.parts]
+    amplitudes = False
+    for column in (each for part in parts for each in part.columns):
+        for name, of_input in _channels_of(column.name):
+            amplitudes |= name != column.name
+            if name not in by_name and name.lower() not in RESERVED_NAMES:
+                by_name[name] = _seen(name, column, of_input, single=name == column.name)
+    columns = tuple(by_name.values())
+    if not columns or len(columns) > MOST_MASSES:
+        what = f"{len(columns)} channels" if columns else "no channel in these data"
+        raise UsageError(what, cure=f"start from files with 1 to {MOST_MASSES} channels, or with dashpot new")
+    timed = amplitudes or all(part.rates_hz is not None for part in parts if part.columns)
+    forces = [c for c in columns if c.quantity == "force"]
+    bases = [c for c in columns if c.quantity != "force" and c.of_base]
+    others = [c for c in columns if c not in forces and c not in bases]
+    if forces:
+        travel = [c for c in (*bases, *others) if c.quantity == "displacement"]
+        stand = len(forces) == 1 and len(columns) == 2 and len(travel) == 1 and not amplitudes
+        return SeenData(columns, "stand" if stand else "force", bool(others) and not stand, timed)
+    if bases and others:
+        return SeenData(columns, "base", True, timed)
+    decays = [c.decay for c in columns if np.isfinite(c.decay)]
+    let_go = bool(decays) and max(decays) < DECAYED
+    return SeenData(columns, "release" if let_go else "base", let_go, timed)
+
+
+def _channels_of(column: str) -> Iterator[tuple[str, bool]]:
+    """Channels that a column tells of, with whether they are inputs: OUT and IN of OUT/IN_re, NAME of NAME_re."""
+    stem = _AMPLITUDE.sub("", column)
+    out, stroke, into = stem.partition("/")
+    if stem == column:
+        yield column, False
+    elif stroke:
+        yield from ((out, False), (into, True))
+    else:
+        yield stem, False
+
+
+def _seen(name: str, column: InspectedColumn, of_input: bool, single: bool) -> SeenColumn:
+    unit = column.unit if single and column.unit and is_unit(column.unit) else None
+    quantity = guessed_quantity(name, unit) if unit or not re.fullmatch(r"[A-Za-z]\d*", name) else None
+    if quantity is None and (letter := re.fullmatch(r"([A-Za-z])[\d_xyz]*", name)):
+        quantity = _LETTERS.get(letter[1].lower())
+    of_base = bool(_BASE.search(name) or _BASE_LETTERS.fullmatch(name) or (of_input and quantity != "force"))
+    return SeenColumn(name, unit, quantity, of_base, column.decay)
+
+
+def _same_point(column: SeenColumn, columns: Sequence[SeenColumn], points: Mapping[str, str]) -> str | None:
+    """The point of an earlier column of another quantity whose name ends in the same number: x1 and a1."""
+    number = re.search(r"\d+$", column.name)
+    for other in columns:
+        if other is column or number is None:
+            return None
+        alike = re.search(r"\d+$", other.name)
+        known = column.quantity and other.quantity and column.quantity != other.quantity
+        if other.name in points and alike is not None and alike[0] == number[0] and known:
+            return points[other.name]
+    return None
+
+
+def first_rig(
+    data: SeenData, name: str, drive: Drive, known: float | None = None, at: str | None = None
+) -> Chain:
+    """The rig of some columns: a mass for each that moves, in the order of the columns, the last next to the base.
+
+    Columns of different quantities whose names end in one number are of one mass.  What is unknown of a channel is
+    left open.  Raises UsageError where the columns cannot be those of such a rig.
+    """
+    sensors, points = list[Sensor](), dict[str, str]()
+    forces = [c for c in data.columns if c.quantity == "force"]
+    bases = [c for c in data.columns if c not in forces and c.of_base]
+    moving = [c for c in data.columns if c not in forces]
+    if drive == "base":
+        moving = [c for c in moving if c not in bases]
+        if not moving:  # all are called like a base
+            bases, moving = bases[-1:], bases[:-1]
+    if drive in ("force", "stand") and len(forces) != 1:
+        what = f"{len(forces)} columns are forces" if forces else "no column is a force"
+        raise UsageError(
+            what, "--driven-by", f"a rig driven by {drive!r} has one" if drive == "stand" else "take another"
+        )
+    if drive != "stand" and not moving:
+        raise UsageError("no column shows a motion of the rig", "--driven-by", "take another")
+    if drive == "stand" and len(moving) != 1:
+        raise UsageError(f"{len(moving)} columns show a motion", "--driven-by", "on a test stand one does")
+    for column in data.columns:
+        if column in forces:
+            of = {"stand": "u", "force": "f"}.get(drive, PLACEHOLDER)
+        elif drive == "stand" or (drive == "base" and column in bases):
+            of = "u"
+        else:
+            of = points.setdefault(
+                column.name, _same_point(column, data.columns, points) or f"x{len(set(points.values())) + 1}"
+            )
+        sensors.append(
+            Sensor(column.name, of, column.quantity or PLACEHOLDER, column.unit or PLACEHOLDER, column.raw)
+        )
+    masses = len(set(points.values()))
+    if drive == "base" and not bases and sensors:  # the base is one of the columns, and nobody says which
+        sensors[-1] = replace(sensors[-1], of=PLACEHOLDER)
+        masses = max(masses - 1, 1)
+    if drive == "force" and at is None:
+        at = "x1" if masses == 1 else PLACEHOLDER
+    return Chain(name, max(masses, 1), drive, known=known, at=at, sensors=tuple(sensors))

@@ -1,0 +1,154 @@
+"""start: from raw files to a rig file, asked and unasked; and the same in Python."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import dashpot
+from dashpot.app.cli import cli
+from dashpot.app.commands import new
+
+T = np.arange(2000) / 500
+DECAY = np.exp(-1.5 * T) * np.cos(20 * T)
+STEADY = np.sin(20 * T) + 0.3 * np.sin(47 * T)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def data(header: str, *columns: np.ndarray, time: np.ndarray = T) -> None:
+    first = [time] if header.lower().startswith("t") else []
+    np.savetxt("data.csv", np.column_stack([*first, *columns]), delimiter=",", header=header, comments="")
+
+
+def start(*options: str, answers: str | None = None) -> Result:
+    return CliRunner().invoke(cli, ["start", "data.csv", *options], input=answers, catch_exceptions=False)
+
+
+def written() -> dict:
+    return tomllib.loads(Path("rig.toml").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "inputs", "points"),
+    [
+        ("t,laser [mm]", [DECAY], {}, {"laser": "x1"}),
+        (
+            "t,acc_top [g],acc_table [g]",
+            [STEADY, STEADY],
+            {"u": "displacement"},
+            {"acc_top": "x1", "acc_table": "u"},
+        ),
+        (
+            "t,x1 (mm),a1 (g),base (mm)",
+            [STEADY] * 3,
+            {"u": "displacement"},
+            {"x1": "x1", "a1": "x1", "base": "u"},
+        ),
+        ("t,hammer [N],a [m/s^2]", [STEADY, STEADY], {"f": "force"}, {"hammer": "f", "a": "x1"}),
+        ("t,Stroke [mm],Load [kN]", [STEADY, STEADY], {"u": "displacement"}, {"Stroke": "u", "Load": "u"}),
+    ],
+)
+def test_units_names_and_decay_tell_what_is_measured(header, columns, inputs, points):
+    data(header, *columns)
+    result = start()
+    assert result.exit_code == 0, result.output
+    assert Path("rig.svg").exists()
+    assert "Identifiable" in result.output
+    rig = written()
+    assert {name: entry["kind"] for name, entry in rig.get("inputs", {}).items()} == inputs
+    assert {name: entry["of"] for name, entry in rig["channels"].items()} == points
+    assert CliRunner().invoke(cli, ["check", "rig.toml"]).exit_code == 0
+
+
+def test_what_nobody_says_is_a_placeholder_that_commands_name() -> None:
+    data("t,ch1,ch2 [V]", STEADY, STEADY)
+    result = start()
+    assert result.exit_code == 0
+    assert not Path("rig.svg").exists()
+    with pytest.raises(dashpot.ModelError) as refused:
+        CliRunner().invoke(cli, ["identify", "rig.toml", "data.csv"], catch_exceptions=False)
+    places = [str(problem.where) for problem in refused.value.problems]
+    assert [place.partition(": ")[2] for place in places] == [
+        "channels.ch1.quantity",
+        "channels.ch1.unit",
+        "channels.ch2.of",
+        "channels.ch2.quantity",
+        "channels.ch2.gain",
+    ]
+
+
+def test_a_terminal_is_asked_where_it_matters(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The unit of the one column that has none, what drives, and the mass; not the unit of the other column."""
+    monkeypatch.setattr(new, "_usual", new._asked)
+    data("t,ch1,ch2 [mm]", STEADY, STEADY)
+    result = start(answers="m/s^2\nrelease\n2 kg\n")
+    assert result.exit_code == 0, result.output
+    assert "Unit of ch2" not in result.output
+    rig = written()
+    assert rig["channels"]["ch1"] == {"of": "x1", "quantity": "acceleration", "unit": "m/s^2"}
+    assert rig["masses"]["m1"]["value"] == 2.0
+
+
+def test_a_force_at_one_of_several_masses_and_samples_without_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    data("f [N],a1 [g],a2 [g]", STEADY, STEADY, STEADY)
+    with pytest.raises(dashpot.UsageError, match="x3"):
+        start("--force-at", "x3")
+    assert start("--force-at", "x2", "--rate", "500").exit_code == 0
+    assert written()["inputs"]["f"]["at"] == "x2"
+    assert tomllib.loads(Path("rig-data.toml").read_text())["files"][0] == {
+        "name": "data.csv",
+        "rate_hz": 500.0,
+    }
+    assert start("--out", "other.toml").exit_code == 0
+    with pytest.raises(dashpot.DataError, match="rate_hz"):
+        CliRunner().invoke(cli, ["inspect", "other-data.toml"], catch_exceptions=False)
+
+
+def test_a_stand_needs_its_force() -> None:
+    data("t,x [mm]", STEADY)
+    with pytest.raises(dashpot.UsageError, match="no column is a force"):
+        start("--driven-by", "stand")
+    assert not Path("rig.toml").exists()
+
+
+def test_frequency_responses_name_output_and_input() -> None:
+    frequency = np.arange(1, 50.0)
+    header = "frequency_hz,a1/f_re,a1/f_im"
+    np.savetxt("data.csv", np.column_stack([frequency] * 3), delimiter=",", header=header, comments="")
+    assert start("--unit", "m/s^2").exit_code == 0
+    channels = written()["channels"]
+    assert (channels["a1"]["of"], channels["f"]["of"]) == ("x1", "f")
+
+
+def test_the_first_two_commands_find_the_values() -> None:
+    """ω² = k/m, 2ζω = c/m of a decay logged in µs without a word on its unit: 2 kg, 800 N/m, 6 N·s/m."""
+    rng = np.random.default_rng(4)
+    rate = np.sqrt(400 - 1.5**2)
+    x = 5 * np.exp(-1.5 * T) * np.cos(rate * T) + 0.01 * rng.standard_normal(T.size)
+    np.savetxt("data.csv", np.column_stack([1e6 * T, x]), delimiter=",", fmt=["%d", "%.4f"], header="time,x [mm]",
+               comments="")  # fmt: skip
+    assert start("--first-mass", "2kg").exit_code == 0
+    done = CliRunner().invoke(cli, ["identify", "rig.toml", "data.csv", "--json", "e.json"])
+    assert done.exit_code == 0, done.output
+    estimate = dashpot.Estimate.load("e.json")
+    for name, value in (("k1", 800.0), ("c1", 6.0)):
+        assert abs(estimate[name].value - value) < 4 * estimate[name].sd
+
+
+def test_python_suggests_the_same_rig() -> None:
+    rig = dashpot.start({"time_s": T, "acc1": STEADY, "acc_table": STEADY}, first_mass=1.5)
+    assert [channel.name for channel in rig.channels] == ["acc1", "acc_table"]
+    assert rig.model.displacement_inputs == ("u",)
+    with pytest.raises(dashpot.UsageError, match="units="):
+        dashpot.start({"time_s": T, "ch": STEADY})
+    rig = dashpot.start({"time_s": T, "ch": STEADY}, units={"ch": "mm"}, driven_by="release")
+    assert rig.channels[0].scale == pytest.approx(1e-3)
+    with pytest.raises(dashpot.UsageError, match="unit"):
+        dashpot.start({"time_s": T, "ch": STEADY}, units={"ch": "bananas"})
