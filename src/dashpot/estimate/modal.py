@@ -157,6 +157,22 @@ class ModeProblem:
         symmetric = symmetric + np.diag(precision)
         return QuadraticModel(cost, gradient - precision * away, symmetric, symmetric)
 
+    def predicted(self, theta: Real) -> tuple[Complex, Real, Real]:
+        """Shapes (modes, points), frequencies (Hz) and damping ratios of the rig at θ (unknowns,), of the one repeat.
+
+        NaN where the rig has no such mode; shapes have the scale that suits the points that were measured.
+        """
+        values, shapes = eigenpairs(self.model, self.model.parameters(theta[None]))
+        at = self.pair(values, shapes)[0]
+        lam = np.where(at >= 0, values[0, at], np.nan)
+        seen = np.where((at >= 0)[:, None], shapes[0, at], np.nan) @ self.look.T
+        both = np.nan_to_num(np.stack([seen, np.where(self.present, self.data.shapes[0], 0.0)], axis=-1))
+        white = self.shape @ both
+        power = np.sum(np.abs(white[..., 0]) ** 2, axis=-1)
+        scale = np.sum(np.conj(white[..., 0]) * white[..., 1], axis=-1) / np.maximum(power, 1e-300)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return scale[:, None] * seen, np.abs(lam) / (2 * np.pi), -lam.real / np.abs(lam)
+
     @cached_property
     def largest(self) -> Real:
         """Beyond this many times the values of like parts and usual ones nothing that is measured depends on an end."""
@@ -336,25 +352,16 @@ class ModeResiduals:
 
 def mode_residuals(model: Model, data: ModalData, theta: Real) -> ModeResiduals:
     """How far the modes of `data` (no batch axes) are from those of the rig at `theta` (unknowns,)."""
-    view = ModeProblem.of(model, data)
-    values, shapes = eigenpairs(model, model.parameters(theta[None]))
-    at = view.pair(values, shapes)[0]
-    paired = at >= 0
+    problem = ModeProblem.of(model, data)
+    shapes, frequency, damping = problem.predicted(theta)
     # One point alone is all scale.
-    compared = view.present & (np.sum(view.present, axis=1, keepdims=True) > 1)
-    lam = np.where(paired, values[0, at], np.nan)
-    seen = np.where(paired[:, None], shapes[0, at], np.nan) @ view.look.T
+    compared = problem.present & (np.sum(problem.present, axis=1, keepdims=True) > 1)
     sd = np.sqrt(np.diagonal(data.covariance, axis1=-2, axis2=-1))
     shape_sd = np.sqrt(np.diagonal(data.shape_covariance, axis1=-2, axis2=-1).real)
     measured: Complex = np.where(compared, data.shapes, np.nan).astype(np.complex128)
-    white = [
-        view.shape[k] @ np.nan_to_num(np.stack([seen[k], measured[k]], axis=1)) for k in range(data.modes)
-    ]
-    scale = np.array([np.vdot(w[:, 0], w[:, 1]) / max(np.vdot(w[:, 0], w[:, 0]).real, 1e-300) for w in white])
     with np.errstate(invalid="ignore", divide="ignore"):
-        frequency = (data.frequency_hz - np.abs(lam) / (2 * np.pi)) / sd[:, 0]
-        damping = (data.damping_ratio + lam.real / np.abs(lam)) / sd[:, 1]
-    return ModeResiduals(frequency, damping, measured - scale[:, None] * seen, shape_sd, measured)
+        away = (data.frequency_hz - frequency) / sd[:, 0], (data.damping_ratio - damping) / sd[:, 1]
+    return ModeResiduals(*away, measured - shapes, shape_sd, measured)
 
 
 # The search.
@@ -434,18 +441,6 @@ def deepest_minima(
             cure="give the unknowns a guess, measure more modes, or more points of their shapes",
         )
     return minima, ends
-
-
-def searched_from(model: Model, data: ModalData, starts: Real) -> OptimizeResult:
-    """The deepest end, the one row of it, of searches from the linear start and from `starts` (K, unknowns).
-
-    `data` has no batch axes.  Raises as `identify_modal` where the data do not suit the rig.
-    """
-    check_suited(model, data)
-    problem = ModeProblem.of(model, data)
-    linear = linear_start(problem)
-    firsts = starts if linear is None else np.concatenate([starts, linear])
-    return _deepest(problem, firsts, np.zeros(1, dtype=np.int64))
 
 
 def rigs_with(model: Model, data: ModalData, *, seed: int = 0) -> Real:

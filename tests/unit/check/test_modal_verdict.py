@@ -143,3 +143,10 @@ def test_modes_that_only_just_determine_the_rig_cannot_tell() -> None:
     assessment = assessed(fixed, one)
     assert assessment.verdict == "cannot tell"
     assert "few_degrees" in {reason.code for reason in assessment.reasons}
+
+
+def test_two_mistakes_at_once_are_two_causes() -> None:
+    model, data = clean()
+    findings = assessed(model, in_g(turned(data))).findings
+    assert {(each.kind, each.of) for each in findings[:2]} == {("sign", ("x2",)), ("unit", ("x3",))}
+    assert all(each.odds is not None and 0 <= each.odds <= 1 for each in findings)

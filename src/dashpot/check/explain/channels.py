@@ -14,7 +14,7 @@ from dashpot import units
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, said
-from dashpot.check.explain.problem import LineProblem
+from dashpot.check.explain.problem import FitProblem, LineProblem
 from dashpot.errors import DashpotError
 from dashpot.io.toml_document import toml_key
 from dashpot.model.network import Model
@@ -143,7 +143,7 @@ def gain(baseline: Baseline) -> Iterator[Effect]:
         )
 
 
-def times(c: int, problem: LineProblem, factor: float) -> LineProblem:
+def times(c: int, problem: FitProblem, factor: float) -> FitProblem:
     """The problem where channel c is `factor` times what it should be."""
     return problem.scaled(c, 1 / factor)
 
@@ -178,7 +178,7 @@ def factor_in_words(model: Model, channel: Channel, factor: float) -> Phrase:
 
 def delay(baseline: Baseline) -> Iterator[Effect]:
     """Each channel late or early."""
-    omega = baseline.problem.omega
+    omega = baseline.lines.omega
     period = 2 * np.pi / float(np.max(omega))
     for c, channel in enumerate(baseline.problem.channels):
         used, y, e = baseline.compared(c)
@@ -269,16 +269,12 @@ def conjugate(baseline: Baseline) -> Iterator[Effect]:
     everything = tuple(range(len(channels)))
     for chosen in (*(() if baseline.of_samples else ((),)), *((c,) for c in everything)):
         of = tuple(channels[c].name for c in chosen)
-        act, words = partial(conjugated, chosen or everything), partial(_opposite, of)
+        act, words = partial(_conjugated, chosen or everything), partial(_opposite, of)
         yield Effect("conjugate", of, act, words, share=0.01 if baseline.of_samples else 1.0)
 
 
-def conjugated(chosen: tuple[int, ...], problem: LineProblem, _: float) -> LineProblem:
-    """With the phases of chosen channels of opposite sign; correlations with the others are lost."""
-    turned = np.isin(np.arange(len(problem.channels)), chosen)
-    y = np.where(turned, np.conj(problem.y), problem.y)
-    both, neither = turned[:, None] & turned[None, :], ~turned[:, None] & ~turned[None, :]
-    return problem.with_amplitudes(y, np.where(both, np.conj(problem.V), np.where(neither, problem.V, 0.0)))
+def _conjugated(chosen: tuple[int, ...], problem: FitProblem, _: float) -> FitProblem:
+    return problem.conjugated(np.isin(np.arange(len(problem.channels)), chosen))
 
 
 def _opposite(of: tuple[str, ...], _: float) -> Phrase:
@@ -306,7 +302,7 @@ def _phases_times(problem: LineProblem, factor: float) -> LineProblem:
 
 def filtered(baseline: Baseline) -> Iterator[Effect]:
     """Each channel through a low-pass or a high-pass filter of first or second order."""
-    omega = baseline.problem.omega
+    omega = baseline.lines.omega
     if len(np.unique(omega)) < FEWEST:
         return
     corners = tuple(np.geomspace(0.1 * np.min(omega), 8 * np.max(omega), 8) / (2 * np.pi))
@@ -364,9 +360,9 @@ def limited(name: str, limit: float, unit: str = "(SI)") -> Phrase:
 
 def gain_step(baseline: Baseline) -> Iterator[Effect]:
     """Each channel with another gain from some line on, where the others say best."""
-    if not baseline.problem.runs:
+    if not baseline.lines.runs:
         return
-    hertz = baseline.problem.data.spectrum.frequency_hz
+    hertz = baseline.problem.frequency_hz
     for c, channel in enumerate(baseline.problem.channels):
         used, y, e = baseline.compared(c)
         if np.sum(used) < FEWEST:
@@ -434,12 +430,8 @@ def swap(baseline: Baseline) -> Iterator[Effect]:
             yield Effect("swap", of, partial(_exchanged, i, j), partial(_swap, problem.model, *pair))
 
 
-def _exchanged(i: int, j: int, problem: LineProblem, _: float) -> LineProblem:
-    order = np.arange(len(problem.channels))
-    order[[i, j]] = j, i
-    return problem.with_amplitudes(
-        problem.y[:, order], problem.V[:, order][:, :, order], problem.kept[:, order]
-    )
+def _exchanged(i: int, j: int, problem: FitProblem, _: float) -> FitProblem:
+    return problem.exchanged(i, j)
 
 
 def _swap(model: Model, first: Channel, second: Channel, _: float) -> Phrase:
@@ -509,12 +501,12 @@ def left_out(baseline: Baseline) -> Iterator[Effect]:
         why = shows or DISAGREES
         phrase = Phrase(f"{name} {why}", f"leave {name} out, or check its sensor and where it is mounted")
         fit = baseline.without[c]
-        if shows:  # what measured nothing need not show anything
+        if shows and isinstance(fit.problem, LineProblem):  # what measured nothing need not show anything
             fit = replace(fit, problem=replace(fit.problem, lost=None))
         yield Effect("channel", (name,), partial(without, c), partial(said, phrase), found=fit)
 
 
-def without(c: int, problem: LineProblem, _: float = 1.0) -> LineProblem:
+def without(c: int, problem: FitProblem, _: float = 1.0) -> FitProblem:
     """The problem without channel c."""
     dropped = np.zeros(problem.kept.shape, dtype=bool)
     dropped[:, c] = True

@@ -11,9 +11,16 @@ import numpy as np
 from dashpot.arrays import Bools
 from dashpot.check.explain.channels import DIFFERENT, rounded
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, said
-from dashpot.check.explain.problem import FEWER_DRAWS, FittedProblem, LineProblem, fitted, replaced, searched
+from dashpot.check.explain.problem import (
+    FEWER_DRAWS,
+    FitProblem,
+    FittedProblem,
+    LineProblem,
+    fitted,
+    replaced,
+    searched,
+)
 from dashpot.check.explain.rigs import missing_elements, points_of, stated_values
-from dashpot.data.spectrum import SettledDwell
 from dashpot.model.elements import Element
 from dashpot.model.rigfile import element_line
 
@@ -39,11 +46,11 @@ RATES_IN_WORDS = {
 
 def dwell(baseline: Baseline) -> Iterator[Effect]:
     """Each of the worst dwells left out; of those that help most, another frequency, an exchange, phases or signs."""
-    problem = baseline.problem
+    problem = baseline.lines
     lines = len(problem.y)
     if not problem.runs or lines <= 3:
         return
-    worst = np.argsort(-baseline.as_is.problem.chi2_of_lines(baseline.as_is.psi))[:SUSPECTS].tolist()
+    worst = np.argsort(-problem.chi2_of_lines(baseline.as_is.psi))[:SUSPECTS].tolist()
     share, labels = 1 / lines, problem.labels
     # What drove the rig is still what the inputs' channels show.
     motions = ~baseline.inputs if np.any(~baseline.inputs) else np.ones_like(baseline.inputs)
@@ -135,25 +142,18 @@ def _turned(line: int, problem: LineProblem, _: float) -> LineProblem:
 def clock(baseline: Baseline) -> Iterator[Effect]:
     """All frequencies times one factor: another unit, a time base that is wrong, or slightly off."""
     problem = baseline.problem
-    if baseline.fixed or problem.data.states is not None or not problem.runs:
+    hidden = isinstance(problem, LineProblem) and problem.runs and problem.data.states is None
+    if baseline.fixed or not hidden:
         yield Effect("frequency", (), _at_rate, _rate, RATES)
     else:  # where not all motion is seen, nothing leads from the rig as it is to that of another clock
         for rate in RATES:
-            (fit,) = searched([_at_rate(problem, rate)], draws=FEWER_DRAWS)
+            (fit,) = searched([baseline.lines.at_rate(rate)], draws=FEWER_DRAWS)
             yield Effect("frequency", (), _at_rate, _rate, (rate,), found=fit, share=1 / len(RATES))
     yield Effect("frequency", (), _at_rate, _rate, (0.98, 0.995, 1.005, 1.02), RATE_WIDTH, 1.0, True)
 
 
-def _at_rate(problem: LineProblem, rate: float) -> LineProblem:
-    spectrum = problem.data.spectrum
-    stretches = tuple(
-        replace(each, fundamental_hz=rate * each.fundamental_hz)
-        if isinstance(each, SettledDwell) and each.fundamental_hz is not None
-        else each
-        for each in spectrum.stretches
-    )
-    data = replace(problem.data, spectrum=replace(spectrum, stretches=stretches))
-    return replace(problem, data=data).at_frequencies(rate * spectrum.frequency_hz)
+def _at_rate(problem: FitProblem, rate: float) -> FitProblem:
+    return problem.at_rate(rate)
 
 
 def _rate(rate: float) -> Phrase:
@@ -166,10 +166,10 @@ def hold(baseline: Baseline) -> Iterator[Effect]:
     """Each input held from sample to sample, so that it is late by half a step and weaker at high frequencies."""
     steps = {
         float(step)
-        for each in baseline.problem.data.spectrum.stretches
+        for each in baseline.lines.data.spectrum.stretches
         if (step := getattr(each, "step_s", None)) is not None
     }
-    highest = float(np.max(baseline.problem.omega))
+    highest = float(np.max(baseline.lines.omega))
     for c in np.flatnonzero(baseline.inputs).tolist():
         name = baseline.problem.channels[c].name
         words, act = partial(_held_words, name), partial(_held, c)
@@ -200,7 +200,7 @@ SPARE = 3.0  # real numbers for each unknown that a part must have
 
 def changed(baseline: Baseline) -> Iterator[Effect]:
     """The rig another one in some of the runs: each experiment, or all from some run on, fitted by itself."""
-    problem = baseline.problem
+    problem = baseline.lines
     spectrum = problem.data.spectrum
     numbers = 2 * np.sum(problem.kept, axis=1) - 2 * len(problem.model.inputs)
     least = SPARE * len(problem.starts[0])
@@ -238,7 +238,7 @@ def changed(baseline: Baseline) -> Iterator[Effect]:
         )  # fmt: skip
         for part, step, rise in _one_part_otherwise(first, second)[:NAMED]:
             other = second
-            if part.name not in first.problem.view.names:
+            if part.name not in first.problem.names:
                 (other,) = fitted(
                     [second.problem.from_starts((second.psi,)).of_rig(replaced(problem.model, part))]
                 )
@@ -265,7 +265,7 @@ def _one_part_otherwise(first: FittedProblem, second: FittedProblem) -> list[tup
     Each with its step, and by how much χ² of both together rises where all else is the same, by the parabolas about
     the two fits.  Elements are the rig's own and those that it lacks.
     """
-    model, names = first.problem.model, first.problem.view.names
+    model, names = first.problem.model, first.problem.names
     added = [*missing_elements(model), *stated_values(model)]
     larger = model
     for each in added:
@@ -275,7 +275,7 @@ def _one_part_otherwise(first: FittedProblem, second: FittedProblem) -> list[tup
     alone, _, _ = first.problem.slopes(first.psi)
     if not (np.all(np.isfinite(information)) and np.all(np.isfinite(alone))):
         return []
-    every = list(there.view.names)
+    every = list(there.names)
     free = [every.index(name) for name in names]
     unit = 1 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     own = unit[free]

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from dashpot.arrays import Bools, Complex
 from dashpot.channel import Channel
-from dashpot.check.explain.problem import FittedProblem, LineProblem
+from dashpot.check.explain.problem import FitProblem, FittedProblem, LineProblem
 from dashpot.errors import DashpotError, Problem
 from dashpot.estimate.assessment import Finding
 from dashpot.model.elements import Element
@@ -53,7 +53,7 @@ class Effect:
 
     kind: str
     of: tuple[str, ...]
-    act: Callable[[LineProblem, float], LineProblem]
+    act: Callable[[Any, float], FitProblem]
     words: Callable[[float], Phrase]
     values: tuple[float, ...] = (1.0,)
     width: float | None = None
@@ -90,12 +90,18 @@ class Baseline:
     fixed      whether the values of the rig stand
     """
 
-    problem: LineProblem
+    problem: FitProblem
     as_is: FittedProblem
     without: tuple[FittedProblem, ...]
     silent: Mapping[str, str] = field(default_factory=dict)
     of_samples: bool = False
     fixed: bool = False
+
+    @property
+    def lines(self) -> LineProblem:
+        """The problem, of amplitudes at lines."""
+        assert isinstance(self.problem, LineProblem)
+        return self.problem
 
     @cached_property
     def inputs(self) -> Bools:
@@ -119,7 +125,7 @@ def said(phrase: Phrase, _: float) -> Phrase:
     return phrase
 
 
-def as_is(problem: LineProblem, _: float) -> LineProblem:
+def as_is(problem: FitProblem, _: float) -> FitProblem:
     """For `act` of an effect that was `found`."""
     return problem
 

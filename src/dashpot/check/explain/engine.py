@@ -16,16 +16,23 @@ import numpy as np
 from scipy.special import chdtrc, log_ndtr, logsumexp
 
 from dashpot.arrays import Ints, Real
-from dashpot.check.discrepancy import blocks_of
 from dashpot.check.explain import channels, dwells, rigs
 from dashpot.check.explain import laws as laws_of_rig
 from dashpot.check.explain.effect import Baseline, Effect, Effects, Phrase
-from dashpot.check.explain.problem import FittedProblem, LineProblem, fitted, judged, searched
-from dashpot.errors import DashpotError, ModelError
+from dashpot.check.explain.problem import (
+    FitProblem,
+    FittedProblem,
+    LineProblem,
+    fitted,
+    judged,
+    roughly_lost,
+    sd_of_lost,
+    searched,
+)
+from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
 from dashpot.estimate.inference.diagnostics import of_one_sign
 from dashpot.model.elements import Kind
-from dashpot.model.modes import modes
 
 # The kinds of effects, each with its probability before the data: what people get wrong, by how often.
 KINDS: tuple[tuple[float, Effects], ...] = (
@@ -72,7 +79,8 @@ EXCESSES = np.concatenate(
 )  # of the noise's variance over what is known of it
 
 
-Fitter = Callable[[Sequence[LineProblem]], list[FittedProblem]]
+Fitter = Callable[[Sequence[FitProblem]], list[FittedProblem]]
+Kinds = Sequence[tuple[float, Effects]]
 
 
 @dataclass(frozen=True)
@@ -127,6 +135,13 @@ class Explanation:
         """Odds that nothing which was fitted is the matter."""
         return max(1 - sum(cause.odds for cause in self.weighed), 0.0)
 
+    def findings(self) -> tuple[Finding, ...]:
+        """The causes as an assessment has them; where none explains enough, that none does."""
+        if self.causes:
+            return tuple(cause.finding(self.as_is.problem.noise_known) for cause in self.causes)
+        said = unexplained(self)
+        return (Finding("unexplained", (), said.text, said.change, None, odds=self.unlisted, explains=0.0),)
+
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
 def explain(
@@ -139,13 +154,19 @@ def explain(
     of_samples  whether amplitudes were made of samples, so that their phases and frequencies are what they are
     laws        whether a nonlinear element is looked for
     """
-    baseline = _begun(problem, silent or {}, of_samples, seed)
-    first = _step(baseline, laws=laws)
+    return explain_in_steps(_begun(problem, silent or {}, of_samples, seed), KINDS, laws=laws)
+
+
+@np.errstate(all="ignore")  # what is supposed may be absurd
+def explain_in_steps(baseline: Baseline, kinds: Kinds, *, laws: bool = False) -> Explanation:
+    """What may be otherwise by effects of some kinds: one, or where it leaves more than noise, two at once."""
+    first = _step(baseline, kinds, laws=laws)
     best = first.causes[0] if first.causes else first.nearest
     # Beside a law of its own every further trial is a search by harmonic balance.
     if best is None or len(best.fit.problem.model.nonlinear) or not _leaves_more_than_noise(best.fit):
         return first
-    second = _step(_continued(baseline, best))
+    mended = best.fit.problem.from_starts((best.fit.psi,))
+    second = _step(begun_at(mended, baseline.silent, baseline.of_samples), kinds)
     more = [
         each
         for each in second.causes
@@ -169,7 +190,8 @@ def explain(
 def _begun(problem: LineProblem, silent: Mapping[str, str], of_samples: bool, seed: int) -> Baseline:
     """The problem as it is and without each channel, searched from afar."""
     names = [channel.name for channel in problem.channels]
-    without = [channels.without(c, problem, 1.0) for c in range(len(names))]
+    own = np.eye(len(names), dtype=bool)
+    without = [problem.without(np.broadcast_to(own[c], problem.kept.shape)) for c in range(len(names))]
     far: list[LineProblem] = []
     if (
         problem.data.states is None
@@ -181,8 +203,8 @@ def _begun(problem: LineProblem, silent: Mapping[str, str], of_samples: bool, se
             )
             if at
         ]
-        far += [channels.times(c, problem, factor) for c in inputs for factor in (-1.0, 1e3, 1e-3)]
-        far += [] if of_samples else [channels.conjugated(tuple(range(len(names))), problem, 1.0)]
+        far += [problem.scaled(c, factor) for c in inputs for factor in (-1.0, 1e-3, 1e3)]
+        far += [] if of_samples else [problem.conjugated(np.ones(len(names), dtype=bool))]
     fits = searched([problem, *without, *far], seed)
     pool = _distinct([fit.psi for fit in fits])
     begun = problem.from_starts(pool)
@@ -191,14 +213,13 @@ def _begun(problem: LineProblem, silent: Mapping[str, str], of_samples: bool, se
     )
 
 
-def _continued(baseline: Baseline, best: Cause) -> Baseline:
-    """From the best cause on: the problem with it mended."""
-    mended = best.fit.problem.from_starts((best.fit.psi,))
-    fits = fitted([mended, *(channels.without(c, mended, 1.0) for c in range(len(mended.channels)))])
-    begun = mended.from_starts(_distinct([fit.psi for fit in fits]))
-    return Baseline(
-        begun, replace(fits[0], problem=begun), tuple(fits[1:]), baseline.silent, baseline.of_samples
-    )
+def begun_at(
+    problem: FitProblem, silent: Mapping[str, str] | None = None, of_samples: bool = False
+) -> Baseline:
+    """The problem as it is and without each channel, from its starts."""
+    fits = fitted([problem, *(channels.without(c, problem) for c in range(len(problem.channels)))])
+    begun = problem.from_starts(_distinct([fit.psi for fit in fits]))
+    return Baseline(begun, replace(fits[0], problem=begun), tuple(fits[1:]), silent or {}, of_samples)
 
 
 def _distinct(ends: Sequence[Real]) -> list[Real]:
@@ -215,7 +236,7 @@ def _distinct(ends: Sequence[Real]) -> list[Real]:
 
 
 def _leaves_more_than_noise(fit: FittedProblem) -> bool:
-    known = fit.problem.data.noise_known
+    known = fit.problem.noise_known
     return known and fit.dof > 0 and bool(chdtrc(fit.dof, fit.chi2) < IMPROBABLE) and fit.reduced > 1.5
 
 
@@ -242,15 +263,8 @@ def explain_records(
     rough = _begun(lines, silent or {}, True, seed)
     tried = _tried(rough, KINDS, fitted)
     tried.sort(key=_rough_evidence, reverse=True)
-    (as_is,) = fitted([problem])
-    without = fitted([channels.without(c, problem, 1.0) for c in range(len(problem.channels))])
-    baseline = Baseline(
-        problem.from_starts(_distinct([as_is.psi, *(fit.psi for fit in without)])),
-        as_is,
-        tuple(without),
-        silent or {},
-        True,
-    )
+    baseline = begun_at(problem, silent, True)
+    as_is = baseline.as_is
     in_full: list[tuple[Effect, float, float, FittedProblem]] = []
     for effect, prior, size, starts in _chosen(baseline, tried):
         try:
@@ -275,7 +289,7 @@ def _chosen(
     Gains and delays by the records themselves, each as an unknown of its own; all else by the lines without transients
     (`tried`, the best first): the best of each kind, and a few more.
     """
-    problem = baseline.problem
+    problem = baseline.lines
     again = {kind.__name__ for kind in ON_RECORDS}
     of_lines = [
         each for each in tried if each[0].found is None and not (each[0].unknown and each[0].kind in again)
@@ -323,11 +337,11 @@ def _rough_evidence(tried: tuple[Effect, float, float, FittedProblem]) -> float:
 
 def _calibrated(baseline: Baseline, c: int, word: str) -> tuple[FittedProblem, float, Real]:
     """Whole records fitted with the gain or delay of channel c unknown, that size, and ψ (M,) without it."""
-    problem, channel = baseline.problem, baseline.problem.channels[c]
+    problem, channel = baseline.lines, baseline.problem.channels[c]
     opened = replace(channel, gain=None) if word == "gain" else replace(channel, delay=None)
     mended = tuple(opened if k == c else each for k, each in enumerate(problem.channels))
     begun = problem.from_starts((baseline.as_is.psi, baseline.without[c].psi)).of_rig(problem.model, mended)
-    at = begun.view.names.index(f"{channel.name}.{word}")
+    at = begun.names.index(f"{channel.name}.{word}")
     turned = [np.where(np.arange(len(psi)) == at, -1.0, psi) for psi in begun.starts if word == "gain"]
     (fit,) = fitted([begun.from_starts((*begun.starts, *turned))])
     return fit, float(fit.psi[at]), np.delete(fit.psi, at)
@@ -337,14 +351,14 @@ def _calibrated(baseline: Baseline, c: int, word: str) -> tuple[FittedProblem, f
 def mistakes_of_data(problem: LineProblem) -> Explanation:
     """What may be wrong with the numbers of data that a rig, whose values stand, predicts badly."""
     names = [channel.name for channel in problem.channels]
-    fits = judged([problem, *(channels.without(c, problem, 1.0) for c in range(len(names)))])
+    fits = judged([problem, *(channels.without(c, problem) for c in range(len(names)))])
     baseline = Baseline(problem, fits[0], tuple(fits[1:]), {}, True, True)
     return _step(baseline, tuple((1 / len(OF_DATA), kind) for kind in OF_DATA), judged, laws=False)
 
 
 def _step(
     baseline: Baseline,
-    kinds: tuple[tuple[float, Effects], ...] = KINDS,
+    kinds: Kinds,
     fit: Fitter = fitted,
     *,
     laws: bool = False,
@@ -371,7 +385,7 @@ def _weighed_all(
     closely = _closely(
         baseline.problem, [(effect, size, end) for effect, _, size, end in tried[:CLOSELY]], fit
     )
-    block = _blocks(baseline.as_is)
+    block = baseline.problem.blocks(baseline.as_is.psi)
     weighed = [
         _weighed(effect, size, end, bend, priors[id(effect)], block)
         for effect, size, end, bend in closely
@@ -423,14 +437,12 @@ def _enough(baseline: Baseline) -> float:
 
 def _settles(baseline: Baseline, end: FittedProblem) -> bool:
     """Whether an effect explains all there is, keeping all data and one rig."""
-    return end.reduced < _enough(baseline) and end.problem.roughly_lost == 0.0 and not end.parts
+    return end.reduced < _enough(baseline) and roughly_lost(end.problem) == 0.0 and not end.parts
 
 
-def _tried(
-    baseline: Baseline, kinds: tuple[tuple[float, Effects], ...], fit: Fitter
-) -> list[tuple[Effect, float, float, FittedProblem]]:
+def _tried(baseline: Baseline, kinds: Kinds, fit: Fitter) -> list[tuple[Effect, float, float, FittedProblem]]:
     """Each effect with the prior of its kind, the best of its sizes, and the fit there."""
-    suppositions: list[tuple[Effect, float, float, LineProblem]] = []
+    suppositions: list[tuple[Effect, float, float, FitProblem]] = []
     best: dict[int, tuple[Effect, float, float, FittedProblem]] = {}
     for prior, kind in kinds:
         for effect in kind(baseline):
@@ -463,11 +475,14 @@ def _searched_afresh(
     """The most hopeful of what changes the motion itself, searched from drawn rigs as well."""
     far = [k for k, (effect, *_) in enumerate(tried) if effect.kind in FAR and effect.found is None]
     far = sorted(far, key=lambda k: -tried[k][3].roughly)[:AFRESH]
-    problems = [tried[k][0].act(baseline.problem, tried[k][2]) for k in far]
-    alike = [k for k, problem in zip(far, problems, strict=True) if problem.view is baseline.problem.view]
-    problems = [problem for problem in problems if problem.view is baseline.problem.view]
+    supposed = {k: tried[k][0].act(baseline.problem, tried[k][2]) for k in far}
+    alike = {
+        k: each
+        for k, each in supposed.items()
+        if isinstance(each, LineProblem) and each.view is baseline.lines.view
+    }
     again = list(tried)
-    for k, end in zip(alike, searched(problems), strict=True):
+    for k, end in zip(alike, searched(list(alike.values())), strict=True):
         effect, prior, size, before = tried[k]
         if end.chi2 < before.chi2:
             again[k] = effect, prior, size, _on_the_same_data(baseline, end)
@@ -477,10 +492,8 @@ def _searched_afresh(
 def _on_the_same_data(baseline: Baseline, end: FittedProblem) -> FittedProblem:
     """The fit, charged for numbers that test the rig as it is and only give inputs here: they may be of any size."""
     problem = end.problem
-    lost = 0 if problem.lost is None else np.count_nonzero(np.isfinite(problem.lost))
-    before = 0 if baseline.problem.lost is None else np.count_nonzero(np.isfinite(baseline.problem.lost))
     more = max(len(end.psi) - len(baseline.as_is.psi), 0)
-    taken_up = baseline.as_is.dof - end.dof - 2 * (lost - before) - more
+    taken_up = baseline.as_is.dof - end.dof - _numbers_lost(problem) + _numbers_lost(baseline.problem) - more
     if taken_up <= 0:
         return end
     on = problem.counted
@@ -489,6 +502,11 @@ def _on_the_same_data(baseline: Baseline, end: FittedProblem) -> FittedProblem:
     )
     charged = replace(problem, given_up=problem.given_up - taken_up * (0.5 + typical))
     return replace(end, problem=charged)
+
+
+def _numbers_lost(problem: FitProblem) -> int:
+    """Real numbers that are left out."""
+    return 0 if problem.lost is None else int(np.sum(np.isfinite(problem.lost) * problem.numbers))
 
 
 @dataclass
@@ -515,7 +533,7 @@ class _Sought:
 
 
 def _closely(
-    problem: LineProblem, found: Sequence[tuple[Effect, float, FittedProblem]], refit: Fitter
+    problem: FitProblem, found: Sequence[tuple[Effect, float, FittedProblem]], refit: Fitter
 ) -> list[tuple[Effect, float, FittedProblem, float]]:
     """Sizes at the vertex of the parabola through χ² at three of them, and half of its curvature there.
 
@@ -528,8 +546,8 @@ def _closely(
     for _ in range(ROUNDS):
         sought = [each for each in every if each.step > 0]
 
-        def supposed(each: _Sought, move: float) -> LineProblem:
-            return replace(each.effect.act(problem, each.at(move)), starts=(each.fit.psi,))
+        def supposed(each: _Sought, move: float) -> FitProblem:
+            return each.effect.act(problem, each.at(move)).from_starts((each.fit.psi,))
 
         ends = refit([supposed(each, side * each.step) for each in sought for side in (-1, 1)])
         moves = []
@@ -585,7 +603,7 @@ def _of_unknowns(effect: Effect, fit: FittedProblem, scale: float) -> tuple[floa
 
     None where a part that must be positive is not.
     """
-    names = list(fit.problem.view.names)
+    names = fit.problem.names
     size = float(fit.psi[names.index(effect.unknown)])
     added = [effect.unknown, *(name for name, _ in effect.others)]
     chosen = [names.index(name) for name in added]
@@ -618,7 +636,7 @@ def log_possible(fit: FittedProblem, but: str = "") -> float:
     if not np.all(np.isfinite(information)):
         return 0.0
     unit = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    scale = max(fit.reduced, 1.0 if fit.problem.data.noise_known else 0.0)
+    scale = max(fit.reduced, 1.0 if fit.problem.noise_known else 0.0)
     if not np.isfinite(scale):
         return 0.0
     m = len(model.unknowns)
@@ -639,7 +657,7 @@ def _explained(as_is: FittedProblem, possible: float, cause: Cause) -> float:
 
     A rig that cannot be built is a misfit, as improbable as it is.
     """
-    floor = 1.0 if as_is.problem.data.noise_known else 0.0
+    floor = 1.0 if as_is.problem.noise_known else 0.0
     before = max(as_is.reduced - floor, 0.0) - 2 * possible / max(as_is.dof, 1)
     after = max(cause.fit.reduced - floor, 0.0) - 2 * cause.possible / max(cause.fit.dof, 1)
     return 1 - min(after / before, 1.0) if before > 0 else 0.0
@@ -663,17 +681,6 @@ def _alike(first: Cause, second: Cause) -> bool:
     return abs(first.likelihood - second.likelihood) < TOGETHER
 
 
-def _blocks(fit: FittedProblem) -> Ints:
-    """Lines that one discrepancy makes alike."""
-    spectrum, model = fit.problem.data.spectrum, fit.problem.model
-    try:
-        poles = modes(model, model.parameters(fit.psi[: len(model.unknowns)])).eigenvalues
-        found = blocks_of(spectrum.frequency_hz, spectrum.experiment, poles) if len(poles) else None
-    except (ModelError, ValueError, np.linalg.LinAlgError):
-        found = None
-    return np.arange(spectrum.lines) if found is None else found
-
-
 def log_likelihood(fit: FittedProblem, block: Ints) -> float:
     """ln p(data | fit), relative to the noise alone: noise larger than known, and discrepancy, averaged over.
 
@@ -682,16 +689,16 @@ def log_likelihood(fit: FittedProblem, block: Ints) -> float:
     of the probability is for none, and for the noise that is known.
     """
     problem = fit.problem
-    total = max(2 * int(np.sum(problem.counted)), 1)
+    total = max(int(np.sum(problem.counted * problem.numbers)), 1)
     used = min(max(fit.dof, 1) / total, 1.0)  # of each square: unknowns and inputs have taken up the rest
-    log_v = np.log(EXCESSES if problem.data.noise_known else np.concatenate([1 / EXCESSES[:0:-1], EXCESSES]))
+    log_v = np.log(EXCESSES if problem.noise_known else np.concatenate([1 / EXCESSES[:0:-1], EXCESSES]))
     prior_v = _half_for(log_v, int(np.argmin(np.abs(log_v))))
     prior_s = _half_for(SIZES, 0)
     with np.errstate(over="ignore", invalid="ignore"):
         value = problem.given_up + _of_lost(fit, log_v, prior_v)
         table = prior_v[:, None] + prior_s[None, :]
-        for c in range(len(problem.channels)):
-            table = table + _of_channel(fit, c, block, used, log_v)
+        for c, number in enumerate(problem.numbers):
+            table = table + _of_channel(fit, c, block, used * number / 2, log_v)
         value += float(logsumexp(table))
     return value if np.isfinite(value) else -np.inf
 
@@ -726,9 +733,9 @@ def _of_lost(fit: FittedProblem, log_v: Real, prior_v: Real) -> float:
     expected = fit.expected
     out = np.isfinite(problem.lost) & np.isfinite(expected)
     if not np.array_equal(out, np.isfinite(problem.lost)):
-        return problem.roughly_lost - problem.given_up
-    square = float(np.sum(np.abs((problem.lost - expected)[out] / problem.sd_of_lost[out]) ** 2))
-    return float(logsumexp(-np.count_nonzero(out) * log_v - square / np.exp(log_v) + prior_v))
+        return roughly_lost(problem) - problem.given_up
+    square = float(np.sum(np.abs((problem.lost - expected)[out] / sd_of_lost(problem)[out]) ** 2))
+    return float(logsumexp(-_numbers_lost(problem) / 2 * log_v - square / np.exp(log_v) + prior_v))
 
 
 def _half_for(values: Real, k: int) -> Real:
@@ -743,8 +750,8 @@ def unexplained(found: Explanation) -> Phrase:
     as_is, nearest = found.as_is, found.nearest
     power = np.abs(as_is.residual / as_is.problem.sd) ** 2
     line, c = np.unravel_index(int(np.argmax(power)), power.shape)
-    name = as_is.problem.channels[int(c)].name
-    hertz = as_is.problem.data.spectrum.frequency_hz[int(line)]
+    name = [*(channel.name for channel in as_is.problem.channels), "frequency", "damping ratio"][int(c)]
+    hertz = as_is.problem.frequency_hz[int(line)]
     text = f"no listed cause explains half of the misfit, which is largest in {name} near {hertz:.4g} Hz"
     if nearest is not None:
         text += (

@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 from dashpot.arrays import diagonal_matrices, random_generator
 from dashpot.channel import Channel
 from dashpot.check.explain.channels import factor_in_words, late, turned
-from dashpot.check.explain.engine import LARGEST, Explanation, explain, unexplained
+from dashpot.check.explain.engine import LARGEST, Explanation, explain
 from dashpot.check.explain.laws import called_for, called_for_in_records, in_place_of_laws, nonlinear_finding
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.record_channels import mistakes_by_equation
@@ -70,7 +70,7 @@ def _diagnosed(
     if len(model.nonlinear):
         return _where_laws_are_seen(model, spectrum, estimate, np.inf), None
     found = explained(model, spectrum, estimate, seed=seed)
-    return ((), None) if found is None else (_findings(found), found)
+    return ((), None) if found is None else (found.findings(), found)
 
 
 def explained(
@@ -98,15 +98,6 @@ def explained(
 
 def _one_line_each(spectrum: Spectrum) -> bool:
     return spectrum.lines <= len(spectrum.records)
-
-
-def _findings(found: Explanation) -> tuple[Finding, ...]:
-    """The causes as an assessment has them; where none explains enough, that none does."""
-    known = found.as_is.problem.data.noise_known
-    if found.causes:
-        return tuple(cause.finding(known) for cause in found.causes)
-    said = unexplained(found)
-    return (Finding("unexplained", (), said.text, said.change, None, odds=found.unlisted, explains=0.0),)
 
 
 def _with_supposed_noise(model: Model, spectrum: Spectrum) -> Spectrum:
@@ -190,7 +181,7 @@ def _allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) -
     mean_square = total * estimate.covariance
     for odds, parts in fits:
         for part in parts:
-            there = part.problem.view.names
+            there = part.problem.names
             if not set(names) <= set(there):
                 continue
             places = [there.index(name) for name in names]

@@ -709,7 +709,7 @@ def nonlinear_finding(model: Model, scored: ScoredElement, remaining: float | No
 
 def nonlinear(baseline: Baseline, *, thorough: bool) -> Iterator[Effect]:
     """Nonlinear elements that the dwells call for, each as it was fitted in full."""
-    problem, psi = baseline.problem, baseline.as_is.psi
+    problem, psi = baseline.lines, baseline.as_is.psi
     if not np.all(np.isfinite(psi)):
         return
     model = problem.model

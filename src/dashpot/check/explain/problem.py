@@ -1,12 +1,12 @@
-"""Amplitudes at lines as a problem of fitting: the data, what may be supposed of them, and fits of many at once.
+"""What the engine fits: data and a rig, what may be supposed of them, and fits of many at once.
 
 A supposition about the data is another problem of the same shape, so that a whole catalogue of them is one batch; one
-about the rig is a problem with another view.  Either way it can be fitted, scored and supposed upon again.
+about the rig is a problem with another rig.  Either way it can be fitted, scored and supposed upon again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,13 +14,19 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.channel import Channel
+from dashpot.check.discrepancy import blocks_of
+from dashpot.data.modal_data import ModalData
+from dashpot.data.spectrum import SettledDwell
+from dashpot.errors import ModelError
 from dashpot.estimate.likelihood.descent import Stage, descend_all
-from dashpot.estimate.likelihood.global_search import candidates, seen_directly
+from dashpot.estimate.likelihood.global_search import candidates
 from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import directly_driven, local, measured, predict
 from dashpot.estimate.linear.least_squares import compensated
+from dashpot.estimate.modal import ModeProblem, check_suited, linear_start
 from dashpot.estimate.preparation import Prepared, states_if_seen
 from dashpot.model.elements import Element
+from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, calibration_factors, observation_model, transfer
 from dashpot.numerics.small_systems import scaled_inverse
@@ -93,6 +99,26 @@ class LineProblem:
         return self.kept & (np.diagonal(self.arranged().W[0], axis1=-2, axis2=-1).real > 0)
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Of the unknowns ψ."""
+        return self.view.names
+
+    @property
+    def noise_known(self) -> bool:
+        """Whether the noise is known from more than a fit."""
+        return self.data.noise_known
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of a fit."""
+        return self.arranged().rows - len(self.names)
+
+    @property
+    def numbers(self) -> Ints:
+        """How many real numbers each amplitude of a channel is, (channels,)."""
+        return np.full(len(self.channels), 2)
+
+    @property
     def V(self) -> Complex:
         """Their covariance, (lines, channels, channels)."""
         return self.data.covariance[0]
@@ -105,14 +131,23 @@ class LineProblem:
     @property
     def labels(self) -> list[str]:
         """Lines as dwells are named."""
-        return [f"{frequency:g} Hz" for frequency in self.data.spectrum.frequency_hz]
+        return [f"{frequency:g} Hz" for frequency in self.frequency_hz]
+
+    @property
+    def frequency_hz(self) -> Real:
+        """Of the lines, (lines,)."""
+        return self.data.spectrum.frequency_hz
 
     @cached_property
     def sd(self) -> Real:
         """Of the noise of each amplitude as a complex number, (lines, channels); never 0."""
-        variance = np.diagonal(self.V, axis1=-2, axis2=-1).real
         size = np.sqrt(np.mean(np.abs(self.y) ** 2, axis=0))
-        return np.sqrt(np.maximum(np.nan_to_num(variance), (FAINTEST * np.where(size > 0, size, 1.0)) ** 2))
+        return np.sqrt(np.maximum(self.variance, (FAINTEST * np.where(size > 0, size, 1.0)) ** 2))
+
+    @property
+    def variance(self) -> Real:
+        """Of the noise of each amplitude as it is known, (lines, channels)."""
+        return np.nan_to_num(np.diagonal(self.V, axis1=-2, axis2=-1).real)
 
     def with_amplitudes(self, y: Complex, V: Complex | None = None, kept: Bools | None = None) -> LineProblem:
         """With other amplitudes, their covariance, and which of them count."""
@@ -130,34 +165,24 @@ class LineProblem:
         turn[:, channel] = factor
         return self.with_amplitudes(self.y * turn, turn[:, :, None] * self.V * np.conj(turn)[:, None, :])
 
+    def exchanged(self, first: int, second: int) -> LineProblem:
+        """With two channels exchanged."""
+        order = np.arange(len(self.channels))
+        order[[first, second]] = second, first
+        return self.with_amplitudes(self.y[:, order], self.V[:, order][:, :, order], self.kept[:, order])
+
+    def conjugated(self, chosen: Bools) -> LineProblem:
+        """With the phases of chosen channels (channels,) of opposite sign; correlations with the others are lost."""
+        y = np.where(chosen, np.conj(self.y), self.y)
+        both, neither = chosen[:, None] & chosen, ~chosen[:, None] & ~chosen
+        return self.with_amplitudes(y, np.where(both, np.conj(self.V), np.where(neither, self.V, 0.0)))
+
     def without(self, dropped: Bools) -> LineProblem:
         """With some amplitudes (lines, channels) left out, which may have an error of any size."""
         dropped = dropped & self.kept
         before = np.full(dropped.shape, np.nan, dtype=np.complex128) if self.lost is None else self.lost
         lost = np.where(dropped, self.y, before)
         return replace(self.with_amplitudes(self.y, None, self.kept & ~dropped), lost=lost)
-
-    @cached_property
-    def sd_of_lost(self) -> Real:
-        """Of the noise that amplitudes which are left out have at the least, (lines, channels).
-
-        A channel without noise is known no better than the quietest that has some.
-        """
-        y = self.y if self.lost is None else np.where(np.isfinite(self.lost), self.lost, self.y)
-        size = np.maximum(np.sqrt(np.mean(np.abs(y) ** 2, axis=0)), np.finfo(float).tiny)
-        relative = np.sqrt(np.maximum(np.diagonal(self.V, axis1=-2, axis2=-1).real, 0.0)) / size
-        smallest = np.min(relative, where=relative > 2 * FAINTEST, initial=1.0)
-        return np.maximum(relative, smallest if smallest < 1 else FAINTEST) * size
-
-    @property
-    def roughly_lost(self) -> float:
-        """Log probability of what is left out, each amplitude being anything of its own size."""
-        if self.lost is None:
-            return self.given_up
-        out = np.isfinite(self.lost)
-        size = np.sqrt(np.sum(np.abs(self.lost[out]) ** 2) / max(np.count_nonzero(out), 1))
-        ratio = np.maximum(np.maximum(np.abs(self.lost[out]), size) / self.sd_of_lost[out], 1.0)
-        return self.given_up - float(np.sum(1 + 2 * np.log(ratio)))
 
     def of_rig(self, model: Model, channels: tuple[Channel, ...] | None = None) -> LineProblem:
         """Of another rig with the same coordinates and inputs, or other channels; new unknowns begin at their guesses.
@@ -170,13 +195,24 @@ class LineProblem:
             states_if_seen(view, spectrum, self.data.covariance) if self.data.states is not None else None
         )
         data = replace(self.data, view=view, spectrum=spectrum, states=states)
-        return replace(self, data=data, starts=tuple(self.lifted(view, psi) for psi in self.starts))
+        usual = (*(unknown.guess or 0.0 for unknown in model.unknowns), *view.nominal_calibrations)
+        return replace(self, data=data, starts=_lifted(self, view.names, usual))
 
-    def lifted(self, view: ObservationModel, psi: Real) -> Real:
-        """The ψ of another view that means the same as ψ (M,) here."""
-        known = dict(zip(self.view.names, psi.tolist(), strict=True))
-        usual = (*(unknown.guess or 0.0 for unknown in view.model.unknowns), *view.nominal_calibrations)
-        return np.array([known.get(name, value) for name, value in zip(view.names, usual, strict=True)])
+    def shows(self, element: Element) -> bool:
+        """Whether an element more may leave a trace: it moves, whatever it is."""
+        return len(element.along) > 0
+
+    def at_rate(self, rate: float) -> LineProblem:
+        """With all frequencies times a factor."""
+        spectrum = self.data.spectrum
+        stretches = tuple(
+            replace(each, fundamental_hz=rate * each.fundamental_hz)
+            if isinstance(each, SettledDwell) and each.fundamental_hz is not None
+            else each
+            for each in spectrum.stretches
+        )
+        data = replace(self.data, spectrum=replace(spectrum, stretches=stretches))
+        return replace(self, data=data).at_frequencies(rate * spectrum.frequency_hz)
 
     def at_frequencies(self, frequency_hz: Real) -> LineProblem:
         """With other frequencies (lines,) of the same lines."""
@@ -214,6 +250,263 @@ class LineProblem:
             cost = predict(self.view, self.arranged(), psi[None], self.sign[None]).cost_per_line[0]
         return np.where(np.isfinite(cost), cost, np.inf)
 
+    def left(self, psi: Real) -> Complex:
+        """What a fit at ψ (M,) leaves of the amplitudes that count, (lines, channels), 0 elsewhere."""
+        with np.errstate(all="ignore"):
+            r = predict(self.view, self.arranged(), psi[None], self.sign[None]).r[0]
+        return np.where(self.counted, np.nan_to_num(r), 0.0)
+
+    def expected(self, psi: Real) -> Complex:
+        """What all channels should show at ψ (M,), those left out as well, (lines, channels)."""
+        arranged = self.arranged()
+        with np.errstate(all="ignore"):
+            q = predict(self.view, arranged, psi[None], self.sign[None]).q
+            every = replace(arranged, y=self.y[None], q=q)
+            return self.y - predict(self.view, every, psi[None], self.sign[None]).r[0]
+
+    def blocks(self, psi: Real) -> Ints:
+        """Lines that one discrepancy makes alike, (lines,)."""
+        spectrum, model = self.data.spectrum, self.model
+        try:
+            poles = modes(model, model.parameters(psi[: len(model.unknowns)])).eigenvalues
+            found = blocks_of(spectrum.frequency_hz, spectrum.experiment, poles) if len(poles) else None
+        except (ModelError, ValueError, np.linalg.LinAlgError):
+            found = None
+        return np.arange(spectrum.lines) if found is None else found
+
+
+@dataclass(frozen=True)
+class ModalProblem:
+    """Measured modes and a rig to be fitted to them: numbers of each mode, those of the points before the other two.
+
+    data    of one repeat, as it was measured or is supposed
+    out     (modes, points + 2) whether a number of a mode is left out: of a point, its frequency, its damping ratio
+    """
+
+    model: Model
+    data: ModalData
+    starts: tuple[Real, ...]
+    out: Bools
+    given_up: float = 0.0
+    noise_known: bool = True
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the unknowns ψ."""
+        return self.model.unknown_names
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The points, as if a channel showed each."""
+        return tuple(Channel(name, {name: 1.0}) for name in self.data.points)
+
+    @property
+    def labels(self) -> list[str]:
+        """Modes by their frequencies."""
+        return [f"{frequency:.4g} Hz" for frequency in self.frequency_hz]
+
+    @property
+    def frequency_hz(self) -> Real:
+        """Of the modes, (modes,)."""
+        return self.data.frequency_hz
+
+    @property
+    def _measured(self) -> Complex:
+        data = self.data
+        return np.column_stack([data.shapes, data.frequency_hz, data.damping_ratio]).astype(np.complex128)
+
+    @property
+    def kept(self) -> Bools:
+        """Which numbers count, (modes, points + 2)."""
+        return np.isfinite(self._measured) & ~self.out
+
+    @property
+    def y(self) -> Complex:
+        """The numbers, (modes, points + 2), 0 where nothing counts."""
+        return np.where(self.kept, np.nan_to_num(self._measured), 0.0)
+
+    @property
+    def lost(self) -> Complex | None:
+        """Numbers that are left out, NaN elsewhere; of a shape left out whole all but the largest, its scale."""
+        out = self.out & np.isfinite(self._measured)
+        whole = np.flatnonzero(np.all(self.out, axis=1))
+        if len(self.data.points):
+            out[whole, np.argmax(np.abs(np.nan_to_num(self.data.shapes[whole])), axis=1)] = False
+        return np.where(out, self._measured, np.nan) if np.any(out) else None
+
+    @property
+    def counted(self) -> Bools:
+        """Which of them test the rig: one point alone is all scale."""
+        kept = self.kept
+        kept[:, :-2] &= np.sum(kept[:, :-2], axis=1, keepdims=True) > 1
+        return kept
+
+    @property
+    def numbers(self) -> Ints:
+        """How many real numbers each number is, (points + 2,)."""
+        return np.append(np.full(len(self.data.points), 2), [1, 1])
+
+    @property
+    def variance(self) -> Real:
+        """Of the noise of each number as a complex one, (modes, points + 2)."""
+        of_shapes = np.diagonal(self.data.shape_covariance, axis1=-2, axis2=-1).real
+        return np.column_stack([of_shapes, 2 * np.diagonal(self.data.covariance, axis1=-2, axis2=-1)])
+
+    @property
+    def sd(self) -> Real:
+        """Its root, never 0, (modes, points + 2)."""
+        size = np.sqrt(np.mean(np.abs(self.y) ** 2, axis=0))
+        return np.sqrt(np.maximum(self.variance, (FAINTEST * np.where(size > 0, size, 1.0)) ** 2))
+
+    @cached_property
+    def arranged(self) -> ModeProblem:
+        """As the search takes them.  Raises DataError where too little is left."""
+        data, out = self.data, self.out
+        some = ~np.all(out, axis=1)
+        unknown = np.where(out[some, -2], data.frequency_hz[some] ** 2, 0.0)
+        left = ModalData(
+            data.points,
+            data.frequency_hz[some],
+            np.where(out[some, -1], np.nan, data.damping_ratio[some]),
+            data.covariance[some] + unknown[:, None, None] * np.diag([1.0, 0.0]),
+            np.where(out[some, :-2], np.nan, data.shapes[some]),
+            data.shape_covariance[some],
+        )
+        return ModeProblem.of(self.model, left)
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of a fit: a frequency that is left out is in the data still, in noise of its size."""
+        some = ~np.all(self.out, axis=1)
+        return self.arranged.dof - int(np.count_nonzero(self.out[some, -2]))
+
+    def from_starts(self, starts: Sequence[Real]) -> ModalProblem:
+        """Begun elsewhere."""
+        return replace(self, starts=tuple(starts))
+
+    def scaled(self, channel: int, factor: complex) -> ModalProblem:
+        """With one point times a factor in all shapes."""
+        turn = np.where(np.arange(len(self.data.points)) == channel, factor, 1.0)
+        V = turn[:, None] * self.data.shape_covariance * np.conj(turn)
+        return replace(self, data=replace(self.data, shapes=self.data.shapes * turn, shape_covariance=V))
+
+    def exchanged(self, first: int, second: int) -> ModalProblem:
+        """With two points exchanged."""
+        order = np.arange(len(self.data.points))
+        order[[first, second]] = second, first
+        V = self.data.shape_covariance[:, order][:, :, order]
+        return replace(self, data=replace(self.data, shapes=self.data.shapes[:, order], shape_covariance=V))
+
+    def conjugated(self, chosen: Bools) -> ModalProblem:
+        """With the phases of chosen points (points,) of opposite sign."""
+        shapes = np.where(chosen, np.conj(self.data.shapes), self.data.shapes)
+        return replace(self, data=replace(self.data, shapes=shapes))
+
+    def without(self, dropped: Bools) -> ModalProblem:
+        """With some numbers left out, or points (modes, points), which may have an error of any size."""
+        wide = np.zeros(self.out.shape, dtype=bool)
+        wide[:, : dropped.shape[1]] = dropped
+        found = replace(self, out=self.out | wide)
+        check_suited(found.model, found.arranged.data)
+        return found
+
+    def at_rate(self, rate: float, of_damping: float = 1.0) -> ModalProblem:
+        """With all frequencies, and all damping ratios, times a factor."""
+        data, factor = self.data, np.array([rate, of_damping])
+        return replace(
+            self,
+            data=replace(
+                data,
+                frequency_hz=data.frequency_hz * rate,
+                damping_ratio=data.damping_ratio * of_damping,
+                covariance=data.covariance * np.outer(factor, factor),
+            ),
+        )
+
+    def of_rig(self, model: Model) -> ModalProblem:
+        """Of another rig with the same coordinates; new unknowns begin at their guesses, or at 0."""
+        usual = [unknown.guess or 0.0 for unknown in model.unknowns]
+        return replace(self, model=model, starts=_lifted(self, model.unknown_names, usual))
+
+    def shows(self, element: Element) -> bool:
+        """Whether an element more may leave a trace: inputs stand still, so that what leads to one leads to ground."""
+        return not set(self.model.displacement_inputs) & set(element.along)
+
+    @property
+    def by_equation(self) -> list[Real]:
+        """Where least squares on the equation of motion leads, where all is seen; else nothing."""
+        found = linear_start(self.arranged)
+        return [] if found is None else [found[0]]
+
+    def descended(self, limit: int) -> tuple[Real, float]:
+        """The best end, ψ (M,) and χ², of the starts after `limit` iterations at most."""
+        starts, model = _finite(self.starts), self.model
+        if not len(starts) or not (np.any(model.p0) or np.any(model.prior_precision)):
+            return self.starts[0], np.inf  # where nothing is known all may be any times as large
+        rows = np.zeros(len(starts), dtype=np.int64)
+        if limit == 0:
+            cost, x = self.arranged.evaluate(starts, rows).cost, starts
+        else:
+            ended = self.arranged.search(starts, rows, limit)
+            cost, x = ended.cost, ended.x
+        cost = np.where(np.isfinite(cost), cost, np.inf)
+        best = int(np.argmin(cost))
+        return x[best], float(cost[best])
+
+    def slopes(self, psi: Real) -> tuple[Real, Real, float]:
+        """Information (M, M), minus half the slope (M,) and χ² at ψ."""
+        at = self.arranged.evaluate(psi[None], np.zeros(1, dtype=np.int64))
+        return at.symmetric[0], at.gradient[0], float(at.cost[0])
+
+    def left(self, psi: Real) -> Complex:
+        """What a fit at ψ (M,) leaves of the numbers that count, (modes, points + 2), 0 elsewhere."""
+        return np.where(self.counted, np.nan_to_num(self.y - self.expected(psi)), 0.0)
+
+    def expected(self, psi: Real) -> Complex:
+        """What a rig at ψ (M,) has in the place of each number, NaN where it has none, (modes, points + 2)."""
+        found: Complex = np.full(self.out.shape, np.nan, dtype=np.complex128)
+        found[~np.all(self.out, axis=1)] = np.column_stack(self.arranged.predicted(psi))
+        return found
+
+    def blocks(self, psi: Real) -> Ints:
+        """Each mode has a discrepancy of its own, (modes,)."""
+        return np.arange(len(self.out))
+
+
+FitProblem = LineProblem | ModalProblem  # what they have alike is what the engine asks
+
+
+def _lifted(problem: FitProblem, names: Sequence[str], usual: Sequence[float]) -> tuple[Real, ...]:
+    """The starts of a problem as those of another with unknowns `names`, the new ones at their `usual` values."""
+    known = [dict(zip(problem.names, psi.tolist(), strict=True)) for psi in problem.starts]
+    return tuple(
+        np.array([each.get(name, value) for name, value in zip(names, usual, strict=True)]) for each in known
+    )
+
+
+def sd_of_lost(problem: FitProblem) -> Real:
+    """Of the noise that numbers which are left out have at the least, (rows, columns).
+
+    A channel without noise is known no better than the quietest that has some.
+    """
+    lost = problem.lost
+    y = problem.y if lost is None else np.where(np.isfinite(lost), lost, problem.y)
+    size = np.maximum(np.sqrt(np.mean(np.abs(y) ** 2, axis=0)), np.finfo(float).tiny)
+    relative = np.sqrt(np.maximum(problem.variance, 0.0)) / size
+    smallest = np.min(relative, where=relative > 2 * FAINTEST, initial=1.0)
+    return np.maximum(relative, smallest if smallest < 1 else FAINTEST) * size
+
+
+def roughly_lost(problem: FitProblem) -> float:
+    """Log probability of what is left out, each number being anything of its own size."""
+    if problem.lost is None:
+        return problem.given_up
+    out = np.isfinite(problem.lost)
+    lost = np.where(out, np.abs(problem.lost), 0.0)
+    size = np.sqrt(np.sum(lost**2, axis=0) / np.maximum(np.sum(out, axis=0), 1))
+    ratio = np.maximum(np.maximum(lost, size) / sd_of_lost(problem), 1.0)
+    return problem.given_up - float(np.sum((problem.numbers * (0.5 + np.log(ratio)))[out]))
+
 
 @dataclass(frozen=True)
 class FittedProblem:
@@ -222,7 +515,7 @@ class FittedProblem:
     parts  fits of parts of the lines, each with a rig of its own; () where one rig is fitted to all
     """
 
-    problem: LineProblem
+    problem: FitProblem
     psi: Real
     chi2: float
     dof: int
@@ -238,16 +531,16 @@ class FittedProblem:
         """The logarithm of the evidence by χ² alone, the noise as large as it must be."""
         if self.dof <= 0 or not np.isfinite(self.chi2):  # nothing tests it
             return -np.inf
-        known = self.problem.data.noise_known
+        known = self.problem.noise_known
         excess = max(self.reduced, 1.0 if known else 1e-12)
         held = min(self.reduced, 1.0) if known else 1.0
-        return self.problem.roughly_lost - 0.5 * self.dof * (float(np.log(excess)) + held)
+        return roughly_lost(self.problem) - 0.5 * self.dof * (float(np.log(excess)) + held)
 
     @cached_property
     def covariance(self) -> Real:
         """Of ψ, (M, M): by χ² over its degrees of freedom wider than the noise gives it, where that is larger."""
         information, _, _ = self.problem.slopes(self.psi)
-        floor = 1.0 if self.problem.data.noise_known else 0.0
+        floor = 1.0 if self.problem.noise_known else 0.0
         return max(self.reduced, floor) * scaled_inverse(information)
 
     @cached_property
@@ -255,37 +548,31 @@ class FittedProblem:
         """What the fit leaves of the amplitudes that count, (lines, channels), 0 elsewhere."""
         if self.parts:
             return np.sum([part.residual for part in self.parts], axis=0)
-        of = self.problem
-        with np.errstate(all="ignore"):
-            r = predict(of.view, of.arranged(), self.psi[None], of.sign[None]).r[0]
-        return np.where(of.counted, np.nan_to_num(r), 0.0)
+        return self.problem.left(self.psi)
 
     @cached_property
     def expected(self) -> Complex:
         """What all channels should show, those left out as well, (lines, channels)."""
-        of = self.problem
-        arranged = of.arranged()
-        with np.errstate(all="ignore"):
-            q = predict(of.view, arranged, self.psi[None], of.sign[None]).q
-            every = replace(arranged, y=of.y[None], q=q)
-            return of.y - predict(of.view, every, self.psi[None], of.sign[None]).r[0]
+        return self.problem.expected(self.psi)
 
-    def again(self, problem: LineProblem) -> FittedProblem:
+    def again(self, problem: FitProblem) -> FittedProblem:
         """The same values beside other data: not fitted."""
         return judged([replace(problem, starts=(self.psi,))])[0]
 
 
-def judged(problems: Sequence[LineProblem]) -> list[FittedProblem]:
+def judged(problems: Sequence[FitProblem]) -> list[FittedProblem]:
     """Each problem at its first start, as it is."""
     return _fits(problems, _ended([each.from_starts(each.starts[:1]) for each in problems], 0))
 
 
-def fitted(problems: Sequence[LineProblem], kept: int = KEPT) -> list[FittedProblem]:
+def fitted(problems: Sequence[FitProblem], kept: int = KEPT) -> list[FittedProblem]:
     """Each from the best of its starts or its own least squares; the hopeless after a few steps only."""
     if not problems:
         return []
+    own = _own([each for each in problems if isinstance(each, LineProblem)])
     begun = [
-        each.from_starts((*each.starts, *own)) for each, own in zip(problems, _own(problems), strict=True)
+        each.from_starts((*each.starts, *(own.pop(0) if isinstance(each, LineProblem) else each.by_equation)))
+        for each in problems
     ]
     glance = _ended(begun, GLANCE)
     fits = _fits(problems, glance)
@@ -328,16 +615,17 @@ def searched(problems: Sequence[LineProblem], seed: int = 0, draws: int = DRAWS)
     return _fits(problems, long)
 
 
-def _fits(problems: Sequence[LineProblem], ends: Sequence[tuple[Real, float]]) -> list[FittedProblem]:
-    return [
-        FittedProblem(each, x, cost, each.arranged().rows - len(x))
-        for each, (x, cost) in zip(problems, ends, strict=True)
-    ]
+def _fits(problems: Sequence[FitProblem], ends: Sequence[tuple[Real, float]]) -> list[FittedProblem]:
+    return [FittedProblem(each, x, cost, each.dof) for each, (x, cost) in zip(problems, ends, strict=True)]
 
 
-def _ended(problems: Sequence[LineProblem], limit: int) -> list[tuple[Real, float]]:
+def _ended(every: Sequence[FitProblem], limit: int) -> list[tuple[Real, float]]:
     """The best end, ψ (M,) and χ², of each problem's starts, after `limit` iterations at most."""
-    ends: list[tuple[Real, float]] = [(each.starts[0], np.inf) for each in problems]
+    ends: list[tuple[Real, float]] = [
+        each.descended(limit) if isinstance(each, ModalProblem) else (each.starts[0], np.inf)
+        for each in every
+    ]
+    problems = {t: each for t, each in enumerate(every) if isinstance(each, LineProblem)}
     for group in _alike(problems):
         some = problems[group[0]]
         starts = [_finite(problems[t].starts) for t in group]
@@ -372,10 +660,10 @@ def _finite(rows: Sequence[Real] | Real) -> Real:
     return stacked[np.all(np.isfinite(stacked), axis=1)]
 
 
-def _alike(problems: Sequence[LineProblem]) -> list[list[int]]:
+def _alike(problems: Mapping[int, LineProblem]) -> list[list[int]]:
     """Which problems go into one batch: of one view, with inputs that are given exactly in all or in none."""
     groups: dict[object, list[int]] = {}
-    for t, each in enumerate(problems):
+    for t, each in problems.items():
         arranged = each.arranged()
         apart = t if arranged.ends is not None or arranged.nonlinear is not None else -1
         groups.setdefault((id(each.view), arranged.q is None, apart), []).append(t)
@@ -492,17 +780,6 @@ def _distance(G: Complex, exact: Measured, problem: LineProblem) -> Real:
         away = np.abs(np.log(np.where(used, y0 / shown, 1.0))) ** 2
     away = np.where(np.isfinite(away), np.minimum(away, LIMIT**2), LIMIT**2)
     return np.sum(np.where(used, away, 0.0), axis=(-2, -1))
-
-
-def with_element_starts(problem: LineProblem) -> LineProblem:
-    """With what all motion says of the larger rig by its equation, where that is seen."""
-    if problem.data.states is None or not seen_directly(problem.data):
-        return problem
-    with np.errstate(all="ignore"):
-        values = compensated(problem.model, problem.data.states)[0]
-    if len(values) != len(problem.view.names) or not np.all(np.isfinite(values)):
-        return problem
-    return problem.from_starts((*problem.starts, values))
 
 
 def replaced(model: Model, element: Element) -> Model:

@@ -26,7 +26,7 @@ from dashpot.check.explain.channels import (
     unit,
 )
 from dashpot.check.explain.effect import Baseline, with_likely_causes
-from dashpot.check.explain.problem import FittedProblem, LineProblem
+from dashpot.check.explain.problem import FitProblem, FittedProblem, LineProblem
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError, Problem
 from dashpot.estimate.assessment import Finding
@@ -66,12 +66,13 @@ def mistakes_by_equation(data: Prepared, misfit: float) -> tuple[Finding, ...]:
         for effect in kind(seen)
         for size in effect.values
     ]
-    left = np.array([_left(problem.data) for _, _, problem in tried])
-    mending = np.flatnonzero(left < PROMISED * _left(data))
+    left = np.array([_left(problem) for _, _, problem in tried])
+    mending = np.flatnonzero(left < PROMISED * _left(base))
     found = []
     for k in mending[np.argsort(left[mending])][:FOLLOWED].tolist():
         effect, size, problem = tried[k]
         try:
+            assert isinstance(problem, LineProblem)
             spectrum = problem.data.spectrum
             alone = replace(spectrum, amplitudes=spectrum.amplitudes[0], covariance=problem.V)
             fitted = identify(data.model, alone, "ml")
@@ -95,8 +96,10 @@ def mistakes_by_equation(data: Prepared, misfit: float) -> tuple[Finding, ...]:
     return tuple(sorted(found, key=lambda each: each.remaining or 0.0))
 
 
-def _left(data: Prepared) -> float:
+def _left(problem: FitProblem) -> float:
     """Share of the known forces that the equation of motion leaves; ∞ where there is no regression."""
+    assert isinstance(problem, LineProblem)
+    data = problem.data
     states = states_if_seen(data.view, data.spectrum, data.covariance)
     try:
         return np.inf if states is None else harmonics_left(replace(data, states=states))

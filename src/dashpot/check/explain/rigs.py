@@ -14,7 +14,7 @@ from dashpot.arrays import Real
 from dashpot.channel import Quantity
 from dashpot.check.explain.channels import CLOSE, rounded
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, said
-from dashpot.check.explain.problem import LineProblem, replaced, with_element_starts
+from dashpot.check.explain.problem import FitProblem, LineProblem, replaced
 from dashpot.check.explain.score import score_tests
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
@@ -70,7 +70,7 @@ def stated_values(model: Model) -> list[Element]:
     ]
 
 
-def scores(problem: LineProblem, psi: Real, elements: Sequence[Element]) -> dict[str, tuple[float, float]]:
+def scores(problem: FitProblem, psi: Real, elements: Sequence[Element]) -> dict[str, tuple[float, float]]:
     """By the name of each element: how far χ² would fall were its parameter free, and the step of it (Rao's score).
 
     Each by itself beside the rig's own unknowns at ψ (M,), the best fit without it; elements of which less than
@@ -83,14 +83,15 @@ def scores(problem: LineProblem, psi: Real, elements: Sequence[Element]) -> dict
         model = replaced(model, element)
     larger = problem.from_starts((psi,)).of_rig(model)
     added = {element.name for element in elements}
-    names = larger.view.names
+    names = larger.names
     tests = score_tests(names, [name in added for name in names], *larger.slopes(larger.starts[0]))
     return {test.name: (test.fall, test.step) for test in tests}
 
 
 def element(baseline: Baseline) -> Iterator[Effect]:
     """A missing spring, damper or mass."""
-    yield from _added(baseline, "element", missing_elements(baseline.problem.model))
+    missing = missing_elements(baseline.problem.model)
+    yield from _added(baseline, "element", [each for each in missing if baseline.problem.shows(each)])
 
 
 def hysteretic(baseline: Baseline) -> Iterator[Effect]:
@@ -130,9 +131,8 @@ def _typical(model: Model, psi: Real, kind: Kind) -> float:
     return float(np.exp(np.mean(np.log(like))))
 
 
-def _with(element: Element, problem: LineProblem, start: float) -> LineProblem:
-    larger = problem.of_rig(replaced(problem.model, replace(element, guess=start)))
-    return with_element_starts(larger)
+def _with(element: Element, problem: FitProblem, start: float) -> FitProblem:
+    return problem.of_rig(replaced(problem.model, replace(element, guess=start)))
 
 
 def missing_in_words(model: Model, element: Element, value: float) -> Phrase:
@@ -175,7 +175,7 @@ def value(baseline: Baseline) -> Iterator[Effect]:
             )
 
 
-def _in_unit(element: Element, problem: LineProblem, ratio: float) -> LineProblem:
+def _in_unit(element: Element, problem: FitProblem, ratio: float) -> FitProblem:
     assert element.guess is not None
     return problem.of_rig(replaced(problem.model, replace(element, value=element.guess * ratio, guess=None)))
 
@@ -219,7 +219,7 @@ BODY_DAMPING = 0.02  # damping ratio there
 
 def oscillator(baseline: Baseline) -> Iterator[Effect]:
     """A body on a spring and a damper that the rig lacks, at each coordinate."""
-    problem, model = baseline.problem, baseline.problem.model
+    problem, model = baseline.lines, baseline.problem.model
     if model.angles:
         return
     names = {
@@ -255,7 +255,7 @@ def _beside_body(
         zip((each.name for each in parts), (m, m * rate**2, 2 * BODY_DAMPING * m * rate), strict=True)
     )
     of = problem.of_rig(larger)
-    names = of.view.names
+    names = of.names
     starts = [
         np.array([begun.get(name, start) for name, start in zip(names, psi, strict=True)])
         for psi in of.starts
@@ -273,7 +273,7 @@ def unmeasured(baseline: Baseline) -> Iterator[Effect]:
     """A force at one coordinate that no channel measures, another one at each line."""
     model = baseline.problem.model
     motions = np.flatnonzero(~baseline.inputs)
-    if len(motions) < 3 or not baseline.problem.data.noise_known:  # it would take up what tests the rig
+    if len(motions) < 3 or not baseline.problem.noise_known:  # it would take up what tests the rig
         return
     taken = {
         *model.coordinates,
@@ -294,7 +294,7 @@ def _pushed(larger: Model, problem: LineProblem, _: float) -> LineProblem:
 
 def residual(baseline: Baseline) -> Iterator[Effect]:
     """What modes outside the band add to a channel: a compliance of higher ones, a mass line of lower ones."""
-    problem, model = baseline.problem, baseline.problem.model
+    problem, model = baseline.lines, baseline.problem.model
     channels = problem.channels
     for source in np.flatnonzero(baseline.inputs).tolist():
         force = set(channels[source].of) <= set(model.force_inputs)
