@@ -355,7 +355,13 @@ def spectrum(
         parts.append(_of_dwells(dwells, settings))
     if whole:
         parts.append(
-            whole_records(whole, band_hz=settings.band, still=settings.still, ramp=settings.degree > 0)
+            whole_records(
+                whole,
+                band_hz=settings.band,
+                still=settings.still,
+                ramp=settings.degree > 0,
+                marks=settings.refine != "none",
+            )
         )
     lines = concatenate(parts)
     if settings.still is None or AT_REST not in lines.noise:

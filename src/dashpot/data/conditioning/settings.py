@@ -58,7 +58,8 @@ class Conditioning:
                lets dwells of few samples lean on the noise of the others
     moments    add the second moments of the samples (order 1 alone); "auto": where they can be had
     refine     "auto": the stated frequency, refused where the record moves elsewhere and refined where all dwells
-               together show that it is off; "always" (or True): the most likely one near it; "none" (or False): stated
+               together show that it is off; "always" (or True): the most likely one near it; "none" (or False): stated,
+               and all samples count as measured
     settle     "auto" (or True): drop the transient of each record; a number: drop that many seconds; "none" (or False)
     transients "auto": records without a frequency and dwells that follow each other in time are whole records, and so
                are dwells that have not settled; "estimate": every dwell is; "settle": no dwell is, and where some have

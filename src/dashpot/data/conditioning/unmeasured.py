@@ -1,28 +1,32 @@
 """Samples that are not measured: clipped at the limit of a channel's range, held, 0 or a spike where it missed them.
 
-In a dwell they are marked (`Record.status`): of clipped samples a regression then knows that the signal is beyond them,
-of missing ones nothing.  Which they are is told by the motion around them.  In dwells with transients they are
-unknowns in the lines.
+They are marked (`Record.status`): of clipped samples a regression then knows that the signal is beyond them, of missing
+ones nothing; in the lines of whole records they are unknowns.  Which they are is told by the motion around them: in a
+dwell by that of a sine nearby, in a whole record by one that is as loud at each frequency as the channel is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import fdtrc
+from scipy import fft
+from scipy.special import chdtrc, fdtrc
 
 from dashpot.arrays import Ints, Real
+from dashpot.channel import Quantity
 from dashpot.data.conditioning.drive_frequency import at_frequencies, drive_frequencies
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
 from dashpot.data.conditioning.regression import Terms, in_between, solve_harmonics, window
+from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.record import ABOVE, BELOW, MISSING, Record, limits, runs_of_one_value
 from dashpot.errors import DataError
-from dashpot.io.words import counted
+from dashpot.io.words import counted, joined
 from dashpot.notices import Notice
 
+Motion = Callable[[int, Ints], Real]  # of a channel, with samples marked: what is expected there, (samples,)
 DEPTH = 1e-3  # of a channel's range, by which the motion goes beyond a limit in the mean: less is no matter
 MOST = 0.6  # of a channel's samples: of one that clips more the rest says too little
 BEYOND = 4.0  # times the scatter of the motion around a run of one value by which that departs from it
@@ -47,7 +51,16 @@ def marked(dwells: Sequence[Record]) -> tuple[list[Record], list[Notice]]:
     perhaps = [_perhaps_clipped(record) for record in with_missing]
     at_their_own = at_frequencies(perhaps, drive_frequencies(perhaps))
     return [
-        _with_clipped(own, record, notices) for own, record in zip(at_their_own, with_missing, strict=True)
+        record
+        if own.status is None
+        else _with_clipped(
+            record,
+            own.status,
+            lambda c, status, own=own: _motion_there(own, c, status)[0],  # type: ignore[misc]
+            f"{{}} clips in the dwell at {record.frequency_hz:g} Hz ({{}}): the other samples are used",
+            notices,
+        )
+        for own, record in zip(at_their_own, with_missing, strict=True)
     ], notices
 
 
@@ -98,12 +111,18 @@ def _with_missing(record: Record, notices: list[Notice]) -> Record:
     return replace(record, status=status) if np.any(status) else record
 
 
+def _departures(values: Real) -> Real:
+    """How far samples (samples, ...) are from the line between their neighbours; of the first and the last 0."""
+    away = np.zeros(values.shape)
+    away[1:-1] = np.abs(values[1:-1] - (values[:-2] + values[2:]) / 2)
+    return away
+
+
 def _spikes(column: Real) -> list[int]:
     """Samples that depart from the line between their neighbours far more than samples usually do."""
-    away = np.abs(column[1:-1] - (column[:-2] + column[2:]) / 2)
-    usual = float(np.median(away)) if len(away) else 0.0
-    around = np.pad(away, 1)
-    far = (away > 2 * SPIKE * usual) & (away >= np.maximum(around[:-2], around[2:])) & (usual > 0)
+    away = _departures(column)
+    usual = float(np.median(away[1:-1])) if len(away) > 2 else 0.0
+    far = (away[1:-1] > 2 * SPIKE * usual) & (away[1:-1] >= np.maximum(away[:-2], away[2:])) & (usual > 0)
     spikes: list[int] = (np.flatnonzero(far) + 1).tolist()
     return spikes
 
@@ -125,22 +144,16 @@ def _perhaps_clipped(record: Record) -> Record:
     return replace(record, status=status) if np.any(status) else record
 
 
-def _with_clipped(perhaps: Record, record: Record, notices: list[Notice]) -> Record:
-    """The dwell with the clipped samples of those channels marked whose motion lies beyond their limits."""
-    if perhaps.status is None:
-        return record
-    status = np.array(perhaps.status)
-    for c, channel in enumerate(record.channels):
-        clipped = np.abs(status[:, c]) == 1
-        if not np.any(clipped):
-            continue
-        column = record.values[:, c]
-        motion, _ = _motion_there(perhaps, c, np.where(clipped, MISSING, status[:, c]))
-        beyond = status[clipped, c] * (motion - column)[clipped]
+def _with_clipped(record: Record, perhaps: Ints, motion: Motion, text: str, notices: list[Notice]) -> Record:
+    """The record with those of the clipped samples marked, of what may be, beyond which its channel moves."""
+    status = np.array(perhaps)
+    for c in np.flatnonzero(np.any(np.abs(perhaps) == 1, axis=0)).tolist():
+        clipped, column, name = np.abs(perhaps[:, c]) == 1, record.values[:, c], record.channels[c].name
+        expected = motion(c, np.where(clipped, MISSING, perhaps[:, c]))
+        beyond = perhaps[clipped, c] * (expected - column)[clipped]
         if np.nansum(beyond) > DEPTH * np.ptp(column) * len(beyond):  # others rest at it
-            text = f"{channel.name} clips in the dwell at {record.frequency_hz:g} Hz"
-            told = f"{text} ({counted(int(np.sum(clipped)), 'sample')}): the other samples are used"
-            notices.append(Notice("unclipped", told, (channel.name,)))
+            count = counted(int(np.sum(clipped)), "sample")
+            notices.append(Notice("unclipped", text.format(name, count), (name,)))
         else:
             status[clipped, c] = 0
     return replace(record, status=status) if np.any(status) else record
@@ -246,3 +259,232 @@ def notices_of_doubt(dwells: Sequence[Record]) -> list[Notice]:
         )
         for name in brief
     ]
+
+
+# Whole records. Samples in which a channel holds one value, or reads 0, while the motion goes on, spikes, and clipped
+# ones are unknown; where they are too many the record is cut there, and what is on either side is used by itself.
+
+
+MOST_UNKNOWN = 500  # samples of all channels that stay unknown in a record: with more it is cut
+SHORTEST_HELD_SAMPLES = 4  # samples of a run
+LONG_HELD = 10  # samples, in which no motion of many steps a sample turns about
+CHANCE_HELD = 1e-6  # that a motion through a short run is as far from its value
+AROUND = 20  # samples on either side that show how a channel moves
+# Steps of the converter, or standard deviations, by which a motion does not stand still by chance
+RESOLVED = 4.0
+MOST_RUNS = 5  # in one channel: what rests more often does so for a reason
+SIDES = 64  # samples of a part that is used
+ALONE = 4.0  # times the largest departure around a spike by which it departs: the motion before and behind is alike
+AT_ONCE = 2.0  # and that by which no other channel does: a blow moves several
+MOST_SPIKES = 20  # in one channel: more are part of its motion, as where parts of a rig meet
+
+
+def marked_whole(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
+    """The record with the samples marked that channels hold, miss or clip, or its parts between those held; notices.
+
+    Channels of forces hold their values and have peaks: of them clipped samples alone are marked.  Repeats (leading
+    axes) stay as they are.
+    """
+    if record.values.ndim != 2:
+        return [record], ()
+    status, notes = record.marks(), list[Notice]()
+    held, holding = np.zeros(len(record.time), dtype=bool), []
+    still = record.values[1:] == record.values[:-1]
+    suspect = np.any(still[1:] & still[:-1], axis=0)
+    away = _departures(record.values)
+    for c, channel in enumerate(record.channels):
+        if channel.quantity is Quantity.FORCE:
+            continue
+        runs = _runs_held(record.values[:, c]) if suspect[c] else []
+        if runs:
+            holding.append(channel.name)
+        for begin, end in runs:
+            held[begin:end] = True
+            status[begin:end, c] = MISSING
+        spikes = [at for at in _spikes(record.values[:, c]) if status[at, c] == 0 and _alone(away, at, c)]
+        if 0 < len(spikes) <= MOST_SPIKES:
+            status[spikes, c] = MISSING
+            which = (
+                f"{channel.name} has {counted(len(spikes), 'spike')}, first at {record.time[spikes[0]]:.6g} s"
+            )
+            notes.append(
+                Notice(
+                    "dropouts",
+                    f"{record.source}: {which}: unknown there, the others are used",
+                    (channel.name,),
+                )
+            )
+    edges = [0, *(np.flatnonzero(np.diff(held)) + 1).tolist(), len(held)]
+    spiky = replace(record, status=status) if np.any(status) else record
+    parts = [spiky.part(slice(a, b)) for a, b in pairwise(edges) if not held[a] and b - a >= SIDES]
+    if np.count_nonzero(status) <= MOST_UNKNOWN or not parts:
+        parts, used = [spiky], "unknown there, the others are used"
+    else:
+        used = f"used as {counted(len(parts), 'record')}"
+    if holding:
+        text = (
+            f"{record.source}: {joined(holding)} hold{'s' if len(holding) == 1 else ''} a value in {np.sum(held)} "
+            f"samples, first at {record.time[np.argmax(held)]:.6g} s, while the motion goes on: {used}"
+        )
+        notes.append(Notice("held_samples", text, tuple(holding)))
+    return [_with_clipped_of_whole(part, notes) for part in parts], tuple(notes)
+
+
+def _with_clipped_of_whole(record: Record, notes: list[Notice]) -> Record:
+    """The record with the samples marked that are clipped; as it is where they are too many."""
+    status = record.marks()
+    for c, column in enumerate(record.values.T):
+        highest, lowest = limits(column) & (status[:, c] == 0)
+        if np.count_nonzero(status) + np.sum(highest | lowest) <= MOST_UNKNOWN:
+            status[highest, c], status[lowest, c] = ABOVE, BELOW
+
+    def motion(c: int, trial: Ints) -> Real:
+        alone = np.where(np.arange(status.shape[1]) == c, trial[:, None], 0)
+        return with_likely(replace(record, status=alone, sd=None))[0].values[:, c]
+
+    text = f"{record.source}: {{}} clips ({{}}): the other samples are used"
+    return _with_clipped(record, status, motion, text, notes) if np.any(np.abs(status) == 1) else record
+
+
+def _alone(away: Real, at: int, c: int) -> bool:
+    """Whether one sample of a channel departs far more than those around, where no other channel does; departures
+    (samples, channels)."""
+    first, near = max(at - AROUND, 0), slice(max(at - 2, 0), at + 3)
+    around = np.concatenate([away[first : near.start], away[near.stop : at + AROUND + 1]])
+    if not len(around):
+        return False
+    usual = np.max(around, axis=0)
+    others = np.arange(away.shape[1]) != c
+    return bool(away[at, c] > ALONE * usual[c] and np.all(away[near][:, others] <= AT_ONCE * usual[others]))
+
+
+def _runs_held(column: Real) -> list[tuple[int, int]]:
+    """Begin and end of each run of one value (samples,) that the motion around it does not explain."""
+    runs = list(runs_of_one_value(column, SHORTEST_HELD_SAMPLES))
+    values, counts = np.unique(column, return_counts=True)
+    resting = values[counts > MOST_MISSING * len(column)]
+    if not 0 < len(runs) <= MOST_RUNS or sum(end - begin for begin, end in runs) > MOST_MISSING * len(column):
+        return []
+    if len(resting) or len(values) < 2:
+        return []
+    step = float(np.min(np.diff(values)))
+    runs = [
+        (a, b) for a, b in runs if a > 0 and b < len(column) and _moves_around(column, a, b, RESOLVED * step)
+    ]
+    lost = [(a, b) for a, b in runs if b - a >= LONG_HELD]
+    short = [(a, b) for a, b in runs if b - a < LONG_HELD]
+    if not short:
+        return lost
+    # Short ones may be turning points: a motion as loud at each frequency as the channel is would leave the value
+    every, at = (np.concatenate([np.arange(*run) for run in some]) for some in (runs, short))
+    motion = np.array(column)
+    motion[every] = np.interp(every, np.delete(np.arange(len(column)), every), np.delete(column, every))
+    expected, precision = told_by_lines(motion, at, 0, (np.zeros(len(at)), np.zeros(len(at))))
+    away, covariance = motion[at] + expected - column[at], np.linalg.inv(precision)
+    for begin, end in short:
+        own = (at >= begin) & (at < end)
+        square = away[own] @ np.linalg.solve(covariance[np.ix_(own, own)], away[own])
+        if np.max(np.abs(away[own])) > RESOLVED * step and chdtrc(end - begin, square) < CHANCE_HELD:
+            lost.append((begin, end))
+    return lost
+
+
+def _moves_around(column: Real, begin: int, end: int, least: float) -> bool:
+    """Whether a channel moves by more than `least` from sample to sample around a run that is not at a limit."""
+    sides = (
+        np.diff(column[max(begin - AROUND, 0) : begin]),
+        np.diff(column[end : end + AROUND]),
+    )
+    usual = min(float(np.sqrt(np.mean(part**2))) if len(part) else 0.0 for part in sides)
+    return column[begin] not in (column.min(), column.max()) and usual > least
+
+
+# Of each channel: inverse variance and mean of what is to be added, (k,) each
+Known = dict[int, tuple[Real, Real]]
+
+
+def with_likely(record: Record) -> tuple[Record, Known]:
+    """The record with values that are likely for samples not measured, and what is known of each by itself.
+
+    They are as `Record.sd` has them, else of a motion that is as loud at each frequency as the channel is, and beyond
+    its limit where it is clipped.
+    """
+    values, known = np.array(record.values), Known()
+    for c in np.flatnonzero(~record.whole_channels).tolist():
+        assert record.status is not None
+        at, there = np.flatnonzero(record.status[:, c]), np.flatnonzero(record.status[:, c] == 0)
+        if record.sd is not None:
+            known[c] = 1 / record.sd[at, c] ** 2, np.zeros(len(at))
+            continue
+        limit, side = values[at, c].copy(), record.status[at, c]
+        values[at, c] = np.interp(at, there, values[there, c])
+        nothing = np.zeros(len(at)), np.zeros(len(at))
+        mean, precision = told_by_lines(values[:, c], at, 0, nothing)
+        side = np.where(side == MISSING, 0, side)
+        likely, inverse, at_mean = _beyond(limit - values[at, c], side, mean, precision)
+        values[at, c] += likely
+        known[c] = inverse, at_mean - likely
+    return replace(record, values=values), known
+
+
+def _beyond(limit: Real, side: Ints, mean: Real, precision: Real) -> tuple[Real, Real, Real]:
+    """Mean of Gaussian numbers (k,) that are above (side 1) or below (−1) limits, and for each of these the number with
+    noise that tells as much: inverse variance and mean.
+
+    By expectation propagation (Minka 2001): each limit in turn, against what all others leave of its number.
+    """
+    tau, nu = np.zeros(len(side)), np.zeros(len(side))
+    some = side != 0
+    for _ in range(20 if np.any(some) else 0):
+        covariance = np.linalg.inv(precision + np.diag(tau))
+        every = covariance @ (precision @ mean + nu)
+        variance = np.diagonal(covariance)[some]
+        cavity = 1 / np.maximum(1 / variance - tau[some], 1e-6 / variance)
+        middle = cavity * (every[some] / variance - nu[some])
+        z = side[some] * (limit[some] - middle) / np.sqrt(cavity)
+        _, slope, _, curvature, _, _ = in_between(z, np.full(len(z), np.inf))
+        narrower = cavity * np.clip(1 + curvature, 1e-6, 1.0)
+        moved = middle + side[some] * slope * np.sqrt(cavity)
+        before = tau[some]
+        tau[some] = (before + 1 / narrower - 1 / cavity) / 2  # half a step, for all at once
+        nu[some] = (nu[some] + moved / narrower - middle / cavity) / 2
+        if np.max(np.abs(tau[some] - before) * variance) < 1e-3:
+            break
+    likely = np.linalg.solve(precision + np.diag(tau), precision @ mean + nu).astype(np.float64)
+    return likely, tau, np.where(tau > 0, nu / np.where(tau > 0, tau, 1.0), 0.0)
+
+
+def told_by_lines(column: Real, at: Ints, last: int, known: tuple[Real, Real]) -> tuple[Real, Real]:
+    """Mean (k,) and inverse covariance (k, k) of what is to be added to the samples `at` (k,) of a channel.
+
+    By lines above the `last`, of which each is as loud as those beside it; by what is known of each, inverse variance
+    and mean (k,); and by the channel's size, which it does not exceed.
+    """
+    samples, lines = len(column), len(column) // 2 - last
+    own = precision = np.diag(known[0] + 1 / np.ptp(np.delete(column, at)) ** 2)
+    pull = known[0] * known[1]
+    filled = np.array(column)
+    if len(at) > lines:  # as loud as they are for the unknowns' sake
+        return pull / np.diagonal(own), own
+    # What the ends leak by jumps of the motion, its slope and its bend is smooth in jω, and none of the noise
+    s = 1j * np.arange(last + 1, len(column) // 2 + 1)[:, None] / (len(column) // 2)
+    ends = (s ** np.arange(-3, 3) / np.linalg.norm(s ** np.arange(-3, 3), axis=0)).astype(np.complex128)
+    leaked: Real = np.zeros(ends.shape[1])
+    padded = np.zeros((samples // 2 + 1, 2 + ends.shape[1]), dtype=np.complex128)
+    for _ in range(3):
+        Y = fft.rfft(filled - filled.mean())[last + 1 :]
+        power = np.abs(Y - ends @ leaked) ** 2 / (1 - len(at) / (2 * lines))
+        loudness = smoothed(power.astype(np.complex128), HALF_WINDOW).real
+        weight = 1 / np.maximum(loudness, 1e-20 * np.max(np.abs(Y)) ** 2)
+        # Products of errors of single samples with lines whose real and imaginary parts have half of the power each
+        padded[last + 1 :] = weight[:, None] * np.column_stack([Y, np.ones(lines), ends])
+        in_time = samples * fft.irfft(padded, samples, axis=0)
+        weighted = 2 * np.conj(ends.T) * weight
+        by_ends = np.linalg.pinv((weighted @ ends).real, hermitian=True).astype(np.float64)
+        of_ends = (weighted @ Y).real
+        leaked = by_ends @ of_ends
+        beside = in_time[at, 2:] @ by_ends
+        precision = own + in_time[np.abs(at[:, None] - at), 1] - beside @ in_time[at, 2:].T
+        away = in_time[at, 0] - beside @ of_ends + own @ (filled - column)[at] - pull
+        filled[at] -= np.linalg.solve(precision, away)
+    return filled[at] - column[at], precision

@@ -13,14 +13,20 @@ from itertools import pairwise
 
 import numpy as np
 from scipy import fft
-from scipy.special import chdtrc
 
 from dashpot.arrays import Complex, Ints, Real, diagonal_matrices
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Channel
 from dashpot.data.conditioning.clock import even_step, fewest_samples
-from dashpot.data.conditioning.regression import in_between
-from dashpot.data.conditioning.still import HALF_WINDOW, Still, smoothed, variance_at_rest
-from dashpot.data.record import ABOVE, BELOW, MISSING, Record, calibration, limits, runs_of_one_value
+from dashpot.data.conditioning.still import Still, variance_at_rest
+from dashpot.data.conditioning.unmeasured import (
+    MOST_MISSING,
+    MOST_UNKNOWN,
+    Known,
+    marked_whole,
+    told_by_lines,
+    with_likely,
+)
+from dashpot.data.record import MISSING, Record, calibration
 from dashpot.data.spectrum import Spectrum, Unmeasured, WholeRecord, concatenate
 from dashpot.errors import DataError
 from dashpot.io.words import counted, joined
@@ -28,9 +34,6 @@ from dashpot.notices import Notice
 
 GAP = 1.5  # sampling steps: where the next sample is later than this, another record begins
 SHORTEST = 64  # samples of a piece between gaps
-MOST_UNKNOWN = 500  # samples of all channels that stay unknown in a record: with more it is cut
-DEPTH = 1e-3  # of a channel's range, by which the motion goes beyond a limit in the mean: less is no matter
-MOST_MISSING = 0.1  # of a record's samples, or of a channel's: what misses or holds more does so for a reason
 SLIP = 0.1  # of a step: where the next sample is early or late by more, the clock has slipped
 UNEVEN = 0.02  # share of gaps from which on they are the clock's
 HIGHEST = 0.9  # of half the sampling rate: above it the input between the samples is not known well enough
@@ -120,100 +123,6 @@ def _with_unknown_rows(record: Record, steps: Ints) -> Record | None:
     return whole
 
 
-# Samples of a whole record in which a channel holds one value, or reads 0, while the motion goes on.
-#
-# They are unknown, or where they are too many the record is cut there: what is on either side is used as a
-# record of its own.
-
-
-SHORTEST_HELD_SAMPLES = 4  # samples of a run
-LONG_HELD = 10  # samples, in which no motion of many steps a sample turns about
-CHANCE_HELD = 1e-6  # that a motion through a short run is as far from its value
-AROUND_HELD_SAMPLES = 20  # samples on either side that show how the channel moves
-# Steps of the converter, or standard deviations, by which a motion does not stand still by chance
-RESOLVED = 4.0
-MOST_RUNS = 5  # in one channel: what rests more often does so for a reason
-SIDES = 64  # samples of a part that is used
-
-
-def without_held_samples(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
-    """The record with the runs unknown in which channels hold a value, or its parts before, between and behind them,
-    and a note of them.
-
-    Channels of forces are left alone: a drive may hold its value.  Repeats (leading axes) stay as they are.
-    """
-    if record.values.ndim != 2:
-        return [record], ()
-    status = record.marks()
-    held = np.zeros(len(record.time), dtype=bool)
-    names = []
-    still = record.values[1:] == record.values[:-1]
-    suspect = np.any(still[1:] & still[:-1], axis=0)
-    for c, channel in enumerate(record.channels):
-        if channel.quantity is Quantity.FORCE or not suspect[c]:
-            continue
-        runs = _runs_held(record.values[:, c])
-        if runs:
-            names.append(channel.name)
-        for begin, end in runs:
-            held[begin:end] = True
-            status[begin:end, c] = MISSING
-    edges = [0, *(np.flatnonzero(np.diff(held)) + 1).tolist(), len(held)]
-    parts = [record.part(slice(a, b)) for a, b in pairwise(edges) if not held[a] and b - a >= SIDES]
-    if not names or not parts:
-        return [record], ()
-    at = record.time[int(np.argmax(held))]
-    used = f"used as {counted(len(parts), 'record')}"
-    if np.count_nonzero(status) <= MOST_UNKNOWN:
-        parts, used = [replace(record, status=status)], "unknown there, the others are used"
-    text = (
-        f"{record.source}: {joined(names)} hold{'s' if len(names) == 1 else ''} a value in {int(np.sum(held))} "
-        f"samples, first at {at:.6g} s, while the motion goes on: {used}"
-    )
-    return parts, (Notice("held_samples", text, tuple(names)),)
-
-
-def _runs_held(column: Real) -> list[tuple[int, int]]:
-    """Begin and end of each run of one value (samples,) that the motion around it does not explain."""
-    runs = list(runs_of_one_value(column, SHORTEST_HELD_SAMPLES))
-    values, counts = np.unique(column, return_counts=True)
-    resting = values[counts > MOST_MISSING * len(column)]
-    if not 0 < len(runs) <= MOST_RUNS or sum(end - begin for begin, end in runs) > MOST_MISSING * len(column):
-        return []
-    if len(resting) or len(values) < 2:
-        return []
-    step = float(np.min(np.diff(values)))
-    runs = [
-        (a, b) for a, b in runs if a > 0 and b < len(column) and _moves_around(column, a, b, RESOLVED * step)
-    ]
-    lost = [(a, b) for a, b in runs if b - a >= LONG_HELD]
-    short = [(a, b) for a, b in runs if b - a < LONG_HELD]
-    if not short:
-        return lost
-    # Short ones may be turning points: a motion as loud at each frequency as the channel is would leave the value
-    every, at = (np.concatenate([np.arange(*run) for run in some]) for some in (runs, short))
-    motion = np.array(column)
-    motion[every] = np.interp(every, np.delete(np.arange(len(column)), every), np.delete(column, every))
-    expected, precision = _told_by_lines(motion, at, 0, (np.zeros(len(at)), np.zeros(len(at))))
-    away, covariance = motion[at] + expected - column[at], np.linalg.inv(precision)
-    for begin, end in short:
-        own = (at >= begin) & (at < end)
-        square = away[own] @ np.linalg.solve(covariance[np.ix_(own, own)], away[own])
-        if np.max(np.abs(away[own])) > RESOLVED * step and chdtrc(end - begin, square) < CHANCE_HELD:
-            lost.append((begin, end))
-    return lost
-
-
-def _moves_around(column: Real, begin: int, end: int, least: float) -> bool:
-    """Whether a channel moves by more than `least` from sample to sample around a run that is not at a limit."""
-    sides = (
-        np.diff(column[max(begin - AROUND_HELD_SAMPLES, 0) : begin]),
-        np.diff(column[end : end + AROUND_HELD_SAMPLES]),
-    )
-    usual = min(float(np.sqrt(np.mean(part**2))) if len(part) else 0.0 for part in sides)
-    return column[begin] not in (column.min(), column.max()) and usual > least
-
-
 def whole_record(
     record: Record,
     *,
@@ -279,85 +188,6 @@ def whole_record(
     )
 
 
-def with_clipped_samples(record: Record) -> tuple[Record, tuple[Notice, ...]]:
-    """The record with the samples marked at which channels end while their motion is likely to go on, and notes.
-
-    As it is where they are too many.
-    """
-    if record.values.ndim != 2:
-        return record, ()
-    status = record.marks()
-    notes = []
-    for c, channel in enumerate(record.channels):
-        highest, lowest = limits(record.values[:, c]) & (status[:, c] == 0)
-        clipped = highest | lowest
-        if not np.any(clipped) or np.count_nonzero(status) + np.sum(clipped) > MOST_UNKNOWN:
-            continue
-        trial = np.where(clipped, MISSING, status[:, c])
-        alone = replace(record, status=np.where(np.arange(status.shape[1]) == c, trial[:, None], 0), sd=None)
-        beyond = (np.where(highest, 1, -1) * (with_likely(alone)[0].values - record.values)[:, c])[clipped]
-        if np.mean(beyond) > DEPTH * np.ptp(record.values[:, c]):  # others rest at it
-            status[highest, c], status[lowest, c] = ABOVE, BELOW
-            text = f"{channel.name} clips ({counted(int(np.sum(clipped)), 'sample')}): the other samples are used"
-            notes.append(Notice("unclipped", f"{record.source}: {text}", (channel.name,)))
-    return (replace(record, status=status), tuple(notes)) if notes else (record, ())
-
-
-# Of each channel: inverse variance and mean of what is to be added, (k,) each
-Known = dict[int, tuple[Real, Real]]
-
-
-def with_likely(record: Record) -> tuple[Record, Known]:
-    """The record with values that are likely for samples not measured, and what is known of each by itself.
-
-    They are as `Record.sd` has them, else of a motion that is as loud at each frequency as the channel is, and beyond
-    its limit where it is clipped.
-    """
-    values, known = np.array(record.values), Known()
-    for c in np.flatnonzero(~record.whole_channels).tolist():
-        assert record.status is not None
-        at, there = np.flatnonzero(record.status[:, c]), np.flatnonzero(record.status[:, c] == 0)
-        if record.sd is not None:
-            known[c] = 1 / record.sd[at, c] ** 2, np.zeros(len(at))
-            continue
-        limit, side = values[at, c].copy(), record.status[at, c]
-        values[at, c] = np.interp(at, there, values[there, c])
-        nothing = np.zeros(len(at)), np.zeros(len(at))
-        mean, precision = _told_by_lines(values[:, c], at, 0, nothing)
-        side = np.where(side == MISSING, 0, side)
-        likely, inverse, at_mean = _beyond(limit - values[at, c], side, mean, precision)
-        values[at, c] += likely
-        known[c] = inverse, at_mean - likely
-    return replace(record, values=values), known
-
-
-def _beyond(limit: Real, side: Ints, mean: Real, precision: Real) -> tuple[Real, Real, Real]:
-    """Mean of Gaussian numbers (k,) that are above (side 1) or below (−1) limits, and for each of these the number with
-    noise that tells as much: inverse variance and mean.
-
-    By expectation propagation (Minka 2001): each limit in turn, against what all others leave of its number.
-    """
-    tau, nu = np.zeros(len(side)), np.zeros(len(side))
-    some = side != 0
-    for _ in range(20 if np.any(some) else 0):
-        covariance = np.linalg.inv(precision + np.diag(tau))
-        every = covariance @ (precision @ mean + nu)
-        variance = np.diagonal(covariance)[some]
-        cavity = 1 / np.maximum(1 / variance - tau[some], 1e-6 / variance)
-        middle = cavity * (every[some] / variance - nu[some])
-        z = side[some] * (limit[some] - middle) / np.sqrt(cavity)
-        _, slope, _, curvature, _, _ = in_between(z, np.full(len(z), np.inf))
-        narrower = cavity * np.clip(1 + curvature, 1e-6, 1.0)
-        moved = middle + side[some] * slope * np.sqrt(cavity)
-        before = tau[some]
-        tau[some] = (before + 1 / narrower - 1 / cavity) / 2  # half a step, for all at once
-        nu[some] = (nu[some] + moved / narrower - middle / cavity) / 2
-        if np.max(np.abs(tau[some] - before) * variance) < 1e-3:
-            break
-    likely = np.linalg.solve(precision + np.diag(tau), precision @ mean + nu).astype(np.float64)
-    return likely, tau, np.where(tau > 0, nu / np.where(tau > 0, tau, 1.0), 0.0)
-
-
 def _unmeasured(
     likely: Record, known: Known, remaining: Sequence[Channel], last: int
 ) -> tuple[Unmeasured, ...]:
@@ -367,44 +197,8 @@ def _unmeasured(
     for c, own in known.items():
         assert likely.status is not None
         at = np.flatnonzero(likely.status[:, c])
-        found.append(Unmeasured(remaining[c], at, *_told_by_lines(likely.values[:, c], at, last, own)))
+        found.append(Unmeasured(remaining[c], at, *told_by_lines(likely.values[:, c], at, last, own)))
     return tuple(found)
-
-
-def _told_by_lines(column: Real, at: Ints, last: int, known: tuple[Real, Real]) -> tuple[Real, Real]:
-    """Mean (k,) and inverse covariance (k, k) of what is to be added to the samples `at` (k,) of a channel.
-
-    By lines above the `last`, of which each is as loud as those beside it; by what is known of each, inverse variance
-    and mean (k,); and by the channel's size, which it does not exceed.
-    """
-    samples, lines = len(column), len(column) // 2 - last
-    own = precision = np.diag(known[0] + 1 / np.ptp(np.delete(column, at)) ** 2)
-    pull = known[0] * known[1]
-    filled = np.array(column)
-    if len(at) > lines:  # as loud as they are for the unknowns' sake
-        return pull / np.diagonal(own), own
-    # What the ends leak by jumps of the motion, its slope and its bend is smooth in jω, and none of the noise
-    s = 1j * np.arange(last + 1, len(column) // 2 + 1)[:, None] / (len(column) // 2)
-    ends = (s ** np.arange(-3, 3) / np.linalg.norm(s ** np.arange(-3, 3), axis=0)).astype(np.complex128)
-    leaked: Real = np.zeros(ends.shape[1])
-    padded = np.zeros((samples // 2 + 1, 2 + ends.shape[1]), dtype=np.complex128)
-    for _ in range(3):
-        Y = fft.rfft(filled - filled.mean())[last + 1 :]
-        power = np.abs(Y - ends @ leaked) ** 2 / (1 - len(at) / (2 * lines))
-        loudness = smoothed(power.astype(np.complex128), HALF_WINDOW).real
-        weight = 1 / np.maximum(loudness, 1e-20 * np.max(np.abs(Y)) ** 2)
-        # Products of errors of single samples with lines whose real and imaginary parts have half of the power each
-        padded[last + 1 :] = weight[:, None] * np.column_stack([Y, np.ones(lines), ends])
-        in_time = samples * fft.irfft(padded, samples, axis=0)
-        weighted = 2 * np.conj(ends.T) * weight
-        by_ends = np.linalg.pinv((weighted @ ends).real, hermitian=True).astype(np.float64)
-        of_ends = (weighted @ Y).real
-        leaked = by_ends @ of_ends
-        beside = in_time[at, 2:] @ by_ends
-        precision = own + in_time[np.abs(at[:, None] - at), 1] - beside @ in_time[at, 2:].T
-        away = in_time[at, 0] - beside @ of_ends + own @ (filled - column)[at] - pull
-        filled[at] -= np.linalg.solve(precision, away)
-    return filled[at] - column[at], precision
 
 
 def _lines_of(source: str, band_hz: tuple[float, float] | None, samples: int, step: float) -> tuple[int, int]:
@@ -513,10 +307,11 @@ def whole_records(
     still: Still | None = None,
     polynomial: int = POLYNOMIAL,
     ramp: bool = False,
+    marks: bool = True,
 ) -> Spectrum:
-    """Lines of several records, each with boundary loads of its own; records are cut where samples are missing or held.
+    """Lines of several records, each with boundary loads of its own; records are cut where too many samples miss.
 
-    Raises as `whole_record`.
+    marks: samples that channels hold, miss or clip are found and count as not measured.  Raises as `whole_record`.
     """
     notes: list[Notice] = []
     pieces: list[Record] = []
@@ -524,12 +319,9 @@ def whole_records(
         parts, told = without_gaps(record)
         notes += told
         for part in parts:
-            moving, told = without_held_samples(part)
+            each, told = marked_whole(part) if marks else ([part], ())
+            pieces += each
             notes += told
-            for each in moving:
-                piece, told = with_clipped_samples(each)
-                pieces.append(piece)
-                notes += told
     spectra = [
         whole_record(piece, band_hz=band_hz, still=still, polynomial=polynomial, ramp=ramp)
         for piece in pieces

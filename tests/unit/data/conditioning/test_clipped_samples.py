@@ -8,8 +8,8 @@ import pytest
 from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.lines import spectrum
-from dashpot.data.conditioning.unmeasured import expected, marked
-from dashpot.data.conditioning.whole_record import whole_records, with_clipped_samples, with_likely
+from dashpot.data.conditioning.unmeasured import expected, marked, marked_whole, with_likely
+from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import WholeRecord
 
@@ -196,7 +196,7 @@ def test_clipped_samples_of_a_whole_record_are_unknown_beyond_the_limit(noise: f
         assert isinstance(whole, WholeRecord)
         (of,) = whole.unmeasured
         assert np.array_equal(of.samples, np.flatnonzero(np.abs(record.values[:, 0]) == 7.0))
-        clipped, _ = with_clipped_samples(record)
+        (clipped,), _ = marked_whole(record)
         likely, _ = with_likely(clipped)
         error = (x - likely.values[:, 0])[of.samples] - of.mean
         z2.append(error @ of.precision @ error)

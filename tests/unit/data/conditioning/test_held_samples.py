@@ -7,7 +7,8 @@ import pytest
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
-from dashpot.data.conditioning.whole_record import whole_records, without_held_samples
+from dashpot.data.conditioning.unmeasured import marked_whole
+from dashpot.data.conditioning.whole_record import whole_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import WholeRecord
 
@@ -35,7 +36,7 @@ def record(x: Real, f: Real | None = None) -> Record:
 def test_samples_held_are_unknown_and_the_record_stays_whole(value: str) -> None:
     x = moving()
     x[800:950] = x[800] if value == "held" else 0.0
-    (part,), (note,) = without_held_samples(record(x))
+    (part,), (note,) = marked_whole(record(x))
     assert part.status is not None
     assert np.array_equal(np.flatnonzero(part.status[:, 0]), np.arange(800, 950))
     assert not np.any(part.status[:, 1])
@@ -52,7 +53,7 @@ def test_the_record_is_cut_where_too_many_samples_are_held() -> None:
     x, count = np.concatenate([moving(seed) for seed in range(4)]), 700
     x[800 : 800 + count] = x[800]
     long = Record(CHANNELS, np.arange(4 * N) / 100, np.column_stack([x, x[::-1]]), source="run.csv")
-    parts, (note,) = without_held_samples(long)
+    parts, (note,) = marked_whole(long)
     assert [len(part.time) for part in parts] == [800, 4 * N - 800 - count]
     assert "used as 2 records" in note.text
 
@@ -70,18 +71,57 @@ def test_what_rests_for_a_reason_is_left_alone() -> None:
         record(begun),
         record(np.where(np.arange(N) % 400 < 60, 0.0, moving())),
     ):
-        parts, notes = without_held_samples(sound)
+        parts, notes = marked_whole(sound)
         assert len(parts) == 1
-        assert notes == ()
+        assert {note.code for note in notes} <= {"unclipped"}
 
 
 def test_no_clean_record_is_cut() -> None:
     for seed in range(40):
         for bits in (6, 8, 12, 24):
-            assert without_held_samples(record(moving(seed, bits=bits, noise=0.0)))[1] == ()
+            assert marked_whole(record(moving(seed, bits=bits, noise=0.0)))[1] == ()
 
 
 def test_repeats_stay_as_they_are() -> None:
     one = record(moving())
     two = replace(one, values=np.stack([one.values, one.values]))
-    assert without_held_samples(two) == ([two], ())
+    assert marked_whole(two) == ([two], ())
+
+
+def test_a_spike_is_unknown_and_peaks_that_a_blow_makes_are_not() -> None:
+    x = moving()
+    x[[700, 1500]] += 8.0, -9.0
+    (part,), (note,) = marked_whole(record(x))
+    assert part.status is not None
+    assert np.argwhere(part.status).tolist() == [[700, 0], [1500, 0]]
+    assert (note.code, note.of) == ("dropouts", ("x",))
+    lines = whole_records([record(x)], marks=False)
+    assert not any(told.code == "dropouts" for told in lines.notes)
+    # A blow of two samples, and the acceleration of a stiff mass that follows it
+    blow = np.zeros(N)
+    blow[400:402] = 50.0, 30.0
+    rng = np.random.default_rng(4)
+    answer = np.convolve(blow, np.exp(-np.arange(50) / 2) * np.cos(np.arange(50)))[:N] + 0.01 * rng.normal(
+        size=N
+    )
+    assert marked_whole(record(answer, blow + 0.01 * rng.normal(size=N)))[1] == ()
+    # Nor a force's own, and an event that all channels show
+    assert marked_whole(record(moving(), blow))[1] == ()
+    both = np.column_stack([moving(), moving(3)])
+    both[900] += 20.0
+    motions = replace(record(x), values=both, channels=(CHANNELS[0], Channel("y", {"y": 1.0})))
+    assert marked_whole(motions)[1] == ()
+
+
+def test_a_spike_moves_no_line_by_more_than_noise() -> None:
+    """One sample off by eight times the motion: lines of the record with it marked are those without, but for noise."""
+    x = moving(noise=0.001)
+    spoilt = np.array(x)
+    spoilt[1234] += 30.0
+    clean, marked, as_is = (
+        whole_records([record(of)], band_hz=(0.5, 12.0), marks=marks)
+        for of, marks in ((x, True), (spoilt, True), (spoilt, False))
+    )
+    size = np.median(np.abs(clean.amplitudes[:, 0]))
+    off = [np.max(np.abs(of.amplitudes - clean.amplitudes)[:, 0]) / size for of in (marked, as_is)]
+    assert off[0] < 0.02 * off[1]
