@@ -2,6 +2,7 @@
 
 from dashpot.api import compare as compare
 from dashpot.api import draw as draw
+from dashpot.api import frf as frf
 from dashpot.api import identify as identify
 from dashpot.api import read as read
 from dashpot.api import simulate as simulate
@@ -57,6 +58,7 @@ from dashpot.estimate.result import ModeValues as ModeValues
 from dashpot.estimate.result import Value as Value
 from dashpot.export.state_space import StateSpace as StateSpace
 from dashpot.export.transfer_functions import TransferFunctions as TransferFunctions
+from dashpot.free.response import MeasuredResponse as MeasuredResponse
 from dashpot.model.dynamics import Matrices as Matrices
 from dashpot.model.dynamics import matrices as matrices
 from dashpot.model.dynamics import response as response

@@ -29,10 +29,12 @@ from dashpot.check.verdict import examined_records, with_causes
 from dashpot.data import readers
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.still import Still
+from dashpot.data.inspection import channels_in
 from dashpot.data.modal_data import ModalData
 from dashpot.data.readers import Reading
 from dashpot.data.readers.experiments import Experiments
-from dashpot.data.readers.in_memory import records_of
+from dashpot.data.readers.in_memory import columns_in_memory, records_of
+from dashpot.data.readers.manifest import is_manifest
 from dashpot.data.readers.modes import holds_modes, read_modes
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -48,8 +50,10 @@ from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import method_class, methods_for
 from dashpot.estimate.result import Cycle, Estimate, Origin, Value
 from dashpot.experiment import RUNS, kind_of
+from dashpot.free.response import MeasuredResponse, frequency_response
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
+from dashpot.io.words import listed, names_in
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
 from dashpot.model.rigfile import Rig, default_channels, parse_rig, read_rig
@@ -310,7 +314,6 @@ def start(
     """
     from dashpot.check.first_rig import first_rig, seen_data
     from dashpot.data.inspection import inspect_columns, inspect_file
-    from dashpot.data.readers.in_memory import columns_in_memory
     from dashpot.model.rigfile.starter import starter_text
 
     several = _several(data)
@@ -439,7 +442,7 @@ def _identified(rig: Rig | Estimate, source: Estimate | Rig | Mapping[str, float
     return identified_rig(whole, estimate, values)
 
 
-def frf(
+def estimated_frf(
     estimate: Estimate, output: str, input: str, frequencies_hz: Any, rig: Rig | None = None
 ) -> tuple[Any, Any]:
     """The frequency response that an estimate predicts, and the standard deviation of its real (imaginary) part alike.
@@ -603,6 +606,88 @@ def plot(value: Estimate | Comparison, level: float = 0.95) -> Any:
     from dashpot.present.figures.comparison import comparison_figure, estimate_figure
 
     return comparison_figure(value, level) if isinstance(value, Comparison) else estimate_figure(value, level)
+
+
+@one_blas_thread()
+def frf(
+    data: Data,
+    inputs: str | Sequence[str] | None = None,
+    outputs: str | Sequence[str] | None = None,
+    *,
+    rig: Rig | None = None,
+    band: tuple[float, float] | None = None,
+    frequency_hz: float | None = None,
+) -> MeasuredResponse:
+    """Frequency responses of outputs to inputs with their covariance, from data of any kind and without a rig's values.
+
+    data     as of `identify`
+    inputs, outputs  names of columns; of a `rig` they are its own where none are given; all other columns are outputs
+    band     lowest and highest frequency, Hz
+    frequency_hz  drive frequency of time records of stepped sine without such a column
+
+    Raises UsageError for channels that are not there, DataError where the data do not separate the inputs, are too
+    short, or hold no excitation in the band.
+    """
+    return frequency_response(*_without_rig(data, inputs, outputs, rig, frequency_hz), band)
+
+
+def _without_rig(
+    data: Data,
+    inputs: str | Sequence[str] | None,
+    outputs: str | Sequence[str] | None,
+    rig: Rig | None,
+    frequency_hz: float | None,
+    driven: bool = True,
+) -> tuple[Reading, tuple[str, ...], tuple[str, ...]]:
+    """The data by the channels that are named, those of a rig or of the data themselves; and inputs and outputs.
+
+    Raises UsageError without an input where the test was `driven`, and without an output.
+    """
+    into, out = (None if some is None else names_in(some) for some in (inputs, outputs))
+    several: list[Any] = [data] if isinstance(data, Spectrum | Reading) else _several(data)
+    if not several:
+        raise DataError("there are no data", cure="give at least one file")
+    first = several[0]
+    if isinstance(first, Reading):
+        first = (*first.records, *([first.amplitudes] if first.amplitudes else []))[0]
+    if rig is not None:
+        known = {channel.name: channel for channel in rig.channels}
+        drives = [name for name, channel in known.items() if measures_input(rig.model, channel)]
+        into = drives if into is None else into
+        out = [name for name in known if name not in (*drives, *into)] if out is None else out
+    elif isinstance(first, Record | Spectrum):
+        known = {channel.name: channel for channel in first.channels}
+    else:
+        known = channels_in([each if _is_path(each) else columns_in_memory(each, "data") for each in several])
+    if not into and driven:
+        cure = f"name the column that drives the rig; there are {listed(known)}"
+        raise UsageError("no input is named", cure=cure)
+    into = into or []
+    out = [name for name in known if name not in into] if out is None else out
+    if not out:
+        raise UsageError("no output is named", cure=f"there are {listed(known)}")
+    for name in (*into, *out):
+        if name not in known and not any(_is_path(each) and is_manifest(each) for each in several):
+            raise UsageError(f"there is no channel {name}", cure=f"there are {listed(known)}")
+    if isinstance(data, Reading | Spectrum):
+        return Reading((), data, ()) if isinstance(data, Spectrum) else data, tuple(into), tuple(out)
+    every = dict.fromkeys([*into, *out])
+    channels = tuple(known.get(name, Channel(name, {name: 1.0})) for name in every)
+    if rig is not None:
+        reading = _reading(replace(rig, channels=channels), data, frequency_hz)
+    elif all(map(_is_path, several)):
+        reading = readers.read(several, channels, frequency_hz=frequency_hz)
+    else:
+        records = [
+            [each] if isinstance(each, Record) else records_of(each, channels, frequency_hz=frequency_hz)
+            for each in several
+        ]
+        reading = Reading(tuple(record for some in records for record in some), None, ())
+    return reading, tuple(into), tuple(out)
+
+
+def _is_path(data: object) -> bool:
+    return isinstance(data, str | os.PathLike)
 
 
 def _of_rig(

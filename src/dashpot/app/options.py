@@ -21,7 +21,7 @@ from dashpot import quantities
 from dashpot.errors import Problem, UsageError
 from dashpot.estimate.registry import METHODS
 from dashpot.io import ledger
-from dashpot.io.words import PICTURES, chosen_format
+from dashpot.io.words import PICTURES, chosen_format, names_in
 from dashpot.quantities import Amount, quantity_of_unit
 
 if TYPE_CHECKING:
@@ -269,7 +269,7 @@ def _three_shares(text: str) -> tuple[float, float, float]:
 
 def names(text: str) -> tuple[str, ...]:
     """Names separated by commas."""
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+    return tuple(names_in(text))
 
 
 _time = partial(quantities.quantity, kind="time")
@@ -535,6 +535,30 @@ Dask = Annotated[
     Option("--dask local|ADDRESS"),
     "Compute on a Dask cluster: the address of its scheduler, such as tcp://host:8786, or local for one on this "
     "machine.  Needs the extra scale.",
+]
+CHANNELS = "Channels"
+InputColumns = Annotated[
+    tuple[str, ...] | None,
+    Option("--input NAME,…", TextType("names", names), CHANNELS),
+    "Columns that drive the rig.  [default: those of --rig]",
+]
+OutputColumns = Annotated[
+    tuple[str, ...] | None,
+    Option("--output NAME,…", TextType("names", names), CHANNELS),
+    "Columns that show its motion.  [default: those of --rig, else all others]",
+]
+ChannelsOfRig = Annotated[
+    str | None,
+    Option("--rig RIG.toml", INPUT_FILE, CHANNELS),
+    "A rig file, for its channels alone: names, units, calibrations.",
+]
+FreeBand = Annotated[
+    tuple[float, float] | None, Option("--band LOWER:UPPER", BAND), "Frequencies that are used, Hz."
+]
+FreeFrequency = Annotated[
+    float | None,
+    Option("--frequency HZ", FREQUENCY),
+    "Drive frequency of stepped-sine records without a frequency_hz column.",
 ]
 Level = Annotated[
     float, Option("--level LEVEL", LEVEL, OUTPUT, default="95%"), "Confidence level of the intervals."

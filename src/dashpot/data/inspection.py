@@ -13,9 +13,11 @@ from typing import TypeVar
 import numpy as np
 
 from dashpot.arrays import Real, freeze
-from dashpot.channel import Quantity
+from dashpot.channel import RESERVED_NAMES, Channel, Quantity
+from dashpot.data.readers.amplitudes import amplitude_columns
 from dashpot.data.readers.columns import Columns, bare, factors, frequency_column, read_time, time_column
 from dashpot.data.readers.datafile import open_file
+from dashpot.data.readers.manifest import files_named
 from dashpot.data.readers.registry import reader_of
 from dashpot.data.record import samples_at_limit
 from dashpot.errors import DashpotError, DataError
@@ -292,6 +294,44 @@ def guessed_quantity(name: str, unit: str | None) -> str | None:
         if any(lower.startswith(word) for word in words):
             return quantity.value
     return None
+
+
+def channels_in(data: Sequence[str | os.PathLike[str] | Columns]) -> dict[str, Channel]:
+    """The channels that files or tables hold by themselves, by name: quantity and unit as the first one says them.
+
+    Columns of numbers, amplitudes (NAME_re) and both sides of responses (OUT/IN_re); those of manifests have no unit.
+    Raises DataError where a file cannot be read.
+    """
+    found: dict[str, Channel] = {}
+    for one in data:
+        files = [] if isinstance(one, Columns) else map(open_file, files_named(one))
+        parts = (
+            [one]
+            if isinstance(one, Columns)
+            else (part for file in files for part in reader_of(file).parts(file))
+        )
+        for columns in parts:
+            apart = {time_column(columns, (), may_lack=True), frequency_column(columns, ())}
+            complexes = amplitude_columns(columns)
+            for stem in complexes:
+                for name in reversed(stem.split("/")):
+                    if "&" not in name:
+                        found.setdefault(name, Channel(name, {name: 1.0}))
+            for i, header in enumerate(columns.header):
+                name, unit = bare(header)[0], columns.unit(i)
+                plain = re.match(r"[-+]?\.?\d|nan", columns.first(i), re.IGNORECASE)
+                if complexes or i in apart or not plain or name in (*found, *RESERVED_NAMES):
+                    continue
+                found[name] = _channel_of(name, unit)
+    return found
+
+
+def _channel_of(name: str, unit: str | None) -> Channel:
+    """A channel of the quantity that its unit is one of, in that unit; without one as if in SI units."""
+    for quantity in Quantity if unit else ():
+        if scales := factors(str(unit), quantity.value):
+            return Channel(name, {name: 1.0}, quantity, str(unit), scales[0])
+    return Channel(name, {name: 1.0}, unit=unit or "")
 
 
 def suggested_channels(inspections: Sequence[Inspection]) -> str:

@@ -563,7 +563,7 @@ class Estimate(Printable):
         SI units, both of the shape of the frequencies (Hz).  `rig` where the estimate does not name its rig file.
         Raises UsageError where the rig has no such channel or input, ModelError for nonlinear elements.
         """
-        return cast("tuple[Any, Any]", call("frf", self, output, input, frequencies_hz, rig))
+        return cast("tuple[Any, Any]", call("estimated_frf", self, output, input, frequencies_hz, rig))
 
     def simulate(self, inputs: Any, rig: Any = None, **changes: Any) -> tuple[Record, ...]:
         """What the channels would show, from rest and without noise, with its standard deviation (`Record.sd`).

@@ -60,6 +60,11 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
+def names_in(text: str | Iterable[str]) -> list[str]:
+    """Names, or a text of them with commas between."""
+    return [name.strip() for name in text.split(",") if name.strip()] if isinstance(text, str) else list(text)
+
+
 def quoted(text: str) -> str:
     """A text in quotes, as a TOML basic string, which JSON reads as well unless a character needs eight digits."""
     return "".join(

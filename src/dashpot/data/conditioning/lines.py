@@ -248,14 +248,14 @@ def averaged_periods(record: Record) -> Spectrum | None:
 
     A record of a stated frequency that moves at that frequency is a dwell, and no such record.
     """
-    samples = _period(record)
+    samples = period_of(record)
     if samples is None:
         return None
     step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
     count = len(record.time) // samples
     periods = record.values[: count * samples].reshape(count, samples, -1)
     X = fft.rfft(periods, axis=1)[:, 1 : samples // 2]
-    skip = _unsettled(X)
+    skip = unsettled_periods(X)
     lines = _driven_repetition(X[skip:])
     # lines in every channel: fewer are a sine, a decay or their harmonics
     if len(lines) < 12 or (record.frequency_hz is not None and _is_dwell(X[skip:], lines)):
@@ -278,7 +278,7 @@ def _is_dwell(X: Complex, lines: list[int]) -> bool:
     return lines[0] == 1 and bool(np.all(size[0] > FUNDAMENTAL * np.max(size, axis=0)))
 
 
-def _period(record: Record) -> int | None:
+def period_of(record: Record) -> int | None:
     """Samples of the period that all channels repeat with to the record's end; None where there is none."""
     n = len(record.time)
     if record.values.ndim != 2 or n < FEWEST_PERIODS * SHORTEST:
@@ -299,7 +299,7 @@ def _period(record: Record) -> int | None:
     return peak if bool(np.all(alike[peak::peak] > LASTING * alike[peak])) else None
 
 
-def _unsettled(X: Complex) -> int:
+def unsettled_periods(X: Complex) -> int:
     """Periods to leave out, of at most the first half, of (periods, lines, channels)."""
     half = len(X) // 2
     last = X[half:]

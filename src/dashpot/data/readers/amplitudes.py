@@ -157,8 +157,8 @@ def phase_notices(
 # `OUT/IN_sd`.
 #
 # OUT and IN are channels of the rig file, in their units; `OUT/IN_sd` is the standard deviation of the real
-# and of the imaginary part, each. Every input makes an experiment of its own, driven with amplitude 1 at IN
-# and 0 at the others, which are exact.
+# and of the imaginary part, each; `A/IN&B/IN_cov_re`, `…_cov_im` the covariance E[Δ_A conj(Δ_B)]. Every
+# input makes an experiment of its own, driven with amplitude 1 at IN and 0 at the others, which are exact.
 
 
 def read_frf(
@@ -173,11 +173,17 @@ def read_frf(
     `found` are the amplitude columns.  Without any sd column the noise is unknown.
     Raises DataError with file and column for what is missing, not a number, or not in the rig file.
     """
-    pairs = _pairs(columns, found, channels)
+    pairs, names = _pairs(columns, found, channels), [channel.name for channel in channels]
     at = {pair: _required(columns, found, "/".join(pair)) for pair in pairs}
     sd_at = {pair: i for pair in pairs if (i := columns.find(f"{'/'.join(pair)}_sd")) is not None}
     frequency_at = _frequency_at(columns, channels)
-    of_pairs = (i for both in at.values() for i in (both.first, both.second))
+    together = {
+        (one, other): _required(columns, found, stem)
+        for one in sd_at
+        for other in sd_at
+        if one[1] == other[1] and (stem := f"{'/'.join(one)}&{'/'.join(other)}_cov") in found
+    }
+    of_pairs = (i for both in (*at.values(), *together.values()) for i in (both.first, both.second))
     values = columns.numbers(list(dict.fromkeys([frequency_at, *of_pairs, *sd_at.values()])))
     frequency = values[frequency_at] * frequency_scale(columns, frequency_at)
     check_frequency(columns, frequency_at, frequency)
@@ -196,6 +202,11 @@ def read_frf(
                 X[:, c] = at[pair].of(values)
                 if pair in sd_at:
                     V[:, c, c] = 2 * values[sd_at[pair]] ** 2
+        for (one, other), pair_columns in together.items():
+            if one[1] == into:
+                c, d = (names.index(name) for name in (one[0], other[0]))
+                V[:, c, d] = pair_columns.of(values)
+                V[:, d, c] = np.conj(V[:, c, d])
         spectra.append(
             Spectrum(
                 tuple(channels),

@@ -1,0 +1,1 @@
+"""What data show without a rig: frequency responses, and the modes in them."""

@@ -1,0 +1,657 @@
+"""Frequency response functions with their covariance, of any data and without a rig.
+
+Amplitudes of dwells and of periods are rows Y = H U + e at one frequency, both sides noisy; records of any excitation
+have local models of H and of their transients in windows of neighbouring lines (Pintelon and Schoukens, System
+Identification, 2nd ed. 2012, chapters 2, 4 and 7).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import TypeVar
+
+import numpy as np
+from scipy import fft
+from scipy.special import chdtrc, fdtrc
+
+from dashpot.arrays import Bools, Complex, Ints, Real, freeze
+from dashpot.channel import Channel
+from dashpot.data.conditioning.clock import even_step
+from dashpot.data.conditioning.lines import period_of, unsettled_periods
+from dashpot.data.conditioning.lines import spectrum as amplitudes_of
+from dashpot.data.conditioning.settings import Conditioning
+from dashpot.data.conditioning.whole_record import without_gaps
+from dashpot.data.local_noise import with_local_noise
+from dashpot.data.periods import average_periods
+from dashpot.data.readers import Reading
+from dashpot.data.readers.text import write_rows
+from dashpot.data.readers.uff import FRF, NodalFunction, NodePoint
+from dashpot.data.readers.uff_writer import write_universal_file
+from dashpot.data.record import Record, calibration
+from dashpot.data.spectrum import Spectrum, concatenate
+from dashpot.errors import DataError, UsageError
+from dashpot.io.atomic import write_bytes
+from dashpot.io.json_document import arrow_table
+from dashpot.io.words import chosen_format, counted, joined, listed
+from dashpot.notices import Notice
+
+Band = tuple[float, float]
+Data = TypeVar("Data", Record, Spectrum)
+
+
+@dataclass(frozen=True)
+class MeasuredResponse:
+    """H of each pair of output and input, in units of the output over the input, calibrations taken out.
+
+    frequency_hz  (lines,)
+    values        (lines, outputs, inputs)
+    covariance    (lines, pairs, pairs), E[Δ Δᴴ] of the pairs in the order of `values`, circular: the real and the
+                  imaginary part have half of it each; NaN where nothing shows the noise
+    coherence     (lines, outputs): share of an output's power that the inputs explain
+    apart         (lines,): so many lines on, an estimate shares no data with this one (1: all are independent)
+    method        "dwells", "periods" or "local", by what the data are
+    distortion    of periodic tests, share of each output's motion (rms) at even and at odd multiples that are not
+                  driven, beyond noise and what the inputs put there; NaN where no such multiple is left out
+    """
+
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+    frequency_hz: Real
+    values: Complex
+    covariance: Complex
+    coherence: Real
+    apart: Ints
+    method: str
+    distortion: dict[str, tuple[float, float]] = field(default_factory=dict)
+    notes: tuple[Notice, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    def __repr__(self) -> str:
+        f = self.frequency_hz
+        pairs = ", ".join(self.pairs)
+        return f"<MeasuredResponse {pairs}: {len(f)} lines from {f[0]:.4g} to {f[-1]:.4g} Hz>"
+
+    @property
+    def pairs(self) -> tuple[str, ...]:
+        """OUT/IN of each pair, in the order of `covariance`."""
+        return tuple(f"{out.name}/{into.name}" for out in self.outputs for into in self.inputs)
+
+    @property
+    def sd(self) -> Real:
+        """Standard deviation of the real and of the imaginary part, each, of the shape of `values`."""
+        variance = np.diagonal(self.covariance, axis1=1, axis2=2).real
+        return np.sqrt(np.maximum(variance, 0) / 2).reshape(self.values.shape)
+
+    def unit(self, out: Channel, into: Channel) -> str:
+        """Unit of a pair, empty where the data do not say it."""
+        if not (out.unit or into.unit):
+            return ""
+        below = into.unit or "1"
+        return f"{out.unit or '1'}/{f'({below})' if set('/·*') & set(below) else below}"
+
+    def chosen(self, lines: Ints | Bools) -> MeasuredResponse:
+        """Some of the lines."""
+        parts = {name: getattr(self, name)[lines] for name in ("frequency_hz", "values", "covariance")}
+        return replace(self, **parts, coherence=self.coherence[lines], apart=self.apart[lines])
+
+    def independent(self) -> MeasuredResponse:
+        """Lines of which no two share data, as many as there are: what a fit that counts each line may use."""
+        kept, at = [], 0
+        while at < len(self.apart):
+            kept.append(at)
+            at += int(self.apart[at])
+        chosen = self.chosen(np.array(kept, dtype=np.int64))
+        return replace(chosen, apart=np.ones(len(kept), dtype=np.int64))
+
+    def to_dict(self) -> dict[str, object]:
+        """Frequencies, real and imaginary part and standard deviation of each pair, and the coherence, for JSON."""
+        H, sd = self.values.reshape(len(self.values), -1), self.sd.reshape(len(self.values), -1)
+        units = [self.unit(out, into) for out in self.outputs for into in self.inputs]
+        return {
+            "frequency_hz": self.frequency_hz,
+            "frf": {
+                pair: {"re": H[:, k].real, "im": H[:, k].imag, "sd": sd[:, k], "unit": units[k]}
+                for k, pair in enumerate(self.pairs)
+            },
+            "coherence": {out.name: self.coherence[:, i] for i, out in enumerate(self.outputs)},
+            "lines_apart": self.apart,
+            "method": self.method,
+            "distortion": {name: {"even": even, "odd": odd} for name, (even, odd) in self.distortion.items()},
+            "notes": [{"code": note.code, "text": note.text} for note in self.notes],
+        }
+
+
+def frequency_response(
+    reading: Reading, inputs: Sequence[str], outputs: Sequence[str], band_hz: Band | None = None
+) -> MeasuredResponse:
+    """The responses of `outputs` to `inputs` in data of any kind, in a band.
+
+    Stepped sine and tables of amplitudes or responses: both sides noisy, as far as the noise is known.  Records that
+    repeat: lines that the inputs drive, averaged over the periods.  Other records: local models, inputs exact.
+    Raises UsageError for channels that are not there, DataError where the data do not separate the inputs, are too
+    short, or hold no excitation in the band.
+    """
+    if reading.joint:
+        raise DataError("channels have clocks of their own", cure="record them on one clock")
+    told, spectra, whole = list(reading.notes), [], []
+    distortion: dict[str, tuple[float, float]] = {}
+    if reading.amplitudes is not None:
+        spectra.append(with_local_noise(_of_channels(reading.amplitudes, inputs, outputs)))
+    records = [_of_channels(record, inputs, outputs) for record in reading.records]
+    dwells = [record for record in records if record.frequency_hz is not None]
+    if dwells:
+        spectra.append(amplitudes_of(dwells, Conditioning(transients="settle")))
+    for record in (each for each in records if each.frequency_hz is None):
+        repeated = _of_periods(record, len(inputs))
+        if repeated is None:
+            whole += _pieces(record, told)
+        else:
+            spectra.append(repeated[0])
+            distortion = distortion or repeated[1]
+    if spectra and whole:
+        raise DataError(
+            "some data are steady (dwells, periods, tables), and some are records of another excitation",
+            cure="give them in two calls",
+        )
+    if whole:
+        found = local_response(whole, len(inputs), band_hz)
+    else:
+        lines = concatenate(spectra) if len(spectra) > 1 else spectra[0]
+        found = _of_lines(lines, len(inputs), band_hz, "periods" if distortion else "dwells")
+    notes = tuple(dict.fromkeys((*told, *found.notes)))
+    return replace(found, distortion=distortion, notes=notes)
+
+
+def _of_channels(data: Data, inputs: Sequence[str], outputs: Sequence[str]) -> Data:
+    """The inputs, then the outputs.  Raises UsageError where one is not there, or is both."""
+    names = [channel.name for channel in data.channels]
+    for name in (*inputs, *outputs):
+        if name not in names:
+            raise UsageError(f"there is no channel {name}", cure=f"there are {listed(names)}")
+    if both := [name for name in outputs if name in inputs]:
+        raise UsageError(f"{joined(both)} is input and output", cure="name it once")
+    at = [names.index(name) for name in (*inputs, *outputs)]
+    channels = tuple(data.channels[i] for i in at)
+    if isinstance(data, Spectrum):
+        V = data.covariance[..., at, :][..., at]
+        return replace(
+            data, channels=channels, amplitudes=data.amplitudes[..., at], covariance=V, moments=None
+        )
+    cell = None if data.cell is None else data.cell[at]
+    status = None if data.status is None else data.status[:, at]
+    return replace(data, channels=channels, values=data.values[..., at], sd=None, status=status, cell=cell)
+
+
+def _pieces(record: Record, told: list[Notice]) -> list[Record]:
+    """The record in pieces without gaps; what is said of them is told."""
+    pieces, notes = without_gaps(record)
+    told += notes
+    if any(piece.status is not None for piece in pieces):  # rows of unknown samples were put in: cut there
+        usual = float(np.median(np.diff(record.time)))
+        edges = [0, *(np.flatnonzero(np.diff(record.time) > 1.5 * usual) + 1).tolist(), len(record.time)]
+        pieces = [record.part(slice(a, b)) for a, b in pairwise(edges) if b - a >= 64]
+    return pieces
+
+
+# Steady amplitudes: rows at one frequency, both sides noisy.
+
+
+def _of_lines(spectrum: Spectrum, nu: int, band_hz: Band | None, method: str) -> MeasuredResponse:
+    """H at each frequency from the lines there, by the likelihood of noise on both sides."""
+    if spectrum.batch:
+        raise DataError("repeats of a spectrum have one response each", cure="give one at a time")
+    inputs, outputs = spectrum.channels[:nu], spectrum.channels[nu:]
+    there = np.all(np.isfinite(spectrum.amplitudes), axis=1)
+    if band_hz is not None:
+        there &= (spectrum.frequency_hz >= band_hz[0]) & (spectrum.frequency_hz <= band_hz[1])
+    if not np.any(there):
+        f = spectrum.frequency_hz
+        raise DataError(
+            "no frequency of the data lies in the band",
+            cure=f"they reach from {f.min():.4g} to {f.max():.4g} Hz",
+        )
+    frequency, group = np.unique(spectrum.frequency_hz[there], return_inverse=True)
+    X, V = spectrum.amplitudes[there], spectrum.covariance[there]
+    found, alone = [], 0
+    chi2 = free = 0.0
+    for k in range(len(frequency)):
+        rows = np.flatnonzero(group == k)
+        one = _rows(X[rows, :nu], X[rows, nu:], V[rows])
+        if one is None:
+            alone += 1
+            continue
+        found.append((k, one))
+        chi2, free = chi2 + one.chi2, free + one.free
+    if not found:
+        names = joined(c.name for c in inputs)
+        needed = "at rest" if nu == 1 else "never driven apart from one another"
+        raise DataError(
+            f"the inputs {names} are {needed} at every frequency"
+            if nu > 1
+            else f"the input {names} is {needed}",
+            cure="drive them, as many tests as inputs at each frequency"
+            if nu > 1
+            else "name what drives the rig",
+        )
+    notes = list(spectrum.notes)
+    # Lines that contradict each other by more than their noise: what varies between them is in the intervals, too
+    scale = 1.0
+    if free and chdtrc(free, chi2) < 1e-3 and chi2 > 1.2 * free:
+        scale = chi2 / free
+        text = (
+            f"repeats differ by {scale**0.5:.2g} × their noise: the rig is nonlinear, or changed; the standard "
+            "deviations include it"
+        )
+        notes.append(Notice("responses_differ", text))
+    if alone:
+        text = f"the inputs cannot be told apart at {alone} of {len(frequency)} frequencies: left out"
+        notes.append(Notice("inputs_alike", text))
+    H: Complex = np.stack([one.H for _, one in found])
+    covariance: Complex = scale * np.stack([one.covariance for _, one in found])
+    f = frequency[[k for k, _ in found]]
+    coherence = np.array([one.coherence for _, one in found])
+    units = _in_units(inputs, outputs)
+    return MeasuredResponse(
+        inputs,
+        outputs,
+        f,
+        H * units,
+        covariance * np.outer(units.ravel(), units.ravel()),
+        coherence,
+        np.ones(len(f), dtype=np.int64),
+        method,
+        notes=tuple(notes),
+    )
+
+
+def _in_units(inputs: Sequence[Channel], outputs: Sequence[Channel]) -> Real:
+    """Factors from SI units to those of the channels, (outputs, inputs)."""
+    return np.array([[into.scale / out.scale for into in inputs] for out in outputs])
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """What rows of one frequency give: H, its covariance, coherence (outputs,), χ² and its degrees of freedom."""
+
+    H: Complex
+    covariance: Complex
+    coherence: Real
+    chi2: float
+    free: float
+
+
+def _rows(U: Complex, Y: Complex, V: Complex) -> _Rows | None:
+    """H of Y (rows, ny) = H U (rows, nu) with noise of covariance V (rows, nu + ny, …) on both sides.
+
+    Of circular noise that is known, −log likelihood over the true inputs is Σ eᴴ C(H)⁻¹ e with e = Y − H U and
+    C = [−H 1] V [−H 1]ᴴ (Gauss-Newton: the inputs less what e shows of their noise).  Without known noise the rows are
+    weighed alike, and their scatter is the noise.  None where the inputs of the rows are not independent.
+    """
+    (count, nu), ny = U.shape, Y.shape[1]
+    size = np.linalg.svd(U, compute_uv=False)
+    if len(size) < nu or size[-1] <= 1e-9 * size[0] or size[0] == 0:
+        return None
+    H: Complex = np.linalg.lstsq(U, Y, rcond=None)[0].T.astype(np.complex128)
+    known = bool(np.all(np.isfinite(V)))
+    floor = 1e-26 * np.mean(np.abs(Y) ** 2) + 1e-300
+    for _ in range(12 if known else 1):
+        e = Y - U @ H.T
+        J = np.concatenate(
+            [np.broadcast_to(-H, (count, ny, nu)), np.broadcast_to(np.eye(ny), (count, ny, ny))], 2
+        )
+        C = J @ V @ np.conj(np.swapaxes(J, 1, 2)) if known else np.broadcast_to(np.eye(ny), (count, ny, ny))
+        P = np.linalg.inv(C + floor * np.eye(ny))
+        weighed = np.einsum("rij,rj->ri", P, e)
+        # Of the inputs' noise, what the errors show: cov(ΔU, e) C⁻¹ e
+        of_inputs = V[:, :nu] @ np.conj(np.swapaxes(J, 1, 2)) if known else np.zeros((count, nu, ny))
+        likely = U - np.einsum("rcj,rj->rc", of_inputs, weighed)
+        N = np.einsum("rc,rij,rd->icjd", np.conj(likely), P, likely).reshape(ny * nu, ny * nu)
+        covariance: Complex = np.linalg.inv(N).astype(np.complex128)
+        step = (covariance @ np.einsum("rc,ri->ic", np.conj(likely), weighed).ravel()).reshape(ny, nu)
+        H = H + step
+        if np.max(np.abs(step)) <= 1e-10 * np.max(np.abs(H)):
+            break
+    e = Y - U @ H.T
+    chi2 = 2 * float(np.einsum("ri,rij,rj->", np.conj(e), P, e).real)
+    free = 2.0 * (count - nu) * ny
+    explained = np.sum(np.abs(U @ H.T) ** 2, axis=0)
+    if known:
+        noise = np.sum(np.diagonal(C, axis1=1, axis2=2).real, axis=0)
+        return _Rows(H, covariance, explained / np.maximum(explained + noise, 1e-300), chi2, free)
+    if count == nu:
+        return _Rows(H, np.full_like(covariance, np.nan), np.full(ny, np.nan), 0.0, 0.0)
+    scatter = np.einsum("ri,rj->ij", e, np.conj(e)) / (count - nu)
+    pairs: Complex = np.kron(scatter, np.linalg.inv(np.conj(U.T) @ U)).astype(np.complex128)
+    noise = count * np.diagonal(scatter).real
+    return _Rows(H, pairs, explained / np.maximum(explained + noise, 1e-300), 0.0, 0.0)
+
+
+# Records that repeat.
+
+
+def _of_periods(record: Record, nu: int) -> tuple[Spectrum, dict[str, tuple[float, float]]] | None:
+    """Lines that the inputs drive, averaged over the settled periods, and the distortion at those that they do not.
+
+    None where the inputs do not repeat, or with no line.
+    """
+    if nu == 0 or record.values.ndim != 2:
+        return None
+    driving = replace(
+        record, channels=record.channels[:nu], values=record.values[:, :nu], cell=None, status=None
+    )
+    each = period_of(driving)
+    if each is None:
+        return None
+    count = len(record.time) // each
+    step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
+    X = fft.rfft(record.values[: count * each].reshape(count, each, -1), axis=1)[:, 1 : each // 2] * (
+        2 / each
+    )
+    skip = unsettled_periods(X)
+    X = X[skip:]
+    mean, variance = np.mean(X, axis=0), np.var(X, axis=0, ddof=1) / len(X)
+    power = np.max(np.abs(mean[:, :nu]) ** 2 / np.max(np.abs(mean[:, :nu]) ** 2, axis=0), axis=1)
+    noise = np.max(variance[:, :nu] / np.max(np.abs(mean[:, :nu]) ** 2, axis=0), axis=1)
+    # A driven line stands out of its noise (10 ×: one in 10,000 by chance), and is no more than 30 dB below the largest
+    # of its neighbours: what a shaker distorts is less
+    beside = np.array([np.max(power[max(0, k - 10) : k + 11]) for k in range(len(power))])
+    driven = (power > 10 * noise) & (power > 1e-3 * beside) & (power > 1e-6)
+    lines = np.flatnonzero(driven) + 1
+    if not len(lines):
+        return None
+    try:
+        spectrum = average_periods(record, each * step, lines.tolist(), skip=skip)
+    except DataError:
+        return None  # its stamps are uneven
+    text = (
+        f"{record.source}: the inputs repeat every {each * step:.6g} s: {len(lines)} driven lines are means of "
+        f"{len(X)} periods{f', the first {skip} left out' if skip else ''}"
+    )
+    distortion = _distortion(mean, variance, driven, nu)
+    names = [channel.name for channel in record.channels[nu:]]
+    notes = (*spectrum.notes, Notice("periods_averaged", text, (record.source,)))
+    return replace(spectrum, notes=notes), dict(zip(names, distortion, strict=True))
+
+
+def _distortion(mean: Complex, variance: Real, driven: Bools, nu: int) -> list[tuple[float, float]]:
+    """Of each output, rms at even and odd multiples that are not driven, as a share of that at driven ones.
+
+    What the inputs have there comes through H, between its driven lines, and is taken off (Pintelon and Schoukens,
+    §4.3.1.3, for one input); so is the noise.
+    """
+    at = np.flatnonzero(driven)
+    number = np.arange(len(driven)) + 1
+    inside = ~driven & (number > number[at[0]]) & (number < number[at[-1]])
+    shares = []
+    for i in range(nu, mean.shape[1]):
+        left = mean[:, i]
+        if nu == 1:
+            H = mean[at, i] / mean[at, 0]
+            left = left - np.interp(number, number[at], H) * mean[:, 0]
+        motion = float(np.mean(np.abs(mean[at, i]) ** 2))
+        each = []
+        for parity in (0, 1):
+            some = inside & (number % 2 == parity)
+            beyond = np.mean(np.abs(left[some]) ** 2 - variance[some, i]) if np.any(some) else np.nan
+            each.append(float(np.sqrt(max(beyond, 0.0) / motion)) if np.isfinite(beyond) else np.nan)
+        shares.append((each[0], each[1]))
+    return shares
+
+
+# Records of any excitation: in windows of neighbouring lines H and the transient of each record are smooth.
+
+SPARE = (
+    8  # complex degrees of freedom that a window leaves for the noise: with its neighbours' some 30 real ones
+)
+MOST_LINES = 20_000  # of the result
+
+
+@dataclass(frozen=True)
+class RecordLines:
+    """Lines k/T, k ≥ 1, of one record: peak amplitudes times √N, so that white noise is alike in records of any length.
+
+    inputs (lines, nu), outputs (lines, ny), SI units with calibrations taken out.
+    """
+
+    frequency_hz: Real
+    inputs: Complex
+    outputs: Complex
+    duration_s: float
+    samples: int
+
+
+def record_lines(record: Record, nu: int) -> RecordLines:
+    """The lines of a record.  Raises DataError for uneven stamps and records that are too short."""
+    if record.values.ndim != 2:
+        raise DataError("repeats of a record cannot be combined", record.source, "give one at a time")
+    step, samples = even_step(record), len(record.time)
+    lines = (samples - 1) // 2
+    frequency = np.arange(1, lines + 1) / (samples * step)
+    X = fft.rfft(record.values - record.values.mean(axis=0), axis=0)[1 : lines + 1] * (2 / samples**0.5)
+    X = X * calibration(record.channels, frequency)
+    return RecordLines(frequency, X[:, :nu], X[:, nu:], samples * step, samples)
+
+
+def local_response(records: Sequence[Record], nu: int, band_hz: Band | None = None) -> MeasuredResponse:
+    """H by local models: about each line H and the transient of each record are quadratics, over one where that pays.
+
+    Windows are as narrow as their degrees of freedom allow: those that are widened where the data seem to allow it have
+    intervals that are too short at the resonances.  Estimates half a window apart share next to nothing.  Inputs count
+    as exact: noise on them biases H towards 0 by its share of their power.  Raises DataError.
+    """
+    channels = records[0].channels
+    parts = sorted((record_lines(record, nu) for record in records), key=lambda part: -part.duration_s)
+    first, count = parts[0], len(parts)
+    for c in range(nu):
+        if not any(np.any(part.inputs[:, c]) for part in parts):
+            raise DataError(f"the input {channels[c].name} is at rest", cure="name what drives the rig")
+    half = max(3, int(np.ceil((3 * (nu + count) + 2 + SPARE - count) / (2 * count))))
+    if any(len(part.frequency_hz) < _lines_of(part, first, half) for part in parts):
+        shortest = min(len(record.time) for record in records)
+        raise DataError(
+            f"a record of {counted(shortest, 'sample')} is too short for frequency responses",
+            cure=f"each local model needs {2 * half + 1} lines of every record: record longer",
+        )
+    low, high = band_hz or (0.0, np.inf)
+    grid = np.flatnonzero((first.frequency_hz >= low) & (first.frequency_hz <= high))
+    if not len(grid):
+        ends = f"{first.frequency_hz[0]:.4g} to {first.frequency_hz[-1]:.4g} Hz"
+        raise DataError("no line of the records lies in the band", cure=f"they reach from {ends}")
+    stride = -(-len(grid) // MOST_LINES)
+    grid = grid[::stride]
+    H, covariance, between = _windows(parts, grid, half)
+    power = _mean_beside(np.abs(np.einsum("lic,lc->li", H, first.inputs[grid])) ** 2, half)
+    noise = np.diagonal(between, axis1=1, axis2=2).real
+    units = _in_units(channels[:nu], channels[nu:])
+    found = MeasuredResponse(
+        channels[:nu],
+        channels[nu:],
+        first.frequency_hz[grid],
+        H * units,
+        covariance * np.outer(units.ravel(), units.ravel()),
+        power / np.maximum(power + noise, 1e-300),
+        np.full(len(grid), max(1, half // stride)),
+        "local",
+    )
+    return _where_it_shows(found, stated=band_hz is not None)
+
+
+def _lines_of(part: RecordLines, first: RecordLines, half: int) -> int:
+    """How many lines of a record a window has that has 2·half + 1 of the longest."""
+    return 2 * max(3, round(half * part.duration_s / first.duration_s)) + 1
+
+
+def _where_it_shows(found: MeasuredResponse, stated: bool) -> MeasuredResponse:
+    """From the first to the last line at which an output moves with an input, or as it is.  Raises DataError if none.
+
+    Of noise alone |H|² is its variance in the mean; four times that, in the mean of a few windows, is no chance.
+    """
+    variance = np.diagonal(found.covariance, axis1=1, axis2=2).real
+    shows = np.abs(found.values.reshape(variance.shape)) ** 2 / np.maximum(variance, 1e-300)
+    there = np.flatnonzero(np.max(_mean_beside(shows, 2 * int(np.median(found.apart))), axis=1) > 4)
+    if not len(there):
+        f = found.frequency_hz
+        inputs, outputs = (joined(c.name for c in some) for some in (found.inputs, found.outputs))
+        what = f"from {f[0]:.4g} to {f[-1]:.4g} Hz nothing of {outputs} follows {inputs}: no excitation there"
+        raise DataError(
+            what, cure="choose another band, drive the rig harder, or check which channels are inputs"
+        )
+    return found if stated else found.chosen(np.arange(there[0], there[-1] + 1))
+
+
+def _mean_beside(values: Real, half: int) -> Real:
+    """Mean over 2·half + 1 neighbouring lines (axis 0), fewer at the ends."""
+    lines = len(values)
+    sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+    first, last = np.maximum(np.arange(lines) - half, 0), np.minimum(np.arange(lines) + half + 1, lines)
+    mean: Real = (sums[last] - sums[first]) / (last - first).reshape(-1, *[1] * (values.ndim - 1))
+    return mean
+
+
+def _windows(parts: Sequence[RecordLines], grid: Ints, half: int) -> tuple[Complex, Complex, Complex]:
+    """H (lines, ny, nu), its covariance (lines, pairs, pairs) and the outputs' noise (lines, ny, ny), from windows of
+    2·half + 1 lines; the noise is smoothed over as many."""
+    first = parts[0]
+    nu, ny = first.inputs.shape[1], first.outputs.shape[1]
+    numbers = sum(_lines_of(part, first, half) for part in parts) * (3 * (nu + len(parts)) + 2)
+    chunk = max(1, 4_000_000 // numbers)  # 64 MB of regressors at a time
+    found = [
+        _fitted(*_window_rows(parts, grid[k : k + chunk], half), nu, ny) for k in range(0, len(grid), chunk)
+    ]
+    H, gain, noise = (np.concatenate([one[k] for one in found]) for k in range(3))
+    noise = _mean_beside(noise.real, half) + 1j * _mean_beside(noise.imag, half)
+    covariance = (noise[:, :, None, :, None] * gain).reshape(len(grid), ny * nu, ny * nu)
+    return H, covariance, noise
+
+
+def _window_rows(parts: Sequence[RecordLines], grid: Ints, width: int) -> tuple[Real, Complex, Complex, Ints]:
+    """Place r in the window (lines, rows), inputs and outputs there (lines, rows, …), and each row's record (rows,)."""
+    first = parts[0]
+    f = first.frequency_hz[grid]
+    places, inputs, outputs, owner = [], [], [], []
+    for number, part in enumerate(parts):
+        own = _lines_of(part, first, width)
+        nearest = np.rint(f * part.duration_s).astype(np.int64) - 1
+        start = np.clip(nearest - own // 2, 0, len(part.frequency_hz) - own)
+        at = start[:, None] + np.arange(own)
+        places.append((part.frequency_hz[at] - f[:, None]) * first.duration_s / width)
+        inputs.append(part.inputs[at])
+        outputs.append(part.outputs[at])
+        owner += [number] * own
+    join = np.concatenate
+    return join(places, axis=1), join(inputs, axis=1), join(outputs, axis=1), np.array(owner)
+
+
+def _fitted(
+    r: Real, U: Complex, Y: Complex, owner: Ints, nu: int, ny: int
+) -> tuple[Complex, Complex, Complex]:
+    """H at r = 0 (lines, ny, nu), its covariance over that of the noise (lines, ny, nu, ny, nu), noise (lines, ny, ny).
+
+    Y = Σ_k r^k (G_k U + T_k) / (1 + d₁ r + d₂ r²), k = 0, 1, 2, with T of each record and d of each output: linear
+    least squares (Levy), then Gauss-Newton as long as the errors fall.  Where chance could do what the denominator does
+    (F-test, p > 0.001) it is 1.
+    """
+    lines, rows = r.shape
+    powers = r[:, :, None] ** np.arange(3)
+    of_inputs = (powers[..., :, None] * U[..., None, :]).reshape(lines, rows, -1)  # those of k = 0 come first
+    records = owner[:, None] == np.unique(owner)
+    of_ends = (powers[..., :, None] * records[:, None, :]).reshape(lines, rows, -1)
+    linear = np.concatenate([of_inputs, of_ends], axis=2)
+    tail = r[..., None] ** np.array([1, 2])
+    H, residual = np.empty((lines, ny, nu), dtype=np.complex128), np.empty_like(Y)
+    S = np.zeros((lines, ny, nu, rows), dtype=np.complex128)  # what an error of a line does to H
+    free = rows - linear.shape[2] - 2
+    plain, smoother = _least_squares(linear, Y)
+    plain_residual = Y - linear @ plain
+    for i in range(ny):
+        y = Y[..., i]
+        now = _least_squares(np.concatenate([linear, -tail * y[..., None]], axis=2), y[..., None])[0][..., 0]
+        best, kept = np.full(lines, np.inf), now
+        for _ in range(4):  # of which the last ones move H by far less than its sd
+            D = 1 + np.einsum("lrk,lk->lr", tail, now[:, -2:])
+            shown = np.einsum("lrk,lk->lr", linear, now[:, :-2]) / D
+            e = y - shown
+            step, pseudo = _least_squares(
+                np.concatenate([linear, -tail * shown[..., None]], axis=2) / D[..., None], e[..., None]
+            )
+            better = np.sum(np.abs(e) ** 2, axis=1) < best
+            best = np.where(better, np.sum(np.abs(e) ** 2, axis=1), best)
+            kept = np.where(better[:, None], now, kept)
+            residual[..., i] = np.where(better[:, None], e, residual[..., i])
+            S[:, i] = np.where(better[:, None, None], pseudo[:, :nu], S[:, i])
+            now = kept + np.where(better[:, None], step[..., 0], 0)
+        H[:, i] = kept[:, :nu]
+        square = np.sum(np.abs(plain_residual[..., i]) ** 2, axis=1)
+        more = (square / np.maximum(best, 1e-300) - 1) * free / 2
+        even = fdtrc(4, 2 * free, np.maximum(more, 0)) > 1e-3  # also where nothing better was found
+        H[even, i] = plain[even, :nu, i]
+        residual[even, :, i] = plain_residual[even, :, i] * (free / (free + 2)) ** 0.5  # by its own freedom
+        S[even, i] = smoother[even, :nu]
+    noise = np.einsum("lri,lrj->lij", residual, np.conj(residual)) / free
+    return H, np.einsum("licr,ljdr->licjd", S, np.conj(S)), noise
+
+
+def _least_squares(A: Complex, y: Complex) -> tuple[Complex, Complex]:
+    """Solutions of A x = y, (lines, columns, …), and the pseudo-inverses of A (lines, rows, columns)."""
+    size = np.maximum(np.linalg.norm(A, axis=1, keepdims=True), 1e-300)
+    Q, R = np.linalg.qr(A / size)
+    weak = np.abs(np.diagonal(R, axis1=1, axis2=2)) < 1e-10  # of a column's part that the others do not have
+    R = R + (weak * 1e-10)[:, :, None] * np.eye(R.shape[1])
+    inverse = np.linalg.solve(R, np.conj(np.swapaxes(Q, 1, 2))) / np.swapaxes(size, 1, 2)
+    return inverse @ y, inverse
+
+
+# Files of responses.
+
+ENDINGS = ("csv", "gz", "parquet", "uff", "unv")
+
+
+def write_response(found: MeasuredResponse, path: str | os.PathLike[str]) -> None:
+    """Write lines of which no two share data, as numbers of the channels: a table or a universal file.
+
+    Tables have OUT/IN_re, _im and _sd, which `identify` reads; Parquet has `A/IN&B/IN_cov_re` and `_im` as well, the
+    covariance of outputs.  Universal files have the values alone.  Raises UsageError for another ending, DataError
+    where the file cannot be written.
+    """
+    kind, found = chosen_format(path, ENDINGS), found.independent()
+    nu = len(found.inputs)
+    into, out = (calibration(some, found.frequency_hz) for some in (found.inputs, found.outputs))
+    raw = (into[:, None, :] / out[:, :, None]).reshape(len(into), -1)  # calibrations are in, as in all tables
+    H, V = (
+        found.values.reshape(raw.shape) * raw,
+        found.covariance * raw[:, :, None] * np.conj(raw)[:, None, :],
+    )
+    if kind in ("uff", "unv"):
+        functions = []
+        for k, pair in enumerate(found.pairs):
+            units = found.outputs[k // nu].unit, found.inputs[k % nu].unit
+            ends = NodePoint("", k // nu + 1), NodePoint("", len(found.outputs) + k % nu + 1)
+            functions.append(
+                NodalFunction(FRF, *ends, found.frequency_hz, H[:, k], *units, (pair, "measured"))
+            )
+        write_universal_file(path, functions)
+        return
+    columns: dict[str, Real] = {"frequency_hz": found.frequency_hz}
+    for k, pair in enumerate(found.pairs):
+        columns |= {f"{pair}_re": H[:, k].real, f"{pair}_im": H[:, k].imag}
+        sd = np.sqrt(np.maximum(V[:, k, k].real, 0) / 2)
+        if np.all(np.isfinite(sd)):
+            columns[f"{pair}_sd"] = sd
+    if kind != "parquet":
+        write_rows(path, list(columns), list(columns.values()))
+        return
+    for k, pair in enumerate(found.pairs):
+        for m in range(k + 1, len(found.pairs)):
+            name = f"{pair}&{found.pairs[m]}_cov"
+            columns |= {f"{name}_re": V[:, k, m].real, f"{name}_im": V[:, k, m].imag}
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    out_stream = pa.BufferOutputStream()
+    pq.write_table(arrow_table(columns), out_stream)
+    write_bytes(path, out_stream.getvalue().to_pybytes())

@@ -1,0 +1,175 @@
+"""Frequency responses without a rig: against the truth, with intervals that cover it, and back into `identify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import signal
+
+import dashpot
+from dashpot.arrays import Complex, Real
+from dashpot.channel import Channel, Quantity
+from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DataError, UsageError
+from dashpot.free.response import MeasuredResponse, frequency_response, write_response
+from tests.unit.free.bench import RIG, Bench
+
+TWO = Bench((4.0, 9.0), (0.01, 0.02))
+
+
+def z_scores(found: MeasuredResponse, truth: Complex) -> Real:
+    """Errors of real and imaginary parts in standard deviations."""
+    error = (found.values - truth) / found.sd
+    return np.concatenate([error.real.ravel(), error.imag.ravel()])
+
+
+@pytest.mark.parametrize(("inputs", "records", "seconds"), [(1, 1, 60.0), (2, 1, 60.0), (1, 4, 20.0)])
+def test_records_of_random_excitation(inputs: int, records: int, seconds: float) -> None:
+    rng = np.random.default_rng(3)
+    tests = [TWO.record(TWO.noise(rng, seconds, inputs), rng, 0.02) for _ in range(records)]
+    names = [f"u{i}" for i in range(inputs)]
+    found = dashpot.frf(tests, names, "a0,a1", band=(1, 30))
+    z = z_scores(found.independent(), TWO.accelerance(found.independent().frequency_hz, inputs))
+    assert abs(np.mean(np.abs(z) < 1.96) - 0.95) < 0.035  # 3 standard errors of some 400 independent numbers
+    assert found.pairs[0] == "a0/u0"
+    assert np.all(found.coherence <= 1)
+    peak = np.argmax(np.abs(found.values[:, 0, 0]))
+    assert found.frequency_hz[peak] == pytest.approx(9.0, abs=0.3) or found.frequency_hz[peak] < 4.2
+
+
+def test_local_models_are_the_textbooks_least_squares() -> None:
+    """Windows solved slowly: where no denominator is worth having, H is that of the local polynomial method."""
+    rng = np.random.default_rng(0)
+    flat = Bench((40.0,), (0.5,))
+    record = flat.record(flat.noise(rng, 30.0, 1), rng, 0.1)
+    found = dashpot.frf(record, "u0", "a0", band=(8, 12))
+    X = np.fft.rfft(record.values - record.values.mean(axis=0), axis=0)
+    r, alike = np.arange(-8, 9), []
+    for k, H in zip(np.rint(found.frequency_hz * 30.0).astype(int), found.values[:, 0, 0], strict=True):
+        U, Y = X[k + r, 0], X[k + r, 1]
+        A = np.stack([U, r * U, r**2 * U, r**0, r, r**2], axis=1)
+        alike.append(abs(H / np.linalg.lstsq(A, Y, rcond=None)[0][0] - 1) < 1e-8)
+    assert np.mean(alike) > 0.8
+
+
+def test_periods_have_noise_and_distortion_apart() -> None:
+    rng = np.random.default_rng(5)
+    order = np.arange(3, 60, 2)
+    t = np.arange(0, 2.0, 0.01)
+    phases = rng.uniform(0, 2 * np.pi, len(order))
+    u = np.cos(2 * np.pi * 0.5 * order * t[:, None] + phases).sum(axis=1)
+    y = signal.lfilter([1.0], [1.0], np.tile(u, 12)) + 0.02 * np.tile(u, 12) ** 2  # even distortion alone
+    noise = 0.01 * rng.standard_normal((len(y), 2))
+    channels = (Channel("u", {"u": 1.0}), Channel("y", {"y": 1.0}))
+    record = Record(channels, np.arange(len(y)) * 0.01, np.column_stack([np.tile(u, 12), y]) + noise)
+    found = dashpot.frf(record, "u", "y")
+    assert found.method == "periods"
+    assert found.frequency_hz == pytest.approx(0.5 * order)
+    z = z_scores(found, np.ones((len(order), 1, 1)))
+    assert np.mean(np.abs(z) < 2.26) > 0.85  # twelve periods: t of 11; the noise of the input counts
+    even, odd = found.distortion["y"]
+    assert even > 0.02
+    assert np.isnan(odd)  # all odd multiples are driven
+
+
+def test_rows_are_the_maximum_of_the_likelihood_of_noise_on_both_sides() -> None:
+    """Against a slow search for the true inputs and H together, Σ (z − ẑ)ᴴ V⁻¹ (z − ẑ)."""
+    from scipy.optimize import least_squares
+
+    rng = np.random.default_rng(1)
+    rows = 4
+    L = rng.normal(size=(rows, 3, 3)) + 1j * rng.normal(size=(rows, 3, 3))
+    V = 0.01 * L @ np.conj(np.swapaxes(L, 1, 2))
+    u = rng.normal(size=rows) + 1j * rng.normal(size=rows)
+    H = np.array([2 - 1j, 0.5j])
+    z = np.stack([u, H[0] * u, H[1] * u], axis=1)
+    half = np.linalg.cholesky(V)
+    z = (
+        z
+        + np.einsum("rij,rj->ri", half, rng.normal(size=(rows, 3)) + 1j * rng.normal(size=(rows, 3))) / 2**0.5
+    )
+    channels = tuple(Channel(name, {name: 1.0}) for name in ("u", "a", "b"))
+    spectrum = Spectrum(
+        channels,
+        np.full(rows, 5.0),
+        z,
+        V,
+        np.ones(rows, dtype=np.int64),
+        np.full(rows, np.inf),
+        ("given",) * rows,
+        np.arange(rows),
+    )
+    found = dashpot.frf(spectrum, "u", "a,b")
+
+    def away(x: Real) -> Real:
+        c = x[: len(x) // 2] + 1j * x[len(x) // 2 :]
+        model = np.stack([c[2:], c[0] * c[2:], c[1] * c[2:]], axis=1)
+        e = np.linalg.solve(half, (z - model)[..., None]).ravel()
+        return np.concatenate([e.real, e.imag])
+
+    start = np.concatenate([H, z[:, 0]])
+    best = least_squares(away, np.concatenate([start.real, start.imag]), xtol=1e-14, ftol=1e-14, gtol=1e-12)
+    half_way = len(best.x) // 2
+    assert found.values[0, :, 0] == pytest.approx(best.x[:2] + 1j * best.x[half_way : half_way + 2], rel=1e-5)
+    information = best.jac.T @ best.jac  # of half a χ²: complex noise has half the variance in each part
+    sd = np.sqrt(np.diag(np.linalg.inv(2 * information)))[:2]
+    assert found.sd[0, :, 0] == pytest.approx(sd, rel=0.15)
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet", "uff"])
+def test_identify_reads_what_is_written(tmp_path: Path, ending: str) -> None:
+    rig = dashpot.parse_rig(RIG)
+    dwells = rig.simulate({"m1": 2, "k1": 8000, "c1": 8}, [3, 6, 9, 10, 12, 15], seed=2)
+    found = dashpot.frf(dwells, rig=rig)
+    write_response(found, tmp_path / f"frf.{ending}")
+    estimate = rig.identify(str(tmp_path / f"frf.{ending}"), judge=False)
+    direct = rig.identify(dwells, judge=False)
+    assert estimate["m1"].value == pytest.approx(direct["m1"].value, abs=0.5 * direct["m1"].sd)
+    if ending != "uff":  # which has no standard deviations
+        assert estimate["m1"].sd == pytest.approx(direct["m1"].sd, rel=0.3)
+
+
+def test_two_inputs_from_two_tests() -> None:
+    f = np.array([2.0, 5.0, 8.0])
+    truth = TWO.accelerance(f, 2)
+    rng = np.random.default_rng(4)
+    U = rng.normal(size=(2, 3, 2)) + 1j * rng.normal(size=(2, 3, 2))
+    Y = np.einsum("foi,tfi->tfo", truth, U)
+    channels = tuple(Channel(n, {n: 1.0}) for n in ("u0", "u1", "a0", "a1"))
+    spectrum = Spectrum(
+        channels,
+        np.tile(f, 2),
+        np.concatenate([U, Y], axis=2).reshape(6, 4),
+        np.full((6, 4, 4), np.nan, dtype=complex),
+        np.ones(6, dtype=np.int64),
+        np.full(6, np.inf),
+        ("unknown",) * 6,
+        np.repeat([0, 1], 3),
+    )
+    found = dashpot.frf(spectrum, ["u0", "u1"], ["a0", "a1"])
+    assert found.values == pytest.approx(truth)
+    with pytest.raises(DataError, match="driven apart"):
+        dashpot.frf(spectrum.select([0, 1, 2]), ["u0", "u1"])
+
+
+def test_refusals_are_one_line() -> None:
+    rng = np.random.default_rng(0)
+    record = TWO.record(TWO.noise(rng, 20.0, 1), rng, 0.01)
+    with pytest.raises(UsageError, match="no input is named"):
+        dashpot.frf(record)
+    with pytest.raises(UsageError, match="no channel q"):
+        dashpot.frf(record, "q")
+    with pytest.raises(DataError, match="too short"):
+        dashpot.frf(record.part(slice(0, 20)), "u0")
+    with pytest.raises(DataError, match="band"):
+        dashpot.frf(record, "u0", band=(80, 90))
+    with pytest.raises(DataError, match="no excitation"):
+        dashpot.frf(record, "u0", band=(46, 49))
+    still = Record(record.channels, record.time, record.values * np.array([0.0, 1.0, 1.0]))
+    with pytest.raises(DataError, match="at rest"):
+        dashpot.frf(still, "u0")
+    reading = dashpot.Reading((record,), None, ())
+    assert frequency_response(reading, ["u0"], ["a1"]).outputs[0].quantity is Quantity.ACCELERATION
