@@ -8,7 +8,8 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.advise import Answer, Question, answer
 from dashpot.design.allocation import Criterion
-from dashpot.design.test_setup import ShakerLimits, TestSetup, nominal_setup
+from dashpot.design.test_setup import TestSetup, nominal_setup
+from dashpot.model.rigfile.rig import ShakerLimits
 from dashpot.quantities import frequencies
 from dashpot.study.simulate import dwells, simulate_spectrum
 from tests.rigs import paper_rig

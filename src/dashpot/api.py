@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from dashpot.arrays import Real, random_generator
+from dashpot.arrays import Complex, Real, random_generator
 from dashpot.channel import Channel, Quantity
 from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.explain.effect import with_likely_causes
@@ -255,7 +255,7 @@ def simulate(
     frequencies: Any,
     *,
     samples: int = 200,
-    amplitudes: Mapping[str, complex] | None = None,
+    amplitudes: Mapping[str, complex | Complex] | None = None,
     periods: float = 10.0,
     rate: float | None = None,
     seed: int = 0,
@@ -268,7 +268,8 @@ def simulate(
     frequencies  Hz, of a dwell each: a sequence, or as the command line has them ("1:10:0.5", "1:10/25"); or what the
                  inputs do, from rest: a Record, or columns by name with `time_s`, of one or more stretches of time
     samples      of each dwell, spread over `periods`, or taken at `rate` (Hz)
-    amplitudes   of the inputs by name, SI units; 1 where not given
+    amplitudes   of the inputs by name, SI units, one or one for each frequency; where not given, as large as the shaker
+                 of the rig file can, 1 where it states none
     experiment   of the rig file, in which the rig is otherwise; by default as it is in none
 
     Raises UsageError where an unknown has no value or an input does not exist, ModelError where the rig has no steady
@@ -283,6 +284,8 @@ def simulate(
         drives = _inputs(rig, frequencies)
         return tuple(simulation.driven_record(model, theta, rig.channels, drive, rng) for drive in drives)
     chosen: Sequence[float] = frequencies_of(frequencies) if isinstance(frequencies, str) else frequencies
+    if rig.shaker is not None:
+        amplitudes = simulation.amplitudes_within(model, theta, rig.shaker, chosen, amplitudes or {})
     test = simulation.dwells(model, chosen, samples, amplitudes=amplitudes, periods=periods, rate=rate)
     if len(model.nonlinear):
         settled = simulation.settled_motion(model, theta, rig.channels, test)

@@ -31,7 +31,6 @@ from dashpot.design.test_setup import (
     FrequencyGrid,
     Robustness,
     Schedule,
-    ShakerLimits,
     TestSetup,
     band_grid,
     drive_units,
@@ -47,6 +46,7 @@ from dashpot.estimate.result import Estimate
 from dashpot.io.json_document import to_json
 from dashpot.model.network import Model
 from dashpot.model.observation import calibration_names, measures_input, noise_sd, with_relative_noise
+from dashpot.model.rigfile.rig import ShakerLimits, usual_limits
 from dashpot.numerics.small_systems import scaled_inverse
 
 FIRST_SAMPLES, FIRST_TIME = 1000.0, 60.0  # where the search for the shortest test starts
@@ -267,7 +267,8 @@ class Question:
                  the rig file knows it better), a UniformBox, a GaussianPrior, or "estimate", the covariance of
                  `estimate` or of what `after` tells
     pick         (count, names) of the sensors to choose; names () are all
-    amplitude    of the drive where there is no limit; None: the median of the data's, else 1
+    amplitude    of the drive at most; None: what the limits allow, without any the median of the data's, else what
+                 shakers usually can
     against      frequencies, or measured lines, to compare with
     """
 
@@ -406,14 +407,8 @@ def _start(question: Question, notes: list[str]) -> tuple[TestSetup, Estimate | 
             f"{', '.join(missing)}: no value to design the test for",
             cure=f"state a rough value of {missing[0]}, put guess = … into the rig file, or give an estimate",
         )
-    setup = nominal_setup(
-        model,
-        channels,
-        values,
-        limits=question.limits,
-        amplitude=_amplitude(question, channels, notes),
-        drives=question.drives,
-    )
+    limits, amplitude = _size_of_drive(question, channels, notes)
+    setup = nominal_setup(model, channels, values, limits=limits, amplitude=amplitude, drives=question.drives)
     if estimate is None:
         return setup, None
     if bool(np.any(estimate.fit.rejected)):
@@ -424,27 +419,38 @@ def _start(question: Question, notes: list[str]) -> tuple[TestSetup, Estimate | 
     return after(setup, estimate), estimate
 
 
-def _amplitude(question: Question, channels: tuple[Channel, ...], notes: list[str]) -> float:
-    """Size of the drive where no limit is given: as stated, else as measured, else 1, which is told if it matters."""
-    if question.amplitude is not None:
-        return question.amplitude
-    floors, nonlinear = [c.name for c in channels if c.noise > 0], len(question.model.nonlinear) > 0
-    if question.limits.given or not (floors or nonlinear):
-        return 1.0
+def _size_of_drive(
+    question: Question, channels: tuple[Channel, ...], notes: list[str]
+) -> tuple[ShakerLimits, float]:
+    """Limits of the drive, and its amplitude where there are none: as stated, as in the data, or usual limits."""
+    of_drive = "stroke" if question.model.displacement_inputs else "force"
+    limits, amplitude = question.limits, question.amplitude
+    if amplitude is not None:
+        least = min(amplitude, limits.given.get(of_drive, amplitude))
+        return (replace(limits, **{of_drive: least}) if limits.given else limits), amplitude
+    if limits.given or not question.model.inputs:
+        return limits, 1.0
+    floors = [c.name for c in channels if c.noise > 0]
+    matters = "so the drive's size matters: " if floors else ""
+    noisy = f"the noise of {', '.join(floors[:4])} has a floor, " if floors else ""
     measured = None if question.after is None else amplitude_from(question.model, question.after)
-    if measured is None and nonlinear:
+    if measured is not None:
+        unit = "/".join(dict.fromkeys(drive_units(question.model).values()))
+        if floors or len(question.model.nonlinear):
+            notes.append(
+                f"{noisy}{matters}{measured:.3g} {unit} is the median of the data's; state the shaker's limits"
+            )
+        return limits, measured
+    if len(question.model.nonlinear):
         raise UsageError(
             "the motion of a rig with nonlinear elements depends on the size of its drive",
             cure="state the drive's amplitude or the shaker's limits",
         )
-    whence = "is assumed" if measured is None else "is the median of the data's"
-    size = 1.0 if measured is None else measured
-    unit = "/".join(dict.fromkeys(drive_units(question.model).values()))
+    usual = usual_limits(question.model)
     notes.append(
-        f"the noise of {', '.join(floors[:4])} has a floor, so the drive's size matters: {size:.3g} {unit} {whence}; "
-        "state the drive's amplitude or the shaker's limits"
+        f"{noisy}{matters}{usual.text(question.model)} at most are assumed; state [shaker] in the rig file"
     )
-    return size
+    return usual, 1.0
 
 
 def _uncertainty(question: Question, setup: TestSetup, estimate: Estimate | None) -> Uncertainty | None:

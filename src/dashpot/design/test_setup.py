@@ -34,6 +34,7 @@ from dashpot.model.observation import (
     transfer,
     unknown_calibrations,
 )
+from dashpot.model.rigfile.rig import ShakerLimits
 from dashpot.unknowns import Unknown, prior_precision
 
 CHUNK = 300_000  # complex numbers at once: they stay in the cache
@@ -241,39 +242,42 @@ def per_sample(model: Model, channels: Sequence[Channel], seen: Outputs) -> Real
     return fisher(J, G, V, [channel.name for channel in channels])
 
 
-@dataclass(frozen=True)
-class ShakerLimits:
-    """What the shaker can do at most, as amplitudes in SI units: m, m/s, m/s², N (rad and N·m for angles).
+def at_limits(model: Model, p: Real, limits: ShakerLimits, frequency_hz: Real, unit: Complex) -> Complex:
+    """Drives (lines, r + s) in the proportions of `unit`, as large as the shaker can at each frequency.
 
-    At a force input they hold for the motion of the point that it drives; the force of a displacement input is the
-    reaction of the rig.  None is no limit.
+    p (scenarios, elements); what the first scenario to meet a limit allows.  Raises UsageError as `TestSetup.drive`.
     """
+    omega = 2 * np.pi * frequency_hz
+    if len(model.nonlinear):
+        use = _used_directly(model, limits, omega, unit)
+    else:
+        use = np.zeros(len(omega))
+        step = max(1, CHUNK // max(1, len(omega) * len(model.elements) * model.n))
+        for first in range(0, len(p), step):
+            seen = outputs(model, p[first : first + step], (), omega, unit)
+            motion = np.broadcast_to(seen.motion, seen.force.shape)
+            use = np.maximum(use, np.max(limits.use(omega, motion, seen.force), axis=0))
+    if not np.all(use > 0):
+        raise UsageError(
+            f"at {frequency_hz[int(np.argmin(use > 0))]:.4g} Hz the shaker meets none of its limits",
+            cure="give its stroke too",
+        )
+    return unit * (1 / use * (1 - 1e-12))[:, None]
 
-    stroke: float | None = None
-    velocity: float | None = None
-    acceleration: float | None = None
-    force: float | None = None
 
-    def __post_init__(self) -> None:
-        for name, value in self.given.items():
-            if not (np.isfinite(value) and value > 0):
-                raise UsageError(f"the limit of {name} is {value:g}", cure="give a positive number")
-
-    @property
-    def given(self) -> dict[str, float]:
-        """The limits that are there, by name, SI units."""
-        return {name: value for name, value in vars(self).items() if value is not None}
-
-    def use(self, omega: Real, motion: Complex, force: Complex) -> Real:
-        """Largest part of a limit that is used, (..., lines), of motion and force (..., lines, inputs), SI units.
-
-        omega (lines,), rad/s.
-        """
-        X, F = np.abs(motion), np.abs(force)
-        w = omega[:, None]
-        sizes = {"stroke": X, "velocity": w * X, "acceleration": w**2 * X, "force": F}
-        parts = [np.max(sizes[name], axis=-1) / value for name, value in self.given.items()]
-        return np.max(parts, axis=0) if parts else np.zeros(X.shape[:-1])
+def _used_directly(model: Model, limits: ShakerLimits, omega: Real, unit: Complex) -> Real:
+    """What a unit drive uses of the limits that hold for the inputs themselves, (lines,), of a nonlinear rig."""
+    r = len(model.displacement_inputs)
+    moved = [name for name in limits.given if name != "force"]
+    if (r < unit.shape[1] and moved) or (r and limits.force is not None):
+        wrong, right = (moved[0], "force") if r < unit.shape[1] and moved else ("force", "stroke")
+        raise UsageError(
+            f"the limit of {wrong} holds for what is not proportional to the drive of a nonlinear rig",
+            cure=f"state the largest {right}, or the amplitude of the drive",
+        )
+    motion, force = unit.copy(), unit.copy()
+    motion[:, r:], force[:, :r] = 0.0, 0.0
+    return limits.use(omega, motion, force)
 
 
 @dataclass(frozen=True)
@@ -360,38 +364,10 @@ class TestSetup:
         frequency_hz and pattern (lines,).  Raises UsageError where the shaker meets none of its limits, or one of what
         is not proportional to the drive of a nonlinear rig, DataError where a channel shares a gain that is known.
         """
-        omega, unit = 2 * np.pi * frequency_hz, self.drives[pattern]
+        unit = self.drives[pattern]
         if not self.limits.given:
             return self.amplitude * unit
-        if len(self.model.nonlinear):
-            use = self._used_directly(omega, unit)
-        else:
-            use = np.zeros(len(omega))
-            step = max(1, CHUNK // max(1, len(omega) * len(self.model.elements) * self.model.n))
-            for first in range(0, len(self.p), step):
-                seen = outputs(self.model, self.p[first : first + step], (), omega, unit)
-                motion = np.broadcast_to(seen.motion, seen.force.shape)
-                use = np.maximum(use, np.max(self.limits.use(omega, motion, seen.force), axis=0))
-        if not np.all(use > 0):
-            raise UsageError(
-                f"at {frequency_hz[int(np.argmin(use > 0))]:.4g} Hz the shaker meets none of its limits",
-                cure="give its stroke too",
-            )
-        return unit * (1 / use * (1 - 1e-12))[:, None]
-
-    def _used_directly(self, omega: Real, unit: Complex) -> Real:
-        """What a unit drive uses of the limits that hold for the inputs themselves, (lines,), of a nonlinear rig."""
-        r = len(self.model.displacement_inputs)
-        moved = [name for name in self.limits.given if name != "force"]
-        if (r < unit.shape[1] and moved) or (r and self.limits.force is not None):
-            wrong, right = (moved[0], "force") if r < unit.shape[1] and moved else ("force", "stroke")
-            raise UsageError(
-                f"the limit of {wrong} holds for what is not proportional to the drive of a nonlinear rig",
-                cure=f"state the largest {right}, or the amplitude of the drive",
-            )
-        motion, force = unit.copy(), unit.copy()
-        motion[:, r:], force[:, :r] = 0.0, 0.0
-        return self.limits.use(omega, motion, force)
+        return at_limits(self.model, self.p, self.limits, frequency_hz, unit)
 
     def seen(self, frequency_hz: Real, pattern: Ints) -> Outputs:
         """What the channels show at each line, at the nominal values; frequency_hz and pattern (lines,).

@@ -20,6 +20,7 @@ from dashpot.arrays import Complex, Ints, Real, freeze
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Moments, SettledDwell, Spectrum
+from dashpot.design.test_setup import at_limits
 from dashpot.errors import ConvergenceError, DataError, UsageError
 from dashpot.estimate.nonlinear.record_problem import enough_substeps
 from dashpot.estimate.nonlinear.records import (
@@ -50,6 +51,7 @@ from dashpot.model.observation import (
     observation_model,
     unknown_calibrations,
 )
+from dashpot.model.rigfile.rig import ShakerLimits
 
 # The motion of a rig under a record of its inputs, as its channels would show it.
 
@@ -281,34 +283,59 @@ def dwells(
     frequency_hz: Sequence[float] | Real,
     samples: int | Sequence[int] | Ints = 56,
     *,
-    amplitudes: Mapping[str, complex] | None = None,
+    amplitudes: Mapping[str, complex | Complex] | None = None,
     periods: float | Sequence[float] | Real = 1.0,
     rate: float | None = None,
 ) -> Dwells:
     """The test that drives every input of `model` at each frequency.
 
     frequency_hz (lines,); samples and periods of each dwell (lines,), or one number for all.  `amplitudes` of the
-    inputs by name in SI units, 1 where not named.  Samples are spread over `periods`, or taken at `rate` (Hz).  Raises
-    UsageError for an input that the rig has not.
+    inputs by name in SI units, one or one for each frequency, 1 where not named.  Samples are spread over `periods`, or
+    taken at `rate` (Hz).  Raises UsageError for an input that the rig has not.
     """
     frequencies = np.atleast_1d(np.asarray(frequency_hz, dtype=float))
     lines = len(frequencies)
-    given: Mapping[str, complex] = {} if amplitudes is None else amplitudes
+    given: Mapping[str, complex | Complex] = {} if amplitudes is None else amplitudes
     names = [source.name for source in model.inputs]
     for name in given:
         if name not in names:
             raise UsageError(f"the rig has no input {name}", cure=f"it has {', '.join(names)}")
-    U = np.array([given.get(name, 1.0) for name in model.displacement_inputs], dtype=complex)
-    f = np.array([given.get(name, 1.0) for name in model.force_inputs], dtype=complex)
+    U, f = (
+        np.array([np.broadcast_to(given.get(name, 1.0), (lines,)) for name in inputs], dtype=complex)
+        .reshape(-1, lines)
+        .T
+        for inputs in (model.displacement_inputs, model.force_inputs)
+    )
     counts = np.broadcast_to(np.asarray(samples, dtype=np.int64), (lines,))
     cycles = frequencies * counts / rate if rate is not None else np.asarray(periods, dtype=float)
     return Dwells(
         frequencies,
         counts,
         np.broadcast_to(cycles, (lines,)),
-        np.broadcast_to(U, (lines, len(U))),
-        np.broadcast_to(f, (lines, len(f))),
+        U,
+        f,
     )
+
+
+def amplitudes_within(
+    model: Model,
+    theta: Real,
+    limits: ShakerLimits,
+    frequency_hz: Sequence[float],
+    given: Mapping[str, complex | Complex],
+) -> dict[str, complex | Complex]:
+    """Amplitudes by name: those that are given, all others together as large as the shaker can at each frequency.
+
+    theta (unknowns,), frequency_hz (lines,).  Raises UsageError where no limit is met.
+    """
+    at = np.asarray(frequency_hz, dtype=float)
+    names = [*model.displacement_inputs, *model.force_inputs]
+    unit = np.array([name not in given for name in names], dtype=complex)
+    if not np.any(unit):
+        return dict(given)
+    lines = np.broadcast_to(unit, (len(at), len(unit)))
+    drive = at_limits(model, model.parameters(theta)[None], limits, at, lines)
+    return {name: given.get(name, drive[:, j]) for j, name in enumerate(names)}
 
 
 # Channels and their noise

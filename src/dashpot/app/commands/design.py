@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
@@ -224,9 +224,9 @@ def _question(rig: Rig, whole: Rig, wanted: DesignOptions, records: RecordOption
     Raises UsageError where they contradict each other.
     """
     from dashpot.design.advise import Question
-    from dashpot.design.test_setup import ShakerLimits
     from dashpot.estimate.result import Estimate
     from dashpot.model.observation import with_relative_noise
+    from dashpot.model.rigfile.rig import ShakerLimits
 
     data, earlier = _earlier(whole, wanted.after, records)
     estimate = None if wanted.estimate_file is None else Estimate.load(wanted.estimate_file)
@@ -249,6 +249,11 @@ def _question(rig: Rig, whole: Rig, wanted: DesignOptions, records: RecordOption
         "acceleration": wanted.max_acceleration,
         "force": wanted.max_force,
     }
+    stated = {
+        "stroke" if kind == "displacement" else kind: given.si(kind, angular)
+        for kind, given in limits.items()
+        if given is not None
+    }
     return Question(
         model=rig.model,
         channels=channels if noise is None else with_relative_noise(rig.model, channels, noise),
@@ -265,9 +270,7 @@ def _question(rig: Rig, whole: Rig, wanted: DesignOptions, records: RecordOption
         most=wanted.max_frequencies,
         band=wanted.band,
         step=wanted.grid,
-        limits=ShakerLimits(
-            *(None if given is None else given.si(kind, angular) for kind, given in limits.items())
-        ),
+        limits=replace(rig.shaker or ShakerLimits(), **stated),
         amplitude=None if wanted.amplitude is None else drive_amplitude(rig.model, wanted.amplitude),
         drives=wanted.drives,
         uncertainty=_uncertainty(rig, wanted, estimate),

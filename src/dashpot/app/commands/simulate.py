@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -63,7 +63,8 @@ def command(
     amplitudes: Annotated[
         tuple[Amount | dict[str, Amount], ...],
         opt.Option("--amplitude [INPUT=]VALUE", opt.AMPLITUDE, TEST, multiple=True),
-        "Amplitude of all inputs (2mm, 10N) or of one (u=2mm).  May be repeated.  [default: 1 m, rad, N or N·m]",
+        "Amplitude of all inputs (2mm, 10N) or of one (u=2mm).  May be repeated.  [default: as large as the [shaker] "
+        "of the rig file can; without one 10 mm and 1 g at most, or 10 N]",
     ],
     relative_noise: opt.RelativeNoise,
     seed: Annotated[int, opt.SEED, "the noise"],
@@ -91,6 +92,7 @@ def command(
     from dashpot.estimate.result import Estimate
     from dashpot.model.observation import with_relative_noise
     from dashpot.model.rigfile import read_rig
+    from dashpot.model.rigfile.rig import usual_limits
     from dashpot.study import simulate as study
 
     if (frequencies is None) == (input_file is None):
@@ -126,10 +128,18 @@ def command(
             what = f"{len(records[0].time)} samples"
         else:
             _require_drive(read, drive)
+            if read.shaker is None and read.model.inputs and len(drive) < len(read.model.inputs):
+                shaker = usual_limits(read.model)
+                read = replace(read, shaker=shaker)
+                told = f"; no [shaker] in the rig file: {shaker.text(read.model)} at most"
             with progress("simulate", quiet):
                 if table:
                     model, channels, rng = read.model, read.channels, random_generator(seed)
-                    theta, test = model.theta(given), study.dwells(model, frequencies, samples, **how)
+                    theta = model.theta(given)
+                    if read.shaker is not None:
+                        within = (read.shaker, frequencies, drive)
+                        how["amplitudes"] = study.amplitudes_within(model, theta, *within)
+                    test = study.dwells(model, frequencies, samples, **how)
                     if len(model.nonlinear):
                         motion = study.settled_motion(model, theta, channels, test)
                         spectrum = study.settled_spectrum(motion, test, rng)
@@ -139,6 +149,8 @@ def command(
                     write_amplitudes(spectrum, out)
                 else:
                     write_records(simulate(read, given, frequencies, samples=samples, seed=seed, **how), out)
+            if read.shaker is not None and drive:
+                told += _beyond(read, drive, frequencies)
             many = "1 frequency" if len(frequencies) == 1 else f"{len(frequencies)} frequencies"
             what = f"{many}, {'amplitudes' if table else f'{samples} samples at each'}"
     if not quiet:
@@ -161,12 +173,27 @@ def _input_record(rig: Rig, path: str) -> Record:
     return reading.records[0]
 
 
+def _beyond(rig: Rig, drive: Mapping[str, float], frequencies: Sequence[float]) -> str:
+    """That a stated amplitude of a moved input is more than the shaker can; empty where it is not."""
+    import numpy as np
+
+    assert rig.shaker is not None
+    omega = 2 * np.pi * np.asarray(frequencies, dtype=float)
+    for name in set(drive) & set(rig.model.displacement_inputs):
+        motion = np.full((len(omega), 1), drive[name], dtype=complex)
+        use = rig.shaker.use(omega, motion, 0 * motion)
+        if np.max(use) > 1 + 1e-9:
+            at = frequencies[int(np.argmax(use))]
+            return f"; {name} is {np.max(use):.3g} × what the shaker can at {at:g} Hz"
+    return ""
+
+
 def _require_drive(rig: Rig, drive: Mapping[str, complex]) -> None:
     """Raises UsageError where an input of a nonlinear rig has no amplitude: its motion is not proportional to it."""
-    missing = [given.name for given in rig.model.inputs if given.name not in drive]
+    missing = [given.name for given in rig.model.inputs if given.name not in drive and rig.shaker is None]
     if len(rig.model.nonlinear) and missing:
         raise UsageError(
             "the motion of a rig with nonlinear elements depends on the size of its drive",
             rig.path,
-            f"add --amplitude {missing[0]}=1mm or whatever drives it",
+            f"add --amplitude {missing[0]}=1mm or whatever drives it, or [shaker] to the rig file",
         )

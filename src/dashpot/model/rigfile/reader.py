@@ -76,10 +76,11 @@ def _rig(document: TomlDocument) -> Rig:
             if name in RESERVED_NAMES:
                 reading.report.add(place, *reserved(name))
     within, experiments = reading.within(), experiments_of(reading, tables)
+    shaker = reading.shaker()
     reading.report.raise_any()
     model = Model(tuple(head.coordinates), inputs, tuple(elements), head.name, reading.angles, tuple(tables))
     used = default_channels(model) if channels is None else tuple(channels)
-    return Rig(model, used, document.path, within, experiments)
+    return Rig(model, used, document.path, within, experiments, shaker)
 
 
 def read_inputs(reading: RigReading) -> None:

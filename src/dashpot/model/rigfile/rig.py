@@ -6,6 +6,9 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+
+from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import UsageError
 from dashpot.experiment import Experiment, channels_of
@@ -24,12 +27,83 @@ if TYPE_CHECKING:
     from dashpot.export.transfer_functions import TransferFunctions
 
 
+G = 9.80665  # m/s²
+
+
+@dataclass(frozen=True)
+class ShakerLimits:
+    """What the shaker can do at most, as amplitudes in SI units: m, m/s, m/s², N (rad and N·m for angles).
+
+    At a force input they hold for the motion of the point that it drives; the force of a displacement input is the
+    reaction of the rig.  None is no limit.  Together they limit the amplitude by frequency: the stroke at low ones, the
+    velocity, then the acceleration.
+    """
+
+    stroke: float | None = None
+    velocity: float | None = None
+    acceleration: float | None = None
+    force: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in self.given.items():
+            if not (np.isfinite(value) and value > 0):
+                raise UsageError(f"the limit of {name} is {value:g}", cure="give a positive number")
+
+    @property
+    def given(self) -> dict[str, float]:
+        """The limits that are there, by name, SI units."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+    def text(self, model: Model) -> str:
+        """The limits with their units, "10 mm, 1 g"."""
+        turning = all_angles(
+            model.displacement_inputs or [p for s in model.inputs for p in s.at], model.angles
+        )
+        units = {
+            "stroke": (1e3, "mm"),
+            "velocity": (1.0, "m/s"),
+            "acceleration": (1 / G, "g"),
+            "force": (1.0, "N"),
+        }
+        if turning:
+            units = dict(
+                zip(units, ((1.0, "rad"), (1.0, "rad/s"), (1.0, "rad/s²"), (1.0, "N·m")), strict=True)
+            )
+        return ", ".join(f"{value * units[key][0]:.3g} {units[key][1]}" for key, value in self.given.items())
+
+    def use(self, omega: Real, motion: Complex, force: Complex) -> Real:
+        """Largest part of a limit that is used, (..., lines), of motion and force (..., lines, inputs), SI units.
+
+        omega (lines,), rad/s.
+        """
+        X, F = np.abs(motion), np.abs(force)
+        w = omega[:, None]
+        sizes = {"stroke": X, "velocity": w * X, "acceleration": w**2 * X, "force": F}
+        parts = [np.max(sizes[name], axis=-1) / value for name, value in self.given.items()]
+        return np.max(parts, axis=0) if parts else np.zeros(X.shape[:-1])
+
+
+def usual_limits(model: Model) -> ShakerLimits:
+    """What is taken for a shaker of which nothing is said: 10 mm and 1 g, or 10 N; 0.1 rad and 10 rad/s², or 1 N·m."""
+    moved, forced = model.displacement_inputs, [s for s in model.inputs if s.kind == "force"]
+    if moved:
+        turning = all_angles(moved, model.angles)
+        return (
+            ShakerLimits(stroke=0.1, acceleration=10.0)
+            if turning
+            else ShakerLimits(stroke=0.01, acceleration=G)
+        )
+    turning = all(all_angles(source.at, model.angles) for source in forced)
+    return ShakerLimits(force=1.0 if turning else 10.0)
+
+
 @dataclass(frozen=True)
 class Rig(InNotebooks):
     """A model, the channels that its data files are made of, and the `path` of the file it was read from ("": none).
 
     within: the share of every channel's motion within which the rig is to describe it; None: what suits the noise.
     experiments: those in which elements or channels are otherwise, in the order of `model.experiments`.
+    shaker: what its drive can do at most; None where the file does not say it.
     """
 
     model: Model
@@ -37,6 +111,7 @@ class Rig(InNotebooks):
     path: str = ""
     within: float | None = None
     experiments: tuple[Experiment, ...] = ()
+    shaker: ShakerLimits | None = None
 
     @property
     def all_channels(self) -> tuple[Channel, ...]:

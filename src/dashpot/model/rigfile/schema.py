@@ -35,6 +35,7 @@ from dashpot.io.toml_document import (
 from dashpot.io.words import did_you_mean, listed, quoted, written
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, number_problems
+from dashpot.model.rigfile.rig import ShakerLimits, all_angles
 from dashpot.quantities import Amount
 from dashpot.units import scale
 
@@ -43,7 +44,7 @@ SECTIONS: Mapping[str, Kind] = {kind.section: kind for kind in Kind}
 HEAD_KEYS = ("name", "coordinates", "angles")
 EXPERIMENTS = "experiments"
 TABLES = ("inputs", "free", "blocks", *SECTIONS, "calibrations", "channels", EXPERIMENTS)
-VERDICT = "verdict"
+VERDICT, SHAKER = "verdict", "shaker"
 
 FREE_EXAMPLE = 'free = "MCK", or [free] and below it K = "full", M = "diagonal"'
 EXAMPLES: Mapping[str, str] = {
@@ -173,6 +174,13 @@ class VerdictEntry(RigFileEntry):
     within: Annotated[float, BeforeValidator(_part)]
 
 
+class ShakerEntry(RigFileEntry):
+    stroke: GivenAmount | None = None
+    velocity: GivenAmount | None = None
+    acceleration: GivenAmount | None = None
+    force: GivenAmount | None = None
+
+
 class InputEntry(RigFileEntry):
     kind: Annotated[Literal["displacement", "force"], one_of("displacement", "force")] = "displacement"
     at: Annotated[dict[str, GivenAmount], BeforeValidator(_one_or_many)] | None = None
@@ -266,7 +274,7 @@ class RigReading:
 
     def _head(self) -> Head:
         """Name, coordinates and angles; what is usable of the coordinates where they are faulty."""
-        known = (*HEAD_KEYS, *TABLES, VERDICT)
+        known = (*HEAD_KEYS, *TABLES, VERDICT, SHAKER)
         for key in self.table:
             if key not in known:
                 cure = f"{did_you_mean(key, known)}a rig file has {listed(known)}"
@@ -293,6 +301,29 @@ class RigReading:
             return None
         verdict = validated(VerdictEntry, raw, (VERDICT,), self.report) if raw else None
         return None if verdict is None else verdict.within
+
+    def shaker(self) -> ShakerLimits | None:
+        """The limits of [shaker]; None where there are none."""
+        raw = self.table.get(SHAKER, {})
+        if not isinstance(raw, dict):
+            cure = 'write [shaker] and below it stroke = "5 mm"'
+            self.report.add((SHAKER,), f"{written(raw)} is not a section", cure)
+            return None
+        entry, limits = validated(ShakerEntry, raw, (SHAKER,), self.report), dict[str, float]()
+        if not raw or entry is None:
+            return None
+        moved = [name for name, each in self.inputs.items() if each.kind == "displacement"]
+        turning = all_angles(moved or [p for each in self.inputs.values() for p in each.at], self.angles)
+        for key, value in entry:
+            if value is None:
+                continue
+            quantity = "displacement" if key == "stroke" else key
+            try:
+                size = value.si(quantity, turning) if isinstance(value, Amount) else float(value)
+                limits |= ShakerLimits(**{key: size}).given
+            except UsageError as error:
+                self.include((SHAKER, key), error)
+        return ShakerLimits(**limits) if limits and not self.faulty else None
 
     def entries(self, section: str) -> Iterator[tuple[str, Any]]:
         """Names and tables of a section; a section that is not a table is reported."""

@@ -82,7 +82,7 @@ def test_targets_amplitudes_noise_and_values(capsys: pytest.CaptureFixture[str])
     assert half["dwells"][0]["amplitudes"]["u"] == pytest.approx(0.003)
     other = told(capsys, "--samples", "1400", "--set", "m1=6", "--drive", "-u", *band)
     assert other["predicted"]["m1"]["value"] == 6
-    assert other["dwells"][0]["amplitudes"]["u"] == -1
+    assert other["dwells"][0]["amplitudes"]["u"] == pytest.approx(-0.01)  # of shakers, where nothing is said
     worst = told(capsys, "--samples", "1400", "--for", "worst", *band)
     assert max(p["relative_sd"] for p in worst["predicted"].values()) < max(
         p["relative_sd"] for p in usual["predicted"].values()

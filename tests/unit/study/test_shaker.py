@@ -1,0 +1,96 @@
+"""[shaker]: what a drive can do at most, kept by simulate and design, and said where nothing is stated."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import dashpot
+from dashpot.app.cli import cli
+
+RIG = """
+coordinates = ["x"]
+[inputs]
+{inputs}
+[masses]
+m = {{ at = "x", value = 2 }}
+[springs]
+k = {{ between = ["x", "{base}"], guess = 8000 }}
+[dampers]
+c = {{ between = ["x", "{base}"], guess = 10 }}
+[channels]
+x = {{ of = "x", noise = 1e-6 }}
+{drive} = {{ of = "{drive}" }}
+{shaker}
+"""
+LIMITS = '[shaker]\nstroke = "5 mm"\nvelocity = "0.1 m/s"\nacceleration = "1 gn"'
+FREQUENCIES = (1.0, 4.0, 30.0)
+
+
+def rig_text(shaker: str = "", force: bool = False) -> str:
+    inputs = 'f = { kind = "force", at = "x" }' if force else 'u = { kind = "displacement" }'
+    return RIG.format(
+        shaker=shaker, inputs=inputs, base="ground" if force else "u", drive="f" if force else "u"
+    )
+
+
+def amplitudes(records: tuple[dashpot.Record, ...], channel: str) -> np.ndarray:
+    index = [each.name for each in records[0].channels].index(channel)
+    return np.array([np.max(np.abs(record.values[:, index])) for record in records])
+
+
+def test_the_drive_meets_stroke_velocity_and_acceleration_by_frequency() -> None:
+    rig = dashpot.parse_rig(rig_text(LIMITS))
+    drive = amplitudes(rig.simulate({}, FREQUENCIES, samples=2000), "u")
+    omega = 2 * np.pi * np.array(FREQUENCIES)
+    np.testing.assert_allclose(drive, [5e-3, 0.1 / omega[1], 9.80665 / omega[2] ** 2], rtol=1e-4)
+    assert dashpot.parse_rig(dashpot.write_rig(rig)).shaker == rig.shaker
+    stated = rig.simulate({}, FREQUENCIES, samples=2000, amplitudes={"u": 1e-3})
+    np.testing.assert_allclose(amplitudes(stated, "u"), 1e-3, rtol=1e-4)
+
+
+def test_limits_of_motion_at_a_force_hold_for_the_point_that_it_drives() -> None:
+    rig = dashpot.parse_rig(rig_text('[shaker]\nstroke = "1 mm"\nforce = "100 N"', force=True))
+    records = rig.simulate({}, FREQUENCIES, samples=2000)
+    x, f = amplitudes(records, "x"), amplitudes(records, "f")
+    assert np.all(
+        (np.isclose(x, 1e-3, rtol=1e-2) & (f < 100)) | (np.isclose(f, 100, rtol=1e-3) & (x < 1.01e-3))
+    )
+
+
+def test_commands_say_what_they_take_where_nothing_is_stated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("rig.toml").write_text(rig_text())
+    simulate = ["simulate", "rig.toml", "--frequencies", "1,30", "-o"]
+    done = CliRunner().invoke(cli, [*simulate, "a.csv"], catch_exceptions=False)
+    assert "10 mm, 1 g at most" in " ".join(done.output.split())
+    plan = ["design", "rig.toml", "--samples", "500", "--band", "1:40", "--json", "plan.json"]
+    done = CliRunner().invoke(cli, plan, catch_exceptions=False)
+    assert "10 mm, 1 g at most" in " ".join(done.output.split())
+    Path("rig.toml").write_text(rig_text(LIMITS))
+    done = CliRunner().invoke(cli, [*simulate, "b.csv", "--amplitude", "5mm"], catch_exceptions=False)
+    assert "× what the shaker can at 30 Hz" in done.output
+    CliRunner().invoke(cli, plan, catch_exceptions=False)
+    for dwell in json.loads(Path("plan.json").read_text())["dwells"]:
+        u, turn = abs(dwell["amplitudes"]["u"]), 2 * np.pi * dwell["frequency_hz"]
+        assert max(u / 5e-3, u * turn / 0.1, u * turn**2 / 9.80665) == pytest.approx(1, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "place"),
+    [
+        ("[shaker]\nstroke = 0", "shaker.stroke"),
+        ('[shaker]\nstroke = "5 kg"', "shaker.stroke"),
+        ("[shaker]\nstorke = 1", "shaker.storke"),
+        ("[[shaker]]\nstroke = 1", "shaker"),
+    ],
+)
+def test_what_no_shaker_has_is_refused_with_its_key(wrong: str, place: str) -> None:
+    with pytest.raises(dashpot.ModelError) as refused:
+        dashpot.parse_rig(rig_text(wrong))
+    (problem,) = refused.value.problems
+    assert str(problem.where).endswith(place)
