@@ -27,6 +27,7 @@ from dashpot.data.readers.manifest import (
 )
 from dashpot.data.readers.records import Circumstances, write_records
 from dashpot.data.readers.registry import reader_of
+from dashpot.data.readers.responses import Response
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError
@@ -113,6 +114,7 @@ def read(
     if frequency_hz is not None and not 0 < frequency_hz < 1e12:
         raise DataError(f"frequency {frequency_hz:g} Hz", cure="frequencies must be positive and finite")
     total, treatments = Interpreted(), Treatments()
+    alone: dict[int, tuple[int, list[Response]]] = {}  # by experiment, with the number of its first file
     by = Experiments(tuple(channels), tuple(experiments))
     for number, path in enumerate(several):
         if is_manifest(path) or is_pattern(path):
@@ -122,8 +124,15 @@ def read(
                 total += by.content(partial(read_group, group, frequency_hz, by.names), _kind_of(group, by))
         else:
             file, circumstances = open_file(path), Circumstances(frequency_hz, number, named=by.names)
-            total += by.content(partial(_content, file, circumstances), by.of_file(os.fspath(path)))
-    amplitudes = concatenate(total.spectra) if total.spectra else None
+            kind = by.of_file(os.fspath(path))
+            found = by.content(partial(_content, file, circumstances), kind)
+            if found.responses:
+                alone.setdefault(kind, (number, []))[1].extend(found.responses)
+            total += found
+    spectra = list(total.spectra)
+    for kind, (first, responses) in alone.items():
+        spectra += by.joined(responses, kind, first)
+    amplitudes = concatenate(spectra) if spectra else None
     return Reading(total.records, amplitudes, total.notes, total.joint, treatments)
 
 

@@ -81,12 +81,12 @@ def amplitude_columns(columns: Columns) -> dict[str, AmplitudeColumns]:
             phases = [at[stem + phase] for phase in PHASES if stem + phase in at]
             if len(phases) == 1:
                 decibel = (columns.unit(at[name]) or "").lower() == "db"
-                to_radian = _to_radian(columns, phases[0])
+                to_radian = phase_factor(columns, phases[0])
                 found[stem] = AmplitudeColumns(at[name], phases[0], to_radian, decibel)
     return found
 
 
-def _to_radian(columns: Columns, column: int) -> float:
+def phase_factor(columns: Columns, column: int) -> float:
     """Factor from the numbers of a phase to rad."""
     unit = columns.unit(column)
     if unit is None:
@@ -157,8 +157,9 @@ def phase_notices(
 # `OUT/IN_sd`.
 #
 # OUT and IN are channels of the rig file, in their units; `OUT/IN_sd` is the standard deviation of the real
-# and of the imaginary part, each; `A/IN&B/IN_cov_re`, `…_cov_im` the covariance E[Δ_A conj(Δ_B)]. Every
-# input makes an experiment of its own, driven with amplitude 1 at IN and 0 at the others, which are exact.
+# and of the imaginary part, each, `OUT/IN_coherence` tells it where there is none; `A/IN&B/IN_cov_re`, `…_cov_im`
+# the covariance E[Δ_A conj(Δ_B)]. Every input makes an experiment of its own, driven with amplitude 1 at IN and 0 at
+# the others, which are exact.
 
 
 def read_frf(
@@ -176,7 +177,12 @@ def read_frf(
     pairs, names = _pairs(columns, found, channels), [channel.name for channel in channels]
     at = {pair: _required(columns, found, "/".join(pair)) for pair in pairs}
     sd_at = {pair: i for pair in pairs if (i := columns.find(f"{'/'.join(pair)}_sd")) is not None}
-    frequency_at = _frequency_at(columns, channels)
+    coherence_at = {
+        pair: i
+        for pair in pairs
+        if not sd_at and (i := columns.find(f"{'/'.join(pair)}_coherence")) is not None
+    }
+    frequency_at, notes = _frequency_at(columns, channels), list(columns.notes)
     together = {
         (one, other): _required(columns, found, stem)
         for one in sd_at
@@ -184,24 +190,34 @@ def read_frf(
         if one[1] == other[1] and (stem := f"{'/'.join(one)}&{'/'.join(other)}_cov") in found
     }
     of_pairs = (i for both in (*at.values(), *together.values()) for i in (both.first, both.second))
-    values = columns.numbers(list(dict.fromkeys([frequency_at, *of_pairs, *sd_at.values()])))
+    values = columns.numbers(
+        list(dict.fromkeys([frequency_at, *of_pairs, *sd_at.values(), *coherence_at.values()]))
+    )
     frequency = values[frequency_at] * frequency_scale(columns, frequency_at)
     check_frequency(columns, frequency_at, frequency)
+    variances = {pair: 2 * values[i] ** 2 for pair, i in sd_at.items()}
+    for pair, i in coherence_at.items():
+        columns.refuse(
+            i, (values[i] < 0) | (values[i] > 1.001), "a coherence of {:g}", "it is 0 to 1", values[i]
+        )
+        variance, said = coherent_variance(at[pair].of(values), values[i], None)
+        variances[pair] = 2 * variance
+        notes.append(Notice("averages_unknown", f"{columns.source}: {'/'.join(pair)}: {said}", pair))
     for i in sd_at.values():
         columns.refuse(i, values[i] < 0, "a standard deviation of {:g}", "0 is exact", values[i])
     scale = np.array([channel.scale for channel in channels])
     spectra, lines = [], len(frequency)
     for number, into in enumerate(dict.fromkeys(into for _, into in pairs)):
         X = np.zeros((lines, len(channels)), dtype=np.complex128)
-        V = np.full((lines, len(channels), len(channels)), 0.0 if sd_at else np.nan, dtype=np.complex128)
+        V = np.full((lines, len(channels), len(channels)), 0.0 if variances else np.nan, dtype=np.complex128)
         for c, channel in enumerate(channels):
             pair = (channel.name, into)
             if channel.name == into:
                 X[:, c] = 1.0
             elif pair in at:
                 X[:, c] = at[pair].of(values)
-                if pair in sd_at:
-                    V[:, c, c] = 2 * values[sd_at[pair]] ** 2
+                if pair in variances:
+                    V[:, c, c] = variances[pair]
         for (one, other), pair_columns in together.items():
             if one[1] == into:
                 c, d = (names.index(name) for name in (one[0], other[0]))
@@ -214,11 +230,34 @@ def read_frf(
                 *calibrated(channels, frequency, X * scale, V * np.outer(scale, scale)),
                 np.ones(lines, dtype=np.int64),
                 np.full(lines, np.inf),
-                ("given" if sd_at else "unknown",) * lines,
+                ("given" if variances else "unknown",) * lines,
                 np.full(lines, experiment + number),
             )
         )
-    return concatenate(spectra), list(columns.notes)
+    return concatenate(spectra), notes
+
+
+def coherent_variance(H: Complex, gamma2: Real, averages: Real | None) -> tuple[Real, str]:
+    """The variance of real and imaginary part of H (lines,) by its coherence, and what is to be said of it.
+
+    Where the number of averages is not known, the size is that of second differences of neighbouring lines, which bends
+    of H only make larger, and one average at most.
+    """
+    trusted = np.clip(gamma2, 1e-6, 1 - 1e-9)
+    once = np.abs(H) ** 2 * (1 - trusted) / (2 * trusted)
+    if averages is not None:
+        return once / np.maximum(averages, 1), ""
+    share = 1.0
+    if len(H) >= 8:
+        bend = np.abs(H[:-2] - 2 * H[1:-1] + H[2:]) ** 2
+        expected = 2 * (once[:-2] + 4 * once[1:-1] + once[2:])
+        # The median of what is distributed as χ² of two degrees of freedom is ln 2 of its mean.
+        share = min(float(np.median(bend / np.maximum(expected, 1e-300)) / np.log(2)), 1.0)
+    text = (
+        f"the coherence states no number of averages: its noise is taken from the scatter of neighbouring lines "
+        f"(as of {1 / max(share, 1e-9):.2g} averages); a column averages states it"
+    )
+    return share * once, text
 
 
 def _frequency_at(columns: Columns, channels: Sequence[Channel]) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from dashpot.channel import Channel
 from dashpot.data.readers.interpretation import Interpreted
+from dashpot.data.readers.responses import Response, joined_responses
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
@@ -77,6 +78,12 @@ class Experiments:
         for each in sorted(kinds):
             total += replace(self._as(read, each, alone=True), notes=(), joint=())
         return total
+
+    def joined(self, responses: Sequence[Response], kind: int, first: int) -> Iterator[Spectrum]:
+        """The spectra of single responses in an experiment by number, 0 of none; runs are numbered from `first` on."""
+        own = self.named(kind)
+        for spectrum in joined_responses(responses, [replace(c, name=c.column) for c in own], first):
+            yield _lines_of(spectrum, own, kind)
 
     def _as(self, read: Read, kind: int, alone: bool) -> Interpreted:
         """Content read by the channels of one experiment: all of it, or what names this one."""

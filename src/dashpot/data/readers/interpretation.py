@@ -10,6 +10,7 @@ from dashpot.data.clocks import ClockedRecords
 from dashpot.data.readers.amplitudes import amplitude_columns, phase_notices, read_amplitudes, read_frf
 from dashpot.data.readers.columns import Columns, bare
 from dashpot.data.readers.records import Circumstances, read_records
+from dashpot.data.readers.responses import Response, is_response, read_response
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.notices import Notice
@@ -17,12 +18,16 @@ from dashpot.notices import Notice
 
 @dataclass(frozen=True)
 class Interpreted:
-    """Records, lines that were amplitudes already, notes, and records of sensors with times of their own."""
+    """Records, lines that were amplitudes already, notes, records of sensors with times of their own, and responses.
+
+    responses: of files with one each, which are still to be joined
+    """
 
     records: tuple[Record, ...] = ()
     spectra: tuple[Spectrum, ...] = ()
     notes: tuple[Notice, ...] = ()
     joint: tuple[ClockedRecords, ...] = ()
+    responses: tuple[Response, ...] = ()
 
     def __add__(self, other: Interpreted) -> Interpreted:
         return Interpreted(
@@ -30,6 +35,7 @@ class Interpreted:
             (*self.spectra, *other.spectra),
             (*self.notes, *other.notes),
             (*self.joint, *other.joint),
+            (*self.responses, *other.responses),
         )
 
 
@@ -48,7 +54,7 @@ def interpret_parts(
         stems = {name.rpartition("_")[0].split("/")[0] for name in names}
         if any(channel.name in names | stems for channel in channels):
             total += interpret(part, channels, circumstances)
-    if not (total.records or total.spectra) and first is not None:
+    if not (total.records or total.spectra or total.responses) and first is not None:
         return interpret(first, channels, circumstances)
     return total
 
@@ -59,6 +65,9 @@ def interpret(columns: Columns, channels: Sequence[Channel], circumstances: Circ
     Raises DataError, one line per cause, with file, row and column.
     """
     found = amplitude_columns(columns)
+    if not found and is_response(columns):
+        response, notes = read_response(columns, channels)
+        return Interpreted(notes=tuple(notes), responses=(response,))
     if found:
         reader = read_frf if any("/" in name for name in found) else read_amplitudes
         lines, notes = reader(columns, found, channels, circumstances.experiment, circumstances.named)

@@ -1,0 +1,196 @@
+"""Files of an analyser that hold one frequency response each: "Frequency Magnitude Phase", and perhaps the coherence.
+
+Their columns name no channels; the name of the file does, output before input: H_a1_f.csv is that of a1 to f.  Files
+of one input and the same frequencies are joined; several of one response are repeats (taps of a hammer, say), whose
+scatter is the noise.  With the ordinary coherence γ² of n averages the real and the imaginary part of H have the
+variance |H|² (1 − γ²)/(2 n γ²) each (Bendat and Piersol 2010, chapter 9); without n its size is that of the scatter
+of neighbouring lines, and γ² tells how it runs.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dashpot.arrays import Complex, Real
+from dashpot.channel import Channel, Quantity
+from dashpot.data.readers.amplitudes import AmplitudeColumns, coherent_variance, phase_factor, phase_notices
+from dashpot.data.readers.columns import Columns, bare, frequency_scale
+from dashpot.data.readers.records import check_frequency
+from dashpot.data.record import calibrated
+from dashpot.data.spectrum import Spectrum
+from dashpot.errors import DataError
+from dashpot.io.words import listed
+from dashpot.notices import Notice
+
+_FREQUENCY = ("frequency", "freq", "f", "frequency_hz", "freq_hz", "frequenz", "hz")
+_POLAR = (
+    ("magnitude", "mag", "amplitude", "amp", "abs", "gain", "|h|", "betrag"),
+    ("phase", "ph", "arg", "angle", "phase_deg", "phase_rad"),
+)
+_PARTS = (
+    ("real", "re", "real part", "h_re", "realteil"),
+    ("imag", "im", "imaginary", "imaginary part", "h_im"),
+)
+_COHERENCE = ("coherence", "coh", "gamma2", "kohärenz")
+_AVERAGES = ("averages", "n_avg", "navg")
+
+
+@dataclass(frozen=True)
+class Response:
+    """One response: output and input, its lines in the channels' own units, and of a coherence the variance, else NaN.
+
+    frequency_hz (lines,); H (lines,) complex; variance (lines,) of the real and the imaginary part each.
+    """
+
+    pair: tuple[str, str]
+    source: str
+    frequency_hz: Real
+    H: Complex
+    variance: Real
+
+
+def is_response(columns: Columns) -> bool:
+    """Whether the columns are those of a response without names: a frequency, and magnitude and phase or both parts."""
+    return _places(columns) is not None
+
+
+def _places(columns: Columns) -> tuple[int, int, int, bool] | None:
+    """Columns of the frequency and of the two parts, and whether these are magnitude and phase."""
+    names = [bare(name)[0].strip().lower() for name in columns.header]
+
+    def only(words: Sequence[str]) -> int | None:
+        at = [i for i, name in enumerate(names) if name in words]
+        return at[0] if len(at) == 1 else None
+
+    frequency = only(_FREQUENCY)
+    for polar, (one, other) in ((True, _POLAR), (False, _PARTS)):
+        first, second = only(one), only(other)
+        if frequency is not None and first is not None and second is not None:
+            return frequency, first, second, polar
+    return None
+
+
+def read_response(columns: Columns, channels: Sequence[Channel]) -> tuple[Response, list[Notice]]:
+    """The response in a file.  Raises DataError where nothing says whose it is, or a number cannot be meant."""
+    places = _places(columns)
+    assert places is not None
+    frequency_at, first, second, polar = places
+    pair = _pair(columns.source, channels)
+    names = [bare(name)[0].strip().lower() for name in columns.header]
+    more = {i: names[i] for i in range(len(names)) if names[i] in (*_COHERENCE, *_AVERAGES)}
+    values = columns.numbers([frequency_at, first, second, *more])
+    frequency = values[frequency_at] * frequency_scale(columns, frequency_at)
+    check_frequency(columns, frequency_at, frequency)
+    notes = list(columns.notes)
+    decibel = polar and (columns.unit(first) or "").lower() == "db"
+    if polar and not decibel and np.any(values[first] < 0):
+        decibel = True
+        what = f"{columns.source}: magnitudes below zero are read as dB, 20 log10 of the channels' units"
+        notes.append(Notice("magnitude_in_db", what, pair))
+    both = AmplitudeColumns(first, second, phase_factor(columns, second) if polar else None, decibel)
+    if polar:
+        notes += phase_notices(columns, {"/".join(pair): both}, frequency)
+    H, variance = both.of(values), np.full(len(frequency), np.nan)
+    coherence = [i for i, name in more.items() if name in _COHERENCE]
+    if coherence:
+        gamma2 = values[coherence[0]]
+        columns.refuse(
+            coherence[0], (gamma2 < 0) | (gamma2 > 1.001), "a coherence of {:g}", "it is 0 to 1", gamma2
+        )
+        averages = [values[i] for i, name in more.items() if name in _AVERAGES]
+        variance, said = coherent_variance(H, gamma2, averages[0] if averages else None)
+        if said:
+            notes.append(Notice("averages_unknown", f"{columns.source}: {said}", pair))
+    return Response(pair, columns.source, frequency, H, variance), notes
+
+
+def _pair(source: str, channels: Sequence[Channel]) -> tuple[str, str]:
+    """Output and input of the response in a file of this name.  Raises DataError where that says neither."""
+    stem = Path(source).name.lower()
+    places = []
+    for channel in channels:
+        match = re.search(rf"(?<![a-z0-9]){re.escape(channel.name.lower())}(?![a-z0-9])", stem)
+        if match:
+            places.append((match.start(), channel))
+    named = [channel for _, channel in sorted(places, key=lambda place: place[0])]
+    forces = [channel for channel in channels if channel.quantity is Quantity.FORCE]
+    if len(named) == 1:
+        others = [c for c in (forces if named[0] not in forces else channels) if c not in named]
+        named += others if len(others) == 1 else []
+    elif not named and len(channels) == 2 and len(forces) == 1:
+        named = [next(c for c in channels if c not in forces), *forces]
+    if len(named) != 2:
+        what = f"nothing says which response this is, of {listed([c.name for c in channels])}"
+        raise DataError(what, source, "name the file after output and input, such as H_a1_f.csv")
+    if named[0] in forces and named[1] not in forces:
+        named.reverse()
+    return named[0].name, named[1].name
+
+
+def joined_responses(
+    responses: Sequence[Response], channels: Sequence[Channel], experiment: int
+) -> Iterator[Spectrum]:
+    """The spectra of responses in SI units, one for each input and its frequencies, numbered from `experiment` on.
+
+    Channels that were not measured with an input are NaN.  Raises DataError as `calibrated`.
+    """
+    groups: dict[tuple[str, bytes], list[Response]] = {}
+    for each in responses:
+        key = np.round(each.frequency_hz / each.frequency_hz[0], 6).tobytes() + bytes(
+            f"{each.frequency_hz[0]:.6g}", "ascii"
+        )
+        groups.setdefault((each.pair[1], key), []).append(each)
+    inputs = {each.pair[1] for each in responses} | {c.name for c in channels if c.quantity is Quantity.FORCE}
+    scale = np.array([channel.scale for channel in channels])
+    for number, ((into, _), group) in enumerate(groups.items()):
+        frequency = group[0].frequency_hz
+        lines = len(frequency)
+        X = np.full((lines, len(channels)), np.nan, dtype=np.complex128)
+        V = np.zeros((lines, len(channels), len(channels)), dtype=np.complex128)
+        dof, kinds = np.inf, set[str]()
+        for c, channel in enumerate(channels):
+            repeats = [each for each in group if each.pair[0] == channel.name]
+            if repeats:
+                X[:, c], variance, of = _averaged(repeats)
+                V[:, c, c] = 2 * variance
+                dof = min(dof, of)
+                kinds.add(
+                    "periods" if np.isfinite(of) else "given" if np.all(np.isfinite(variance)) else "unknown"
+                )
+            elif channel.name in inputs:
+                X[:, c] = float(channel.name == into)
+            else:
+                V[:, c, c] = np.nan
+        noise = "unknown" if "unknown" in kinds else "periods" if "periods" in kinds else "given"
+        if noise == "unknown":
+            V, dof = np.full_like(V, np.nan), np.inf
+        yield Spectrum(
+            tuple(channels),
+            frequency,
+            *calibrated(channels, frequency, X * scale, V * np.outer(scale, scale)),
+            np.ones(lines, dtype=np.int64),
+            np.full(lines, dof),
+            (noise,) * lines,
+            np.full(lines, experiment + number),
+        )
+
+
+def _averaged(repeats: Sequence[Response]) -> tuple[Complex, Real, float]:
+    """Mean of responses, the variance of its parts (NaN: unknown) and the degrees of freedom behind that (inf: given).
+
+    Weighted by their coherences where all have one; of several the scatter tells the noise.
+    """
+    H, variance = np.stack([each.H for each in repeats]), np.stack([each.variance for each in repeats])
+    if len(repeats) == 1:
+        return H[0], variance[0], np.inf
+    weight = 1 / np.maximum(variance, 1e-300) if np.all(np.isfinite(variance)) else np.ones(variance.shape)
+    weight = weight / np.sum(weight, axis=0)
+    mean = np.sum(weight * H, axis=0)
+    # Of a weight w the variance is σ²/w, of the mean σ².
+    scatter = np.sum(weight * np.abs(H - mean) ** 2, axis=0) / (2 * (len(repeats) - 1))
+    return mean, scatter, 2.0 * (len(repeats) - 1)
