@@ -16,8 +16,9 @@ from dashpot.check.explain.laws import in_place_of_laws, law_in_words, laws_in_w
 from dashpot.check.explain.rigs import missing_in_words, points_of
 from dashpot.check.record_scores import CalledFor, element_called_for, element_of_uncertain
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
+from dashpot.data.periods import driven_lines
 from dashpot.data.record import Record
-from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord, history_of_lines
+from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
 from dashpot.errors import DashpotError, DataError, IdentifiabilityError
 from dashpot.estimate.assessment import Assessment, Discrepancy, Finding, Judgement, Misfit
 from dashpot.estimate.inference.diagnostics import MODES_UNSEEN, dead_channels, of_one_sign
@@ -213,14 +214,16 @@ def mostly_unheard(measured: Complex, sd: Real, lines: Bools) -> Bools:
 
 
 def fundamental_lines(spectrum: Spectrum) -> Bools:
-    """Lines at the frequency of the drive, (lines,): harmonics may well be noise."""
-    orders = [
-        shared.orders(np.array(f)) if isinstance(shared, SettledDwell) else 1
-        for f, shared in zip(
-            spectrum.frequency_hz, (spectrum.stretches[int(k)] for k in spectrum.stretch), strict=True
-        )
-    ]
-    return np.array(orders) == 1
+    """Lines that are driven, (lines,): harmonics of a drive, and lines between those of a multisine, may be noise."""
+    driven = np.ones(spectrum.lines, dtype=bool)
+    Y = spectrum.amplitudes[(0,) * len(spectrum.batch)]
+    for k, shared in enumerate(spectrum.stretches):
+        of = spectrum.stretch == k
+        if isinstance(shared, WholeRecord):
+            driven[of] = driven_lines(Y[of])
+        else:
+            driven[of] = shared.orders(spectrum.frequency_hz[of]) == 1
+    return driven
 
 
 def silent_channels(model: Model, spectrum: Spectrum) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """Periodic tests: the mean of the periods of one record, and their scatter as the covariance of its noise.
 
-A multisine is repeated P times.  With X_p the amplitudes of period p, the mean over p has the covariance
+Of the multiples that are stated those count that are driven; what moves between them is noise, or distortion where it
+repeats.  A multisine is repeated P times.  With X_p the amplitudes of period p, the mean over p has the covariance
 Σ (X_p − X̄)(X_p − X̄)ᴴ / (P (P − 1)) with P − 1 complex degrees of freedom (Pintelon and Schoukens, System
 Identification, 2nd ed. 2012, §2.5).  What repeats with every period, distortion too, is no noise.
 """
@@ -11,8 +12,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy import fft
+from scipy.special import fdtrc
 
-from dashpot.arrays import Complex, Ints
+from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.record import Record, calibrated
 from dashpot.data.spectrum import Spectrum
@@ -22,6 +26,87 @@ from dashpot.notices import Notice
 UNEVEN = 1e-3  # of a sampling step
 UNAVERAGED = "leave out lines and frequency_hz, and it is used whole"
 NEIGHBOURS = 10  # lines beside an excited one that show the noise there
+
+
+NEAR = 16  # lines on either side, of which the largest shows how much a driven line moves
+SPLIT = 5.0  # between the sizes of driven lines and of others, in the channel that tells them apart best
+UNDRIVEN = 0.2  # share of the lines at least, in RUNS runs: else a few are weak, or lie beside hum
+RUNS = 10
+IN_BAND = 0.03  # of a channel's largest lines: where it moves less, nothing is told
+DISTORTED = 1e-3  # of a channel's motion, and p-value of its being noise
+
+
+def driven_lines(X: Complex) -> Bools:
+    """(lines,): which of neighbouring multiples are driven, X (lines, channels); all where that is not to be told.
+
+    In the channel of the drive some lines are far below those beside them, here and there in the band in which it
+    moves.  The channel that tells them apart best has the say.
+    """
+    found, clearest = np.ones(len(X), dtype=bool), SPLIT
+    if len(X) < 2 * RUNS:
+        return found
+    for size in np.abs(np.nan_to_num(X)).T:
+        around = np.max(sliding_window_view(np.pad(size, NEAR), 2 * NEAR + 1), axis=-1)
+        moving = around > IN_BAND * np.max(around)
+        share = np.maximum(size / np.where(moving, around, np.inf), 1e-12)
+        ordered = np.sort(share[moving])
+        first = int(np.ceil(UNDRIVEN * len(ordered)))
+        gaps = ordered[first : len(ordered) - RUNS] / ordered[first - 1 : len(ordered) - RUNS - 1]
+        if first == 0 or not np.max(gaps, initial=0.0) > clearest:
+            continue
+        driven = share >= ordered[first + int(np.argmax(gaps))]
+        if np.count_nonzero(driven[:-1] > driven[1:]) >= RUNS:
+            found, clearest = driven, float(np.max(gaps))
+    return found
+
+
+def _driven_and_not(mean: Complex, wanted: Ints) -> tuple[Ints, Ints]:
+    """Of the multiples that are wanted those that are driven, and all between that are not; mean (multiples from 1,
+    channels)."""
+    every = np.arange(wanted[0], wanted[-1] + 1)
+    driven = driven_lines(mean[every - 1])
+    found = np.intersect1d(wanted, every[driven])
+    return (found, every[~driven]) if len(found) else (wanted, every[:0])
+
+
+def driven_note(source: str, asked: int, driven: Ints) -> tuple[Notice, ...]:
+    """That some of the lines `asked` for are driven alone; multiples (lines,)."""
+    if len(driven) == asked:
+        return ()
+    steps = np.unique(np.diff(driven))
+    each = f"every {steps[0]}th" if len(steps) == 1 else "some"
+    text = (
+        f"{source}: {len(driven)} of {asked} lines are driven, {each} from {driven[0]} to {driven[-1]}; the others "
+        "tell noise and distortion alone"
+    )
+    return (Notice("lines_driven", text.replace("every 2th", "every second"), (source,)),)
+
+
+def _distortion(record: Record, X: Complex, driven: Ints, between: Ints) -> tuple[Notice, ...]:
+    """How much channels move at multiples between the driven ones, by more than the periods (periods, lines, channels)
+    scatter there: distortion by odd and even laws where the driven multiples are odd."""
+    if not len(between):
+        return ()
+    count, texts, names = len(X), [], []
+    mean, variance = np.abs(np.mean(X, axis=0)) ** 2, np.var(X, axis=0, ddof=1) / count
+    for c, channel in enumerate(record.channels):
+        sizes = []
+        for which in (between % 2 == 1, between % 2 == 0) if np.all(driven % 2 == 1) else (between > 0,):
+            lines = between[which] - 1
+            power, noise = np.sum(mean[lines, c]), np.sum(variance[lines, c])
+            p = fdtrc(2 * len(lines), 2 * len(lines) * (count - 1), power / noise) if noise > 0 else 0.0
+            beyond = max(power - noise, 0.0) / max(len(lines), 1) if p < DISTORTED else 0.0
+            sizes.append(float(np.sqrt(beyond / np.mean(mean[driven - 1, c]))))
+        if max(sizes) > DISTORTED:
+            odd_even = zip((" odd", " even") if len(sizes) > 1 else ("",), sizes, strict=True)
+            texts.append(
+                f"{channel.name} " + " and ".join(f"{100 * size:.2g} %{kind}" for kind, size in odd_even)
+            )
+            names.append(channel.name)
+    if not texts:
+        return ()
+    text = f"{record.source}: distortion at lines that are not driven, of the motion at those that are: "
+    return (Notice("distortion", text + ", ".join(texts), tuple(names)),)
 
 
 def samples_of_period(record: Record, period_s: float) -> int:
@@ -59,16 +144,17 @@ def one_period(record: Record, period_s: float, orders: Sequence[int]) -> Spectr
     first = len(record.time) - each
     phase = np.exp(-2j * np.pi * np.arange(each // 2) * record.time[first] / period_s)
     F = np.fft.fft(record.values[first:], axis=0)[: each // 2] * (2 / each) * phase[:, None]
-    silent = np.setdiff1d(
-        np.arange(max(1, int(wanted[0]) - 2 * NEIGHBOURS), min(each // 2, int(wanted[-1]) + 1)), wanted
-    )
+    asked, (wanted, between) = len(wanted), _driven_and_not(F[1:], wanted)
+    beside = np.arange(max(1, int(wanted[0]) - 2 * NEIGHBOURS), min(each // 2, int(wanted[-1]) + 1))
+    silent = np.union1d(beside[beside < wanted[0]], between) if len(between) else np.setdiff1d(beside, wanted)
     if len(silent) < NEIGHBOURS:
         cure = f"record at least two periods, or leave {NEIGHBOURS} lines unexcited"
         raise DataError("nothing shows the noise of a single period", record.source, cure)
     start = np.clip(np.searchsorted(silent, wanted) - NEIGHBOURS // 2, 0, len(silent) - NEIGHBOURS)
     J = F[silent[start[:, None] + np.arange(NEIGHBOURS)]]
     V = np.einsum("lnc,lnd->lcd", J, np.conj(J)) / NEIGHBOURS
-    return _lines(record, period_s, wanted, F[wanted], V, each, 2.0 * NEIGHBOURS)
+    notes = driven_note(record.source, asked, wanted)
+    return _lines(record, period_s, wanted, F[wanted], V, each, 2.0 * NEIGHBOURS, notes)
 
 
 def average_periods(
@@ -95,13 +181,23 @@ def average_periods(
     first = skip * each
     values = record.values[first : first + count * each].reshape(count, each, -1)
     periods = replace(record, time=time[first : first + each], values=values)
-    wanted = sorted({int(order) for order in orders})
-    fit = fit_harmonics(periods, 1 / period_s, orders=wanted, harmonics=(), drift=drift, noise="white")
+    wanted = np.array(sorted({int(order) for order in orders}))
+    notes: tuple[Notice, ...] = ()
+    if wanted[-1] < each / 2:
+        every = np.fft.rfft(values, axis=1)[:, 1 : each // 2 + 1]
+        asked, (wanted, between) = len(wanted), _driven_and_not(np.mean(every, axis=0), wanted)
+        notes = (
+            *driven_note(record.source, asked, wanted),
+            *_distortion(record, every, wanted, between),
+        )
+    fit = fit_harmonics(
+        periods, 1 / period_s, orders=wanted.tolist(), harmonics=(), drift=drift, noise="white"
+    )
     X = np.mean(fit.amplitudes, axis=0)
     away = fit.amplitudes - X
     V = np.einsum("plc,pld->lcd", away, np.conj(away)) / (count * (count - 1))
-    notes = _notes(record.source, period_s, skip, X, away)
-    return _lines(record, period_s, np.array(wanted), X, V, count * each, 2.0 * (count - 1), notes)
+    notes = (*_notes(record.source, period_s, skip, X, away), *notes)
+    return _lines(record, period_s, wanted, X, V, count * each, 2.0 * (count - 1), notes)
 
 
 def _lines(
@@ -140,3 +236,99 @@ def _notes(source: str, period_s: float, skip: int, mean: Complex, away: Complex
         text = f"{source}: its periods of {period_s:g} s hardly agree with one another: is it periodic?"
         notes.append(Notice("periods_differ", text, (source,)))
     return tuple(notes)
+
+
+# Continuous records of a periodic drive: their period is found, and their periods are averaged.
+#
+# A multisine or a periodic random drive that repeats puts all its power on the multiples of one frequency.
+# What the rest of the lines hold is noise, and its size at each multiple is the scatter of the periods.
+
+
+REPEATS = 0.5  # correlation of every channel's steps with those a period later: the rest is noise
+LASTING = 0.97  # of it, between periods that are further apart
+FEWEST_PERIODS = 6
+FUNDAMENTAL = 0.3  # of the strongest line: what a dwell has in every channel
+SHORTEST = 32  # samples of a period
+SIGNIFICANT_REPETITION = 1e-3
+APART = 16.0  # times the scatter of the last half by which the mean square of a period that has not settled is off
+
+
+def averaged_periods(record: Record) -> Spectrum | None:
+    """The mean of the settled periods of a record that repeats, on the lines that every channel shows; else None.
+
+    A record of a stated frequency that moves at that frequency is a dwell, and no such record.
+    """
+    samples = period_of(record)
+    if samples is None:
+        return None
+    step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
+    count = len(record.time) // samples
+    periods = record.values[: count * samples].reshape(count, samples, -1)
+    X = fft.rfft(periods, axis=1)[:, 1 : samples // 2]
+    skip = unsettled_periods(X)
+    lines = _driven_repetition(X[skip:])
+    # lines in every channel: fewer are a sine, a decay or their harmonics
+    if len(lines) < 12 or (record.frequency_hz is not None and _is_dwell(X[skip:], lines)):
+        return None
+    try:
+        mean = average_periods(record, samples * step, lines, skip=skip)
+    except DataError:
+        return None  # its stamps are uneven
+    start = f", the first {skip} left out" if skip else ""
+    text = (
+        f"{record.source}: the record repeats every {samples * step:.6g} s: {mean.lines} lines are means of "
+        f"{count - skip} periods{start}"
+    )
+    return replace(mean, notes=(Notice("periods_averaged", text, (record.source,)), *mean.notes))
+
+
+def _is_dwell(X: Complex, lines: list[int]) -> bool:
+    """Whether all channels move at the fundamental, of (periods, lines, channels)."""
+    size = np.abs(np.mean(X, axis=0))
+    return lines[0] == 1 and bool(np.all(size[0] > FUNDAMENTAL * np.max(size, axis=0)))
+
+
+def period_of(record: Record) -> int | None:
+    """Samples of the period that all channels repeat with to the record's end; None where there is none."""
+    n = len(record.time)
+    if record.values.ndim != 2 or n < FEWEST_PERIODS * SHORTEST:
+        return None
+    steps = np.diff(record.values, axis=0)
+    steps = steps - np.mean(steps, axis=0)
+    power = np.abs(fft.rfft(steps, fft.next_fast_len(2 * n), axis=0)) ** 2
+    alike = fft.irfft(power, axis=0)[: n // 2]
+    if np.any(alike[0] <= 0):
+        return None
+    alike = np.min(alike / alike[0], axis=1) * (n / (n - np.arange(len(alike))))
+    lags = alike[SHORTEST : n // FEWEST_PERIODS]
+    highest = float(np.max(lags, initial=0.0))
+    if highest < REPEATS:
+        return None
+    first = SHORTEST + int(np.flatnonzero(lags > LASTING * highest)[0])
+    peak = first + int(np.argmax(alike[first : first + max(2, first // 100)]))
+    return peak if bool(np.all(alike[peak::peak] > LASTING * alike[peak])) else None
+
+
+def unsettled_periods(X: Complex) -> int:
+    """Periods to leave out, of at most the first half, of (periods, lines, channels)."""
+    half = len(X) // 2
+    last = X[half:]
+    variance = np.var(last, axis=0, ddof=1)
+    away = np.abs(X[:half] - np.mean(last, axis=0)) ** 2
+    varies = variance > 0  # records without noise may repeat exactly
+    if not np.any(varies):
+        return 0
+    off: Real = np.mean(away[:, varies] / variance[varies], axis=1)
+    late = np.flatnonzero(off > APART)
+    return int(late[-1]) + 1 if len(late) else 0
+
+
+def _driven_repetition(X: Complex) -> list[int]:
+    """Multiples of the frequency that all channels show, of (periods, lines, channels)."""
+    count = len(X)
+    mean = np.mean(X, axis=0)
+    variance = np.var(X, axis=0, ddof=1) / count
+    with np.errstate(divide="ignore", invalid="ignore"):
+        p = fdtrc(2, 2 * (count - 1), np.abs(mean) ** 2 / variance)
+    there = np.all(p < SIGNIFICANT_REPETITION / p.size, axis=1)
+    return [int(line) + 1 for line in np.flatnonzero(there)]

@@ -20,12 +20,11 @@ from scipy.special import chdtrc, fdtrc
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.conditioning.clock import even_step
-from dashpot.data.conditioning.lines import period_of, unsettled_periods
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.whole_record import without_gaps
 from dashpot.data.local_noise import with_local_noise
-from dashpot.data.periods import average_periods
+from dashpot.data.periods import average_periods, period_of, unsettled_periods
 from dashpot.data.readers import Reading
 from dashpot.data.readers.text import write_rows
 from dashpot.data.readers.uff import FRF, NodalFunction, NodePoint

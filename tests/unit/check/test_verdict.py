@@ -9,8 +9,9 @@ from dashpot.arrays import Complex
 from dashpot.channel import Channel, Quantity
 from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.explain.examine import examined
-from dashpot.check.verdict import assess
+from dashpot.check.verdict import assess, silent_channels
 from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.periods import driven_lines
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
@@ -19,13 +20,16 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.diagnostics import wrong_signs
 from dashpot.model.dynamics import response
 from dashpot.model.elements import Kind, between, mass
+from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Input, Model
+from dashpot.model.observation import observation_model
 from dashpot.notices import Notice
 from tests import rigs
 from tests.networks import network
 from tests.nonlinear_rigs import motions, settled, two_masses
 from tests.two_masses import PUSHED, two_mass_rig
 from tests.unit.data.test_local_noise import RIG, functions
+from tests.whole_rigs import chain
 
 PAPER = rigs.paper_rig()
 CHANNELS = rigs.channels(PAPER, (Quantity.DISPLACEMENT,))
@@ -183,3 +187,27 @@ def test_one_bad_dwell_of_many_is_named(fault: str) -> None:
     assert estimate.assessment.verdict == "does not fit"
     first = estimate.assessment.findings[0]
     assert (first.kind, first.of) == ("dwell", (f"{records[bad].frequency_hz:g} Hz",))
+
+
+@pytest.mark.parametrize("distortion", [0.0, 0.01])
+def test_lines_that_a_multisine_does_not_drive_are_no_silent_sensor(distortion: float) -> None:
+    """Three periods from rest, driven at every fourth of 240 lines: the others tell the noise, and distortion."""
+    model, theta = chain(1, 0.04)
+    channels = (Channel("x1", {"x1": 1.0}), Channel("u", {"u": 1.0}))
+    rng, driven, rate, fine = np.random.default_rng(1), np.arange(11, 251, 4), 64, 4
+    time = np.arange(48 * rate * fine + 1) / (rate * fine)
+    u = 1e-3 * np.cos(2 * np.pi * np.outer(time, driven) / 16 + rng.uniform(0, 6.3, len(driven))).sum(axis=1)
+    motion = integrator(model, p := model.parameters(theta), time[1]).motion(u[:, None])
+    values = channel_samples(observation_model(model, channels, np.ones(1)), p, motion)[:-1:fine]
+    size = np.std(values, axis=0)
+    values = values + distortion * size * [1, 0] * ((values / size) ** 2 + (values / size) ** 3)
+    values += 0.01 * size * rng.normal(size=values.shape)
+    lines = spectrum([Record(channels, np.arange(len(values)) / rate, values)])
+    (note,) = [note for note in lines.notes if note.code == "lines_driven"]
+    assert "every 12th from 33 to 741" in note.text
+    assert silent_channels(model, lines) == {}
+    assert not np.all(driven_lines(lines.amplitudes[:, :1]))  # the answer alone shows the pattern, too
+    estimate = identify_with_noise(model, lines)[0]
+    if not distortion:
+        assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
+    assert (estimate.sd[0] > 2e-4 * theta[0]) == (distortion > 0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel
-from dashpot.data.periods import average_periods, one_period
+from dashpot.data.periods import average_periods, driven_lines, one_period
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 
@@ -47,7 +47,7 @@ def test_noise_is_as_large_as_it_is():
     [
         (400, N * STEP, ODD, "shorter than its period"),
         (N, N * STEP * 1.0007, ODD, "not a whole number of samples"),
-        (N, N * STEP, range(1, 101), "nothing shows the noise"),
+        (N, N * STEP, ODD[:9], "nothing shows the noise"),
         (N, N * STEP, [1, 3, 300], "beyond half the sampling rate"),
     ],
 )
@@ -98,3 +98,61 @@ class TestPeriods:
         uneven = Record(record.channels, record.time + 1e-3 * np.sin(record.time), record.values)
         with pytest.raises(DataError, match="evenly"):
             average_periods(uneven, 0.5, (2,))
+
+
+FOURTH = np.arange(11, 251, 4)
+
+
+def every_fourth(noise=0.01, cubic=0.0, square=0.0, periods=8, seed=0):
+    """A drive at every fourth of 240 lines, and a channel that answers falling with frequency, with distortion."""
+    rng = np.random.default_rng(seed)
+    t = STEP * np.arange(N)
+    waves = np.exp(2j * np.pi * (np.outer(t, FOURTH) / (N * STEP) + rng.uniform(size=len(FOURTH))))
+    drive, answer = waves.real.sum(axis=1), (waves @ (40.0 / (40 + 1j * FOURTH))).real
+    answer = answer / np.std(answer)
+    answer = answer + cubic * answer**3 + square * answer**2
+    one = np.column_stack([drive / np.std(drive), answer])
+    values = np.tile(one, (periods, 1)) + noise * rng.normal(size=(periods * N, 2))
+    return Record(CHANNELS, STEP * np.arange(periods * N), values, 1 / (N * STEP)), one
+
+
+def test_lines_that_are_driven_are_found_among_those_stated():
+    record, _ = every_fourth()
+    for lines in (
+        average_periods(record, N * STEP, range(11, 251)),
+        one_period(record, N * STEP, range(11, 251)),
+    ):
+        assert np.rint(lines.frequency_hz * N * STEP).tolist() == FOURTH.tolist()
+        assert [note.code for note in lines.notes] == ["lines_driven"]
+        assert "60 of 240 lines are driven, every 4th from 11 to 247" in lines.notes[0].text
+    assert average_periods(record, N * STEP, FOURTH).notes == ()
+
+
+def test_distortion_is_what_repeats_at_lines_that_are_not_driven():
+    record, one = every_fourth(noise=0.02, cubic=0.01, square=0.01, seed=1)
+    lines = average_periods(record, N * STEP, range(11, 251))
+    (note,) = [note for note in lines.notes if note.code == "distortion"]
+    size = np.abs(np.fft.rfft(one[:, 1]))
+    between = np.setdiff1d(np.arange(11, 248), FOURTH)
+    usual = np.sqrt(np.mean(size[FOURTH] ** 2))
+    odd, even = (np.sqrt(np.mean(size[between[between % 2 == k]] ** 2)) / usual for k in (1, 0))
+    said = [float(word) / 100 for word in note.text.replace(",", "").split() if word[0].isdigit()]
+    assert said == pytest.approx([odd, even], rel=0.15)
+    assert note.of == ("x",)
+    clean = average_periods(every_fourth(noise=0.02, seed=1)[0], N * STEP, range(11, 251))
+    assert "distortion" not in [note.code for note in clean.notes]
+
+
+def test_lines_all_driven_are_all_kept():
+    """A flat multisine, one that falls, random motion, a sweep, hum beside noise, a resonance: 40 draws of each."""
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        n = np.arange(1, 301)
+        phase = np.exp(2j * np.pi * rng.uniform(size=(300, 2)))
+        random = rng.normal(size=(300, 2)) + 1j * rng.normal(size=(300, 2))
+        peak = 1 / (1 - (n / 80.0) ** 2 + 0.02j * n / 80)
+        sweep = np.fft.rfft(np.cos(2 * np.pi * (20 * (t := np.arange(1024) / 1024) + 60 * t**2)))[1:301, None]
+        hum = random + 1e3 * (n % 50 == 0)[:, None]
+        noise = 1e-3 * random
+        for X in (phase, phase / n[:, None], random, peak[:, None] * random, sweep + noise, hum):
+            assert np.all(driven_lines(X))

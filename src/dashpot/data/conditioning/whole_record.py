@@ -26,6 +26,7 @@ from dashpot.data.conditioning.unmeasured import (
     told_by_lines,
     with_likely,
 )
+from dashpot.data.periods import driven_lines, driven_note
 from dashpot.data.record import MISSING, Record, calibration
 from dashpot.data.spectrum import Spectrum, Unmeasured, WholeRecord, concatenate
 from dashpot.errors import DataError
@@ -174,7 +175,10 @@ def whole_record(
         (kind,) * lines,
         np.full(lines, record.experiment),
         stretch=np.zeros(lines, dtype=np.int64),
-        notes=_notices(record, folded),
+        notes=(
+            *_notices(record, folded),
+            *driven_note(record.source, lines, first + np.flatnonzero(driven_lines(X))),
+        ),
         stretches=(
             WholeRecord(
                 duration,

@@ -5,8 +5,8 @@ import pytest
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel
-from dashpot.data.conditioning.lines import averaged_periods, spectrum
-from dashpot.data.periods import average_periods
+from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.periods import average_periods, averaged_periods
 from dashpot.data.record import Record
 
 CHANNELS = (Channel("f", {"f": 1.0}), Channel("x1", {"x1": 1.0}))
