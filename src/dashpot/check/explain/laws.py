@@ -16,7 +16,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 from scipy.special import fdtrc
 
-from dashpot.arrays import Complex, Ints, Real, hermitian
+from dashpot.arrays import Complex, Ints, Real
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is
 from dashpot.check.explain.problem import FittedProblem, LineProblem, descended
 from dashpot.check.explain.rigs import points_of
@@ -29,7 +29,6 @@ from dashpot.estimate.inference.time_course import UNEVEN
 from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import (
     RecordFit,
-    estimated_inputs,
     local,
     measured,
     predict,
@@ -46,10 +45,10 @@ from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.elements import Element, Kind, between
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.alternating import alternate, operated_states
+from dashpot.model.nonlinear.alternating import operated_states
 from dashpot.model.nonlinear.force_law import Constant, ForceLaw, force_law
-from dashpot.model.nonlinear.harmonic_balance import periodic_response, samples_of
-from dashpot.model.nonlinear.harmonics import complex_of, real_of
+from dashpot.model.nonlinear.harmonic_balance import periodic_response
+from dashpot.model.nonlinear.harmonics import complex_of
 from dashpot.model.observation import (
     ObservationModel,
     Transfer,
@@ -340,11 +339,6 @@ def scored_in_dwells(
     stop on one side does what stops on both do by half.
     """
     elements = _told_apart(data, elements)
-    if not len(data.model.nonlinear):
-        try:
-            return _best_first(_scored_beside_linear(data, psi, sign, elements, softness))
-        except DashpotError:
-            return []
     scored = []
     for rough in (False, True):  # laws that are not smooth take many instants of each period
         alike = [e for e in elements if e.force_law is not None and e.force_law.smooth is not rough]
@@ -367,72 +361,6 @@ def _told_apart(data: Prepared, elements: Sequence[Element]) -> Sequence[Element
 
 def _best_first(scored: Sequence[ScoredElement]) -> list[ScoredElement]:
     return sorted(scored, key=lambda candidate: -candidate.fall)
-
-
-def _scored_beside_linear(
-    data: Prepared, psi: Real, sign: Real, elements: Sequence[Element], softness: float
-) -> list[ScoredElement]:
-    """As `_scored`, of a linear rig: its motion is that without the candidates, so that nothing is balanced.
-
-    The column of a candidate is what its forces under that motion do to the channels.
-    """
-    if not elements:
-        return []
-    exact = measured(replace(data, states=None), softness)
-    here, turned = psi[None], sign[None]
-    with np.errstate(all="ignore"):
-        at, base = predict(data.view, exact, here, turned), local(data.view, exact, here, turned)
-    added = _columns(data, psi, sign, elements, at.q)
-    weighted = exact.W @ added
-    if exact.q is None:
-        G = calibrated_transfer(data.view, here, turned).G
-        _, half = estimated_inputs(G, exact.W, exact.y)
-        weighted = weighted - half @ (hermitian(G) @ weighted)
-    each = hermitian(added)
-    cross = 2 * np.sum((each @ at.PJ).real, axis=1)[0]
-    within = 2 * np.sum((each @ weighted).real, axis=1)[0]
-    score = 2 * np.sum((each @ at.weighted[..., None]).real, axis=1)[0, :, 0]
-    names = [*data.view.names, *(element.name for element in elements)]
-    fixed = [False] * len(psi) + [True] * len(elements)
-    listed = score_tests(
-        names, fixed, np.block([[base.symmetric[0], cross.T], [cross, within]]),
-        np.concatenate([base.gradient[0], score]), float(base.cost[0]), APART,
-    )  # fmt: skip
-    return _as_scored(data, len(psi), elements, listed)
-
-
-def _columns(data: Prepared, psi: Real, sign: Real, elements: Sequence[Element], q: Complex) -> Complex:
-    """What the candidates do to the channels per unit of their parameters, (1, lines, channels, candidates).
-
-    q (1, lines, r + s): the inputs.
-    """
-    bent = replace(data.model, elements=(*data.model.elements, *elements))
-    straight = replace(
-        data.model, elements=(*data.model.elements, *(replace(e, force_law=None) for e in elements))
-    )
-    rig = calibrated_transfer(
-        data.of_rig(straight).view,
-        _with_elements(straight, {element.name: 0.0 for element in elements}, psi)[None],
-        sign[None],
-    )
-    assert isinstance(rig, Transfer)
-    r, chosen = data.model.D.shape[1], bent.nonlinear
-    X = np.einsum("...nq,...q->...n", rig.X, q)[0]
-    lines = X @ bent.B[chosen].T + q[0, :, :r] @ bent.D[chosen].T
-    dwells = dwells_of(bent, data.spectrum)
-    harmonics = np.zeros((len(dwells.omega), dwells.orders + 1, len(chosen)), dtype=np.complex128)
-    harmonics[dwells.dwell, dwells.order] = lines
-    constants = np.tile(bent.inner_constants(np.zeros(len(bent.unknowns))), (len(dwells.omega), 1))
-    forces = alternate(
-        bent, constants, dwells.omega, real_of(np.moveaxis(harmonics, 1, -1)), samples_of(bent, dwells.orders),
-        slopes=False,
-    )  # fmt: skip
-    at_harmonics = np.moveaxis(complex_of(forces.a), -1, 1)
-    unit_forces = at_harmonics[dwells.dwell, dwells.order]
-    # The square of a sine has no fundamental but rounding.
-    rounding = ROUNDED * np.max(np.abs(at_harmonics), axis=1)[dwells.dwell]
-    unit_forces = np.where(np.abs(unit_forces) > rounding, unit_forces, 0.0)
-    return rig.E[..., chosen] * unit_forces[:, None, :]
 
 
 def _scored_nonlinear_elements(
