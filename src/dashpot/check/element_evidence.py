@@ -24,7 +24,6 @@ from dashpot.check.explain.laws import (
     feeds_motion,
     fitted_in_full,
     free_name,
-    misfit,
     motions_of,
     moving_pairs,
     scored_in_dwells,
@@ -32,6 +31,7 @@ from dashpot.check.explain.laws import (
     softened,
     with_open_constants,
 )
+from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.record_channels import require_sound_channels
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -112,19 +112,18 @@ class ElementComparison:
 def compare_in_dwells(model: Model, spectrum: Spectrum) -> ElementComparison:
     """From settled dwells.  Raises what `identify` raises, and UsageError where no candidate can be tried."""
     estimate = identify(model, spectrum, "ml")
-    data = prepare(model, spectrum)
     (sign,) = spectrum.signs(estimate.signs)
-    start = softened(data, estimate.values, sign)
-    motions = motions_of(data, start)
-    scored = seen_candidates(data, estimate.values, further=True)
+    problem = LineProblem(prepare(model, spectrum), sign, (estimate.values,))
+    begun = softened(problem)
+    scored = seen_candidates(problem, further=True)
     if not scored:
-        scored = scored_in_dwells(data, start, sign, candidate_elements(model, motions, further=True), SOFT)
-    chi2 = misfit(data, estimate.values, sign)
+        scored = scored_in_dwells(begun, candidate_elements(model, motions_of(begun), further=True), SOFT)
+    chi2 = problem.balanced().slopes(estimate.values)[2]
     if not scored:
         raise UsageError("no nonlinear element can be tried on these data", cure="measure every input")
     ranked = []
     for candidate in scored[:FOLLOWED]:
-        full = fitted_in_full(data, start, sign, candidate, chi2, 0.0 if candidate.psi is not None else SOFT)
+        full = fitted_in_full(begun, candidate, chi2, 0.0 if candidate.psi is not None else SOFT)
         assert full.element.force_law is not None
         added = 1 + len(full.element.force_law.constants)
         numbers = full.dof + len(estimate.values)

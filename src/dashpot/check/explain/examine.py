@@ -263,9 +263,10 @@ def _where_laws_are_seen(
     known = estimate is not None and bool(np.all(np.isfinite(estimate.values)))
     psi = estimate.values if estimate is not None and known else starting_points(data)[0]
     (sign,) = spectrum.signs({} if estimate is None else estimate.signs)
+    problem = LineProblem(data, sign, (psi,))
     return tuple(
         nonlinear_finding(model, scored, (scored.chi2 - scored.fall) / scored.dof)
-        for scored in called_for(data, psi, sign, thorough=False)
+        for scored in called_for(problem, thorough=False)
     )
 
 

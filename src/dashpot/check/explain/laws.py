@@ -8,6 +8,7 @@ those that promise most are fitted (Rao's score test; for whole records the scor
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import combinations
@@ -20,7 +21,7 @@ from dashpot.arrays import Complex, Ints, Real
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is
 from dashpot.check.explain.problem import FittedProblem, LineProblem, descended
 from dashpot.check.explain.rigs import points_of
-from dashpot.check.explain.score import ScoreTest, score_tests, steadiness
+from dashpot.check.explain.score import score_tests, steadiness
 from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
 from dashpot.errors import DashpotError
@@ -29,7 +30,6 @@ from dashpot.estimate.inference.time_course import UNEVEN
 from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import (
     RecordFit,
-    local,
     measured,
     predict,
     record_fit,
@@ -206,17 +206,18 @@ NEAR = 1e-4  # relative step of differences along constants inside the rig's own
 FAR = 2.0  # times such a constant, or one over it: as far as one round moves it
 
 
-def scored_by_equation(data: Prepared, psi: Real, elements: Sequence[Element]) -> list[ScoredElement]:
+def scored_by_equation(problem: LineProblem, elements: Sequence[Element]) -> list[ScoredElement]:
     """The best candidate of each place and law, with all values of the rig beside it, the best first.
 
-    data: of one repeat, settled dwells of a rig without unknown calibrations; psi (M,) its best fit, from which the
-    constants inside its own laws are moved.  [] where some motion is not seen.
+    Of settled dwells of a rig without unknown calibrations; the constants inside its own laws are moved from where the
+    problem begins, its best fit.  [] where some motion is not seen.
     """
+    data, psi = problem.data, problem.starts[0]
     model, states = data.model, data.states
     if states is None or len(psi) > len(model.unknowns) or not elements:
         return []
     every = [replace(e, name=f"{e.name} {k}") for k, e in enumerate(at_each_scale(elements))]
-    extended = replace(model, elements=(*model.elements, *every))
+    extended = _with(model, *every)
     try:
         motion = measured_motion(data.of_rig(extended))
         own = measured_motion(data) if len(model.nonlinear) else None
@@ -330,96 +331,59 @@ ROUNDED = 1e-9  # of the largest harmonic of a force: what is smaller is none
 
 
 def scored_in_dwells(
-    data: Prepared, psi: Real, sign: Real, elements: Sequence[Element], softness: float
+    problem: LineProblem, elements: Sequence[Element], softness: float
 ) -> list[ScoredElement]:
-    """The candidates by their score at ψ (M,), the best fit of the data with that softness, the best first.
+    """The candidates by their score where the problem begins, its best fit with that softness, the best first.
 
-    data: of one repeat, settled dwells.  Softened, all amplitudes have a say: beside a small noise those near
-    resonance, where a wrong rig fails most, would decide alone.  [] where none can be had.  Without even harmonics a
-    stop on one side does what stops on both do by half.
+    Of settled dwells.  Softened, all amplitudes have a say: beside a small noise those near resonance, where a wrong
+    rig fails most, would decide alone.  [] where none can be had.
     """
-    elements = _told_apart(data, elements)
-    scored = []
+    dof = max(2 * int(np.sum(problem.kept)) - len(problem.names) - 1, 1)
+    elements = _told_apart(problem.data, elements)
+    scored: list[ScoredElement] = []
     for rough in (False, True):  # laws that are not smooth take many instants of each period
         alike = [e for e in elements if e.force_law is not None and e.force_law.smooth is not rough]
         for first in range(0, len(alike), TOGETHER):
-            try:
-                scored += _scored_nonlinear_elements(
-                    data, psi, sign, alike[first : first + TOGETHER], softness
-                )
-            except DashpotError:
-                continue
-    return _best_first(scored)
+            by_name = {element.name: element for element in alike[first : first + TOGETHER]}
+            with suppress(DashpotError):
+                larger = problem.balanced().of_rig(_with(problem.model, *by_name.values()))
+                at = larger.slopes(larger.starts[0], softness)
+                tests = score_tests(larger.names, [name in by_name for name in larger.names], *at, APART)
+                scored += [
+                    ScoredElement(by_name[p.name], min(p.fall, p.chi2), p.chi2, dof, p.step) for p in tests
+                ]
+    return sorted(scored, key=lambda candidate: -candidate.fall)
+
+
+def _with(model: Model, *elements: Element) -> Model:
+    return replace(model, elements=(*model.elements, *elements))
 
 
 def _told_apart(data: Prepared, elements: Sequence[Element]) -> Sequence[Element]:
-    """Without stops on one side where no even harmonic, which tells them from those on both, is measured."""
+    """Without stops on one side where no even harmonic, which tells them from those on both, is measured.
+
+    Without it a stop on one side does what stops on both do by half.
+    """
     if np.any(dwells_of(data.model, data.spectrum).order % 2 == 0):
         return elements
     return [e for e in elements if e.force_law is not None and e.force_law.text != ONE_SIDED]
 
 
-def _best_first(scored: Sequence[ScoredElement]) -> list[ScoredElement]:
-    return sorted(scored, key=lambda candidate: -candidate.fall)
-
-
-def _scored_nonlinear_elements(
-    data: Prepared, psi: Real, sign: Real, elements: Sequence[Element], softness: float
-) -> list[ScoredElement]:
-    extended = replace(data.model, elements=(*data.model.elements, *elements))
-    larger = replace(data.of_rig(extended), states=None)
-    exact = measured(larger, softness)
-    start = _with_elements(extended, {element.name: 0.0 for element in elements}, psi)
-    names = {element.name for element in elements}
-    with np.errstate(all="ignore"):
-        at = local(larger.view, exact, start[None], sign[None])
-    listed = score_tests(
-        larger.view.names, [name in names for name in larger.view.names], at.symmetric[0], at.gradient[0],
-        float(at.cost[0]), APART,
-    )  # fmt: skip
-    return _as_scored(data, len(psi), elements, listed)
-
-
-def _as_scored(
-    data: Prepared, unknowns: int, elements: Sequence[Element], listed: Sequence[ScoreTest]
-) -> list[ScoredElement]:
-    dof = max(2 * int(np.sum(np.isfinite(data.spectrum.amplitudes))) - unknowns - 1, 1)
-    by_name = {element.name: element for element in elements}
-    return [ScoredElement(by_name[p.name], min(p.fall, p.chi2), p.chi2, dof, p.step) for p in listed]
-
-
-def _with_elements(model: Model, added: Mapping[str, float], psi: Real) -> Real:
-    """ψ of the larger rig `model`, in which elements have the values `added` and their open constants the guesses."""
-    guesses = {
-        f"{element.name}.{constant.name}": constant.guess
-        for element in model.elements
-        if element.name in added and element.force_law is not None
-        for constant in element.force_law.constants
-        if constant.guess is not None
-    }
-    known = {**added, **guesses}
-    unknowns = [unknown.name for unknown in model.unknowns]
-    count = sum(name not in known for name in unknowns)
-    before = iter(psi[:count].tolist())
-    theta = [known[name] if name in known else next(before) for name in unknowns]
-    return np.concatenate([theta, psi[count:]])
-
-
-def motions_of(data: Prepared, psi: Real) -> Motions:
-    """How far any two points move against each other by the rig at ψ (M,); {} where the inputs are not seen."""
-    model, both = data.model, moving_pairs(data.model)
+def motions_of(problem: LineProblem) -> Motions:
+    """How far any two points move against each other where the problem begins; {} where the inputs are not seen."""
+    model, both = problem.model, moving_pairs(problem.model)
     probes = [
         replace(between(f"probe_{a}_{b}", Kind.SPRING, a, b, value=0.0), force_law=force_law("cubic"))
         for a, b in both
     ]
-    larger = replace(model, elements=(*model.elements, *probes))
+    larger = _with(model, *probes)
     try:
-        part = measured(replace(data.of_rig(larger), states=None)).nonlinear
+        part = problem.balanced().of_rig(larger).arranged().nonlinear
     except DashpotError:
         return {}
     assert part is not None
     drive = part.dwells.drive(part.q[:1], model.D.shape[1])
-    theta = psi[: len(model.unknowns)]
+    theta = problem.starts[0][: len(model.unknowns)]
     p = np.tile(larger.parameters(theta), (len(drive.omega), 1))
     constants = np.tile(larger.inner_constants(theta), (len(drive.omega), 1))
     moved = periodic_response(larger, p, constants, drive).delta[:, -len(probes) :]
@@ -433,7 +397,7 @@ def measured_motions(data: Prepared) -> Motions:
         return {}
     both = moving_pairs(model)
     probes = [between(f"probe_{a}_{b}", Kind.SPRING, a, b, value=0.0) for a, b in both]
-    larger = replace(model, elements=(*model.elements, *probes))
+    larger = _with(model, *probes)
     chosen = slice(len(model.elements), None)
     delta = np.abs(states.X[0] @ larger.B[chosen].T + states.U[0] @ larger.D[chosen].T)
     return _moving(both, delta, data.spectrum.omega)
@@ -449,11 +413,12 @@ def _moving(pairs: Sequence[tuple[str, str]], delta: Real, omega: Real) -> Motio
     }
 
 
-def softened(data: Prepared, psi: Real, sign: Real) -> Real:
-    """ψ (M,) of the rig as it is from the softened data, from ψ of the data themselves."""
-    return _descended(
-        data.view, measured(replace(data, states=None), SOFT_NONLINEAR_ELEMENTS), psi, sign, 2 * LIMIT
-    )[0]
+def softened(problem: LineProblem) -> LineProblem:
+    """The problem begun where softened data lead from its start."""
+    exact = problem.balanced().arranged(SOFT_NONLINEAR_ELEMENTS)
+    return problem.from_starts(
+        (_descended(problem.view, exact, problem.starts[0], problem.sign, 2 * LIMIT)[0],)
+    )
 
 
 def _descended(
@@ -482,31 +447,28 @@ def _followed(
     return _descended(view, exact, ended, sign, LIMIT - GLANCE) if cost < most else (ended, cost)
 
 
-def called_for(data: Prepared, psi: Real, sign: Real, *, thorough: bool = True) -> list[ScoredElement]:
+def called_for(problem: LineProblem, *, thorough: bool = True) -> list[ScoredElement]:
     """Nonlinear elements that the dwells call for, fitted in full, the best first; [] where none is certain.
 
-    ψ (M,): the best fit of the rig as it is.  Where all motion is seen, those that the equation of motion does not
-    show are looked for only if `thorough`: to reach them from a rig that does not fit takes seconds.  [] as well where
-    the rig differs by experiment, which harmonic balance does not know.
+    The problem begins at the best fit of the rig as it is.  Where all motion is seen, those that the equation of motion
+    does not show are looked for only if `thorough`: to reach them from a rig that does not fit takes seconds.  [] as
+    well where the rig differs by experiment, which harmonic balance does not know.
     """
-    if data.model.differs:
+    if problem.model.differs:
         return []
-    chi2 = misfit(data, psi, sign)
-    seen = _passive(seen_candidates(data, psi))
+    chi2 = problem.balanced().slopes(problem.starts[0])[2]
+    seen = _passive(seen_candidates(problem))
     mending = [each for each in seen if _mends(each)]
     # candidates that are fitted in full where all motion is seen
-    fitted = _passive([fitted_in_full(data, psi, sign, each, chi2, 0.0) for each in mending[:4]])
+    fitted = _passive([fitted_in_full(problem, each, chi2, 0.0) for each in mending[:4]])
     if any(_certain(each) for each in fitted) or (seen and not thorough):
         return _nearly_best(fitted)
-    for softness, start, followed in (
-        (0.0, psi, FOLLOWED),
-        (SOFT_NONLINEAR_ELEMENTS, softened(data, psi, sign), SOFTLY),
-    ):
-        candidates = candidate_elements(data.model, motions_of(data, start))
-        scored = _passive(scored_in_dwells(data, start, sign, candidates, softness))
-        for candidate in scored[:followed]:
+    for softness, followed in ((0.0, FOLLOWED), (SOFT_NONLINEAR_ELEMENTS, SOFTLY)):
+        begun = softened(problem) if softness else problem
+        scored = scored_in_dwells(begun, candidate_elements(problem.model, motions_of(begun)), softness)
+        for candidate in _passive(scored)[:followed]:
             if candidate.fall > HINT * candidate.chi2:
-                fitted += _passive([fitted_in_full(data, start, sign, candidate, chi2, softness)])
+                fitted += _passive([fitted_in_full(begun, candidate, chi2, softness)])
             if fitted and fitted[-1].chi2 - fitted[-1].fall < ENOUGH * fitted[-1].dof:
                 return [fitted[-1]] if fitted[-1].p_value < CERTAIN else []
     return _nearly_best(fitted)
@@ -543,17 +505,10 @@ def _mends(scored: ScoredElement) -> bool:
     return promising and (left < LEFT * scored.chi2 or left < ROUGHLY * scored.dof)
 
 
-def seen_candidates(data: Prepared, psi: Real, further: bool = False) -> list[ScoredElement]:
-    """Candidates by the equation of motion at ψ (M,), the best first; [] where not all motion is seen."""
-    elements = candidate_elements(data.model, measured_motions(data), further)
-    return scored_by_equation(data, psi, _told_apart(data, elements))
-
-
-def misfit(data: Prepared, psi: Real, sign: Real) -> float:
-    """χ² of the rig as it is at ψ (M,)."""
-    with np.errstate(all="ignore"):
-        at = local(data.view, measured(replace(data, states=None)), psi[None], sign[None])
-    return float(at.cost[0])
+def seen_candidates(problem: LineProblem, further: bool = False) -> list[ScoredElement]:
+    """Candidates by the equation of motion from where the problem begins, the best first; [] where not all is seen."""
+    elements = candidate_elements(problem.model, measured_motions(problem.data), further)
+    return scored_by_equation(problem, _told_apart(problem.data, elements))
 
 
 def _without_raising(data: Measured) -> Measured:
@@ -563,22 +518,21 @@ def _without_raising(data: Measured) -> Measured:
 
 
 def fitted_in_full(
-    data: Prepared, psi: Real, sign: Real, candidate: ScoredElement, chi2: float, softness: float
+    problem: LineProblem, candidate: ScoredElement, chi2: float, softness: float
 ) -> ScoredElement:
-    """The candidate's value and how far χ² falls from `chi2` with all unknowns at their best, from ψ (M,)."""
+    """The candidate's value and how far χ² falls from `chi2` with all unknowns at their best, from the start."""
     assert candidate.element.force_law is not None
     element = with_open_constants(candidate.element)
-    extended = replace(data.model, elements=(*data.model.elements, element))
+    extended = _with(problem.model, element)
     seen = candidate.psi is not None  # the motion is then followed from the measured one
-    larger = data.of_rig(extended) if seen else replace(data.of_rig(extended), states=None)
-    view, exact = larger.view, _without_raising(measured(larger))
-    best, least = _with_elements(extended, {element.name: 0.0}, psi), np.inf
+    own = problem.starts[0] if candidate.psi is None else candidate.psi
+    larger = (problem if seen else problem.balanced()).from_starts((problem.starts[0], own)).of_rig(extended)
+    view, sign, exact = larger.view, larger.sign, _without_raising(larger.arranged())
+    best, least = larger.starts[0], np.inf
     for value in (candidate.value, 0.3 * candidate.value)[: 1 if seen else 2]:
-        start = _with_elements(
-            extended, {element.name: value}, psi if candidate.psi is None else candidate.psi
-        )
+        start = np.where(np.array(larger.names) == element.name, value, larger.starts[1])
         if softness > 0:
-            soft = _without_raising(measured(larger, softness))
+            soft = _without_raising(larger.arranged(softness))
             start, left = _followed(view, soft, start, sign, candidate.chi2)
             if left > (1 - FALLEN) * candidate.chi2:
                 continue  # what does not help there leads nowhere in sharper data
@@ -594,11 +548,7 @@ def fitted_in_full(
     fitted_element = replace(candidate.element, force_law=law.with_constants(constants))
     fall = max(chi2 - least, 0.0)
     dof = candidate.dof - len(law.constants)
-    fit = (
-        FittedProblem(LineProblem(larger, sign, (best,)), best, chi2 - fall, dof)
-        if np.isfinite(least)
-        else None
-    )
+    fit = FittedProblem(larger.from_starts((best,)), best, chi2 - fall, dof) if np.isfinite(least) else None
     return replace(
         candidate, element=fitted_element, fall=fall, chi2=chi2, value=values[element.name], fit=fit
     )
@@ -641,7 +591,7 @@ def nonlinear(baseline: Baseline, *, thorough: bool) -> Iterator[Effect]:
     if not np.all(np.isfinite(psi)):
         return
     model = problem.model
-    for scored in called_for(problem.data, psi, problem.sign, thorough=thorough):
+    for scored in called_for(problem.from_starts((psi,)), thorough=thorough):
         if scored.fit is None or scored.element.force_law is None:
             continue
         # With laws, harmonics are data as well: without one the rig is as improbable as it is by its own lines.
@@ -811,7 +761,7 @@ def _places(
     """
     model, pairs = view.model, moving_pairs(view.model)
     probes = [between(f"place {a} {b}", Kind.SPRING, a, b, value=0.0) for a, b in pairs]
-    larger = replace(model, elements=(*model.elements, *probes))
+    larger = _with(model, *probes)
     rig = calibrated_transfer(
         observation_model(larger, view.channels, view.omega, view.experiment), psi, sign
     )

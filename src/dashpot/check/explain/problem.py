@@ -238,10 +238,14 @@ class LineProblem:
         """As the likelihood takes them."""
         return measured(self.data, softness)
 
-    def slopes(self, psi: Real) -> tuple[Real, Real, float]:
+    def balanced(self) -> LineProblem:
+        """Where the motion of a nonlinear rig is sought from that of its linear part, not from the measured one."""
+        return replace(self, data=replace(self.data, states=None))
+
+    def slopes(self, psi: Real, softness: float = 0.0) -> tuple[Real, Real, float]:
         """Information (M, M), minus half the slope (M,) and χ² at ψ."""
         with np.errstate(all="ignore"):
-            at = local(self.view, self.arranged(), psi[None], self.sign[None])
+            at = local(self.view, self.arranged(softness), psi[None], self.sign[None])
         return at.symmetric[0], at.gradient[0], float(at.cost[0])
 
     def chi2_of_lines(self, psi: Real) -> Real:

@@ -7,6 +7,7 @@ import pytest
 
 from dashpot.check.explain.examine import diagnose
 from dashpot.check.explain.laws import seen_candidates
+from dashpot.check.explain.problem import LineProblem
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.preparation import prepare
@@ -34,7 +35,9 @@ def beside(law):
 def test_the_element_that_is_missing_beside_the_rigs_own_law_explains_most(law):
     """The fit without it is far off, and so is the constant inside the rig's own law."""
     model, theta, spectrum = beside(law)
-    first, *_ = seen_candidates(prepare(model, spectrum), 1.5 * theta)
+    first, *_ = seen_candidates(
+        LineProblem(prepare(model, spectrum), np.ones(len(spectrum.channels)), (1.5 * theta,))
+    )
     assert first.element.name == "gap_spring_x1_ground"
     assert first.fall > 0.8 * first.chi2
     assert first.value == pytest.approx(6000.0, rel=0.3)
