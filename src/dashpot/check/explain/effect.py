@@ -73,6 +73,18 @@ class Effect:
         """The size at a coordinate, of the sign of another one."""
         return float(np.copysign(np.exp(coordinate), like)) if self.of_ratio else coordinate
 
+    def finding(
+        self, size: float, remaining: float | None = None, *, odds: float | None = None,
+        explains: float | None = None, group: int | None = None,
+    ) -> Finding:  # fmt: skip
+        """At a size, as an assessment has it; remaining: χ² over its degrees of freedom with it mended."""
+        said = self.words(size)
+        number = None if self.values == (1.0,) else size
+        return Finding(
+            self.kind, self.of, said.text, said.change, remaining, number, said.channels, said.elements,
+            odds, explains, group,
+        )  # fmt: skip
+
     def log_prior(self, size: float) -> float:
         """Logarithm of the prior density of a size that is sought, over its coordinate."""
         assert self.width is not None

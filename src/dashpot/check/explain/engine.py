@@ -106,13 +106,8 @@ class Cause:
 
     def finding(self, noise_known: bool) -> Finding:
         """As an assessment has it."""
-        said = self.effect.words(self.size)
-        number = None if self.effect.values == (1.0,) else self.size
         left = self.fit.reduced if noise_known and np.isfinite(self.fit.reduced) else None
-        return Finding(
-            self.effect.kind, self.effect.of, said.text, said.change, left, number, said.channels, said.elements,
-            odds=self.odds, explains=self.explains, group=self.group,
-        )  # fmt: skip
+        return self.effect.finding(self.size, left, odds=self.odds, explains=self.explains, group=self.group)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.special import chdtrc
@@ -10,6 +11,7 @@ from scipy.special import chdtrc
 from dashpot.arrays import diagonal_matrices, random_generator
 from dashpot.channel import Channel
 from dashpot.check.explain.channels import factor_in_words, late, turned
+from dashpot.check.explain.effect import Effect, as_is
 from dashpot.check.explain.engine import LARGEST, Explanation, explain
 from dashpot.check.explain.laws import called_for, called_for_in_records, in_place_of_laws, nonlinear_finding
 from dashpot.check.explain.problem import LineProblem
@@ -34,9 +36,8 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.time_course import TIME_CHANGES
 from dashpot.estimate.inference.uncertainty import linear_modes
 from dashpot.estimate.likelihood.global_search import candidates
-from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.nonlinear.search import linear_rig, starting_points
-from dashpot.estimate.preparation import Prepared, prepare
+from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import MISFIT, Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input, observation_model
@@ -240,10 +241,7 @@ def _laws_in_records(model: Model, spectrum: Spectrum, estimate: Estimate) -> tu
         return ()
     misfit = float(estimate.fit.misfit) ** 2
     return tuple(
-        replace(
-            nonlinear_finding(model, scored, misfit * (1 - scored.fall / scored.chi2)),
-            explains=scored.fall / scored.chi2,
-        )
+        nonlinear_finding(model, scored, misfit * (1 - scored.fall / scored.chi2), scored.fall / scored.chi2)
         for scored in called_for_in_records(model, spectrum, estimate)
     )
 
@@ -352,12 +350,14 @@ def directed(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[Find
         return ()
     elements = {element.name: element for element in missing_elements(model)}
     channels, exact = _with_open_calibrations(model, spectrum)
-    extended = replace(model, elements=(*model.elements, *elements.values()))
     try:
-        data = prepare(extended, replace(spectrum, channels=channels, moments=None), states=False)
-        names, information, score, chi2 = _columns(data, spectrum, estimate)
+        data = prepare(model, replace(spectrum, moments=None), states=False)
+        problem = LineProblem(data, spectrum.signs(estimate.signs)[0], (estimate.values,))
+        problem = problem.of_rig(replace(model, elements=(*model.elements, *elements.values())), channels)
     except DashpotError:
         return ()  # channels that contradict each other, say
+    names = problem.names
+    information, score, chi2 = problem.slopes(problem.starts[0])
     together = {}
     if len(exact) == 1:  # an input without noise is late where all that it moves is early
         for word in ("gain", "delay"):
@@ -376,38 +376,20 @@ def directed(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[Find
     certain = [test for test in tests if float(chdtrc(1, test.fall / widened)) * len(tests) < LEVEL]
     by_name = {channel.name: channel for channel in spectrum.channels}
     findings = []
-    of: tuple[str, ...]
     for test in sorted(certain, key=lambda each: -each.fall)[:MOST_DIRECTED]:
         left = (test.chi2 - test.fall) / max(estimate.fit.dof - 1, 1)
-        step = -test.step if test.name in together else test.step
+        size = -test.step if test.name in together else test.step
         name, _, word = test.name.rpartition(".")
+        of: tuple[str, ...] = (name,)
         if name and word == "gain":
-            said, kind, of, size = factor_in_words(model, by_name[name], 1 + step), "gain", (name,), 1 + step
-        elif name and word == "delay":
-            said, kind, of, size = late(model, by_name[name], step), "delay", (name,), step
+            kind, size, words = "gain", 1 + size, partial(factor_in_words, model, by_name[name])
+        elif name:
+            kind, words = "delay", partial(late, model, by_name[name])
         else:
             element = elements[test.name]
-            said, kind, of, size = (
-                missing_in_words(model, element, step),
-                "element",
-                points_of(element, model),
-                step,
-            )
-        findings.append(Finding(kind, of, said.text, said.change, left, size, said.channels, said.elements))
+            kind, of, words = "element", points_of(element, model), partial(missing_in_words, model, element)
+        findings.append(Effect(kind, of, as_is, words, (size,)).finding(size, left))
     return tuple(findings)
-
-
-def _columns(
-    data: Prepared, spectrum: Spectrum, estimate: Estimate
-) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, float]:
-    """Names of all directions, their information and score, and χ², at the estimate."""
-    view = data.view
-    known = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
-    usual = (*np.zeros(view.m), *view.nominal_calibrations)
-    psi = np.array([known.get(name, value) for name, value in zip(view.names, usual, strict=True)])
-    with np.errstate(all="ignore"):
-        at = local(view, measured(data), psi[None], spectrum.signs(estimate.signs))
-    return view.names, at.symmetric[0], at.gradient[0], float(at.cost[0])
 
 
 def _with_open_calibrations(model: Model, spectrum: Spectrum) -> tuple[tuple[Channel, ...], tuple[str, ...]]:

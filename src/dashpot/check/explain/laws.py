@@ -576,12 +576,21 @@ def law_in_words(model: Model, element: Element, value: float) -> Phrase:
     return Phrase(text, change, (), (named,))
 
 
-def nonlinear_finding(model: Model, scored: ScoredElement, remaining: float | None) -> Finding:
+def nonlinear_finding(
+    model: Model, scored: ScoredElement, remaining: float | None, explains: float | None = None
+) -> Finding:
     """The element as a cause; remaining: χ² over its degrees of freedom with it."""
-    said = law_in_words(model, scored.element, scored.value)
-    points = points_of(scored.element, model)
-    return Finding(
-        "nonlinear", points, said.text, said.change, remaining, scored.value, elements=said.elements
+    return law_effect(model, scored).finding(scored.value, remaining, explains=explains)
+
+
+def law_effect(model: Model, scored: ScoredElement) -> Effect:
+    """The element as an effect that was found."""
+    element, words = scored.element, partial(law_in_words, model, scored.element)
+    inner = 0 if element.force_law is None else len(element.force_law.constants)
+    share = 1 / (len(LAWS) * max(len(moving_pairs(model)), 1))
+    of = points_of(element, model)
+    return Effect(
+        "nonlinear", of, as_is, words, (scored.value,), found=scored.fit, more=1 + inner, share=share
     )
 
 
@@ -598,11 +607,7 @@ def nonlinear(baseline: Baseline, *, thorough: bool) -> Iterator[Effect]:
         plain = replace(baseline.as_is, chi2=scored.chi2, dof=scored.dof + 1)
         anchor = baseline.as_is.roughly - plain.roughly if plain.dof != baseline.as_is.dof else 0.0
         fit = replace(scored.fit, problem=replace(scored.fit.problem, given_up=anchor))
-        yield Effect(
-            "nonlinear", points_of(scored.element, model), as_is, partial(law_in_words, model, scored.element),
-            (scored.value,), found=fit, more=1 + len(scored.element.force_law.constants),
-            share=1 / (len(LAWS) * max(len(moving_pairs(model)), 1)),
-        )  # fmt: skip
+        yield replace(law_effect(model, scored), found=fit)
 
 
 def laws_in_words(model: Model) -> str:

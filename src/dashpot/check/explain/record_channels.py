@@ -80,19 +80,7 @@ def mistakes_by_equation(data: Prepared, misfit: float) -> tuple[Finding, ...]:
             continue
         remaining = float(fitted.fit.misfit) ** 2
         if remaining < MENDED * misfit:
-            said = effect.words(size)
-            found.append(
-                Finding(
-                    effect.kind,
-                    effect.of,
-                    said.text,
-                    said.change,
-                    remaining,
-                    size,
-                    said.channels,
-                    said.elements,
-                )
-            )
+            found.append(effect.finding(size, remaining))
     return tuple(sorted(found, key=lambda each: each.remaining or 0.0))
 
 
