@@ -8,16 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from math import log, log1p
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.special import stdtr
+from scipy.special import logsumexp, stdtr
 
 from dashpot.arrays import Real
 from dashpot.check.element_evidence import record_candidates
-from dashpot.check.explain.laws import APART, CERTAIN, feeds_motion
-from dashpot.check.explain.rigs import missing_elements
+from dashpot.check.explain.effect import Effect, as_is
+from dashpot.check.explain.engine import UNLISTED, count_listed, groups
+from dashpot.check.explain.laws import APART, CERTAIN, feeds_motion, law_effect
+from dashpot.check.explain.rigs import missing_elements, missing_in_words, points_of
 from dashpot.check.explain.score import PARTS, steadiness, sums_of_parts
+from dashpot.estimate.assessment import Finding
 from dashpot.estimate.nonlinear.input_levels import all_linearised, cleared, drawn_noise
 from dashpot.estimate.nonlinear.record_inference import FollowedRecord
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
@@ -32,30 +37,69 @@ MOST_NUMBERS = 20_000_000  # in the slopes
 
 
 @dataclass(frozen=True)
-class CalledFor:
-    """An element that would explain a share of the squared residuals, and the value that it would have."""
+class _CalledFor:
+    """An element beyond doubt: the share of the squared residuals that it would explain, its value, and that in
+    standard deviations by its scatter over parts of the records.
+    """
 
     element: Element
     share: float
     value: float
+    deviations: float
 
 
-def element_called_for(model: Model, motions: Sequence[FollowedRecord]) -> CalledFor | None:
-    """The element that explains most of what records leave over, where that is beyond doubt; None where none is.
+def _causes(model: Model, certain: Sequence[_CalledFor]) -> tuple[Finding, ...]:
+    """The elements as causes by their odds, the likeliest first, as lines of the file of the rig `model`.
 
-    motions: of all records of one estimate of the rig `model`.
+    None was fitted: the likelihood of each is that of what it leaves of as many independent numbers as its scatter
+    shows of the one that explains most.
+    """
+    if not certain:
+        return ()
+    best = max(certain, key=lambda each: each.share)
+    numbers = best.deviations**2 * (1 - best.share) / best.share
+    effects, likelihood, evidence = [], [], []
+    for each in certain:
+        element, of = each.element, points_of(each.element, model)
+        if element.force_law is None:
+            words, more = partial(missing_in_words, model, element), 1
+            effect = Effect("element", of, as_is, words, (each.value,), more=more)
+        else:
+            effect = law_effect(model, element)
+        effects.append(effect)
+        likelihood.append(-numbers / 2 * log1p(-min(each.share, 1 - 1e-12)))
+        evidence.append(likelihood[-1] - effect.more / 2 * log(max(numbers, 2.0)))
+    odds = np.exp(np.array(evidence) - logsumexp([*evidence, log(UNLISTED)]))
+    place: dict[tuple[str, tuple[str, ...]], int] = {}
+    for k in np.argsort(-odds, kind="stable").tolist():
+        place.setdefault((effects[k].kind, effects[k].of), k)
+    listed = list(place.values())
+    listed = listed[: count_listed([float(odds[k]) for k in listed])]
+    return tuple(
+        effects[k].finding(certain[k].value, odds=float(odds[k]), explains=certain[k].share, group=group)
+        for k, group in zip(listed, groups([likelihood[k] for k in listed]), strict=True)
+    )
+
+
+def elements_called_for(
+    model: Model, motions: Sequence[FollowedRecord], stated: Model | None = None
+) -> tuple[Finding, ...]:
+    """Elements that explain much of what records leave over, where that is beyond doubt, the likeliest first.
+
+    motions: of all records of one estimate of the rig `model`; stated: the rig in whose file they would stand, where
+    that is another one.
     """
     data = motions[0].data
     candidates = elements_to_try(model, data)
     unknowns = len(motions[0].psi) + len(candidates)
     if sum(motion.residual.size for motion in motions) * unknowns > MOST_NUMBERS:
-        return None
+        return ()
     columns = _columns_record_scores(motions, candidates)
     if columns is None:
-        return None
+        return ()
     residual, added, size = columns
-    certain = CERTAIN / max(len(candidates), 1)
-    total, best = float(residual @ residual), None
+    certain: list[_CalledFor] = []
+    total, improbable = float(residual @ residual), CERTAIN / max(len(candidates), 1)
     relative = max(float(np.max(motion.compared().relative)) for motion in motions)
     least = max(LEAST, (FELT / max(relative, FELT)) ** 2)
     for element, column, before in zip(candidates, added.T, size, strict=True):
@@ -64,11 +108,12 @@ def element_called_for(model: Model, motions: Sequence[FollowedRecord]) -> Calle
             continue
         value = float(column @ residual) / left
         share = value**2 * left / total
-        if feeds_motion(element, value):
+        if feeds_motion(element, value) or not share > least:
             continue
-        if share > (least if best is None else best.share) and steadiness(column, residual, value) < certain:
-            best = CalledFor(element, share, value)
-    return best
+        deviations, chance = steadiness(column, residual, value)
+        if chance < improbable:
+            certain.append(_CalledFor(element, share, value, deviations))
+    return _causes(model if stated is None else stated, certain)
 
 
 def elements_to_try(model: Model, data: RecordData) -> list[Element]:
@@ -114,18 +159,18 @@ def _columns_record_scores(
 # What the errors of the inputs can explain counts for nothing, as what the rig's own unknowns can.
 
 
-def element_of_uncertain(problem: RecordProblem, psi: Real) -> CalledFor | None:
-    """The element that explains most of what is left over, where that is beyond doubt; None where none is.
+def elements_of_uncertain(problem: RecordProblem, psi: Real) -> tuple[Finding, ...]:
+    """Elements that explain much of what is left over, where that is beyond doubt, the likeliest first.
 
     psi (M,): the end of the search of a problem with uncertain inputs.
     """
     candidates = elements_to_try(problem.rig, problem.records[0])
     if total_samples(problem.records) * (len(psi) + len(candidates)) > MOST_NUMBERS:
-        return None
+        return ()
     linear = all_linearised(problem, psi)
     columns = _columns(problem, psi, candidates)
     if not linear or columns is None:
-        return None
+        return ()
     prior = problem.priors()[0]
     alone = [record.weighed(column) for record, column in zip(linear, columns, strict=True)]
     solved = cleared(linear, prior, columns)
@@ -137,17 +182,14 @@ def element_of_uncertain(problem: RecordProblem, psi: Real) -> CalledFor | None:
         product += np.einsum("nck,nc->k", solved[k], record.residual)
     spread = np.sqrt(left * _course(solved, noise.data, noise.draws))
     total = sum(record.cost for record in linear)
-    best = None
+    certain = []
     for element, size, own, score, sd in zip(candidates, before, left, product, spread, strict=True):
-        if not own > APART**2 * size:
+        if not own > APART**2 * size or feeds_motion(element, float(score / own)):
             continue
-        share = float(score**2 / own / total)
-        if feeds_motion(element, float(score / own)):
-            continue
-        chance = 2 * float(stdtr(PARTS - 1, -abs(score) / sd))
-        if share > (LEAST if best is None else best.share) and chance < CERTAIN / len(candidates):
-            best = CalledFor(element, share, float(score / own))
-    return best
+        share, deviations = float(score**2 / own / total), float(abs(score) / sd)
+        if share > LEAST and 2 * float(stdtr(PARTS - 1, -deviations)) < CERTAIN / len(candidates):
+            certain.append(_CalledFor(element, share, float(score / own), deviations))
+    return _causes(problem.rig, certain)
 
 
 def _columns(problem: RecordProblem, psi: Real, candidates: Sequence[Element]) -> list[Real] | None:

@@ -11,10 +11,9 @@ from scipy.special import fdtrc
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.check.discrepancy import discrepancies
 from dashpot.check.element_evidence import with_nothing
-from dashpot.check.explain.effect import with_likely_causes
-from dashpot.check.explain.laws import in_place_of_laws, law_in_words, laws_in_words
-from dashpot.check.explain.rigs import missing_in_words, points_of
-from dashpot.check.record_scores import CalledFor, element_called_for, element_of_uncertain
+from dashpot.check.explain.effect import Phrase, with_likely_causes
+from dashpot.check.explain.laws import in_place_of_laws, laws_in_words
+from dashpot.check.record_scores import elements_called_for, elements_of_uncertain
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
 from dashpot.data.periods import driven_lines
 from dashpot.data.record import Record
@@ -412,13 +411,19 @@ def too_far_off(shares: Mapping[str, Discrepancy | None]) -> list[Notice]:
     return [Notice("discrepancy", text, tuple(missed))]
 
 
-def _finding_of(notice: Notice) -> Finding:
-    """A change in the course of a record, or a channel that ends, as what may be wrong; its remedy is not tried."""
+def change_in_words(notice: Notice) -> Phrase:
+    """A change in the course of a record, or a channel that ends, and what to do about it."""
     if notice.code == LIMITED:
         change = f"drive less, widen the range, or leave {notice.of[0]} out if others show the motion"
-        return Finding("channel", notice.of, f"{notice.text}: clipped, or saturated?", change, None)
+        return Phrase(f"{notice.text}: clipped, or saturated?", change)
     question, remedy = IN_TIME[notice.code]
-    return Finding("time", notice.of, f"{notice.text}: {question}", remedy, None)
+    return Phrase(f"{notice.text}: {question}", remedy)
+
+
+def _finding_of(notice: Notice) -> Finding:
+    """Such a change as what may be wrong; its remedy is not tried."""
+    said = change_in_words(notice)
+    return Finding("channel" if notice.code == LIMITED else "time", notice.of, said.text, said.change, None)
 
 
 def with_change_in_time(assessment: Assessment, notice: Notice) -> Assessment:
@@ -650,17 +655,15 @@ def assess_records(
     against = [*unphysical(model, estimate), *rejected(estimate)]
     cut = any(notice.code == CUT_RECORD for notice in estimate.warnings)
     uncertain = fitted is not None and fitted.problem.inputs is not None and not cut
-    called_for: CalledFor | None = None
+    findings: tuple[Finding, ...] = ()
     if uncertain and fitted is not None:
         trails = followed_records(fitted.problem, fitted.psi)
-        called_for = element_of_uncertain(fitted.problem, fitted.psi) if bool(estimate.converged) else None
+        findings = elements_of_uncertain(fitted.problem, fitted.psi) if bool(estimate.converged) else ()
     else:
         trails = [] if cut else _followed(model, records, estimate)
-        called_for = element_called_for(model, trails) if trails and bool(estimate.converged) else None
-    findings: tuple[Finding, ...] = ()
-    if called_for is not None:
-        findings = (_finding(model, called_for),)
-        against = [*against, _reason(model, called_for)]
+        findings = elements_called_for(model, trails) if trails and bool(estimate.converged) else ()
+    if findings:
+        against = [*against, _reason(findings[0])]
     elif not bool(estimate.converged):
         findings, reasons = _without_laws(model, records)
         against = [*against, *reasons]
@@ -681,35 +684,24 @@ def _without_laws(model: Model, records: Sequence[Record]) -> tuple[tuple[Findin
     try:
         linear = with_nothing(linear_rig(model))
         fitted = fit_records(linear, records, exact_inputs=True)
-        called_for = element_called_for(linear, followed_records(fitted.problem, fitted.psi))
+        called_for = elements_called_for(linear, followed_records(fitted.problem, fitted.psi), model)
     except DashpotError:
         return (), ()
-    if called_for is None:
+    if not called_for:
         return (), ()
-    what = _finding(model, called_for)
-    reason = _reason(model, called_for)
+    reason = _reason(called_for[0])
     text = reason.text.replace(
         "of the residuals", f"of the residuals of the rig without {laws_in_words(model)}"
     )
-    return (in_place_of_laws(model, what),), (replace(reason, text=text),)
+    return tuple(in_place_of_laws(model, each) for each in called_for), (replace(reason, text=text),)
 
 
-def _finding(model: Model, called_for: CalledFor) -> Finding:
-    """The element as what may be wrong, with its line of the rig file; it was not fitted."""
-    element, value = called_for.element, called_for.value
-    kind, words = ("element", missing_in_words) if element.force_law is None else ("nonlinear", law_in_words)
-    said = words(model, element, value)
-    points = points_of(element, model)
-    return Finding(
-        kind, points, said.text, said.change, None, value, elements=said.elements, explains=called_for.share
-    )
-
-
-def _reason(model: Model, called_for: CalledFor) -> Notice:
-    element, points = called_for.element, points_of(called_for.element, model)
+def _reason(cause: Finding) -> Notice:
+    """That an element explains much of the residuals."""
+    (element,), points, share = cause.elements, cause.of, cause.explains or 0.0
     part = f"a missing {element.kind.value}" if element.force_law is None else "a nonlinear element"
     place = f"at {points[0]}" if element.kind is Kind.MASS else f"between {joined(points)}"
-    text = f"{part} {place} explains {100 * called_for.share:.0f} % of the residuals (p < 1e-6)"
+    text = f"{part} {place} explains {100 * share:.0f} % of the residuals (p < 1e-6)"
     return Notice("element_called_for", text, points)
 
 

@@ -35,6 +35,8 @@ def test_another_law_than_the_rig_has_is_named_and_makes_it_no_fit() -> None:
     assert (finding.kind, finding.of, finding.remaining) == ("nonlinear", ("x2", "u"), None)
     assert "damping that grows with speed" in finding.text
     assert finding.number == pytest.approx(theta[-1], rel=0.3)
+    assert finding.odds is not None
+    assert 0.9 < finding.odds < 1
     mended, _ = applied(two_masses("cubic")[0], ALL, finding)
     assert mended.elements[-1].kind is Kind.DAMPER
 

@@ -408,9 +408,10 @@ def _weighed_all(
     for cause in causes:
         unique.setdefault((cause.effect.kind, cause.effect.of), cause)
     listed = list(unique.values())
-    total = np.cumsum([cause.odds for cause in listed])
-    count = int(np.searchsorted(total, LISTED)) + 1 if len(listed) else 0
-    return Explanation(baseline.as_is, _grouped(listed[: min(count, MOST)]), unlisted, nearest, every)
+    listed = listed[: count_listed([cause.odds for cause in listed])]
+    of_group = groups([cause.likelihood for cause in listed])
+    grouped = tuple(replace(cause, group=group) for cause, group in zip(listed, of_group, strict=True))
+    return Explanation(baseline.as_is, grouped, unlisted, nearest, every)
 
 
 def _same(first: Cause, second: Cause) -> bool:
@@ -658,22 +659,23 @@ def _explained(as_is: FittedProblem, possible: float, cause: Cause) -> float:
     return 1 - min(after / before, 1.0) if before > 0 else 0.0
 
 
-def _grouped(causes: Sequence[Cause]) -> tuple[Cause, ...]:
-    """With a number for those that the data cannot tell apart."""
-    groups: list[list[int]] = []
-    for k, cause in enumerate(causes):
-        for group in groups:
-            if all(_alike(causes[j], cause) for j in group):
-                group.append(k)
-                break
+def groups(likelihoods: Sequence[float]) -> list[int | None]:
+    """A number for each of those, by the logarithms of their likelihoods, that the data cannot tell apart."""
+    found: list[list[int]] = []
+    for k, likelihood in enumerate(likelihoods):
+        near = (g for g in found if all(abs(likelihoods[j] - likelihood) < TOGETHER for j in g))
+        group = next(near, None)
+        if group is None:
+            found.append([k])
         else:
-            groups.append([k])
-    numbers = {k: number for number, group in enumerate(groups, start=1) for k in group if len(group) > 1}
-    return tuple(replace(cause, group=numbers.get(k)) for k, cause in enumerate(causes))
+            group.append(k)
+    numbers = {k: number for number, group in enumerate(found, start=1) for k in group if len(group) > 1}
+    return [numbers.get(k) for k in range(len(likelihoods))]
 
 
-def _alike(first: Cause, second: Cause) -> bool:
-    return abs(first.likelihood - second.likelihood) < TOGETHER
+def count_listed(odds: Sequence[float]) -> int:
+    """How many causes are named, the likeliest first."""
+    return min(int(np.searchsorted(np.cumsum(odds), LISTED)) + 1, MOST, len(odds))
 
 
 def log_likelihood(fit: FittedProblem, block: Ints) -> float:

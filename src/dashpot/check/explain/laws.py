@@ -580,18 +580,16 @@ def nonlinear_finding(
     model: Model, scored: ScoredElement, remaining: float | None, explains: float | None = None
 ) -> Finding:
     """The element as a cause; remaining: χ² over its degrees of freedom with it."""
-    return law_effect(model, scored).finding(scored.value, remaining, explains=explains)
+    effect = law_effect(model, scored.element)
+    return effect.finding(scored.value, remaining, explains=explains)
 
 
-def law_effect(model: Model, scored: ScoredElement) -> Effect:
-    """The element as an effect that was found."""
-    element, words = scored.element, partial(law_in_words, model, scored.element)
+def law_effect(model: Model, element: Element, fit: FittedProblem | None = None) -> Effect:
+    """A nonlinear element as an effect, of the size that its fit or its score gives it."""
     inner = 0 if element.force_law is None else len(element.force_law.constants)
     share = 1 / (len(LAWS) * max(len(moving_pairs(model)), 1))
-    of = points_of(element, model)
-    return Effect(
-        "nonlinear", of, as_is, words, (scored.value,), found=scored.fit, more=1 + inner, share=share
-    )
+    of, words = points_of(element, model), partial(law_in_words, model, element)
+    return Effect("nonlinear", of, as_is, words, (np.nan,), found=fit, more=1 + inner, share=share)
 
 
 def nonlinear(baseline: Baseline, *, thorough: bool) -> Iterator[Effect]:
@@ -607,7 +605,7 @@ def nonlinear(baseline: Baseline, *, thorough: bool) -> Iterator[Effect]:
         plain = replace(baseline.as_is, chi2=scored.chi2, dof=scored.dof + 1)
         anchor = baseline.as_is.roughly - plain.roughly if plain.dof != baseline.as_is.dof else 0.0
         fit = replace(scored.fit, problem=replace(scored.fit.problem, given_up=anchor))
-        yield replace(law_effect(model, scored), found=fit)
+        yield replace(law_effect(model, scored.element, fit), values=(scored.value,))
 
 
 def laws_in_words(model: Model) -> str:
@@ -893,7 +891,7 @@ class _Test:
     def _steady(self, column: Real, residual: Real, value: float) -> bool:
         """Whether the parameter is beyond doubt by its scatter over parts of the records in time."""
         histories = self._history(column), self._history(residual)
-        return steadiness(*histories, value, uneven=self.uneven) < (CERTAIN if self.uneven else STEADY)
+        return steadiness(*histories, value, uneven=self.uneven)[1] < (CERTAIN if self.uneven else STEADY)
 
     def _history(self, rows: Real) -> Real:
         """Rows in time, (samples of all, channels)."""

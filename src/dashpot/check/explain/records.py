@@ -20,7 +20,7 @@ from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, said
 from dashpot.check.explain.engine import Explanation, explain_records
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.steady_lines import steady_lines, working_noise
-from dashpot.check.verdict import IN_TIME, clipped_at
+from dashpot.check.verdict import change_in_words, clipped_at
 from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
 from dashpot.errors import DashpotError
 from dashpot.estimate.inference.time_course import Kind, TimeChange, change_notice, time_changes
@@ -123,7 +123,7 @@ def _shown(whole: LineProblem, c: int, predicted: Complex | None) -> tuple[str, 
     ]
     if not named:
         return plain
-    return "time", _change_in_words(spectrum, named[0], named[0].size)
+    return "time", _step_in_words(spectrum, named[0], named[0].size)
 
 
 def _by_all_others(whole: LineProblem, c: int, psi: Real) -> Complex | None:
@@ -161,7 +161,7 @@ def _stepping(
     if change is not None and left < STEPPED:
         act, words = (
             partial(_before_step, whole, chosen, c, change),
-            partial(_change_in_words, spectrum, change),
+            partial(_step_in_words, spectrum, change),
         )
         yield Effect("time", change.channels, act, words, (change.size,), more=2, share=share)
 
@@ -218,10 +218,8 @@ def _before_step(
     return problem.with_amplitudes(mended_y)
 
 
-def _change_in_words(spectrum: Spectrum, change: TimeChange, size: float) -> Phrase:
-    notice = change_notice(replace(change, size=size), len(spectrum.records))
-    question, remedy = IN_TIME[notice.code]
-    return Phrase(f"{notice.text}: {question}", remedy)
+def _step_in_words(spectrum: Spectrum, change: TimeChange, size: float) -> Phrase:
+    return change_in_words(change_notice(replace(change, size=size), len(spectrum.records)))
 
 
 def _of_its_ends(spectrum: Spectrum, c: int, predicted: Complex) -> Complex:

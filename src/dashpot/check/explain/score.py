@@ -63,8 +63,8 @@ def sums_of_parts(values: Real) -> Real:
     )
 
 
-def steadiness(column: Real, residual: Real, value: float, *, uneven: bool = False) -> float:
-    """p-value of the parameter `value` of a column in time by its scatter over parts of the records.
+def steadiness(column: Real, residual: Real, value: float, *, uneven: bool = False) -> tuple[float, float]:
+    """The parameter `value` of a column in time over its scatter over parts of the records, and the p-value of that.
 
     That scatter is there whatever colour and course the noise has; what comes once is no element.
     Where noise is `uneven` in time, no more parts count than tell something of the parameter.
@@ -75,4 +75,5 @@ def steadiness(column: Real, residual: Real, value: float, *, uneven: bool = Fal
     spread = max(float(np.sqrt(np.sum(each**2))), np.finfo(float).tiny)
     tell = sums_of_parts(np.sum(rows[0] ** 2, axis=1))
     count = float(np.sum(tell) ** 2 / max(np.sum(tell**2), np.finfo(float).tiny)) if uneven else PARTS
-    return 2 * float(stdtr(max(count - 1, 1.0), -abs(value) * float(np.sum(column * column)) / spread))
+    deviations = abs(value) * float(np.sum(column * column)) / spread
+    return deviations, 2 * float(stdtr(max(count - 1, 1.0), -deviations))
