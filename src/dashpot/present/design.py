@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dashpot.design.advise import Answer, phase_deg
 from dashpot.design.allocation import Criterion, ExpectedPrecision
 from dashpot.design.plan import Plan
+from dashpot.design.releases import ReleasePlan
 from dashpot.design.test_setup import drive_units
 from dashpot.design.transients import UnsettledTest
 from dashpot.io.words import counted, joined
@@ -53,6 +54,42 @@ def answer_document(answer: Answer) -> Document:
             section("Dwells", Table(columns, [""] * len(plan.dwells) + ["dim"])),
             section("Expected intervals", expected_columns(answer)),
             section("", *plan_in_words(answer, plan), *notes),
+        ),
+    )
+
+
+def release_document(plan: ReleasePlan) -> Document:
+    """What is printed of planned releases: which to make, what they will tell, and each coordinate by itself."""
+    unit, scale = ("rad", 1.0) if set(plan.model.coordinates) <= plan.model.angles else ("mm", 1e3)
+    rows = [
+        (each.hold, short(scale * each.deflection), short(each.record_s), percent(each.figure, 1.0))
+        for each in plan.releases
+    ]
+    first = plan.together[0]
+    if len(plan.together) == 1:
+        said = f"Hold {first.hold} {short(scale * first.deflection)} {unit} out, let go"
+    else:
+        holds = [f"{each.hold} ({short(scale * each.deflection)} {unit})" for each in plan.together]
+        said = f"Make {len(holds)} releases, from {joined(holds)}"
+    said += f", and record {short(first.record_s)} s at {short(plan.rate_hz, 4)} Hz"
+    said += " each." if len(plan.together) > 1 else "."
+    texts = [
+        (name, *value_and_sd(value, sd), "" if u == "1" else u, percent(sd, value))
+        for name, u, value, sd in zip(
+            plan.names, plan.units, plan.values.tolist(), plan.sd.tolist(), strict=True
+        )
+    ]
+    notes = (Paragraph(sentence(f"Note: {note}"), "yellow") for note in plan.notes)
+    return Document(
+        plan.model.name,
+        (
+            section("", said, f"Expected relative standard deviation: {percent(plan.figure, 1.0)} %."),
+            section("Expected", columns_of(["parameter", "value>", "±>", "unit", "± %>"], texts)),
+            section(
+                "One release by itself",
+                columns_of(["held at", f"deflection, {unit}>", "record, s>", "± %>"], rows),
+            ),
+            section("", *notes),
         ),
     )
 

@@ -178,7 +178,8 @@ def command(
 
     The values to design for are those of the rig file (value, guess), of --set, or of an estimate.  Standard
     deviations in per cent are of the values.  The duality gap that is printed proves how close to optimal the test is
-    (equivalence theorem).
+    (equivalence theorem).  Of a rig without inputs, releases are planned: where to hold it, how far (--stroke), how
+    long to record, and which releases together.
     """
     from dashpot.app.workers import shared_out
     from dashpot.check.structure import require_scale
@@ -190,6 +191,9 @@ def command(
     read = read_rig(rig)
     whole, read = read, read.standing_in(experiment) if wanted.after else read.in_experiment(experiment)
     require_scale(read.model, read.channels, rig)
+    if not read.model.inputs:
+        others = {"--csv": csv, "--figure": figure, "--progress": drawn_progress, "--report": report or None}
+        return _releases(read, wanted, others, json_out, quiet)
     for name, given in (("--workers", workers), ("--dask", dask)):
         worst = wanted.doubt is not None if wanted.robust is None else wanted.robust == "worst"
         if given is not None and not worst:
@@ -215,6 +219,73 @@ def command(
         from dashpot.present.document import say
 
         say(answer_document(result), apart=True)
+    return 0
+
+
+def _releases(
+    rig: Rig, wanted: DesignOptions, others: Mapping[str, object], json_out: str | None, quiet: bool
+) -> int:
+    """The releases of a rig that nothing drives."""
+    from dashpot.check.deficiencies import require_identifiable
+    from dashpot.design.releases import plan_releases
+    from dashpot.io.json_document import to_json
+    from dashpot.model.observation import with_relative_noise
+
+    driven: dict[str, object] = {
+        "--sensors": wanted.sensors,
+        "--against": wanted.against,
+        "--after": wanted.after or None,
+    }
+    driven |= {"--band": wanted.band, "--grid": wanted.grid, "--max-frequencies": wanted.max_frequencies}
+    driven |= {
+        "--min-dwell": wanted.min_dwell,
+        "--amplitude": wanted.amplitude,
+        "--drive": wanted.drives or None,
+    }
+    driven |= {"--doubt": wanted.doubt, "--robust": wanted.robust, "--max-force": wanted.max_force}
+    driven |= {"--max-velocity": wanted.max_velocity, "--max-acceleration": wanted.max_acceleration}
+    for name, given in (driven | dict(others)).items():
+        if given is not None:
+            cure = "leave it out, or add an input to the rig file"
+            raise UsageError(f"{name} is for driven rigs, and nothing drives this one", cure=cure)
+    criterion, target = _criterion(wanted.aim, wanted.target)
+    if criterion.targets is not None or criterion.kind == "D":
+        raise UsageError(
+            "releases are planned for a rms or a worst error", cure="write --for all, worst or names"
+        )
+    require_identifiable(rig.model, rig.channels, rig.path)
+    time = wanted.time
+    if wanted.samples is not None:
+        if wanted.rate is None:
+            raise UsageError("--samples of releases need --rate", cure="give it, or --time")
+        time = wanted.samples / wanted.rate
+    turning = set(rig.model.coordinates) <= set(rig.model.angles)
+    channels, noise = rig.channels, wanted.relative_noise
+    values = parameter_values(rig, wanted.settings)
+    if wanted.estimate_file is not None:
+        from dashpot.estimate.result import Estimate
+
+        found = Estimate.load(wanted.estimate_file)
+        pairs = zip(found.names, found.values.tolist(), strict=True)
+        values = {name: value for name, value in pairs if name in rig.model.unknown_names} | dict(values)
+    with progress("design", quiet):
+        plan = plan_releases(
+            rig.model,
+            channels if noise is None else with_relative_noise(rig.model, channels, noise),
+            values,
+            names=criterion.names,
+            worst=criterion.kind == "minimax",
+            deflection=None if wanted.stroke is None else wanted.stroke.si("displacement", turning),
+            rate_hz=wanted.rate,
+            time_s=time,
+            target=target,
+        )
+    opt.write_result(json_out, to_json(plan.content()))
+    if not quiet and json_out != opt.STDOUT:
+        from dashpot.present.design import release_document
+        from dashpot.present.document import say
+
+        say(release_document(plan), apart=True)
     return 0
 
 
