@@ -4,6 +4,7 @@ from dashpot.api import compare as compare
 from dashpot.api import draw as draw
 from dashpot.api import frf as frf
 from dashpot.api import identify as identify
+from dashpot.api import modes as modes
 from dashpot.api import read as read
 from dashpot.api import simulate as simulate
 from dashpot.api import start as start
@@ -58,6 +59,7 @@ from dashpot.estimate.result import ModeValues as ModeValues
 from dashpot.estimate.result import Value as Value
 from dashpot.export.state_space import StateSpace as StateSpace
 from dashpot.export.transfer_functions import TransferFunctions as TransferFunctions
+from dashpot.free.modes import MeasuredModes as MeasuredModes
 from dashpot.free.response import MeasuredResponse as MeasuredResponse
 from dashpot.model.dynamics import Matrices as Matrices
 from dashpot.model.dynamics import matrices as matrices
@@ -70,7 +72,6 @@ from dashpot.model.elements import mass as mass
 from dashpot.model.matrix_elements import block_elements as block_elements
 from dashpot.model.matrix_elements import free_model as free_model
 from dashpot.model.modes import Modes as Modes
-from dashpot.model.modes import modes as modes
 from dashpot.model.network import Input as Input
 from dashpot.model.network import Model as Model
 from dashpot.model.rigfile import Rig as Rig

@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
@@ -50,10 +50,13 @@ from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import method_class, methods_for
 from dashpot.estimate.result import Cycle, Estimate, Origin, Value
 from dashpot.experiment import RUNS, kind_of
+from dashpot.free.modes import MOST_MODES, MeasuredModes, measured_modes
 from dashpot.free.response import MeasuredResponse, frequency_response
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
 from dashpot.io.words import listed, names_in
+from dashpot.model.modes import Modes
+from dashpot.model.modes import modes as modes_of_model
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
 from dashpot.model.rigfile import Rig, default_channels, parse_rig, read_rig
@@ -632,6 +635,68 @@ def frf(
     short, or hold no excitation in the band.
     """
     return frequency_response(*_without_rig(data, inputs, outputs, rig, frequency_hz), band)
+
+
+@overload
+def modes(data: Model, inputs: Real, /) -> Modes: ...
+
+
+@overload
+def modes(
+    data: Data | MeasuredResponse,
+    inputs: str | Sequence[str] | None = None,
+    outputs: str | Sequence[str] | None = None,
+    *,
+    rig: Rig | None = None,
+    band: tuple[float, float] | None = None,
+    frequency_hz: float | None = None,
+    most: int = MOST_MODES,
+    real: bool = False,
+) -> MeasuredModes: ...
+
+
+@one_blas_thread()
+def modes(
+    data: Model | Data | MeasuredResponse,
+    inputs: Any = None,
+    outputs: str | Sequence[str] | None = None,
+    *,
+    rig: Rig | None = None,
+    band: tuple[float, float] | None = None,
+    frequency_hz: float | None = None,
+    most: int = MOST_MODES,
+    real: bool = False,
+) -> Modes | MeasuredModes:
+    """The modes that data show, with standard deviations and without a rig's values; or those of a model.
+
+    data     as of `frf`, or what that gave; records without any input are free decays
+    inputs, outputs, rig, band, frequency_hz  as of `frf`; with a `rig` shapes have the names of its coordinates
+    most     poles, at most
+    real     shapes are real, up to one complex factor each
+
+    Of a Model: `modes(model, p)` with the parameters p (elements,), as `dashpot.model.modes`.  Raises as `frf`, and
+    DataError where no mode is found.
+    """
+    if isinstance(data, Model):
+        return modes_of_model(data, inputs)
+    if isinstance(data, MeasuredResponse):
+        lines = np.ones(len(data.frequency_hz), dtype=bool)
+        if band is not None:
+            lines = (data.frequency_hz >= band[0]) & (data.frequency_hz <= band[1])
+        found = measured_modes(data.independent_of(lines), (), (), most=most, real=real)
+    else:
+        named = _without_rig(data, inputs, outputs, rig, frequency_hz, driven=False)
+        found = measured_modes(*named, band, most=most, real=real)
+    return found if rig is None else replace(found, points=_points(found.outputs))
+
+
+def _points(channels: Sequence[Channel]) -> tuple[str, ...]:
+    """The coordinate that each channel shows alone, and no other does, else the channel's own name."""
+    alone = [next(iter(c.of)) if list(c.of.values()) == [1.0] else c.name for c in channels]
+    return tuple(
+        point if alone.count(point) == 1 else channel.name
+        for channel, point in zip(channels, alone, strict=True)
+    )
 
 
 def _without_rig(

@@ -98,6 +98,16 @@ class MeasuredResponse:
         parts = {name: getattr(self, name)[lines] for name in ("frequency_hz", "values", "covariance")}
         return replace(self, **parts, coherence=self.coherence[lines], apart=self.apart[lines])
 
+    def independent_of(self, lines: Bools) -> MeasuredResponse:
+        """Those of some lines.  Raises DataError where there is none."""
+        if not np.any(lines):
+            f = self.frequency_hz
+            raise DataError(
+                "no frequency of the responses lies in the band",
+                cure=f"they reach from {f.min():.4g} to {f.max():.4g} Hz",
+            )
+        return self.chosen(lines).independent()
+
     def independent(self) -> MeasuredResponse:
         """Lines of which no two share data, as many as there are: what a fit that counts each line may use."""
         kept, at = [], 0
@@ -186,6 +196,19 @@ def _of_channels(data: Data, inputs: Sequence[str], outputs: Sequence[str]) -> D
     return replace(data, channels=channels, values=data.values[..., at], sd=None, status=status, cell=cell)
 
 
+def continuous_pieces(
+    reading: Reading, inputs: Sequence[str], outputs: Sequence[str]
+) -> tuple[list[Record], list[Notice]]:
+    """Records of any excitation, or free decays where there is no input, without gaps; none where data are steady."""
+    told: list[Notice] = []
+    if reading.amplitudes is not None or reading.joint or not reading.records:
+        return [], told
+    records = [_of_channels(record, inputs, outputs) for record in reading.records]
+    if any(r.frequency_hz is not None or _of_periods(r, len(inputs)) is not None for r in records):
+        return [], told
+    return [piece for record in records for piece in _pieces(record, told)], told
+
+
 def _pieces(record: Record, told: list[Notice]) -> list[Record]:
     """The record in pieces without gaps; what is said of them is told."""
     pieces, notes = without_gaps(record)
@@ -254,7 +277,7 @@ def _of_lines(spectrum: Spectrum, nu: int, band_hz: Band | None, method: str) ->
     covariance: Complex = scale * np.stack([one.covariance for _, one in found])
     f = frequency[[k for k, _ in found]]
     coherence = np.array([one.coherence for _, one in found])
-    units = _in_units(inputs, outputs)
+    units = in_units(inputs, outputs)
     return MeasuredResponse(
         inputs,
         outputs,
@@ -268,7 +291,7 @@ def _of_lines(spectrum: Spectrum, nu: int, band_hz: Band | None, method: str) ->
     )
 
 
-def _in_units(inputs: Sequence[Channel], outputs: Sequence[Channel]) -> Real:
+def in_units(inputs: Sequence[Channel], outputs: Sequence[Channel]) -> Real:
     """Factors from SI units to those of the channels, (outputs, inputs)."""
     return np.array([[into.scale / out.scale for into in inputs] for out in outputs])
 
@@ -445,17 +468,12 @@ def local_response(records: Sequence[Record], nu: int, band_hz: Band | None = No
     """
     channels = records[0].channels
     parts = sorted((record_lines(record, nu) for record in records), key=lambda part: -part.duration_s)
-    first, count = parts[0], len(parts)
+    first = parts[0]
     for c in range(nu):
         if not any(np.any(part.inputs[:, c]) for part in parts):
             raise DataError(f"the input {channels[c].name} is at rest", cure="name what drives the rig")
-    half = max(3, int(np.ceil((3 * (nu + count) + 2 + SPARE - count) / (2 * count))))
-    if any(len(part.frequency_hz) < _lines_of(part, first, half) for part in parts):
-        shortest = min(len(record.time) for record in records)
-        raise DataError(
-            f"a record of {counted(shortest, 'sample')} is too short for frequency responses",
-            cure=f"each local model needs {2 * half + 1} lines of every record: record longer",
-        )
+    half = _smallest_half(nu, len(parts))
+    _require_lines(parts, half)
     low, high = band_hz or (0.0, np.inf)
     grid = np.flatnonzero((first.frequency_hz >= low) & (first.frequency_hz <= high))
     if not len(grid):
@@ -466,7 +484,7 @@ def local_response(records: Sequence[Record], nu: int, band_hz: Band | None = No
     H, covariance, between = _windows(parts, grid, half)
     power = _mean_beside(np.abs(np.einsum("lic,lc->li", H, first.inputs[grid])) ** 2, half)
     noise = np.diagonal(between, axis1=1, axis2=2).real
-    units = _in_units(channels[:nu], channels[nu:])
+    units = in_units(channels[:nu], channels[nu:])
     found = MeasuredResponse(
         channels[:nu],
         channels[nu:],
@@ -478,6 +496,48 @@ def local_response(records: Sequence[Record], nu: int, band_hz: Band | None = No
         "local",
     )
     return _where_it_shows(found, stated=band_hz is not None)
+
+
+def line_noise(parts: Sequence[RecordLines], low: float, high: float) -> list[Complex]:
+    """Noise of the outputs of each record at its lines from `low` to `high` Hz, (lines, ny, ny), as local models leave.
+
+    Records with inputs share the response, free decays nothing.  Raises DataError where one is too short.
+    """
+    nu = parts[0].inputs.shape[1]
+    groups = [list(parts)] if nu else [[part] for part in parts]
+    found: dict[int, Complex] = {}
+    for group in groups:
+        ordered = sorted(group, key=lambda part: -part.duration_s)
+        first = ordered[0]
+        half = _smallest_half(nu, len(ordered))
+        _require_lines(ordered, half)
+        grid = np.flatnonzero((first.frequency_hz >= low) & (first.frequency_hz <= high))
+        if len(grid) < 2 * half + 1:
+            raise DataError(
+                f"{counted(len(grid), 'line')} of the record in the band",
+                cure="record longer, or take a wider band",
+            )
+        noise = _windows(ordered, grid, half)[2]
+        for part in group:
+            f = part.frequency_hz[(part.frequency_hz >= low) & (part.frequency_hz <= high)]
+            at = np.clip(np.rint(f * first.duration_s).astype(np.int64) - 1 - grid[0], 0, len(grid) - 1)
+            found[id(part)] = noise[at]
+    return [found[id(part)] for part in parts]
+
+
+def _smallest_half(nu: int, records: int) -> int:
+    """Lines on either side of a window that leaves SPARE degrees of freedom."""
+    return max(3, int(np.ceil((3 * (nu + records) + 2 + SPARE - records) / (2 * records))))
+
+
+def _require_lines(parts: Sequence[RecordLines], half: int) -> None:
+    """Raises DataError where a record has fewer lines than a window needs."""
+    if any(len(part.frequency_hz) < _lines_of(part, parts[0], half) for part in parts):
+        shortest = min(part.samples for part in parts)
+        raise DataError(
+            f"a record of {counted(shortest, 'sample')} is too short",
+            cure=f"each local model needs {2 * half + 1} lines of every record: record longer",
+        )
 
 
 def _lines_of(part: RecordLines, first: RecordLines, half: int) -> int:

@@ -24,6 +24,7 @@ COMMANDS: Mapping[str, str] = {
     "inspect": "Show what is in data files, and suggest channels for a rig file.",
     "spectrum": "Turn time records into a table of complex amplitudes.",
     "frf": "Frequency responses from test data, with standard deviations, without a rig.",
+    "modes": "Natural frequencies, damping and shapes from test data, without a rig.",
     "fleet": "Estimate the unknowns of many rigs of one kind, each from its own data.",
     "study": "Compare tests, noise levels and methods by Monte Carlo simulation.",
     "design": "Design the next test: the most informative frequencies, times and sensors.",

@@ -4,7 +4,9 @@ CSV: one row a mode; `frequency_hz`, `frequency_sd`, optionally `damping_ratio` 
 the shapes that is measured `NAME_re`, `NAME_im` (or `NAME` alone: a real shape) and `NAME_sd`, the standard deviation
 of the real and of the imaginary part, each.  Shapes have any scale; a point may be left empty in some modes.
 JSON: `{"modes": [{"frequency_hz": 3.0, "frequency_sd": 0.01, "damping_ratio": 0.02, "damping_sd": 0.001,
-"shape": {"x1": [1.0, 0.0], "x2": 0.6}, "shape_sd": {"x1": 0.01, "x2": 0.01}}]}`.
+"shape": {"x1": [1.0, 0.0], "x2": 0.6}, "shape_sd": {"x1": 0.01, "x2": 0.01}}]}`, or as `dashpot modes` writes it:
+each with `"frequency_hz": {"value": 3.0, "sd": 0.01}`, `damping_ratio` alike,
+and `"shape": {"x1": {"re": 1.0, "im": 0.0, "sd": 0.01}}`.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from dashpot.data.modal_data import ModalData, independent_modes
 from dashpot.data.readers.arrays import ArrayColumns
 from dashpot.data.readers.columns import LARGEST, Columns, bare
 from dashpot.data.readers.datafile import DataFile, open_file
-from dashpot.data.readers.text import open_table
+from dashpot.data.readers.text import open_table, write_rows
 from dashpot.data.readers.uff import (
     USUAL_SD,
     UffStream,
@@ -73,6 +75,7 @@ def modes_and_notes(
         source, rows = shown(os.fspath(path), 200), []
         for number, mode in enumerate(_modes_of_json(path, source), start=1):
             where = f"{source}: mode {number}"
+            mode = _flat(mode)
             for key in mode:
                 if key not in (*PLAIN, "shape", "shape_sd"):
                     known = f"there are {', '.join(PLAIN)}, shape, shape_sd"
@@ -93,6 +96,22 @@ def modes_and_notes(
     if is_universal(file):
         return read_uff_modes(file, coordinates, channels, relative_sd)
     return _modes_of(open_table(file), coordinates), []
+
+
+def write_mode_table(modes: ModalData, path: AnyPath) -> None:
+    """Write modes as the table that is read here.  Raises DataError where it cannot be written."""
+    sd = np.sqrt(np.diagonal(modes.covariance, axis1=1, axis2=2))
+    columns = {
+        FREQUENCY: modes.frequency_hz,
+        FREQUENCY_SD: sd[:, 0],
+        DAMPING: modes.damping_ratio,
+        DAMPING_SD: sd[:, 1],
+    }
+    of_shapes = np.sqrt(np.diagonal(modes.shape_covariance, axis1=1, axis2=2).real / 2)
+    for i, point in enumerate(modes.points):
+        shape = modes.shapes[:, i]
+        columns |= {f"{point}_re": shape.real, f"{point}_im": shape.imag, f"{point}_sd": of_shapes[:, i]}
+    write_rows(path, list(columns), list(columns.values()))
 
 
 def holds_modes(path: AnyPath) -> bool:
@@ -241,6 +260,19 @@ def _modes_of_json(path: AnyPath, source: str) -> list[dict[str, Any]]:
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise DataError('there is no list "modes"', source, 'write {"modes": [{"frequency_hz": …}, …]}')
     return rows
+
+
+def _flat(mode: Mapping[str, Any]) -> dict[str, Any]:
+    """The mode with a number or a list for each key, where values stand with their standard deviations."""
+    flat = {key: value for key, value in mode.items() if key != "participation"}
+    for key, sd_key in ((FREQUENCY, FREQUENCY_SD), (DAMPING, DAMPING_SD)):
+        if isinstance(value := flat.get(key), dict):
+            flat |= {key: value.get("value"), sd_key: value.get("sd")}
+    shape = flat.get("shape")
+    if isinstance(shape, dict) and shape and all(isinstance(point, dict) for point in shape.values()):
+        flat["shape"] = {name: [point.get("re"), point.get("im", 0.0)] for name, point in shape.items()}
+        flat["shape_sd"] = {name: point.get("sd") for name, point in shape.items()}
+    return flat
 
 
 def _shape(row: Mapping[str, Any], key: str, where: str) -> dict[str, complex]:

@@ -1,0 +1,71 @@
+"""dashpot modes: natural frequencies, damping and shapes from test data, without a rig."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from dashpot.app import options as opt
+from dashpot.app.data_files import reading_of, require_each_once, tell_notes
+from dashpot.app.workers import progress
+from dashpot.errors import printable
+
+
+@opt.dashpot_command(
+    "dashpot modes run.csv --input f --output a1,a2 --figure modes.png",
+    "dashpot modes release.csv --output x1,x2,x3",
+    "dashpot modes hit*.csv --rig rig.toml --band 5:80 --json modes.json",
+)
+def command(
+    data: Annotated[tuple[str, ...], opt.NEEDED_FILES, opt.DATA],
+    inputs: opt.InputColumns,
+    outputs: opt.OutputColumns,
+    rig: opt.ChannelsOfRig,
+    band: opt.FreeBand,
+    frequency: opt.FreeFrequency,
+    real: Annotated[bool, opt.Option("--real"), "Real shapes, up to one complex factor each."],
+    most: Annotated[
+        int,
+        opt.Option("--most N", opt.Count(1, 200), default=40),
+        "Modes at most; the evidence asks for fewer.",
+    ],
+    json_out: Annotated[str | None, opt.JSON, "the modes, which `identify` and `compare --modal` read,"],
+    out: Annotated[
+        str | None,
+        opt.Option("--out -o FILE.csv", opt.OutputFile(formats=("csv", "gz")), opt.OUTPUT),
+        "Write the modes as a table, which `identify` and `compare --modal` read.",
+    ],
+    figure: Annotated[
+        str | None, opt.FIGURE, "Draw what was fitted, and the poles of growing order (stabilisation)."
+    ],
+    quiet: opt.Quiet,
+) -> None:
+    """Natural frequencies, damping ratios and mode shapes from DATA, with standard deviations; no rig is needed.
+
+    Records of any excitation, several at once; free decays, where no input is named; stepped sine, periodic tests,
+    tables of amplitudes and of frequency responses.  How many modes there are, the evidence decides.
+    """
+    from dashpot.api import modes
+    from dashpot.data.readers.modes import write_mode_table
+    from dashpot.io.json_document import to_json
+    from dashpot.model.rigfile import read_rig
+
+    require_each_once(data)
+    with progress(reading_of(data), quiet):
+        read = None if rig is None else read_rig(rig)
+        found = modes(
+            data, inputs, outputs, rig=read, band=band, frequency_hz=frequency, most=most, real=real
+        )
+    tell_notes(found.notes, quiet)
+    if out is not None:
+        write_mode_table(found.modal_data, out)
+    if figure is not None:
+        from dashpot.present.figures.free import modes_figure
+        from dashpot.present.figures.style import write_figure
+
+        write_figure(figure, modes_figure(found))
+    opt.write_result(json_out, to_json(found.to_dict()))
+    if not quiet and json_out != opt.STDOUT:
+        from dashpot.present.document import say
+        from dashpot.present.free import modes_document
+
+        say(modes_document(found, "" if out is None else printable(out)))

@@ -1,0 +1,751 @@
+"""Modes without a rig: poles, shapes and their covariance from a rational model fitted by maximum likelihood.
+
+Lines of a record, or responses, are sums of residues over poles that all outputs share, with terms for modes outside
+the band and for the ends of records.  Given the poles all else is linear, so that Gauss-Newton moves the poles alone
+(variable projection: Golub and Pereyra, Inverse Problems 19, 2003).  Poles are added one at a time, each where it
+explains most, as long as the evidence asks for them (BIC); those that are tried come from least-squares complex
+frequency fits (Peeters et al., Shock and Vibration 11, 2004), which also give the stabilisation picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from dashpot.arrays import Bools, Complex, Ints, Real, freeze
+from dashpot.channel import Channel, Quantity
+from dashpot.data.modal_data import ModalData, of_eigenvalues
+from dashpot.data.readers import Reading
+from dashpot.data.record import Record
+from dashpot.errors import DataError
+from dashpot.free.response import (
+    Band,
+    MeasuredResponse,
+    continuous_pieces,
+    frequency_response,
+    in_units,
+    line_noise,
+    local_response,
+    record_lines,
+)
+from dashpot.io.words import counted
+from dashpot.notices import Notice
+
+MOST_MODES = 40
+HIGHEST_DAMPING = 0.3  # of what is reported as a mode: broader poles stand for what lies outside the band
+STABLE = (
+    0.01,
+    0.1,
+)  # relative changes of frequency and damping ratio from one order to the next, as is usual
+HIGHEST_ORDER = 40  # of the stabilisation picture
+
+
+@dataclass(frozen=True)
+class Stabilisation:
+    """Poles of least-squares fits of growing order: each one's order, frequency, Hz, damping ratio, and whether the
+    order below has it too, (poles,)."""
+
+    order: Ints
+    frequency_hz: Real
+    damping_ratio: Real
+    stable: Bools
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+@dataclass(frozen=True)
+class MeasuredModes:
+    """Modes of a test, in order of their frequency.
+
+    eigenvalues    λ (modes,), 1/s, and their covariance (modes, 2, 2) of (Re λ, Im λ)
+    shapes         (modes, outputs): displacements, the largest 1; sd (modes, outputs) of real and imaginary part, each
+    participation  (modes, inputs): residue of the largest output per unit of each input, as H = Σ φ pᵀ / (s − λ) + …;
+                   without inputs (modes, 0); and its sd
+    frequency, measured, modelled  (lines,), (lines, outputs), …: what was fitted, for the picture (of the first record)
+    chi2, dof      of the fit with the noise as it was known before it; NaN where it was not
+    order          poles of the model, of which those that are no modes in the band are not reported
+    """
+
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+    eigenvalues: Complex
+    covariance: Real
+    shapes: Complex
+    shape_sd: Real
+    participation: Complex
+    participation_sd: Real
+    frequency: Real
+    measured: Complex
+    modelled: Complex
+    chi2: float
+    dof: float
+    order: int
+    stabilisation: Stabilisation
+    real: bool = False
+    notes: tuple[Notice, ...] = ()
+    points: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        if not self.points:
+            object.__setattr__(self, "points", tuple(channel.name for channel in self.outputs))
+        freeze(self)
+
+    def __repr__(self) -> str:
+        found = ", ".join(f"{f:.5g} Hz" for f in self.frequency_hz)
+        return f"<MeasuredModes: {found}>"
+
+    @cached_property
+    def modal_data(self) -> ModalData:
+        """As input of `identify` and `compare`, by the names of the points."""
+        V = np.array([2 * np.diag(sd**2) for sd in self.shape_sd]).astype(np.complex128)
+        return of_eigenvalues(self.points, self.eigenvalues, self.covariance, self.shapes, V)
+
+    @property
+    def frequency_hz(self) -> Real:
+        """|λ| / 2π, (modes,)."""
+        return self.modal_data.frequency_hz
+
+    @property
+    def damping_ratio(self) -> Real:
+        """−Re λ / |λ|, (modes,)."""
+        return self.modal_data.damping_ratio
+
+    @property
+    def frequency_sd(self) -> Real:
+        """Hz."""
+        return np.sqrt(self.modal_data.covariance[:, 0, 0])
+
+    @property
+    def damping_sd(self) -> Real:
+        """Standard deviation of the damping ratios."""
+        return np.sqrt(self.modal_data.covariance[:, 1, 1])
+
+    def to_dict(self) -> dict[str, object]:
+        """The modes for JSON, which `identify` and `compare --modal` read."""
+        modes = []
+        for k in range(len(self.eigenvalues)):
+            shape = zip(self.points, self.shapes[k], self.shape_sd[k], strict=True)
+            into = zip(self.inputs, self.participation[k], self.participation_sd[k], strict=True)
+            modes.append(
+                {
+                    "frequency_hz": {"value": self.frequency_hz[k], "sd": self.frequency_sd[k]},
+                    "damping_ratio": {"value": self.damping_ratio[k], "sd": self.damping_sd[k]},
+                    "shape": {name: {"re": x.real, "im": x.imag, "sd": sd} for name, x, sd in shape},
+                    "participation": {c.name: {"re": x.real, "im": x.imag, "sd": sd} for c, x, sd in into},
+                }
+            )
+        return {
+            "modes": modes,
+            "normalisation": "largest entry of each shape is 1",
+            "fit": {"chi2": self.chi2, "dof": self.dof, "poles": self.order},
+            "notes": [{"code": note.code, "text": note.text} for note in self.notes],
+        }
+
+
+def measured_modes(
+    reading: Reading | MeasuredResponse,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    band_hz: Band | None = None,
+    *,
+    most: int = MOST_MODES,
+    real: bool = False,
+) -> MeasuredModes:
+    """The modes that data of any kind show in a band; without `inputs` records are free decays.
+
+    Raises as `frequency_response`, and DataError where no mode is found.
+    """
+    if isinstance(reading, MeasuredResponse):
+        sets, found = _of_response(reading), reading
+        inputs_of, outputs_of, notes = reading.inputs, reading.outputs, reading.notes
+    else:
+        whole, told = continuous_pieces(reading, inputs, outputs)
+        if whole:
+            sets = _of_records(whole, len(inputs), band_hz)
+            inputs_of, outputs_of = whole[0].channels[: len(inputs)], whole[0].channels[len(inputs) :]
+            notes = (*reading.notes, *told)
+        else:
+            found = frequency_response(reading, inputs, outputs, band_hz)
+            sets = _of_response(found)
+            inputs_of, outputs_of, notes = found.inputs, found.outputs, found.notes
+    fit, stabilisation, first = _by_evidence(sets, most)
+    kept, left = _modes_among(fit, sets)
+    if not len(kept):
+        f = sets[0].frequency_hz
+        raise DataError(
+            f"no mode shows from {f.min():.4g} to {f.max():.4g} Hz",
+            cure="record longer, choose a band about a resonance, or check the channels",
+        )
+    if left:
+        text = (
+            f"{counted(left, 'further pole')} of the fit: outside the band, or too poorly known to be a mode"
+        )
+        notes = (*notes, Notice("poles_left_out", text))
+    nu, unit = len(inputs_of), sets[0].unit
+    shapes = [_shape(fit, k, outputs_of, nu, real, unit) for k in kept]
+    one = sets[0]
+    count = one.outputs.shape[1]
+    return MeasuredModes(
+        tuple(inputs_of),
+        tuple(outputs_of),
+        fit.poles[kept] * unit,
+        np.array([fit.covariance[np.ix_(at, at)] for at in (2 * kept[:, None] + np.arange(2))]) * unit**2,
+        np.array([shape.values for shape in shapes]),
+        np.array([shape.sd for shape in shapes]),
+        np.array([shape.participation * unit for shape in shapes]).reshape(len(kept), -1)[:, :nu],
+        np.array([shape.participation_sd * unit for shape in shapes]).reshape(len(kept), -1)[:, :nu],
+        one.frequency_hz,
+        one.outputs,
+        one.outputs - fit.residuals[0].reshape(-1, count),
+        first[0],
+        first[1],
+        len(fit.poles),
+        stabilisation,
+        real,
+        tuple(dict.fromkeys(notes)),
+    )
+
+
+# The data: lines of records with their inputs and ends, or responses, whose input is 1.
+
+
+@dataclass(frozen=True)
+class _Set:
+    """Lines of one record, or of responses: outputs (lines, q) = Σ of inputs (lines, columns) times rational functions.
+
+    noise      (lines, q, q), E[Δ Δᴴ]; `known`: or only what weighs the lines until residuals show it
+    step       sampling step of a record, s, whose ends have terms of their own; 0 of responses
+    unit       rad/s of s = 1 in the fit
+    """
+
+    frequency_hz: Real
+    inputs: Complex
+    outputs: Complex
+    noise: Complex
+    step: float
+    unit: float
+    known: bool = True
+
+    @cached_property
+    def precision(self) -> Complex:
+        """Inverse of the noise."""
+        floor = 1e-24 * np.mean(np.abs(self.outputs) ** 2) + 1e-300
+        inverse: Complex = np.linalg.inv(self.noise + floor * np.eye(self.noise.shape[-1])).astype(
+            np.complex128
+        )
+        return inverse
+
+    @property
+    def s(self) -> Complex:
+        """jω in the unit of the fit."""
+        return (2j * np.pi / self.unit * self.frequency_hz).astype(np.complex128)
+
+
+def _of_response(found: MeasuredResponse) -> list[_Set]:
+    one = found.independent()
+    units = in_units(one.inputs, one.outputs)
+    values = (one.values / units).reshape(len(one.values), -1)
+    known = bool(np.all(np.isfinite(one.covariance)))
+    noise = one.covariance / np.outer(units.ravel(), units.ravel())
+    if not known:
+        size = 1e-4 * np.mean(np.abs(values) ** 2, axis=0)
+        noise = np.broadcast_to(np.diag(size).astype(np.complex128), (len(values), len(size), len(size)))
+    ones = np.ones((len(values), 1), dtype=np.complex128)
+    unit = 2 * np.pi * float(np.max(one.frequency_hz))
+    return [_Set(one.frequency_hz, ones, values, noise, 0.0, unit, known)]
+
+
+def _of_records(records: Sequence[Record], nu: int, band_hz: Band | None) -> list[_Set]:
+    """Lines of records in the band, with the noise that local models show."""
+    if nu and band_hz is None:
+        f = local_response(records, nu).frequency_hz
+        band_hz = float(f[0]), float(f[-1])
+    parts = [record_lines(record, nu) for record in records]
+    low, high = band_hz or (0.0, 0.9 * float(min(part.frequency_hz[-1] for part in parts)))
+    noise = line_noise(parts, low, high)
+    sets = []
+    for part, level in zip(parts, noise, strict=True):
+        inside = (part.frequency_hz >= low) & (part.frequency_hz <= high)
+        step = part.duration_s / part.samples
+        sets.append(
+            _Set(
+                part.frequency_hz[inside],
+                part.inputs[inside],
+                part.outputs[inside],
+                level,
+                step,
+                2 * np.pi * high,
+            )
+        )
+    return sets
+
+
+# The model.
+
+RESIDUAL_POWERS = (
+    (-2, 0, 2),
+    (0, 2),
+    (-2, 0),
+    (0,),
+    (),
+)  # of s, real: modes below, direct or between, and above
+ENDS = 3  # real polynomial terms 1, s, s² of a record's ends
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Poles (m,) in the sets' unit, coefficients (q, columns), χ², its real data and unknowns, and the joint covariance
+    of (Re λ, Im λ of each pole, coefficients of each output)."""
+
+    poles: Complex
+    coefficients: Real
+    chi2: float
+    data: int
+    unknowns: int
+    residuals: list[Complex]
+    powers: tuple[int, ...]
+    covariance: Real
+    columns: int
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom."""
+        return max(1, self.data - self.unknowns)
+
+
+def _bases(one: _Set, poles: Complex, slope: bool = False) -> tuple[Complex, Complex]:
+    """(lines, poles) 1/(s − λ) of responses and 1/(1 − e^{(λ − s)Δ}) of the ends of records, or their slopes in λ.
+
+    The second is exact for what a sampled record of finite length shows of a decay.
+    """
+    s = one.s[:, None]
+    plain: Complex = 1 / (s - poles) ** (2 if slope else 1)
+    if not one.step:
+        return plain, plain[:, :0]
+    delta = one.unit * one.step
+    turn = np.exp((poles - s) * delta)
+    if slope:
+        return plain, np.asarray(delta**2 * turn / (1 - turn) ** 2)
+    return plain, np.asarray(delta / (1 - turn))
+
+
+def _pairs(one: _Set, poles: Complex, slope: bool = False) -> tuple[Complex, Complex]:
+    """The same with conjugate poles, per real and imaginary part of the residue: (lines, poles, 2)."""
+    upper, lower = _bases(one, poles, slope), _bases(one, np.conj(poles), slope)
+    plain, ends = (np.stack([a + b, 1j * (a - b)], axis=-1) for a, b in zip(upper, lower, strict=True))
+    return plain, ends
+
+
+def _design(sets: Sequence[_Set], poles: Complex, powers: Sequence[int]) -> list[Complex]:
+    """Columns (lines, …) of each set: of each input the residues and the powers, of each record its own ends."""
+    records = sum(1 for one in sets if one.step)
+    designs, number = [], 0
+    for one in sets:
+        plain, ends = _pairs(one, poles)
+        lines = len(one.s)
+        s = one.s[:, None]
+        of_input = np.concatenate([plain.reshape(lines, -1), s ** np.array(powers, dtype=float)], axis=1)
+        blocks = [one.inputs[:, c, None] * of_input for c in range(one.inputs.shape[1])]
+        for record in range(records):
+            own = (
+                np.concatenate([ends.reshape(lines, -1), s ** np.arange(ENDS)], axis=1)
+                if one.step
+                else of_input
+            )
+            blocks.append(own if one.step and record == number else np.zeros_like(own))
+        number += bool(one.step)
+        designs.append(
+            np.concatenate(blocks, axis=1) if blocks else np.zeros((lines, 0), dtype=np.complex128)
+        )
+    return designs
+
+
+def _sums(sets: Sequence[_Set], left: Sequence[Complex], right: Sequence[Complex]) -> Real:
+    """Σ over lines of Re(leftᴴ P right), (q·a, q·b), of columns (lines, a) and (lines, b) that all outputs share."""
+    q, a, b = sets[0].outputs.shape[1], left[0].shape[1], right[0].shape[1]
+    total = np.zeros((q, a, q, b))
+    for one, A, B in zip(sets, left, right, strict=True):
+        P = one.precision
+        for i in range(q):
+            for j in range(q):
+                if np.any(P[:, i, j]):
+                    total[i, :, j] += (np.conj(A.T) @ (P[:, i, j, None] * B)).real
+    return total.reshape(q * a, q * b)
+
+
+def _solved(
+    sets: Sequence[_Set], poles: Complex, powers: tuple[int, ...], full: bool = False
+) -> tuple[_Fit, Real]:
+    """The coefficients for given poles, and the Gauss-Newton step and information of the poles as (2m, 2m + 1)."""
+    X = _design(sets, poles, powers)
+    q, count, m = sets[0].outputs.shape[1], X[0].shape[1], len(poles)
+    size = np.sqrt(sum(np.sum(np.abs(A) ** 2, axis=0) for A in X)) + 1e-300
+    X = [A / size for A in X]
+    N = _sums(sets, X, X)
+    weighed = [np.einsum("lij,lj->li", one.precision, one.outputs) for one in sets]
+    rhs = sum((np.conj(A.T) @ w).real for A, w in zip(X, weighed, strict=True)).T.ravel()
+    scale = np.sqrt(np.maximum(np.diagonal(N), 1e-300))
+    N = N / np.outer(scale, scale) + 1e-13 * np.eye(len(N))
+    inverse = np.linalg.inv(N) / np.outer(scale, scale)
+    theta = (inverse @ rhs).reshape(q, count)
+    residuals = [one.outputs - A @ theta.T for one, A in zip(sets, X, strict=True)]
+    chi2 = 2 * sum(
+        float(np.einsum("li,lij,lj->", np.conj(e), one.precision, e).real)
+        for one, e in zip(sets, residuals, strict=True)
+    )
+    # How the outputs move with Re λ and Im λ of each pole
+    per_input = 2 * m + len(powers)
+    slopes = []
+    nu, number = sets[0].inputs.shape[1], 0
+    coefficients = theta / size
+    for one in sets:
+        plain, ends = _pairs(one, poles, slope=True)
+        J = np.zeros((len(one.s), q, m, 2), dtype=np.complex128)
+        blocks = [(plain * one.inputs[:, c, None, None], c * per_input) for c in range(nu)]
+        if one.step:
+            blocks.append((ends, nu * per_input + number * (2 * m + ENDS)))
+            number += 1
+        for basis, at in blocks:
+            R = coefficients[:, at : at + 2 * m].reshape(q, m, 2)
+            # d/dσ of Re R (a + b) + Im R j(a − b); d/dω is j times the residue's
+            J[..., 0] += np.einsum("lmk,qmk->lqm", basis, R)
+            J[..., 1] += np.einsum("lmk,qmk->lqm", basis, np.stack([-R[..., 1], R[..., 0]], axis=-1))
+        slopes.append(J.reshape(len(one.s), q, 2 * m))
+    weighed_J = [np.einsum("lij,ljp->lip", one.precision, J) for one, J in zip(sets, slopes, strict=True)]
+    pp = sum(
+        np.einsum("lip,lir->pr", np.conj(J), W, optimize=True).real
+        for J, W in zip(slopes, weighed_J, strict=True)
+    )
+    lp = sum(
+        np.einsum("la,lip->iap", np.conj(A), W, optimize=True).real for A, W in zip(X, weighed_J, strict=True)
+    ).reshape(q * count, 2 * m)
+    gradient = sum(
+        np.einsum("lip,li->p", np.conj(W), e, optimize=True).real
+        for W, e in zip(weighed_J, residuals, strict=True)
+    )
+    tied = inverse @ lp
+    S = pp - lp.T @ tied
+    data = 2 * q * sum(len(one.s) for one in sets)
+    covariance = np.zeros((0, 0))
+    if full:
+        poles_alone = np.linalg.inv(S + 1e-14 * np.diag(np.diagonal(S)))
+        joint = np.block(
+            [
+                [poles_alone, -poles_alone @ tied.T],
+                [-tied @ poles_alone, inverse + tied @ poles_alone @ tied.T],
+            ]
+        )
+        back = np.concatenate([np.ones(2 * m), np.tile(1 / size, q)])
+        covariance = joint * np.outer(back, back) / 2
+    unknowns = 2 * m + q * count
+    fit = _Fit(poles, coefficients, chi2, data, unknowns, residuals, powers, covariance, count)
+    return fit, np.column_stack([S, gradient]) if m else np.zeros((0, 1))
+
+
+def _refined(sets: Sequence[_Set], poles: Complex, powers: tuple[int, ...], steps: int = 30) -> _Fit:
+    """The fit at the nearest minimum: Levenberg-Marquardt in the poles alone."""
+    fit, normal = _solved(sets, poles, powers)
+    damping = 1e-3
+    for _ in range(steps if len(poles) else 0):
+        S, g = normal[:, :-1], normal[:, -1]
+        size = np.diagonal(S) + 1e-12 * np.max(np.diagonal(S))
+        step = np.linalg.solve(S + damping * np.diag(size), g).reshape(-1, 2)
+        trial = fit.poles + step[:, 0] + 1j * step[:, 1]
+        expected = float(g @ step.ravel())
+        sound = np.all(trial.imag > 0) and np.all(np.abs(step) < 0.2)
+        if sound:
+            other, its = _solved(sets, trial, powers)
+        if sound and np.isfinite(other.chi2) and other.chi2 < fit.chi2:
+            done = fit.chi2 - other.chi2 < 1e-4 or expected < 1e-6
+            fit, normal, damping = other, its, max(damping / 10, 1e-9)
+            if done:
+                break
+        elif damping > 1e8 or expected < 1e-9:
+            break
+        else:
+            damping *= 10
+    return fit
+
+
+# Which poles: those that least-squares fits of many orders have are tried, the best first.
+
+
+def _least_squares_poles(sets: Sequence[_Set]) -> Stabilisation:
+    """Poles of common-denominator fits in z⁻¹ of orders 2, 4, …, (least-squares complex frequency, lowest terms 1)."""
+    highest = max(float(np.max(one.frequency_hz)) for one in sets)
+    lines = sum(len(one.s) for one in sets)
+    columns = sets[0].inputs.shape[1] + sum(1 for one in sets if one.step)
+    most = int(min(HIGHEST_ORDER, lines // (columns + 1) - 1))
+    delta = 0.95 / (2 * highest)  # s: the band reaches nearly round the half circle
+    n = most + 1
+    M = np.zeros((n, n))
+    q = sets[0].outputs.shape[1]
+    turns = [np.exp(-2j * np.pi * one.frequency_hz[:, None] * delta * np.arange(n)) for one in sets]
+    parts = []  # of each output: R (columns, n, columns, n), S (columns, n, n), T (n, n)
+    records = [k for k, one in enumerate(sets) if one.step]
+    for i in range(q):
+        R, S, T = np.zeros((columns, n, columns, n)), np.zeros((columns, n, n)), np.zeros((n, n))
+        for k, (one, turn) in enumerate(zip(sets, turns, strict=True)):
+            w = 1 / np.sqrt(
+                np.maximum(one.noise[:, i, i].real, 1e-24 * np.mean(np.abs(one.outputs[:, i]) ** 2))
+            )
+            ends = [np.ones(len(w)) if k == record else np.zeros(len(w)) for record in records]
+            U = np.column_stack([one.inputs, *ends]) * w[:, None]
+            A = (U[:, :, None] * turn[:, None, :]).reshape(len(w), -1)
+            B = -(w * one.outputs[:, i])[:, None] * turn
+            R += (np.conj(A.T) @ A).real.reshape(R.shape)
+            S += (np.conj(A.T) @ B).real.reshape(S.shape)
+            T += (np.conj(B.T) @ B).real
+        parts.append((R, S, T))
+    orders, found, damping, stable = [], [], [], []
+    before = np.zeros(0, dtype=np.complex128)
+    for order in range(2, most + 1, 2):
+        n = order + 1
+        M = np.zeros((n, n))
+        for R, S, T in parts:
+            square = R[:, :n, :, :n].reshape(columns * n, columns * n)
+            side = S[:, :n, :n].reshape(columns * n, n)
+            size = np.sqrt(np.maximum(np.diagonal(square), 1e-300))
+            scaled = square / np.outer(size, size) + 1e-12 * np.eye(len(square))
+            M += T[:n, :n] - side.T @ (np.linalg.solve(scaled, side / size[:, None]) / size[:, None])
+        a = np.concatenate([-np.linalg.lstsq(M[:-1, :-1], M[:-1, -1], rcond=None)[0], [1.0]])
+        roots = np.roots(a[::-1])
+        roots = roots[np.abs(roots) > 0]
+        poles = -np.log(roots.astype(np.complex128)) / delta
+        poles = poles[(poles.imag > 0) & (poles.real < 0)]
+        f, z = np.abs(poles) / (2 * np.pi), -poles.real / np.maximum(np.abs(poles), 1e-300)
+        near = (
+            (np.abs(before[None, :]) / (2 * np.pi) / f[:, None] - 1)
+            if len(before)
+            else np.full((len(f), 1), np.inf)
+        )
+        ratio = (-before.real / np.abs(before) / z[:, None] - 1) if len(before) else near
+        stable += np.any((np.abs(near) < STABLE[0]) & (np.abs(ratio) < STABLE[1]), axis=1).tolist()
+        orders += [order] * len(f)
+        found += f.tolist()
+        damping += z.tolist()
+        before = poles
+    return Stabilisation(
+        np.array(orders, dtype=np.int64), np.array(found), np.array(damping), np.array(stable, dtype=bool)
+    )
+
+
+def _candidates(sets: Sequence[_Set], stabilisation: Stabilisation) -> Complex:
+    """Poles that are tried, in the sets' unit: those of least-squares fits in the band, and some all along it."""
+    f = np.unique(np.concatenate([one.frequency_hz for one in sets]))
+    low, high = float(f[0]), float(f[-1])
+    inside = (stabilisation.frequency_hz > low) & (stabilisation.frequency_hz < high)
+    inside &= stabilisation.damping_ratio < HIGHEST_DAMPING
+    order = stabilisation.order[inside]
+    keep = order >= np.max(order, initial=0) - 12  # the highest orders, which have all the modes
+    hz, zeta = stabilisation.frequency_hz[inside][keep], stabilisation.damping_ratio[inside][keep]
+    # Between them every hundredth of the band, as sharp as the lines allow to see and as broad as usual modes
+    grid = np.linspace(low, high, 100)
+    spacing = float(np.median(np.diff(f))) if len(f) > 1 else 0.0
+    sharp = np.clip(spacing / np.maximum(grid, 1e-300), 1e-3, 0.05)
+    hz = np.concatenate([hz, grid, grid])
+    zeta = np.concatenate([zeta, sharp, np.full(100, 0.02)])
+    return 2 * np.pi * hz * (-zeta + 1j * np.sqrt(1 - zeta**2)) / sets[0].unit
+
+
+def _gains(sets: Sequence[_Set], fit: _Fit, candidates: Complex) -> Real:
+    """By how much χ² falls with each candidate beside the present poles, the noise between outputs left out, (k,)."""
+    X = _design(sets, fit.poles, fit.powers)
+    size = np.sqrt(sum(np.sum(np.abs(A) ** 2, axis=0) for A in X)) + 1e-300
+    q = sets[0].outputs.shape[1]
+    gains = np.zeros(len(candidates))
+    factors = []
+    for i in range(q):
+        w = [np.sqrt(one.precision[:, i, i].real)[:, None] for one in sets]
+        Q, _ = np.linalg.qr(_stacked([a * A / size for a, A in zip(w, X, strict=True)]))
+        factors.append(
+            (w, Q, _stacked([a * e[:, i, None] for a, e in zip(w, fit.residuals, strict=True)])[:, 0])
+        )
+    for k, pole in enumerate(candidates):
+        Z = _design(sets, np.array([pole]), ())
+        if any(one.step for one in sets):  # without the polynomials of the ends
+            nu = sets[0].inputs.shape[1]
+            keep = [c for c in range(Z[0].shape[1]) if c < 2 * nu or (c - 2 * nu) % (2 + ENDS) < 2]
+            Z = [A[:, keep] for A in Z]
+        for w, Q, e in factors:
+            z = _stacked([a * A for a, A in zip(w, Z, strict=True)])
+            z = z - Q @ (Q.T @ z)
+            norm = np.linalg.norm(z, axis=0)
+            z = z / np.maximum(norm, 1e-300)
+            G = z.T @ z + 1e-9 * np.eye(z.shape[1])
+            b = z.T @ e
+            gains[k] += 2 * float(b @ np.linalg.solve(G, b))
+    return gains
+
+
+def _stacked(parts: Sequence[Complex]) -> Real:
+    """Real and imaginary parts of several sets as rows of one array."""
+    return np.concatenate([half for part in parts for half in (part.real, part.imag)])
+
+
+def _by_evidence(sets: list[_Set], most: int) -> tuple[_Fit, Stabilisation, tuple[float, float]]:
+    """The fit with as many poles as BIC asks for, the terms outside the band likewise; and χ² with the noise as given.
+
+    Where the fit leaves more than the noise, that is what a further pole has to beat.
+    """
+    stabilisation = _least_squares_poles(sets)
+    candidates = _candidates(sets, stabilisation)
+    known = sets[0].known
+    fit = _refined(sets, np.zeros(0, dtype=np.complex128), RESIDUAL_POWERS[0])
+    while len(fit.poles) < most:
+        gains = _gains(sets, fit, candidates)
+        tried, better = candidates[:0], None
+        for k in np.argsort(-gains):
+            pole = candidates[k]
+            if np.any(np.abs(tried - pole) < 0.02 * np.abs(pole)):
+                continue
+            tried = np.append(tried, pole)
+            other = _refined(sets, np.append(fit.poles, pole), fit.powers)
+            if other.dof > 1 and _pays(other, fit, known):
+                better = other
+                break
+            if len(tried) == 3:
+                break
+        if better is None:
+            break
+        fit = better
+    for powers in RESIDUAL_POWERS[1:]:
+        other = _refined(sets, fit.poles, powers)
+        if not _pays(fit, other, known):
+            fit = other
+    first = (fit.chi2, float(fit.dof)) if known else (np.nan, float(fit.dof))
+    for _ in range(2):
+        sets[:] = _with_noise_of(sets, fit)
+        fit = _refined(sets, fit.poles, fit.powers)
+    fit, _ = _solved(sets, fit.poles, fit.powers, full=True)
+    scale = fit.chi2 / fit.dof
+    scale = max(1.0, scale) if known and not sets[0].step else scale
+    return replace(fit, covariance=fit.covariance * scale), stabilisation, first
+
+
+def _pays(larger: _Fit, smaller: _Fit, known: bool) -> bool:
+    """Whether the terms that one fit has more are worth it (BIC)."""
+    level = larger.chi2 / larger.dof
+    level = max(1.0, level) if known else level
+    return smaller.chi2 - larger.chi2 > level * (larger.unknowns - smaller.unknowns) * np.log(larger.data)
+
+
+def _with_noise_of(sets: Sequence[_Set], fit: _Fit) -> list[_Set]:
+    """The sets with the noise that the fit leaves, where it was not known or where lines are many.
+
+    Of records its mean over 61 lines, about half of whose freedom a mode may take: more than local models have.
+    """
+    out = []
+    for one, e in zip(sets, fit.residuals, strict=True):
+        lines = len(e)
+        free = max(0.1, fit.dof / fit.data)
+        outer = np.einsum("li,lj->lij", e, np.conj(e)) / free
+        if one.step and lines > 122:
+            half = 30
+            sums = np.concatenate([np.zeros((1, *outer.shape[1:])), np.cumsum(outer, axis=0)])
+            start = np.clip(np.arange(lines) - half, 0, lines - 2 * half - 1)
+            out.append(replace(one, noise=(sums[start + 2 * half + 1] - sums[start]) / (2 * half + 1)))
+        elif not one.known or one.step:
+            level = np.diag(np.mean(np.diagonal(outer, axis1=1, axis2=2).real, axis=0)).astype(np.complex128)
+            out.append(replace(one, noise=np.broadcast_to(level, outer.shape)))
+        else:
+            out.append(one)
+    return out
+
+
+def _modes_among(fit: _Fit, sets: Sequence[_Set]) -> tuple[Ints, int]:
+    """Numbers of the poles that are modes, by frequency, and how many others there are.
+
+    A mode swings, lies in the band, and its frequency is known to better than the width of the band's tenth.
+    """
+    f = np.abs(fit.poles) * sets[0].unit / (2 * np.pi)
+    zeta = -fit.poles.real / np.abs(fit.poles)
+    low = min(float(np.min(one.frequency_hz)) for one in sets)
+    high = max(float(np.max(one.frequency_hz)) for one in sets)
+    sd = (
+        np.sqrt(np.maximum(np.diagonal(fit.covariance)[: 2 * len(f)], 0)).reshape(-1, 2)
+        / np.abs(fit.poles)[:, None]
+    )
+    there = (f > low) & (f < high) & (zeta < HIGHEST_DAMPING) & (zeta > -3 * sd[:, 0])
+    there &= (sd[:, 1] < 0.1) & (sd[:, 0] < np.maximum(1.0 * np.abs(zeta), 0.01))
+    order = np.argsort(f)
+    return order[there[order]], int(np.sum(~there))
+
+
+# Shapes: the residues of a mode are φ pᵀ, of inputs and of the ends of records alike.
+
+
+@dataclass(frozen=True)
+class _Shape:
+    values: Complex
+    sd: Real
+    participation: Complex
+    participation_sd: Real
+
+
+def _shape(fit: _Fit, k: int, outputs: Sequence[Channel], nu: int, real: bool, unit: float) -> _Shape:
+    """Shape of pole k and its participations, by Gauss-Newton on Σ (R − φ pᵀ)ᵀ V⁻¹ (R − φ pᵀ).
+
+    V is the covariance of the residues R (outputs, columns).  `real`: φ is, up to the factor p.
+    """
+    m, ny = len(fit.poles), len(outputs)
+    q, count = fit.coefficients.shape
+    pairs = q // ny  # responses: pairs of output and input, one column each
+    per_input, per_end = 2 * m + len(fit.powers), 2 * m + ENDS
+    into = 1 if pairs > 1 or nu == 0 else nu
+    starts = [c * per_input for c in range(into if nu else 0)]
+    starts += list(range(len(starts) * per_input, count, per_end))
+    places = np.array([[start + 2 * k, start + 2 * k + 1] for start in starts])  # (columns, 2)
+    at = (np.arange(q)[:, None, None] * count + places).reshape(ny, -1, 2)  # (outputs, columns, re and im)
+    # As displacements: what a derivative has more is a factor λ, to which residues are rotated
+    rates = [0 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in outputs]
+    factor = (fit.poles[k] * unit) ** -np.array(rates, dtype=float)
+    turn = np.array([[[f.real, -f.imag], [f.imag, f.real]] for f in factor])  # (outputs, 2, 2)
+    R = np.einsum("iab,icb->ica", turn, fit.coefficients.ravel()[at])
+    V = fit.covariance[np.ix_(2 * m + at.ravel(), 2 * m + at.ravel())]
+    shaped = V.reshape(*at.shape, *at.shape)
+    V = np.einsum("iab,icbjdf,jef->icajde", turn, shaped, turn).reshape(V.shape)
+    size = np.sqrt(np.maximum(np.diagonal(V), 1e-300))
+    inverse = np.linalg.pinv(V / np.outer(size, size), hermitian=True) / np.outer(size, size)
+    Z = R[..., 0] + 1j * R[..., 1]
+    columns = Z.shape[1]
+    signal = np.sum(np.abs(Z) ** 2, axis=0) / np.sum(size.reshape(R.shape) ** 2, axis=(0, 2))
+    phi = Z[:, int(np.argmax(signal))]
+    reference = int(np.argmax(np.abs(phi)))
+    phi = phi / phi[reference]
+    phi[reference] = 1.0
+    phi = phi.real + 0j if real else phi
+    others = [i for i in range(ny) if i != reference]
+    parts = 1 if real else 2
+    p = Z[reference].copy()
+    for _ in range(20):
+        e = (Z - np.outer(phi, p)).ravel()
+        e_real = np.stack([e.real, e.imag], axis=-1).ravel()
+        J = np.zeros((ny, columns, 2, parts * len(others) + 2 * columns))
+        for n, i in enumerate(others):
+            for part in range(parts):
+                moved = p * (1j if part else 1.0)
+                J[i, :, :, parts * n + part] = np.stack([moved.real, moved.imag], axis=-1)
+        for c in range(columns):
+            for part in range(2):
+                moved = phi * (1j if part else 1.0)
+                J[:, c, :, parts * len(others) + 2 * c + part] = np.stack([moved.real, moved.imag], axis=-1)
+        A = J.reshape(-1, J.shape[-1])
+        W = np.linalg.pinv(A.T @ inverse @ A, hermitian=True)
+        step = W @ (A.T @ inverse @ e_real)
+        moved = step[: parts * len(others)].reshape(-1, parts)
+        phi = phi.copy()
+        phi[others] += moved[:, 0] + (0 if real else 1j * moved[:, 1])
+        p = p + step[parts * len(others) :: 2] + 1j * step[parts * len(others) + 1 :: 2]
+        if np.max(np.abs(step), initial=0) < 1e-9 * max(1.0, float(np.max(np.abs(p)))):
+            break
+    sd = np.zeros(ny)
+    variance = np.diagonal(W)
+    of_phi = variance[: parts * len(others)].reshape(-1, parts)
+    sd[others] = np.sqrt(np.maximum(np.mean(of_phi, axis=1), 0))
+    p_sd = np.sqrt(np.maximum(variance[parts * len(others) :].reshape(-1, 2).mean(axis=1), 0))
+    return _Shape(phi, sd, p, p_sd)

@@ -1,0 +1,195 @@
+"""Modes without a rig: unbiased, with intervals that cover, however the rig was driven; and back into `identify`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dashpot
+from dashpot.arrays import Real
+from dashpot.data.record import Record
+from dashpot.errors import DataError
+from dashpot.free.modes import MeasuredModes, _Set, _solved
+from dashpot.io.json_document import to_json
+from tests.unit.free.bench import Bench
+
+TWO = Bench((4.0, 9.0), (0.01, 0.02))
+CLOSE = Bench((4.0, 4.08, 9.0), (0.005, 0.005, 0.02))
+WIDE = Bench((3.0, 7.0, 12.0), (0.001, 0.1, 0.01), 3)
+
+
+def errors(found: MeasuredModes, bench: Bench) -> tuple[Real, Real, Real]:
+    """Errors of frequencies, damping ratios and parts of shapes in standard deviations; every mode is found."""
+    assert found.frequency_hz == pytest.approx(np.array(bench.frequency_hz), rel=0.02)
+    f = (found.frequency_hz - bench.frequency_hz) / found.frequency_sd
+    zeta = (found.damping_ratio - bench.damping) / found.damping_sd
+    shapes = []
+    for k in range(len(f)):
+        true = bench.shapes[: bench.points, k]
+        largest = int(np.argmax(np.abs(found.shapes[k]) * (found.shape_sd[k] == 0)))
+        others = np.arange(bench.points) != largest
+        away = (found.shapes[k] - true / true[largest])[others] / found.shape_sd[k][others]
+        shapes += [*away.real, *away.imag]
+    return f, zeta, np.array(shapes)
+
+
+def decays(bench: Bench, rng: np.random.Generator, count: int, seconds: float, noise: float) -> list[Record]:
+    """Free decays, displacements, from states drawn at random."""
+    found = []
+    for _ in range(count):
+        start = np.concatenate(
+            [rng.normal(size=len(bench.damping)) / bench.omega, rng.normal(size=len(bench.damping))]
+        )
+        found.append(bench.record(np.zeros((round(seconds * 1000), 0)), rng, noise, start, shift=True))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("bench", "seconds", "inputs", "records"), [(TWO, 40.0, 1, 1), (CLOSE, 60.0, 1, 1), (TWO, 20.0, 2, 2)]
+)
+def test_random_records(bench: Bench, seconds: float, inputs: int, records: int) -> None:
+    rng = np.random.default_rng(2)
+    tests = [bench.record(bench.noise(rng, seconds, inputs), rng, 0.02) for _ in range(records)]
+    found = dashpot.modes(tests, [f"u{i}" for i in range(inputs)], "a0,a1")
+    z = np.concatenate(errors(found, bench))
+    assert np.sqrt(np.mean(z**2)) < 1.6
+    assert 0.9 < found.chi2 / found.dof < 1.15
+    # Residues of the accelerance are λ² φ_i φ_j / 2jIm λ, of unit modal masses
+    lam = found.eigenvalues
+    largest = np.argmax(np.abs(found.shapes), axis=1)
+    at = np.arange(len(lam))
+    true = bench.shapes[largest, at] * bench.shapes[0, at] / (2j * lam.imag)
+    assert np.all(np.abs(found.participation[:, 0] - true) < 5 * found.participation_sd[:, 0] * 2**0.5)
+
+
+def test_free_decays() -> None:
+    found = dashpot.modes(decays(TWO, np.random.default_rng(1), 2, 8.0, 0.02), [], "x0,x1")
+    z = np.concatenate(errors(found, TWO))
+    assert np.sqrt(np.mean(z**2)) < 1.6
+    assert found.participation.shape == (2, 0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", ["random", "close", "damping", "decays", "responses"])
+def test_coverage(case: str) -> None:
+    """120 draws: coverage of 93 to 97 %, bias a fifth of the sd, each to three standard errors."""
+    f, zeta, shapes = [], [], []
+    bench = {"close": CLOSE, "damping": WIDE}.get(case, TWO)
+    for draw in range(120):
+        rng = np.random.default_rng(draw)
+        if case == "decays":
+            found = dashpot.modes(decays(TWO, rng, 1, 8.0, 0.02), [], "x0,x1")
+        else:
+            test = bench.record(bench.noise(rng, 20.0 if case == "random" else 60.0, 1), rng, 0.03)
+            outputs = [f"a{i}" for i in range(bench.points)]
+            found = dashpot.modes(
+                dashpot.frf(test, "u0", outputs) if case == "responses" else test, "u0", outputs
+            )
+        one, two, three = errors(found, bench)
+        f += one.tolist()
+        zeta += two.tolist()
+        shapes += three.tolist()
+    for z in (np.array(f), np.array(zeta), np.array(shapes)):
+        inside = np.mean(np.abs(z) < 1.96)
+        assert abs(inside - 0.95) < 0.02 + 3 * np.sqrt(0.05 * 0.95 / len(z)), (case, inside)
+        assert abs(np.mean(z)) < 0.2 + 3 / np.sqrt(len(z)), case
+
+
+def test_steps_and_covariance_are_those_of_differences() -> None:
+    """Slopes of residuals in the poles, with the coefficients solved again, against differences; χ² is the slow sum."""
+    rng = np.random.default_rng(0)
+    f = np.arange(1.0, 12.0, 0.25)
+    H = TWO.accelerance(f, 1)[:, :, 0]
+    noise = np.array([[2.0, 0.5 + 0.3j], [0.5 - 0.3j, 1.0]]) * 1e-6
+    half = np.linalg.cholesky(noise)
+    Y = H + (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape)) @ half.T / 2**0.5
+    one = _Set(
+        f, np.ones((len(f), 1), complex), Y, np.broadcast_to(noise, (len(f), 2, 2)), 0.0, 2 * np.pi * 12.0
+    )
+    poles = np.array([-0.004 + 0.34j, -0.01 + 0.76j])
+    fit, normal = _solved([one], poles, (0, 2), full=True)
+    [e] = fit.residuals
+    slow = sum(2 * (np.conj(row) @ np.linalg.solve(noise, row)).real for row in e)
+    assert fit.chi2 == pytest.approx(slow, rel=1e-6)
+    step, gradient = 1e-5, []
+    for k in range(4):
+        move = np.zeros(4)
+        move[k] = step
+        ends = [
+            _solved([one], poles + sign * (move[::2] + 1j * move[1::2]), (0, 2))[0].chi2 for sign in (1, -1)
+        ]
+        gradient.append((ends[0] - ends[1]) / (2 * step))
+    assert normal[:, -1] == pytest.approx(
+        -np.array(gradient) / 4, rel=1e-3, abs=1e-3 * np.abs(normal[:, -1]).max()
+    )
+
+
+def test_identify_and_compare_read_them(tmp_path: Path) -> None:
+    rig = dashpot.parse_rig(
+        """
+coordinates = ["x1", "x2"]
+[inputs]
+f = { kind = "force", at = "x1" }
+[masses]
+m1 = { at = "x1", value = 2 }
+m2 = { at = "x2" }
+[springs]
+k1 = { between = ["x1", "ground"] }
+k2 = { between = ["x1", "x2"] }
+[dampers]
+c1 = { between = ["x1", "ground"] }
+c2 = { between = ["x1", "x2"] }
+[channels]
+f = { of = "f" }
+a1 = { of = "x1", quantity = "acceleration", unit = "m/s²", noise = 0.01 }
+a2 = { of = "x2", quantity = "acceleration", unit = "m/s²", noise = 0.01 }
+"""
+    )
+    truth = {"m2": 1.0, "k1": 8000.0, "k2": 3000.0, "c1": 8.0, "c2": 3.0}
+    dwells = rig.simulate(truth, np.arange(2, 20, 0.5), amplitudes={"f": 5.0}, seed=1)
+    found = dashpot.modes(dwells, rig=rig)
+    assert found.points == ("x1", "x2")
+    path = tmp_path / "modes.json"
+    path.write_text(to_json(found.to_dict()), encoding="utf-8")
+    content = json.loads(path.read_text(encoding="utf-8"))
+    first = content["modes"][0]
+    assert set(first) >= {"frequency_hz", "damping_ratio", "shape"}
+    assert set(first["frequency_hz"]) == {"value", "sd"}
+    assert set(first["shape"]["x1"]) == {"re", "im", "sd"}
+    from_json = rig.identify(str(path), judge=False)
+    from_value = rig.identify(found.modal_data, judge=False)
+    for name, value in truth.items():
+        assert from_json[name].value == pytest.approx(from_value[name].value, abs=0.1 * from_json[name].sd)
+        assert abs(from_json[name].value - value) < 5 * from_json[name].sd
+
+
+def test_real_shapes_and_no_modes() -> None:
+    rng = np.random.default_rng(5)
+    test = TWO.record(TWO.noise(rng, 30.0, 1), rng, 0.02)
+    found = dashpot.modes(test, "u0", real=True)
+    assert np.all(found.shapes.imag == 0)
+    assert np.sqrt(np.mean(np.concatenate(errors(found, TWO)[:2]) ** 2)) < 2
+    noise = replace(test, values=rng.standard_normal(test.values.shape))
+    with pytest.raises(DataError, match=r"no excitation|no mode"):
+        dashpot.modes(noise, "u0")
+    with pytest.raises(DataError, match="no mode"):
+        dashpot.modes(noise, [], "a0,a1")
+
+
+ONE = """
+coordinates = ["x"]
+[masses]
+m = { at = "x" }
+[springs]
+k = { between = ["x", "ground"] }
+"""
+
+
+def test_a_models_modes_are_still_to_be_had() -> None:
+    model = dashpot.parse_rig(ONE).model
+    found = dashpot.modes(model, np.array([1.0, 4 * np.pi**2]))
+    assert found.frequency_hz == pytest.approx(1.0)
