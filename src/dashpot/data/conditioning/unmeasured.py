@@ -163,8 +163,8 @@ def _surroundings(record: Record, c: int, status: Ints) -> Iterator[tuple[slice,
     """Pieces of a channel with samples not measured: samples around, those of it, terms and columns (around, terms).
 
     Three periods with one more on either side.  The columns are an offset, a slope and two multiples of a steady sine,
-    or where that leaves more than noise would, of one whose amplitude and phase run.  Pieces with too few samples
-    measured are left out.
+    or where that leaves more than noise would, of one whose amplitude and phase run; an offset and a sine where few
+    samples are measured.
     """
     assert record.frequency_hz is not None
     period = max(round(len(status) / _periods(record)), 1)
@@ -173,13 +173,14 @@ def _surroundings(record: Record, c: int, status: Ints) -> Iterator[tuple[slice,
         around = slice(max(begin - period, 0), min(end + period, len(status)))
         measured = status[around] == 0
         time, y = record.time[around], record.values[around, c]
-        if not np.any(status[begin:end]) or np.count_nonzero(measured) < 6 + FREEDOM:
+        count, inside = int(np.count_nonzero(measured)), window(time)
+        terms = Terms(1, (1, 2)) if count >= 6 + FREEDOM else Terms(0)
+        if not np.any(status[begin:end]) or count < terms.count + 2:
             continue
-        terms, inside = Terms(1, (1, 2)), window(time)
         A = terms.columns(time, record.frequency_hz, *inside)
         for degree in range(1, MOST_BENDS + 1):
             more = Terms(degree + 1, (1, 2), degree)
-            free = int(np.count_nonzero(measured)) - more.count
+            free = count - more.count
             if free < FREEDOM:
                 break
             bent = more.columns(time, record.frequency_hz, *inside)

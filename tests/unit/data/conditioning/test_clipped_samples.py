@@ -219,3 +219,21 @@ def test_what_does_not_clip_or_tells_too_little_stays(kind: str) -> None:
         values = np.stack([values, values])
     record = Record(CHANNELS, record.time, values, F)
     assert marked([record]) == ([record], [])
+
+
+def test_dwells_of_one_period_and_few_samples_show_that_they_clip() -> None:
+    """Sixteen samples, ten of them measured: all had counted as measured, and values were ten deviations off."""
+    rng = np.random.default_rng(3)
+    t = np.arange(16) / (15 * F)
+    away, marks = [], 0
+    for _ in range(60):
+        phase = rng.uniform(0, 2 * np.pi)
+        y = np.stack([np.cos(2 * np.pi * F * t + phase), np.sin(2 * np.pi * F * t)], axis=1)
+        y = np.clip(y + 0.01 * rng.normal(size=(16, 2)), [-0.8, -2.0], [0.8, 2.0])
+        lines = spectrum([Record(CHANNELS, t, y, F)])
+        marks += "unclipped" in [note.code for note in lines.notes]
+        away.append(
+            (lines.amplitudes[0, 0] - np.exp(1j * phase)) / np.sqrt(lines.covariance[0, 0, 0].real / 2)
+        )
+    assert marks == 60
+    assert np.mean(np.abs(away) ** 2) < 2 * 2.5  # of t² with some six degrees of freedom 2 · 1.5
