@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -511,20 +511,6 @@ def without(c: int, problem: FitProblem, _: float = 1.0) -> FitProblem:
     dropped = np.zeros(problem.kept.shape, dtype=bool)
     dropped[:, c] = True
     return problem.without(dropped)
-
-
-def mistake_in_words(
-    model: Model, channels: Sequence[Channel], kind: str, of: tuple[str, ...], size: float
-) -> Phrase:
-    """What a person reads of a sign, a unit or an exchange that was found without an effect."""
-    named = [channel for name in of for channel in channels if channel.name == name]
-    match kind:
-        case "sign":
-            return turned(model, named[0], size)
-        case "swap":
-            return _swap(model, named[0], named[1], size)
-        case _:
-            return factor_in_words(model, named[0], size)
 
 
 def in_data(kind: str, of: tuple[str, ...], size: float, where: str) -> str:

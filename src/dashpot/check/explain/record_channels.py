@@ -10,22 +10,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from math import log
+from typing import cast
 
 import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
+from dashpot.channel import Channel
 from dashpot.check.explain.channels import (
-    RATIOS,
     conjugate,
     derivative,
     in_data,
-    mistake_in_words,
     sign,
     swap,
     unit,
 )
-from dashpot.check.explain.effect import Baseline, with_likely_causes
+from dashpot.check.explain.effect import Baseline, Effect, Effects, with_likely_causes
 from dashpot.check.explain.problem import FitProblem, FittedProblem, LineProblem
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError, Problem
@@ -57,15 +57,8 @@ def mistakes_by_equation(data: Prepared, misfit: float) -> tuple[Finding, ...]:
 
     misfit: χ² over its degrees of freedom as it is; ∞ where there is no fit.
     """
-    start = np.zeros(len(data.view.names))
-    base = LineProblem(data, np.ones(len(data.spectrum.channels)), (start,))
-    seen = Baseline(base, FittedProblem(base, start, np.inf, 0), ())
-    tried = [
-        (effect, size, effect.act(base, size))
-        for kind in (sign, conjugate, unit, derivative, swap)
-        for effect in kind(seen)
-        for size in effect.values
-    ]
+    base = LineProblem(data, np.ones(len(data.spectrum.channels)), (np.zeros(len(data.view.names)),))
+    tried = list(_supposed(base, (sign, conjugate, unit, derivative, swap)))
     left = np.array([_left(problem) for _, _, problem in tried])
     mending = np.flatnonzero(left < PROMISED * _left(base))
     found = []
@@ -82,6 +75,15 @@ def mistakes_by_equation(data: Prepared, misfit: float) -> tuple[Finding, ...]:
         if remaining < MENDED * misfit:
             found.append(effect.finding(size, remaining))
     return tuple(sorted(found, key=lambda each: each.remaining or 0.0))
+
+
+def _supposed(problem: FitProblem, kinds: Sequence[Effects]) -> Iterator[tuple[Effect, float, FitProblem]]:
+    """Effects that need no fit, at each of their sizes, and the problem with each."""
+    baseline = Baseline(problem, FittedProblem(problem, np.zeros(0), np.inf, 0), ())
+    for kind in kinds:
+        for effect in kind(baseline):
+            for size in effect.values:
+                yield effect, size, effect.act(problem, size)
 
 
 def _left(problem: FitProblem) -> float:
@@ -106,7 +108,6 @@ ALIKE = 3.0  # times what the best leaves: others are named, too
 IN_ITS_LINE = "mend the channel that is named next, in its line of the rig file or in the data"
 IN_ITS_DATA = "mend the channel that is named next, in the data of this record"
 KINDS = ("sign", "unit", "swap")
-Mistake = tuple[str, tuple[str, ...], float]  # kind, channels, size
 SHARES = (0.1, 0.3)  # of the largest speed or elongation, at which the smooth laws bend
 
 
@@ -157,49 +158,58 @@ def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:
     as_is = bench.contradiction(record)
     if as_is is None or not np.max(as_is.shares, initial=0.0) > CONTRADICTED:
         return ()
+    recorded = _Recorded(model, record)
+    inputs = {channel.name for channel in record.channels if measures_input(model, channel)}
+    outputs = len(record.channels) - len(inputs)
     tried = []
-    for mistake, mended in _mistakes(model, record, as_is.guessed):
-        left = bench.contradiction(mended)
-        if left is not None and left.much_less_than(as_is):
-            tried.append((left.total, mistake))
-    least = min((left for left, _ in tried), default=0.0)
-    near = [each for each in tried if each[0] <= ALIKE * least]
-    # Of two motions either may be turned, and outputs are more than inputs; of like mistakes the commoner first.
-    near.sort(key=lambda each: (_of_input(model, record, each[1][1]), KINDS.index(each[1][0]), each[0]))
-    found = []
-    for _, (kind, of, size) in near:
-        said = mistake_in_words(model, record.channels, kind, of, size)
-        number = None if kind == "swap" else size
-        found.append(Finding(kind, of, said.text, said.change, None, number, said.channels))
-    return tuple(found)
-
-
-def _of_input(model: Model, record: Record, of: tuple[str, ...]) -> bool:
-    return any(measures_input(model, c) for c in record.channels if c.name in of)
-
-
-def _mistakes(model: Model, record: Record, guessed: bool) -> Iterator[tuple[Mistake, Record]]:
-    """Mistakes, and the record as it would be without each.
-
-    guessed: only guesses tell what the rig does, of which the size of one motion, or of the input, says nothing.
-    """
-    values, channels = record.values, record.channels
-    inputs = [measures_input(model, channel) for channel in channels]
-    gross = [ratio for ratio in RATIOS if abs(np.log(ratio)) > np.log(GROSS)]
-    for c, channel in enumerate(channels):
-        ratios = RATIOS if not guessed else gross if not inputs[c] and inputs.count(False) > 1 else ()
-        for number in (-1.0, *ratios):
-            factor = np.ones(len(channels))
-            factor[c] = 1 / number
-            kind = "sign" if number < 0 else "unit"
-            yield (kind, (channel.name,), number), replace(record, values=values * factor)
-    for first, second in combinations(range(len(channels)), 2):
-        if inputs[first] != inputs[second]:
+    for effect, size, mended in _supposed(cast(FitProblem, recorded), (sign, unit, swap)):
+        of_inputs = len(inputs.intersection(effect.of))
+        if of_inputs == 1 < len(effect.of):
             continue
-        order = np.arange(len(channels))
+        # The size of one motion, or of the input, guesses do not tell.
+        if (
+            as_is.guessed
+            and effect.kind == "unit"
+            and (of_inputs or outputs < 2 or abs(log(size)) < log(GROSS))
+        ):
+            continue
+        left = bench.contradiction(cast(_Recorded, mended).record)
+        if left is not None and left.much_less_than(as_is):
+            tried.append((bool(of_inputs), KINDS.index(effect.kind), left.total, effect, size))
+    least = min((each[2] for each in tried), default=0.0)
+    near = [each for each in tried if each[2] <= ALIKE * least]
+    # Of two motions either may be turned, and outputs are more than inputs; of like mistakes the commoner first.
+    near.sort(key=lambda each: each[:3])
+    return tuple(effect.finding(size) for *_, effect, size in near)
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """A record as effects on channels act on it, in time."""
+
+    model: Model
+    record: Record
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The channels, in the order of the record."""
+        return self.record.channels
+
+    @property
+    def kept(self) -> Bools:
+        """Which numbers count, (samples, channels)."""
+        return np.ones(self.record.values.shape, dtype=bool)
+
+    def scaled(self, channel: int, factor: float) -> _Recorded:
+        """With one channel times a factor."""
+        turn = np.where(np.arange(len(self.channels)) == channel, factor, 1.0)
+        return replace(self, record=replace(self.record, values=self.record.values * turn))
+
+    def exchanged(self, first: int, second: int) -> _Recorded:
+        """With two channels exchanged."""
+        order = np.arange(len(self.channels))
         order[[first, second]] = second, first
-        names = (channels[first].name, channels[second].name)
-        yield ("swap", names, 1.0), replace(record, values=values[:, order])
+        return replace(self, record=replace(self.record, values=self.record.values[:, order]))
 
 
 @dataclass(frozen=True)
