@@ -9,6 +9,7 @@ nothing of the list is the matter: the rig as it is, with the discrepancy that i
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import log
 
@@ -81,6 +82,42 @@ EXCESSES = np.concatenate(
 
 Fitter = Callable[[Sequence[FitProblem]], list[FittedProblem]]
 Kinds = Sequence[tuple[float, Effects]]
+
+
+@dataclass
+class Trial:
+    """An effect on its way to the best of its sizes: the prior of its kind, a size, and the fit there.
+
+    bend, step  half of the curvature of χ² about the size, and the step to both sides of it, 0 at the end
+    """
+
+    effect: Effect
+    prior: float
+    size: float
+    fit: FittedProblem
+    bend: float = 0.0
+    step: float = 0.0
+
+    @property
+    def roughly(self) -> float:
+        """The logarithm of the evidence by χ² alone."""
+        return self.fit.roughly + log(self.prior * self.effect.share)
+
+    def at(self, move: float) -> float:
+        """The size so far away on its scale."""
+        return self.effect.size_at(self.effect.coordinate(self.size) + move, self.size)
+
+    def moved(self, problem: FitProblem, move: float) -> FitProblem:
+        """The problem with the effect at a size so far away, begun where this one ended."""
+        return self.effect.act(problem, self.at(move)).from_starts((self.fit.psi,))
+
+    def take(self, ends: Sequence[tuple[float, FittedProblem]]) -> bool:
+        """Go to the best of other sizes, if it is better; whether it was."""
+        size, fit = min(ends, key=lambda end: end[1].chi2)
+        better = fit.chi2 < self.fit.chi2
+        if better:
+            self.size, self.fit = size, fit
+        return better
 
 
 @dataclass(frozen=True)
@@ -256,11 +293,10 @@ def explain_records(
     of_channel  what a channel shows in the place of what all others say of it, by the records themselves
     """
     rough = _begun(lines, silent or {}, True, seed)
-    tried = _tried(rough, KINDS, fitted)
-    tried.sort(key=_rough_evidence, reverse=True)
+    tried = sorted(_tried(rough, KINDS, fitted), key=lambda each: -each.roughly)
     baseline = begun_at(problem, silent, True)
     as_is = baseline.as_is
-    in_full: list[tuple[Effect, float, float, FittedProblem]] = []
+    in_full: list[Trial] = []
     for effect, prior, size, starts in _chosen(baseline, tried):
         try:
             supposed = effect.act(baseline.problem, size)
@@ -270,14 +306,14 @@ def explain_records(
             psi for psi in (*starts, as_is.psi) if len(psi) == len(supposed.starts[0])
         ] or supposed.starts
         (fit,) = fitted([supposed.from_starts(begun)])
-        in_full.append((effect, prior, size, _on_the_same_data(baseline, fit)))
+        in_full.append(Trial(effect, prior, size, _on_the_same_data(baseline, fit)))
     again = tuple((prior, kind) for prior, kind in KINDS if kind in ON_RECORDS)
     of_records = (*again, (CHANGED_CHANNEL, of_channel))
     return _weighed_all(baseline, [*in_full, *_tried(baseline, of_records, fitted)], fitted)
 
 
 def _chosen(
-    baseline: Baseline, tried: Sequence[tuple[Effect, float, float, FittedProblem]]
+    baseline: Baseline, tried: Sequence[Trial]
 ) -> Iterator[tuple[Effect, float, float, tuple[Real, ...]]]:
     """Effects on whole records that are worth a fit with the transients of their ends, with starts of it.
 
@@ -287,7 +323,9 @@ def _chosen(
     problem = baseline.lines
     again = {kind.__name__ for kind in ON_RECORDS}
     of_lines = [
-        each for each in tried if each[0].found is None and not (each[0].unknown and each[0].kind in again)
+        each
+        for each in tried
+        if each.effect.found is None and not (each.effect.unknown and each.effect.kind in again)
     ]
     known = [
         (c, word)
@@ -316,18 +354,11 @@ def _chosen(
             elif near:
                 yield effect, prior, min(near, key=lambda each: abs(log(each / size))), (psi,)
     # Ends, which the lines do without, make forms of one channel's mistake alike that these tell apart.
-    likeliest = {each[0].of: _rough_evidence(each) for each in reversed(of_lines)}
-    of_lines = [each for each in of_lines if _rough_evidence(each) > likeliest[each[0].of] - TOLD_APART]
-    best = {each[0].kind: each for each in reversed(of_lines)}
-    for effect, prior, size, end in {
-        id(each[0]): each for each in (*best.values(), *of_lines[:IN_FULL])
-    }.values():
-        yield effect, prior, size, (end.psi,)
-
-
-def _rough_evidence(tried: tuple[Effect, float, float, FittedProblem]) -> float:
-    effect, prior, _, end = tried
-    return end.roughly + log(prior * effect.share)
+    likeliest = {each.effect.of: each.roughly for each in reversed(of_lines)}
+    of_lines = [each for each in of_lines if each.roughly > likeliest[each.effect.of] - TOLD_APART]
+    best = {each.effect.kind: each for each in reversed(of_lines)}
+    for each in {id(each.effect): each for each in (*best.values(), *of_lines[:IN_FULL])}.values():
+        yield each.effect, each.prior, each.size, (each.fit.psi,)
 
 
 def _calibrated(baseline: Baseline, c: int, word: str) -> tuple[FittedProblem, float, Real]:
@@ -360,32 +391,22 @@ def _step(
 ) -> Explanation:
     """All effects of some kinds tried once on a problem."""
     tried = _tried(baseline, kinds, fit)
-    if laws and not any(_settles(baseline, end) for *_, end in tried):
-        tried = _searched_afresh(baseline, tried)
-    if laws and not any(_settles(baseline, end) for *_, end in tried):
-        keeps_all = not any(end.reduced < _enough(baseline) for *_, end in tried)
-        found = laws_of_rig.nonlinear(baseline, thorough=keeps_all)
-        tried += [
-            (effect, OF_LAWS, effect.values[0], effect.found) for effect in found if effect.found is not None
-        ]
+    if laws and not any(_settles(baseline, each.fit) for each in tried):
+        _search_afresh(baseline, tried)
+    if laws and not any(_settles(baseline, each.fit) for each in tried):
+        keeps_all = not any(each.fit.reduced < _enough(baseline) for each in tried)
+        for effect in laws_of_rig.nonlinear(baseline, thorough=keeps_all):
+            assert effect.found is not None
+            tried.append(Trial(effect, OF_LAWS, effect.values[0], effect.found))
     return _weighed_all(baseline, tried, fit)
 
 
-def _weighed_all(
-    baseline: Baseline, tried: list[tuple[Effect, float, float, FittedProblem]], fit: Fitter
-) -> Explanation:
+def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter) -> Explanation:
     """The best of what was tried, their sizes sought closely, with their odds."""
-    priors = {id(effect): prior for effect, prior, _, _ in tried}
-    tried.sort(key=_rough_evidence, reverse=True)
-    closely = _closely(
-        baseline.problem, [(effect, size, end) for effect, _, size, end in tried[:CLOSELY]], fit
-    )
+    hopeful = sorted(tried, key=lambda each: -each.roughly)[:CLOSELY]
+    _closely(baseline.problem, hopeful, fit)
     block = baseline.problem.blocks(baseline.as_is.psi)
-    weighed = [
-        _weighed(effect, size, end, bend, priors[id(effect)], block)
-        for effect, size, end, bend in closely
-        if np.isfinite(end.chi2)
-    ]
+    weighed = [_weighed(each, block) for each in hopeful if np.isfinite(each.fit.chi2)]
     causes: list[Cause] = []
     for cause in sorted((each for each in weighed if each is not None), key=lambda each: -each.evidence):
         if not any(
@@ -436,22 +457,20 @@ def _settles(baseline: Baseline, end: FittedProblem) -> bool:
     return end.reduced < _enough(baseline) and roughly_lost(end.problem) == 0.0 and not end.parts
 
 
-def _tried(baseline: Baseline, kinds: Kinds, fit: Fitter) -> list[tuple[Effect, float, float, FittedProblem]]:
-    """Each effect with the prior of its kind, the best of its sizes, and the fit there."""
+def _tried(baseline: Baseline, kinds: Kinds, fit: Fitter) -> list[Trial]:
+    """Each effect of some kinds at the best of its sizes."""
     suppositions: list[tuple[Effect, float, float, FitProblem]] = []
-    best: dict[int, tuple[Effect, float, float, FittedProblem]] = {}
+    best: dict[int, Trial] = {}
     for prior, kind in kinds:
         for effect in kind(baseline):
             if effect.kind != "channel" and not baseline.silent.keys().isdisjoint(effect.of):
                 continue  # of what measured nothing no gain and no sign can be told
             if effect.found is not None:
-                best[id(effect)] = effect, prior, effect.values[0], effect.found
+                best[id(effect)] = Trial(effect, prior, effect.values[0], effect.found)
                 continue
             for size in effect.values:
-                try:
+                with suppress(DashpotError):  # a rig or channels that cannot be
                     suppositions.append((effect, prior, size, effect.act(baseline.problem, size)))
-                except DashpotError:  # a rig or channels that cannot be
-                    continue
     # Of another rig each is followed to its end: from a rig that does not fit, the first steps say little.
     suppositions.sort(key=lambda each: not each[0].unknown)
     count = sum(bool(each[0].unknown) for each in suppositions)
@@ -460,29 +479,23 @@ def _tried(baseline: Baseline, kinds: Kinds, fit: Fitter) -> list[tuple[Effect, 
     for (effect, prior, size, _), fitted_end in zip(suppositions, fits, strict=True):
         end = _on_the_same_data(baseline, fitted_end)
         there = best.get(id(effect))
-        if there is None or end.roughly > there[3].roughly:
-            best[id(effect)] = effect, prior, size, end
+        if there is None or end.roughly > there.fit.roughly:
+            best[id(effect)] = Trial(effect, prior, size, end)
     return list(best.values())
 
 
-def _searched_afresh(
-    baseline: Baseline, tried: list[tuple[Effect, float, float, FittedProblem]]
-) -> list[tuple[Effect, float, float, FittedProblem]]:
-    """The most hopeful of what changes the motion itself, searched from drawn rigs as well."""
-    far = [k for k, (effect, *_) in enumerate(tried) if effect.kind in FAR and effect.found is None]
-    far = sorted(far, key=lambda k: -tried[k][3].roughly)[:AFRESH]
-    supposed = {k: tried[k][0].act(baseline.problem, tried[k][2]) for k in far}
-    alike = {
-        k: each
-        for k, each in supposed.items()
-        if isinstance(each, LineProblem) and each.view is baseline.lines.view
-    }
-    again = list(tried)
-    for k, end in zip(alike, searched(list(alike.values())), strict=True):
-        effect, prior, size, before = tried[k]
-        if end.chi2 < before.chi2:
-            again[k] = effect, prior, size, _on_the_same_data(baseline, end)
-    return again
+def _search_afresh(baseline: Baseline, tried: Sequence[Trial]) -> None:
+    """Search the most hopeful of what changes the motion itself from drawn rigs as well."""
+    far = [each for each in tried if each.effect.kind in FAR and each.effect.found is None]
+    far = sorted(far, key=lambda each: -each.fit.roughly)[:AFRESH]
+    alike = []
+    for each in far:
+        supposed = each.effect.act(baseline.problem, each.size)
+        if isinstance(supposed, LineProblem) and supposed.view is baseline.lines.view:
+            alike.append((each, supposed))
+    for (each, _), end in zip(alike, searched([problem for _, problem in alike]), strict=True):
+        if end.chi2 < each.fit.chi2:
+            each.fit = _on_the_same_data(baseline, end)
 
 
 def _on_the_same_data(baseline: Baseline, end: FittedProblem) -> FittedProblem:
@@ -505,78 +518,41 @@ def _numbers_lost(problem: FitProblem) -> int:
     return 0 if problem.lost is None else int(np.sum(np.isfinite(problem.lost) * problem.numbers))
 
 
-@dataclass
-class _Sought:
-    """A size on its way to the best: its fit, half of the curvature of χ², and the step to both sides, 0 at the end."""
-
-    effect: Effect
-    size: float
-    fit: FittedProblem
-    bend: float = 0.0
-    step: float = 0.0
-
-    def at(self, move: float) -> float:
-        """The size so far away on its scale."""
-        return self.effect.size_at(self.effect.coordinate(self.size) + move, self.size)
-
-    def take(self, ends: Sequence[tuple[float, FittedProblem]]) -> bool:
-        """Go to the best of other sizes, if it is better; whether it was."""
-        size, fit = min(ends, key=lambda end: end[1].chi2)
-        better = fit.chi2 < self.fit.chi2
-        if better:
-            self.size, self.fit = size, fit
-        return better
-
-
-def _closely(
-    problem: FitProblem, found: Sequence[tuple[Effect, float, FittedProblem]], refit: Fitter
-) -> list[tuple[Effect, float, FittedProblem, float]]:
-    """Sizes at the vertex of the parabola through χ² at three of them, and half of its curvature there.
+def _closely(problem: FitProblem, every: Sequence[Trial], refit: Fitter) -> None:
+    """Take sizes to the vertex of the parabola through χ² at three of them, with half of its curvature there.
 
     Of sizes that are unknowns of the problem the curvature is their own information.
     """
-    every = [_Sought(effect, size, fit) for effect, size, fit in found]
     for each in every:
         if each.effect.width is not None and not each.effect.unknown:
             each.step = BEGUN * each.effect.width
     for _ in range(ROUNDS):
         sought = [each for each in every if each.step > 0]
-
-        def supposed(each: _Sought, move: float) -> FitProblem:
-            return each.effect.act(problem, each.at(move)).from_starts((each.fit.psi,))
-
-        ends = refit([supposed(each, side * each.step) for each in sought for side in (-1, 1)])
+        ends = refit([each.moved(problem, side * each.step) for each in sought for side in (-1, 1)])
         moves = []
         for each, low, high in zip(sought, ends[::2], ends[1::2], strict=True):
             bend = (low.chi2 - 2 * each.fit.chi2 + high.chi2) / each.step**2
             vertex = 0.0
             if np.isfinite(bend) and bend > 0:
                 each.bend = bend / 2
-                vertex = float(
-                    np.clip(
-                        0.5 * (low.chi2 - high.chi2) / each.step / bend, *(3 * each.step * np.array([-1, 1]))
-                    )
-                )
-            moves.append(vertex)
-        nearer = refit([supposed(each, move) for each, move in zip(sought, moves, strict=True)])
+                vertex = 0.5 * (low.chi2 - high.chi2) / each.step / bend
+            moves.append(float(np.clip(vertex, -3 * each.step, 3 * each.step)))
+        nearer = refit([each.moved(problem, move) for each, move in zip(sought, moves, strict=True)])
         for each, low, high, move, end in zip(sought, ends[::2], ends[1::2], moves, nearer, strict=True):
-            tried = [(each.at(-each.step), low), (each.at(each.step), high), (each.at(move), end)]
-            moved = each.take(tried)
+            moved = each.take([(each.at(-each.step), low), (each.at(each.step), high), (each.at(move), end)])
             if each.bend > 0:
                 scale = max(each.fit.reduced, 1.0) if np.isfinite(each.fit.reduced) else 1.0
                 each.step = min(each.step, 2 * float(np.sqrt(scale / each.bend)))
             elif not moved:
                 each.step = 0.0
-    return [(each.effect, each.size, each.fit, each.bend) for each in every]
 
 
-def _weighed(
-    effect: Effect, size: float, fit: FittedProblem, bend: float, prior: float, block: Ints
-) -> Cause | None:
+def _weighed(trial: Trial, block: Ints) -> Cause | None:
     """The cause with its evidence; None for a rig that cannot be built."""
+    effect, size, fit = trial.effect, trial.size, trial.fit
     likelihood = log_likelihood(fit, block)
     possible = log_possible(fit, effect.unknown)
-    evidence = likelihood + possible + log(prior * effect.share)
+    evidence = likelihood + possible + log(trial.prior * effect.share)
     scale = max(fit.reduced, 1.0) if np.isfinite(fit.reduced) else 1.0
     if effect.more:
         evidence -= 0.5 * effect.more * log(max(fit.dof, 2))
@@ -589,7 +565,7 @@ def _weighed(
         evidence -= log(len(effect.values))
     else:
         # No vaguer than the prior itself, where χ² bends too little to tell.
-        sharpness = max(bend / scale, 1 / effect.width**2)
+        sharpness = max(trial.bend / scale, 1 / effect.width**2)
         evidence += effect.log_prior(size) + 0.5 * log(2 * np.pi / sharpness)
     return Cause(effect, size, fit, likelihood, evidence, possible)
 
