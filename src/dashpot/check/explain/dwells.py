@@ -21,8 +21,10 @@ from dashpot.check.explain.problem import (
     searched,
 )
 from dashpot.check.explain.rigs import missing_elements, points_of, stated_values
+from dashpot.check.explain.score import score_tests
 from dashpot.model.elements import Element
 from dashpot.model.rigfile import element_line
+from dashpot.numerics.small_systems import scaled_inverse
 
 SUSPECTS = 40  # dwells of which each is left out in turn
 NAMED = 3  # of them whose label, phases or sign may be what is wrong
@@ -275,26 +277,17 @@ def _one_part_otherwise(first: FittedProblem, second: FittedProblem) -> list[tup
     alone, _, _ = first.problem.slopes(first.psi)
     if not (np.all(np.isfinite(information)) and np.all(np.isfinite(alone))):
         return []
-    every = list(there.names)
-    free = [every.index(name) for name in names]
-    unit = 1 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    own = unit[free]
-    with np.errstate(all="ignore"):
-        information, score = information * np.outer(unit, unit), score * unit
-        alone, away = alone * np.outer(own, own), (second.psi - first.psi) / own
-        pull = alone @ away
-        both = information[np.ix_(free, free)] + alone
-        found = []
-        freed = {each.name for each in added}
-        for element in (*(each for each in model.elements if each.name not in freed), *added):
-            if element.name not in every:
-                continue
-            j = every.index(element.name)
-            column = information[free, j]
-            whole = np.block([[both, column[:, None]], [column[None], information[j : j + 1, j : j + 1]]])
-            side = np.append(-pull, score[j])
-            if not (np.all(np.isfinite(whole)) and np.all(np.isfinite(side))):
-                continue
-            ends = np.linalg.lstsq(whole, side, rcond=1e-12)[0]
-            found.append((element, float(ends[-1] * unit[j]), float(away @ pull - side @ ends)))
+    free = [there.names.index(name) for name in names]
+    away = second.psi - first.psi
+    pull = alone @ away
+    both = information[np.ix_(free, free)] + alone
+    # Unknowns of both groups at the end of the second, and beside them each of the second alone.
+    whole = np.block([[both, information[free]], [information[:, free], information]])
+    apart = [False] * len(names) + [True] * len(there.names)
+    tests = score_tests([*names, *there.names], apart, whole, np.append(-pull, score), 0.0)
+    alike = float(away @ pull - pull @ scaled_inverse(both) @ pull)
+    if not np.isfinite(alike):
+        return []
+    elements = {each.name: each for each in larger.elements}
+    found = [(elements[t.name], t.step, alike - t.fall) for t in tests if t.name in elements]
     return sorted(found, key=lambda each: each[2])
