@@ -18,7 +18,7 @@ from scipy.special import logsumexp, stdtr
 from dashpot.arrays import Real
 from dashpot.check.element_evidence import record_candidates
 from dashpot.check.explain.effect import Effect, as_is
-from dashpot.check.explain.engine import UNLISTED, count_listed, groups
+from dashpot.check.explain.engine import UNLISTED, count_listed, indistinguishable
 from dashpot.check.explain.laws import APART, CERTAIN, feeds_motion, law_effect
 from dashpot.check.explain.rigs import missing_elements, missing_in_words, points_of
 from dashpot.check.explain.score import PARTS, steadiness, sums_of_parts
@@ -77,7 +77,7 @@ def _causes(model: Model, certain: Sequence[_CalledFor]) -> tuple[Finding, ...]:
     listed = listed[: count_listed([float(odds[k]) for k in listed])]
     return tuple(
         effects[k].finding(certain[k].value, odds=float(odds[k]), explains=certain[k].share, group=group)
-        for k, group in zip(listed, groups([likelihood[k] for k in listed]), strict=True)
+        for k, group in zip(listed, indistinguishable([likelihood[k] for k in listed]), strict=True)
     )
 
 

@@ -411,7 +411,7 @@ def too_far_off(shares: Mapping[str, Discrepancy | None]) -> list[Notice]:
     return [Notice("discrepancy", text, tuple(missed))]
 
 
-def change_in_words(notice: Notice) -> Phrase:
+def remedy_in_words(notice: Notice) -> Phrase:
     """A change in the course of a record, or a channel that ends, and what to do about it."""
     if notice.code == LIMITED:
         change = f"drive less, widen the range, or leave {notice.of[0]} out if others show the motion"
@@ -422,7 +422,7 @@ def change_in_words(notice: Notice) -> Phrase:
 
 def _finding_of(notice: Notice) -> Finding:
     """Such a change as what may be wrong; its remedy is not tried."""
-    said = change_in_words(notice)
+    said = remedy_in_words(notice)
     return Finding("channel" if notice.code == LIMITED else "time", notice.of, said.text, said.change, None)
 
 

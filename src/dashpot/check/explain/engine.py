@@ -430,7 +430,7 @@ def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter) -> Exp
         unique.setdefault((cause.effect.kind, cause.effect.of), cause)
     listed = list(unique.values())
     listed = listed[: count_listed([cause.odds for cause in listed])]
-    of_group = groups([cause.likelihood for cause in listed])
+    of_group = indistinguishable([cause.likelihood for cause in listed])
     grouped = tuple(replace(cause, group=group) for cause, group in zip(listed, of_group, strict=True))
     return Explanation(baseline.as_is, grouped, unlisted, nearest, every)
 
@@ -635,7 +635,7 @@ def _explained(as_is: FittedProblem, possible: float, cause: Cause) -> float:
     return 1 - min(after / before, 1.0) if before > 0 else 0.0
 
 
-def groups(likelihoods: Sequence[float]) -> list[int | None]:
+def indistinguishable(likelihoods: Sequence[float]) -> list[int | None]:
     """A number for each of those, by the logarithms of their likelihoods, that the data cannot tell apart."""
     found: list[list[int]] = []
     for k, likelihood in enumerate(likelihoods):
