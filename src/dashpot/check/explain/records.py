@@ -20,7 +20,7 @@ from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, said
 from dashpot.check.explain.engine import Explanation, explain_records
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.steady_lines import steady_lines, working_noise
-from dashpot.check.verdict import remedy_in_words, clipped_at
+from dashpot.check.verdict import clipped_at, remedy_in_words
 from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
 from dashpot.errors import DashpotError
 from dashpot.estimate.inference.time_course import Kind, TimeChange, change_notice, time_changes
