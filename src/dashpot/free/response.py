@@ -53,7 +53,8 @@ class MeasuredResponse:
     apart         (lines,): so many lines on, an estimate shares no data with this one (1: all are independent)
     method        "dwells", "periods" or "local", by what the data are
     distortion    of periodic tests, share of each output's motion (rms) at even and at odd multiples that are not
-                  driven, beyond noise and what the inputs put there; NaN where no such multiple is left out
+                  driven, beyond noise and what the inputs put there; 0 where chance may do as much, NaN where no such
+                  multiple is left out
     """
 
     inputs: tuple[Channel, ...]
@@ -374,7 +375,7 @@ def _of_periods(record: Record, nu: int) -> tuple[Spectrum, dict[str, tuple[floa
     X = fft.rfft(record.values[: count * each].reshape(count, each, -1), axis=1)[:, 1 : each // 2] * (
         2 / each
     )
-    skip = unsettled_periods(X)
+    skip = max(unsettled_periods(X), _still_settling(X))
     X = X[skip:]
     mean, variance = np.mean(X, axis=0), np.var(X, axis=0, ddof=1) / len(X)
     power = np.max(np.abs(mean[:, :nu]) ** 2 / np.max(np.abs(mean[:, :nu]) ** 2, axis=0), axis=1)
@@ -400,6 +401,19 @@ def _of_periods(record: Record, nu: int) -> tuple[Spectrum, dict[str, tuple[floa
     return replace(spectrum, notes=notes), dict(zip(names, distortion, strict=True))
 
 
+def _still_settling(X: Complex) -> int:
+    """Periods of the first half that differ from the last half by more than noise, in all lines of some channel.
+
+    X (periods, lines, channels).  What is left of a transient would stand as distortion where nothing is driven.
+    """
+    half = len(X) // 2
+    last = X[half:]
+    noise = np.sum(np.var(last, axis=0, ddof=1), axis=0) * (1 + 1 / len(last))
+    away = np.sum(np.abs(X[:half] - np.mean(last, axis=0)) ** 2, axis=1)
+    late = np.flatnonzero(np.any(away > (1 + 5 / X.shape[1] ** 0.5) * noise, axis=1))
+    return int(late[-1]) + 1 if len(late) else 0
+
+
 def _distortion(mean: Complex, variance: Real, driven: Bools, nu: int) -> list[tuple[float, float]]:
     """Of each output, rms at even and odd multiples that are not driven, as a share of that at driven ones.
 
@@ -411,16 +425,22 @@ def _distortion(mean: Complex, variance: Real, driven: Bools, nu: int) -> list[t
     inside = ~driven & (number > number[at[0]]) & (number < number[at[-1]])
     shares = []
     for i in range(nu, mean.shape[1]):
-        left = mean[:, i]
+        left, noise = mean[:, i], variance[:, i]
         if nu == 1:
-            H = mean[at, i] / mean[at, 0]
-            left = left - np.interp(number, number[at], H) * mean[:, 0]
+            H = np.interp(number, number[at], mean[at, i] / mean[at, 0])
+            left, noise = left - H * mean[:, 0], noise + np.abs(H) ** 2 * variance[:, 0]
         motion = float(np.mean(np.abs(mean[at, i]) ** 2))
         each = []
         for parity in (0, 1):
             some = inside & (number % 2 == parity)
-            beyond = np.mean(np.abs(left[some]) ** 2 - variance[some, i]) if np.any(some) else np.nan
-            each.append(float(np.sqrt(max(beyond, 0.0) / motion)) if np.isfinite(beyond) else np.nan)
+            count = int(np.sum(some))
+            beyond = float(np.mean(np.abs(left[some]) ** 2 - noise[some])) if count else np.nan
+            chance = float(
+                np.sqrt(np.sum(noise[some] ** 2)) / max(count, 1)
+            )  # of as many exponential numbers
+            each.append(
+                np.nan if not count else (max(beyond, 0.0) / motion) ** 0.5 if beyond > 3 * chance else 0.0
+            )
         shares.append((each[0], each[1]))
     return shares
 

@@ -43,10 +43,7 @@ def response_document(found: MeasuredResponse, where: str = "") -> Document:
         kept = len(found.independent().frequency_hz)
         some = "" if kept == len(f) else f"; {kept} lines, of which no two share data"
         said.append(f"Written to {where}{some}.")
-    distorted = [
-        (name, *("–" if not np.isfinite(part) else f"{100 * part:.2g} %" for part in parts))
-        for name, parts in found.distortion.items()
-    ]
+    distorted = [(name, *(_distortion(part) for part in parts)) for name, parts in found.distortion.items()]
     heard = columns_of(["output", "even multiples>", "odd multiples>"], distorted)
     return Document(
         title,
@@ -56,6 +53,12 @@ def response_document(found: MeasuredResponse, where: str = "") -> Document:
             *([section("", "Distortion beyond noise, of the motion (rms):", heard)] if distorted else []),
         ),
     )
+
+
+def _distortion(share: float) -> str:
+    if not np.isfinite(share):
+        return "all driven"
+    return f"{100 * share:.2g} %" if share else "none seen"
 
 
 def modes_document(found: MeasuredModes, where: str = "") -> Document:
@@ -81,10 +84,10 @@ def modes_document(found: MeasuredModes, where: str = "") -> Document:
         shapes.append(
             (str(k + 1), *(f"{size} ∠ {angle}" for (size, _), angle in zip(sizes, angles, strict=True)))
         )
-    said = ""
+    said = "" if found.inputs else "No input is named: fitted as a free decay.  "
     if np.isfinite(found.chi2):
         ratio = (found.chi2 / found.dof) ** 0.5
-        said = f"The fit leaves {ratio:.3g} × the noise."
+        said += f"The fit leaves {ratio:.3g} × the noise."
         if ratio > 1.2:
             said += " What is more than noise is in the standard deviations; a nonlinear or changing rig is likely."
     if where:
