@@ -13,7 +13,7 @@ from dashpot.arrays import Real
 from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL
 from dashpot.data.conditioning.regression import Terms, check_length, duration, window
 from dashpot.data.conditioning.settings import USUAL_DRIFT, Conditioning, Drift
-from dashpot.data.conditioning.steadiness import common_ramp, periods_of
+from dashpot.data.conditioning.steadiness import common_ramp, periods_of, wholly_measured
 from dashpot.data.record import Record
 from dashpot.errors import DataError, Problem
 from dashpot.notices import Notice
@@ -250,6 +250,8 @@ def drive_frequencies(records: Sequence[Record]) -> DriveFrequencies:
     has less than two periods: there a transient looks like another frequency.
     """
     stated = np.array([record.frequency_hz for record in records], dtype=float)
+    # Channels that measured all of their samples tell it at once: all share one drive
+    records = [wholly_measured(record) if np.any(record.whole_channels) else record for record in records]
     steps = [_evidence(record) for record in records]
     z = np.array([0.0 if step is None else step[0] / step[1] for step in steps])
     tested = int(np.sum([step is not None for step in steps]))

@@ -240,7 +240,7 @@ ROUNDED = 1e-6  # of an amplitude, and rad: what scatters less is exact
 @kept
 def _wander(record: Record) -> float | None:
     """p-value of one dwell having one frequency; None where it has too few periods, or repeats."""
-    record = _wholly_measured(record)
+    record = wholly_measured(record)
     f = record.frequency_hz
     blocks = None if record.values.ndim != 2 else period_blocks(record)
     if f is None or blocks is None or not np.any(np.ptp(record.values, axis=0)):
@@ -300,7 +300,7 @@ START = 8  # th part of a dwell in which transients decay
 
 def _fading(record: Record) -> float | None:
     """p-value of one dwell having one amplitude; None where it has too few periods, or repeats."""
-    record = _wholly_measured(record)
+    record = wholly_measured(record)
     if record.values.ndim != 2 or periods_of(record) < FEWEST_PERIODS or not record.channels:
         return None
     blocks = period_blocks(record)
@@ -332,7 +332,7 @@ def _of_blocks(blocks: Blocks) -> float | None:
     return float(fdtrc(BENT_AMPLITUDE, free, F))
 
 
-def _wholly_measured(record: Record) -> Record:
+def wholly_measured(record: Record) -> Record:
     """The record with those channels alone of which every sample is measured.
 
     Where their peaks are clipped the others know little of the amplitude.

@@ -173,26 +173,28 @@ def _surroundings(record: Record, c: int, status: Ints) -> Iterator[tuple[slice,
         around = slice(max(begin - period, 0), min(end + period, len(status)))
         measured = status[around] == 0
         time, y = record.time[around], record.values[around, c]
-        count, inside = int(np.count_nonzero(measured)), window(time)
+        count, f, inside = int(np.count_nonzero(measured)), record.frequency_hz, window(time)
         terms = Terms(1, (1, 2)) if count >= 6 + FREEDOM else Terms(0)
         if not np.any(status[begin:end]) or count < terms.count + 2:
             continue
-        A = terms.columns(time, record.frequency_hz, *inside)
-        for degree in range(1, MOST_BENDS + 1):
-            more = Terms(degree + 1, (1, 2), degree)
-            free = count - more.count
-            if free < FREEDOM:
-                break
-            bent = more.columns(time, record.frequency_hz, *inside)
-            before, after = (_left(of[measured], y[measured]) for of in (A, bent))
-            F = max(before - after, 0.0) / (more.count - terms.count) / max(after / free, 1e-300)
-            if fdtrc(more.count - terms.count, free, F) < LEVEL:
-                terms, A = more, bent
-        yield around, slice(begin, end), terms, A
-
-
-def _left(A: Real, y: Real) -> float:
-    return float(np.sum((y - A @ np.linalg.lstsq(A, y, rcond=None)[0]) ** 2))
+        bends = min(MOST_BENDS, (count - FREEDOM - 6) // 3)
+        if bends > 0:
+            # By the columns in this order, three more for each bend, one QR has what each is left with
+            every = Terms(bends + 1, (1, 2), bends)
+            more = [
+                [k + 2, every.count - 2 * (bends - k), every.count - 2 * (bends - k) + 1]
+                for k in range(bends)
+            ]
+            order = [0, 1, *every.wave(1), *every.wave(2), *(column for three in more for column in three)]
+            A = every.columns(time, f, *inside)[measured][:, order]
+            R: Real = np.linalg.qr(np.column_stack([A, y[measured]]), mode="r")  # type: ignore[assignment]
+            left, at = np.cumsum(R[::-1, -1] ** 2)[::-1], 0
+            for degree in range(1, bends + 1):
+                fewer, many = 6 + 3 * at, 6 + 3 * degree
+                F = (left[fewer] - left[many]) / (many - fewer) / max(left[many] / (count - many), 1e-300)
+                if fdtrc(many - fewer, count - many, F) < LEVEL:
+                    terms, at = Terms(degree + 1, (1, 2), degree), degree
+        yield around, slice(begin, end), terms, terms.columns(time, f, *inside)
 
 
 def _motion_there(record: Record, c: int, status: Ints) -> tuple[Real, Real]:
