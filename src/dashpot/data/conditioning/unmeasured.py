@@ -112,15 +112,15 @@ def _with_missing(record: Record, notices: list[Notice]) -> Record:
 
 
 def _departures(values: Real) -> Real:
-    """How far samples (samples, ...) are from the line between their neighbours; of the first and the last 0."""
+    """Samples (samples, ...) less the line between their neighbours; of the first and the last 0."""
     away = np.zeros(values.shape)
-    away[1:-1] = np.abs(values[1:-1] - (values[:-2] + values[2:]) / 2)
+    away[1:-1] = values[1:-1] - (values[:-2] + values[2:]) / 2
     return away
 
 
 def _spikes(column: Real) -> list[int]:
     """Samples that depart from the line between their neighbours far more than samples usually do."""
-    away = _departures(column)
+    away = np.abs(_departures(column))
     usual = float(np.median(away[1:-1])) if len(away) > 2 else 0.0
     far = (away[1:-1] > 2 * SPIKE * usual) & (away[1:-1] >= np.maximum(away[:-2], away[2:])) & (usual > 0)
     spikes: list[int] = (np.flatnonzero(far) + 1).tolist()
@@ -351,14 +351,23 @@ def _with_clipped_of_whole(record: Record, notes: list[Notice]) -> Record:
 
 def _alone(away: Real, at: int, c: int) -> bool:
     """Whether one sample of a channel departs far more than those around, where no other channel does; departures
-    (samples, channels)."""
+    (samples, channels).
+
+    Without it its neighbours would lie where they should: beside a step, one of them would not.
+    """
+    spike = away[at, c]
+    beside = away[[at - 1, at + 1], c] + spike / 2
+    away = np.abs(away)
     first, near = max(at - AROUND, 0), slice(max(at - 2, 0), at + 3)
     around = np.concatenate([away[first : near.start], away[near.stop : at + AROUND + 1]])
     if not len(around):
         return False
     usual = np.max(around, axis=0)
     others = np.arange(away.shape[1]) != c
-    return bool(away[at, c] > ALONE * usual[c] and np.all(away[near][:, others] <= AT_ONCE * usual[others]))
+    quiet = np.all(away[near][:, others] <= AT_ONCE * usual[others]) and np.all(
+        np.abs(beside) < abs(spike) / 4
+    )
+    return bool(away[at, c] > ALONE * usual[c] and quiet)
 
 
 def _runs_held(column: Real) -> list[tuple[int, int]]:

@@ -114,7 +114,8 @@ def test_a_sensor_that_ends_drifts_or_spikes_is_named_first(
     elif name == "gain":
         values[:, 1] *= 1.3
     else:
-        values[[300, 777, 1500], 1] += 6 * size
+        # of two samples each: single ones are taken as not measured
+        values[[300, 301, 777, 778, 1500, 1501], 1] += 6 * size
     estimate = dashpot.identify(model, replace(record, values=values), diagnose=True)
     assert estimate.assessment.verdict == "does not fit"
     first = estimate.assessment.findings[0]

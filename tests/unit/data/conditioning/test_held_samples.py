@@ -125,3 +125,16 @@ def test_a_spike_moves_no_line_by_more_than_noise() -> None:
     size = np.median(np.abs(clean.amplitudes[:, 0]))
     off = [np.max(np.abs(of.amplitudes - clean.amplitudes)[:, 0]) / size for of in (marked, as_is)]
     assert off[0] < 0.02 * off[1]
+
+
+def test_a_step_is_no_spike() -> None:
+    """Of a channel whose clock slips one sample departs as far as of a spike; beside it the next does as well."""
+    time = np.arange(2000) / 500
+    values = np.stack([np.sin(2 * np.pi * 1.3 * time), np.cos(2 * np.pi * 1.3 * time)], axis=1)
+    values += 0.002 * np.random.default_rng(4).standard_normal(values.shape)
+    channels = (Channel("x", {"x": 1.0}), Channel("u", {"u": 1.0}))
+    for slipped, missed in ((True, 0), (False, 1)):
+        shown = np.array(values)
+        shown[1000 : None if slipped else 1001, 0] += 1.0
+        (part,), _ = marked_whole(Record(channels, time, shown))
+        assert np.count_nonzero(part.marks()) == missed
