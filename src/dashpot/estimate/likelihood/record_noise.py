@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices, hermitian
+from dashpot.arrays import Bools, Complex, Real, diagonal_matrices, hermitian
 from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.spectrum import Spectrum, WholeRecord, flattened, in_chunks, taken_as_measured
@@ -451,72 +451,69 @@ def _smoothed(
 ) -> tuple[Real, Real]:
     """Variances (lines, channels) from the power of residuals, and their degrees of freedom (lines,).
 
-    Over 2·HALF_WINDOW + 1 lines of a record, over all its lines where they are white; records with fewer lines than
-    that are taken together.  `left` is the share of their freedom that the fit has left to the residuals.
+    All records together have noise of one size per sample, or in proportion to each channel's own size, with one course
+    over frequency.  Whichever explains the scatter between the records better counts; where neither does, each record
+    by itself, unless one is so short that it says next to nothing of its noise.  `left` is the share of their freedom
+    that the fit has left to the residuals.
     """
     variance, dof = np.array(power), np.array(spectrum.dof)
+    size = np.nan_to_num(np.abs(spectrum.amplitudes[0])) ** 2
     records = [
         np.flatnonzero((spectrum.stretch == number) & sought)
         for number, value in enumerate(spectrum.stretches)
         if isinstance(value, WholeRecord)
     ]
-    width = 2 * HALF_WINDOW + 1
-    short = [lines for lines in records if 0 < len(lines) < width]
-    for lines in records:
-        if len(lines) < width:
+    records = [its for its in records if len(its)]
+    if not records:
+        return variance, dof
+    lines = np.concatenate(records)
+    record = np.repeat(np.arange(len(records)), [len(its) for its in records])
+    order = np.argsort(spectrum.frequency_hz[lines], kind="stable")
+    freedom = np.full((len(lines), power.shape[1]), np.inf)
+
+    def means(values: Real) -> Real:
+        return np.bincount(record, values, len(records)) / np.bincount(record)
+
+    for c in range(power.shape[1]):
+        shown, its_size = power[lines, c], means(size[lines, c])[record]
+        there = (means(shown)[record] > 0) & (its_size > 0)  # in the others the channel is missing
+        if not np.any(there):
             continue
-        local_mean = smoothed(power[lines].astype(np.complex128), HALF_WINDOW).real
-        mean = np.mean(power[lines], axis=0)
-        # White where the mean powers of groups of lines differ by no more than chance
-        groups, white = len(lines) // width, np.ones(power.shape[1], dtype=bool)
-        if groups > 1:
-            of_groups = np.mean(power[lines[: groups * width]].reshape(groups, width, -1), axis=1)
-            p = [equal_variances(of_groups[:, c], 2.0 * width) for c in range(len(white))]
-            white = np.array(p) >= 0.01
-        variance[lines] = np.where(white, mean, local_mean)
-        dof[lines] = 2.0 * (len(lines) if np.all(white[outputs]) else width)
-    size = np.nan_to_num(np.abs(spectrum.amplitudes[0])) ** 2
-    if short:
-        _pooled(short, power, size, spectrum.samples, outputs, variance, dof, left)
+        kept, count = order[there[order]], np.bincount(record[there], minlength=len(records))
+        choices: list[tuple[float, Real, Real]] = []
+        for scale in (1 / spectrum.samples[lines], its_size):
+            expected, behind = np.ones(len(lines)), np.ones(len(lines))
+            course, behind[kept] = _course(shown[kept] / scale[kept])
+            expected[kept] = np.maximum(scale[kept] * course, np.finfo(float).tiny)
+            own = np.where(count > 0, means(shown / expected), 1.0)
+            level = np.sum(count * own) / np.sum(count)
+            scatter = 2 * float(np.sum(count * np.log(level / own)))
+            choices.append((scatter, level * expected, behind))
+        scatter, common, behind = min(choices, key=lambda choice: choice[0])
+        limit = float(chdtri(max(int(np.count_nonzero(count)) - 1, 1), 1e-3))
+        # With less than 8 degrees of freedom a record tells no noise of its own.
+        if len(records) > 1 and scatter > limit and 2 * left * float(np.min(count[count > 0])) >= 8.0:
+            for number in np.flatnonzero(count):
+                its = record == number
+                common[its], behind[its] = _course(shown[its])
+        variance[lines[there], c] = common[there]
+        freedom[:, c] = np.where(there, behind, np.inf)
+    least = np.min(freedom[:, outputs], axis=1, initial=np.inf)
+    dof[lines] = np.where(np.isfinite(least), least, 2.0 * np.bincount(record)[record])
     return np.maximum(variance, 1e-7**2 * np.mean(size, axis=0)), dof  # below, noise is rounding
 
 
-def _pooled(
-    records: list[Ints],
-    power: Real,
-    size: Real,
-    samples: Ints,
-    outputs: Bools,
-    variance: Real,
-    dof: Real,
-    left: float,
-) -> None:
-    """Noise of short records, white each: of one size per sample, or in proportion to each channel's own size.
+def _course(power: Real) -> tuple[Real, Real]:
+    """Variances (lines,) from the power of residuals in order of frequency, and their degrees of freedom.
 
-    Whichever of the two explains the scatter between the records better; where neither does, each record by itself,
-    unless one is so short that it says next to nothing of its noise.  Writes into `variance` and `dof`.
+    Over 2·HALF_WINDOW + 1 lines; over all of them where they are white, the mean powers of groups of lines differing by
+    no more than chance.
     """
-    count = np.array([len(lines) for lines in records], dtype=float)
-    mean = np.stack([np.mean(power[lines], axis=0) for lines in records])
-    per_sample = np.stack([np.full(power.shape[1], 1 / samples[lines[0]]) for lines in records])
-    relative = np.stack([np.mean(size[lines], axis=0) for lines in records])
-    together = True
-    seen = (mean > 0) & (relative > 0)
-    for c in np.flatnonzero(outputs & np.any(seen, axis=0)):
-        there = seen[:, c]  # in the others the channel is missing
-        shown, lines_each = mean[there, c], count[there]
-        choices = []
-        for scale in (per_sample[there, c], relative[there, c]):
-            level = np.sum(lines_each * shown / scale) / np.sum(lines_each)
-            with np.errstate(divide="ignore"):
-                scatter = 2 * float(np.sum(lines_each * np.log(level * scale / shown)))
-            choices.append((scatter, level * scale))
-        scatter, common = min(choices, key=lambda choice: choice[0])
-        limit = float(chdtri(max(len(shown) - 1, 1), 1e-3))
-        # With less than 8 degrees of freedom a record tells no noise of its own.
-        alike = scatter < limit or 2 * left * float(np.min(lines_each)) < 8.0
-        together &= alike
-        for number, value in zip(np.flatnonzero(there), common if alike else shown, strict=True):
-            variance[records[number], c] = value
-    for lines, each in zip(records, count, strict=True):
-        dof[lines] = 2.0 * (np.sum(count) if together else each)
+    width = 2 * HALF_WINDOW + 1
+    groups = len(power) // width
+    if groups > 1:
+        of_groups = np.mean(power[: groups * width].reshape(groups, width), axis=1)
+        if equal_variances(of_groups, 2.0 * width) < 0.01:
+            around = smoothed(power[:, None].astype(np.complex128), HALF_WINDOW)[:, 0].real
+            return around, np.full(len(power), 2.0 * width)
+    return np.full(len(power), np.mean(power)), np.full(len(power), 2.0 * len(power))
