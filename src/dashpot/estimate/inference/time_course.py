@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.special import chdtrc, fdtrc, ndtri
+from scipy.special import chdtrc, fdtrc, stdtrit
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.data.conditioning.still import smoothed
@@ -98,6 +98,20 @@ class _Histories:
         about = motion - np.mean(motion)
         slope = max(float(np.mean(about * square)) / max(float(np.mean(about**2)), TINY), 0.0)
         return np.maximum(np.mean(square) + slope * about, 0.0)
+
+    @property
+    def typical(self) -> float:
+        """Variance of the residual by its median, of which few large ones are no part."""
+        return float(np.median(self.residual**2)) / 0.455  # the median of a square of noise of variance 1
+
+    def usual(self) -> Real:
+        """Variance of the residual for the motion at each sample, (samples,).
+
+        Noise is taken for no quieter than a fifth where the rig hardly moves.
+        """
+        typical = self.typical
+        louder = self.louder_with_motion(np.full(len(self.residual), typical))
+        return np.maximum(louder, max(0.2 * typical, TINY))
 
 
 def time_change_notices(data: Prepared, solution: Solution) -> tuple[Notice, ...]:
@@ -193,8 +207,8 @@ def _jump(of: _Histories) -> list[TimeChange]:
     usual = np.maximum(usual, of.louder_with_motion(usual))
     size = np.abs(e) / np.sqrt(np.where(usual > 0, usual, np.inf))
     size[:edge] = size[len(size) - edge :] = 0.0  # the terms of the ends have their own errors
-    # Once in 10,000 records of a right rig, and 8 deviations at the least: noise of real sensors has tails.
-    far = np.flatnonzero(size > max(8.0, -float(ndtri(1e-4 * each / (2 * len(e))))))
+    # Once in 10,000 records of a right rig
+    far = np.flatnonzero(size > farthest((np.abs(e) / np.sqrt(of.usual()))[:: round(each)], 1e-4))
     if not len(far):
         return []
     largest, elsewhere = int(np.argmax(size)), np.ones(len(e), dtype=bool)
@@ -206,6 +220,31 @@ def _jump(of: _Histories) -> list[TimeChange]:
     times = 1 + int(np.count_nonzero(np.diff(far) > AT_ONCE * each))
     at_s = largest * of.step_s
     return [TimeChange("jump", (of.channel,), of.record, at_s, float(size[largest]), times=times)]
+
+
+def farthest(size: Real, chance: float) -> float:
+    """What the largest of independent noise exceeds with this chance, where most of it is like `size` (samples,), the
+    noise over its usual size.
+
+    Noise of real sensors has tails: it is Student's, with the scale of the median and the degrees of freedom of the
+    middle one of the largest of blocks of time, taken two of its deviations larger.  A few departures spoil a few
+    blocks.
+    """
+    blocks = min(BLOCKS, max(len(size) // LINES_EACH, 1))
+    each = len(size) // blocks
+    largest = np.max(size[: blocks * each].reshape(blocks, each), axis=1)
+    low, middle, high = np.quantile(largest, (0.25, 0.5, 0.75))
+    middle += (
+        2 * 1.25 * (high - low) / 1.35 / np.sqrt(blocks)
+    )  # 1.25, 1.35: of a normal's median and quartiles
+    usual = float(np.median(size))
+    if not usual > 0:
+        return np.inf
+    degrees = np.geomspace(1.0, 1e4, 400)
+    ratios = stdtrit(degrees, 0.5 + 0.5 * 0.5 ** (1 / each)) / stdtrit(degrees, 0.75)
+    dof = float(np.interp(-middle / usual, -ratios, degrees))
+    scale = max(usual / stdtrit(dof, 0.75), 1.0)
+    return float(scale * -stdtrit(dof, chance / (2 * len(size))))
 
 
 def _steps(of: _Histories) -> list[TimeChange]:
@@ -335,11 +374,8 @@ def _lag(
 def _of_blocks(of: _Histories, blocks: int) -> Real:
     """Mean squares of a channel in blocks of time, (3, blocks): residual, the same over what is usual, motion."""
     edges = np.linspace(0, len(of.residual), blocks, endpoint=False).astype(np.int64)
-    square = of.residual**2
-    typical = np.median(square) / 0.455  # the median of a square of noise of variance 1
-    usual = of.louder_with_motion(np.full(len(square), typical))
-    # Noise is taken for no quieter than a fifth where the rig hardly moves.
-    squares = (square, square / np.maximum(usual, 0.2 * typical), (of.prediction + of.residual) ** 2)
+    square = np.minimum(of.residual**2, 16.0 * of.typical)  # what is beyond shows at its moment
+    squares = square, square / of.usual(), (of.prediction + of.residual) ** 2
     count = np.diff(np.append(edges, len(square)))
     return np.stack([np.add.reduceat(values, edges) for values in squares]) / count
 
