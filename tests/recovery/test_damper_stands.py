@@ -78,6 +78,19 @@ def stribeck(d: Real, v: Real, p: dict[str, float]) -> Real:
     return np.tanh(v / p["q.v0"]) * (1 + (p["q.ratio"] - 1) * np.exp(-((v / p["q.vs"]) ** 2)))
 
 
+def iwan(d: Real, v: Real, p: dict[str, float]) -> Real:
+    """Of stiffness 1, cut as the law is: twelve pieces of the density of slips, and the last slip (Segalman 2005)."""
+    chi, beta = p["q.chi"], p["q.beta"]
+    most = p["q.slip"] * (1 + beta) / (beta + (chi + 1) / (chi + 2))
+    force, before = beta / (1 + beta) * stop(d, most), 0.0
+    for edge in 0.65 ** np.arange(11, -1, -1):
+        stiffness = edge ** (chi + 1) - before ** (chi + 1)
+        at_slip = (chi + 1) / (chi + 2) * (edge ** (chi + 2) - before ** (chi + 2))
+        force = force + stiffness / (1 + beta) * stop(d, most * at_slip / stiffness)
+        before = edge
+    return force
+
+
 # Unit force, whether a damper has the law, constants that are known, and the truth beside k and c
 LAWS: dict[str, tuple[Force, bool, str, dict[str, float]]] = {
     "cubic": (lambda d, v, p: d**3, False, "", {"q": 2e10}),
@@ -97,6 +110,7 @@ LAWS: dict[str, tuple[Force, bool, str, dict[str, float]]] = {
     "coulomb": (lambda d, v, p: np.tanh(v / p["q.v0"]), True, "", {"q": 40.0, "q.v0": 0.005}),
     "stribeck": (stribeck, True, "", {"q": 40.0, "q.v0": 0.002, "q.ratio": 1.6, "q.vs": 0.02}),
     "jenkins": (lambda d, v, p: stop(d, p["q.slip"]), False, "", {"q": 1e5, "q.slip": 4e-4}),
+    "iwan": (iwan, False, "", {"q": 1e5, "q.slip": 4e-4, "q.chi": -0.5, "q.beta": 0.8}),
     "backlash": (lambda d, v, p: play(d, p["q.gap"]), False, "", {"q": 1e5, "q.gap": 3e-4}),
     "bouc-wen": (bouc_wen, False, ", nu = 1", {"q": 1e5, "q.gamma": 1500.0, "q.delta": 500.0}),
     "maxwell": (
@@ -167,9 +181,13 @@ def standardised(law: str, kind: str, seed: int) -> Real:
 QUICK = ("cubic", "coulomb", "stribeck", "gap", "maxwell")
 
 
-@pytest.mark.parametrize("kind", ["dwells", "record"])
+# Iwan's element is refused in records
+CASES = [(law, kind) for law in LAWS for kind in ("dwells", "record") if (law, kind) != ("iwan", "record")]
+
+
 @pytest.mark.parametrize(
-    "law", [pytest.param(law, marks=() if law in QUICK else pytest.mark.long) for law in LAWS]
+    ("law", "kind"),
+    [pytest.param(*case, marks=() if case[0] in QUICK else pytest.mark.long) for case in CASES],
 )
 def test_every_law_is_found_without_guesses(law: str, kind: str) -> None:
     """One draw each; five standard deviations at most (p = 6e-7 of each of some 40 values)."""
@@ -200,9 +218,9 @@ def grid_cycle(law: str, values: dict[str, float], amplitude: float, frequency: 
     return np.array([energy, in_phase / amplitude, with_rate / amplitude / turn])
 
 
-@pytest.mark.parametrize("kind", ["dwells", "record"])
 @pytest.mark.parametrize(
-    "law", [pytest.param(law, marks=() if law == "maxwell" else pytest.mark.long) for law in LAWS]
+    ("law", "kind"),
+    [pytest.param(*case, marks=() if case[0] == "maxwell" else pytest.mark.long) for case in CASES],
 )
 def test_cycles_are_those_of_forces_on_a_grid_with_deviations_by_differences(law: str, kind: str) -> None:
     """At the estimate, with slopes by central differences of the grid's numbers; and the truth is held."""
@@ -232,6 +250,35 @@ def test_cycles_are_those_of_forces_on_a_grid_with_deviations_by_differences(law
         by_differences = np.sqrt(np.einsum("qi,ij,qj->q", slopes, estimate.covariance, slopes))
         np.testing.assert_allclose(spread, by_differences, rtol=0.1, atol=1e-12)
         assert np.all(np.abs(numbers - grid_cycle(law, truth, *of)) < 5 * spread + 1e-3 * scale)
+
+
+def test_iwan_is_refused_in_records_and_follows_the_integral_of_its_density() -> None:
+    """Loops of the pieces against F(u) = ∫ R φ^χ min(u, φ) dφ + S min(u, φ_max), pushed once: 1 % of the slip force."""
+    rig, truth = stand("iwan")
+    with pytest.raises(dashpot.UsageError, match="iwan"):
+        rig.identify(wide("iwan", truth, np.random.default_rng(1)))
+    chi, beta, slip = truth["q.chi"], truth["q.beta"], truth["q.slip"]
+    most = slip * (1 + beta) / (beta + (chi + 1) / (chi + 2))
+    u = np.linspace(0, 1.2 * most, 4001)
+    phi = most * (np.arange(20000) + 0.5) / 20000
+    density = phi**chi * (chi + 1) / most ** (chi + 1) / (1 + beta)
+    smooth = [
+        np.sum(density * np.minimum(x, phi)) * most / 20000 + beta / (1 + beta) * min(x, most)
+        for x in u[::200]
+    ]
+    np.testing.assert_allclose(iwan(u, u, truth)[::200], smooth, atol=0.01 * slip)
+    assert iwan(u, u, truth)[-1] == pytest.approx(slip)  # F_S over K_T
+
+
+@pytest.mark.long
+def test_integration_of_iwan_is_that_of_its_pieces() -> None:
+    """200 samples of a record with noise of 2 % of the whole record's force."""
+    rig, truth = stand("iwan")
+    columns = wide("iwan", truth, np.random.default_rng(3))
+    (shown,) = rig.simulate(truth, {name: columns[name][:200] for name in ("time_s", "u")})
+    force = shown.values[:, [channel.name for channel in shown.channels].index("F")]
+    noise = FORCE_NOISE * np.sqrt(np.mean(columns["F"] ** 2))
+    assert np.sqrt(np.mean((force - columns["F"][:200]) ** 2)) < 1.15 * noise
 
 
 def test_cycles_of_two_moving_ends_and_of_amplitudes_that_are_asked_for() -> None:

@@ -751,7 +751,7 @@ class _Place:
         constants = np.array([constant.value for constant in law.constants], dtype=float)
         way = next(element.along[point] * factor for point, factor in self.along.items())
         d, v = way * self.elongation, way * self.rate
-        z = operated_states(law, d, constants[0]) if law.operator else d
+        z = operated_states(law, d, constants) if law.operator else d
         return way * np.broadcast_to(law(d, v, z, constants).value, v.shape)
 
 

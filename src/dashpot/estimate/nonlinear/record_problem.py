@@ -81,7 +81,7 @@ def record_constants(model: Model, data: RecordData) -> RecordConstants:
     moved = [row for row in active if model.elements[row].law.power < 2]
     shown = [c for c, (order, drift) in channels if order == 0 or (order == 1 and not drift)]
     no_velocity = _hidden(np.concatenate([model.B[moved], data.on_x[shown]]), bases)
-    states = sum(law is not None and law.has_state for law in law_of)
+    states = sum(law.states for law in law_of if law is not None)
     starts = np.delete(np.arange(2 * n + states), [*no_position, *(n + i for i in no_velocity)])
     # A constant of a force, or of a base's acceleration that pulls at masses of size 1, leaves no trace beyond that
     # of another start in a rig whose laws depend on motion alone and whose springs can carry none of it.
@@ -429,7 +429,7 @@ class RecordProblem:
             trail=Trail(self.motions()),
         )
         own = psi[self.inner :].reshape(len(self.records), self.states)
-        laws = sum(e.force_law is not None and e.force_law.has_state for e in more)
+        laws = sum(e.force_law.states for e in more if e.force_law is not None)
         if laws:
             first = len(self.begun[0])
             larger = replace(
@@ -459,7 +459,7 @@ class RecordProblem:
             states, starts = [motion.state], [motion.starts]
             for row, law in new:
                 width = next(c.value for c in law.constants if c.value is not None)
-                z = operated_states(law, x @ larger.B[row] + u @ larger.D[row], width)
+                z = operated_states(law, x @ larger.B[row] + u @ larger.D[row], np.array([width]))
                 states.append(z[:, None])
                 starts.append(z[first, None])
             moved[k] = replace(motion, state=np.hstack(states), starts=np.hstack(starts))

@@ -50,7 +50,7 @@ class WeakForm:
             g = constants[inner]
             z = d[:, row]
             if law.operator:
-                z = operated_states(law, z, float(g[0]))
+                z = operated_states(law, z, g)
             elif law.rate is not None:
                 z = rated_states(law, z, v[:, row], self.step_s, g)
             unit[:, row] = law(d[:, row], v[:, row], z, g).value

@@ -344,8 +344,9 @@ def start_of(model: Model, data: RecordData, at: RecordedMotion | None) -> tuple
 
 
 def laws_with_state(model: Model) -> list[tuple[int, ForceLaw]]:
-    """Elements whose laws carry a state, by their rows, in order."""
-    return [(int(row), law) for row, law in zip(model.nonlinear, model.laws, strict=True) if law.has_state]
+    """Elements whose laws carry a state, by their rows, in order; once for each of their states."""
+    pairs = zip(model.nonlinear.tolist(), model.laws, strict=True)
+    return [(row, law) for row, law in pairs for _ in range(law.states)]
 
 
 def largest_states(model: Model, theta: Real, data: RecordData, at: RecordedMotion | None) -> Real:

@@ -171,7 +171,11 @@ def constants_to_try(model: Model, elongation: Real, speed: Real) -> list[Real]:
             pure = not metre and not second
             scale = 1.0 if pure else largest ** (metre + second) * fastest**-second
             # Pure numbers, or shares of the largest elongation or speed
-            sizes = (0.3, 0.8, 1.3, 2.5) if pure else (0.01, 0.03, 0.1, 0.2, 0.35, 0.6, 0.85)
+            sizes = (
+                law.pure.get(constant.name, (0.3, 0.8, 1.3, 2.5))
+                if pure
+                else (0.01, 0.03, 0.1, 0.2, 0.35, 0.6, 0.85)
+            )
             shares = np.array(sizes)[:: 3 if unknown > 2 else 1]
             low = -np.inf if constant.lower is None else constant.lower
             high = np.inf if constant.upper is None else constant.upper

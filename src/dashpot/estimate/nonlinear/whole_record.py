@@ -78,6 +78,11 @@ def fit_records(
             "the rig has no nonlinear element",
             cure="use `identify`, which knows whole records of linear rigs",
         )
+    if slow := [law.text for law in model.laws if law.states > 1]:
+        raise UsageError(
+            f"the law {slow[0]} is identified from settled dwells, and these are continuous records",
+            cure="give dwells, with frequency_hz, or take jenkins or bouc-wen in its place",
+        )
     data = tuple(arranged(model, record) for record in records)
     if len({(record.names, record.bases.names, record.bases.orders) for record in data}) > 1:
         raise DataError(

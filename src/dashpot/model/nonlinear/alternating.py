@@ -157,23 +157,24 @@ def _with_state(
     W, G = there.shape[1], g.shape[1]
     along = {"d": there[None], "v": omega[:, None, None] * rate}
     if law.operator:
-        z, stays, jump = _operated(law, d, g)
+        z, tangents = _operated(law, d, g, there, slopes)
     else:
         z, stays, jump = _rated(law, d, v, g, omega, start)
     at = law(d, v, z, g)
     force = np.broadcast_to(at.value, d.shape)
     if not slopes:
         return force, z, np.zeros((N, times, 0)), np.zeros((N, times, 0))
-    # dz at the next instant: `stays` times dz now, and what motion and constants add on the way.
-    added = np.zeros((N, times, W + G))
-    for name in ("d", "v"):
-        for factor, shift in ((jump.get(f"{name} now"), 0), (jump.get(f"{name} next"), -1)):
-            if factor is not None:
-                added[..., :W] += factor[..., None] * np.roll(along[name], shift, axis=1)
-    for j, name in enumerate(law.constant_names):
-        if name in jump:
-            added[..., W + j] += jump[name]
-    tangents = repeating(stays, added)
+    if not law.operator:
+        # dz at the next instant: `stays` times dz now, and what motion and constants add on the way.
+        added = np.zeros((N, times, W + G))
+        for name in ("d", "v"):
+            for factor, shift in ((jump.get(f"{name} now"), 0), (jump.get(f"{name} next"), -1)):
+                if factor is not None:
+                    added[..., :W] += factor[..., None] * np.roll(along[name], shift, axis=1)
+        for j, name in enumerate(law.constant_names):
+            if name in jump:
+                added[..., W + j] += jump[name]
+        tangents = repeating(stays, added)
     by_z = np.broadcast_to(at.slopes.get("z", np.zeros_like(d)), d.shape)
     total = by_z[..., None] * tangents
     for name in ("d", "v"):
@@ -206,14 +207,17 @@ Jumps = dict[
 ]  # what the next state gains by d and v now and next, and by constants, each (N, times)
 
 
-def operated_states(law: ForceLaw, d: Real, width: float) -> Real:
-    """The state of stop or play along a history d (samples,) that begins with none, (samples,)."""
-    z, states, before, stop = 0.0, [], float(d[0]), law.operator == "stop"
-    for now in d.tolist():
-        z = min(max(z + now - before, -width), width) if stop else min(max(z, now - width), now + width)
-        before = now
-        states.append(z)
-    return np.array(states)
+def operated_states(law: ForceLaw, d: Real, g: Real) -> Real:
+    """The state of stop or play along a history d (samples,) that begins with none, (samples,); constants g (G,)."""
+    sliders, stop, total = law.sliders(g), law.operator == "stop", np.zeros(len(d))
+    for weight, width in zip(sliders.weights.tolist(), sliders.widths.tolist(), strict=True):
+        z, states, before = 0.0, [], float(d[0])
+        for now in d.tolist():
+            z = min(max(z + now - before, -width), width) if stop else min(max(z, now - width), now + width)
+            before = now
+            states.append(z)
+        total += weight * np.array(states)
+    return total
 
 
 def rated_states(law: ForceLaw, d: Real, v: Real, step_s: float, g: Real) -> Real:
@@ -238,28 +242,43 @@ def rated_states(law: ForceLaw, d: Real, v: Real, step_s: float, g: Real) -> Rea
     return z
 
 
-def _operated(law: ForceLaw, d: Real, g: Real) -> tuple[Real, Real, Jumps]:
-    """Stop and play, exact where the elongation does not turn between two instants: state, its share kept, gains."""
+def _operated(law: ForceLaw, d: Real, g: Real, there: Real, slopes: bool) -> tuple[Real, Real]:
+    """Stop and play, exact where the elongation does not turn between two instants: the state, and its tangents
+    (N, times, W + G) along harmonics and constants.  Sums of operators are worked through side by side."""
     N, times = d.shape
-    width, stop = g[:, 0], law.operator == "stop"
-    z, states = np.zeros(N), np.zeros((N, times))
-    following = np.roll(d, -1, axis=1)
-    moves = (following - d).T if stop else np.zeros((times, N))
+    W, G = there.shape[1], g.shape[1]
+    sliders, stop = law.sliders(g), law.operator == "stop"
+    J = sliders.weights.shape[1]
+    wide, width = np.repeat(d, J, axis=0), sliders.widths.reshape(N * J)
+    z, states = np.zeros(N * J), np.zeros((N * J, times))
+    following = np.roll(wide, -1, axis=1)
+    moves = (following - wide).T if stop else np.zeros((times, N * J))
     low, high = (
-        np.broadcast_to(side, (times, N))
+        np.broadcast_to(side, (times, N * J))
         for side in ((-width, width) if stop else (following.T - width, following.T + width))
     )
     for _ in range(2):  # they repeat from the second period on
         for k in range(times):
             states[:, k] = z
             z = np.minimum(np.maximum(z + moves[k], low[k]), high[k])
-    free, centre = (states + following - d, np.zeros_like(d)) if stop else (states, following)
+    each = states.reshape(N, J, times)
+    total = np.einsum("nj,njt->nt", sliders.weights, each)
+    if not slopes:
+        return total, np.zeros((N, times, 0))
+    free, centre = (states + following - wide, np.zeros_like(wide)) if stop else (states, following)
     above, below = free > centre + width[:, None], free < centre - width[:, None]
     inside = (~(above | below)).astype(float)
     edge = above.astype(float) - below.astype(float)
-    gains = {law.constant_names[0]: edge}
-    gains |= {"d now": -inside, "d next": inside} if stop else {"d next": 1 - inside}
-    return states, inside, gains
+    now, later = (-inside, inside) if stop else (None, 1 - inside)
+    added = np.zeros((N * J, times, W + G))
+    added[..., :W] = later[..., None] * np.roll(there, -1, axis=0)
+    if now is not None:
+        added[..., :W] += now[..., None] * there
+    added[..., W:] = edge[..., None] * sliders.by_widths.reshape(N * J, 1, G)
+    tangents = repeating(inside, added).reshape(N, J, times, W + G)
+    tangent = np.einsum("nj,njtq->ntq", sliders.weights, tangents)
+    tangent[..., W:] += np.einsum("njt,njg->ntg", each, sliders.by_weights)
+    return total, tangent
 
 
 def _rated(

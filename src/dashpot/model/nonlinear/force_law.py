@@ -5,12 +5,14 @@ Three kinds (THEORY §9): functions of (d, v); laws with a state z whose rate is
 
     stop   z follows d but stays within ±g       a spring in series with a slider: the Jenkins element
     play   z follows d but lags by up to g       backlash
+
+or sums of such operators, z = Σ_j w_j z_j with widths s_j, both functions of the constants (Iwan's element).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
 from types import MappingProxyType
@@ -18,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 
-from dashpot.arrays import Real
+from dashpot.arrays import Complex, Real
 from dashpot.errors import ModelError
 from dashpot.model.nonlinear.expression import Dual, Exponents, Expression, dimensions, parse
 
@@ -33,6 +35,9 @@ class NamedLaw:
     rate: str = ""
     operator: Operator = ""
     constants: tuple[str, ...] = ()
+    pure: Mapping[str, tuple[float, ...]] = field(
+        default_factory=dict
+    )  # constants without a unit: values to begin with
 
 
 _BRISTLE = "v - abs(v)*z/(slip*(1 + (ratio - 1)*exp(-(v/vs)**2)))"
@@ -43,6 +48,12 @@ _ANYWHERE: Mapping[str, NamedLaw] = {
     "one-sided": NamedLaw("max(d - gap, 0)"),
     "bilinear": NamedLaw("max(d, 0) + ratio*min(d, 0)"),
     "jenkins": NamedLaw("z", operator="stop", constants=("slip",)),
+    "iwan": NamedLaw(
+        "z",
+        operator="stop",
+        constants=("slip", "chi", "beta"),
+        pure=MappingProxyType({"chi": (-0.75, -0.5, -0.2), "beta": (0.1, 0.5, 2.0)}),
+    ),
     "backlash": NamedLaw("z", operator="play", constants=("gap",)),
     "bouc-wen": NamedLaw("z", rate="v - (gamma*abs(v)*sign(z) + delta*v)*abs(z)**nu"),
     "maxwell": NamedLaw("z", rate="v - z/tau"),
@@ -81,6 +92,43 @@ class Constant:
         return self.value is None or self.sd is not None
 
 
+# Iwan's element after Segalman 2005, Journal of Applied Mechanics 72, 752: Jenkins elements in parallel whose slips φ
+# have the density R φ^χ up to φ_max, and one more there. Of stiffness K_T = 1 before it slips and of the force
+# F_S = K_T · slip when all of it does,
+#
+#     φ_max = slip (1 + β)/(β + (χ + 1)/(χ + 2))      the shares 1/(1 + β) of K_T of all, β/(1 + β) of the last.
+#
+# The density is cut at edges that shrink in proportion; each piece is one Jenkins element of its stiffness and force.
+
+PIECES = 12  # into which the density is cut
+SHRINK = 0.65  # of neighbouring edges: elongations from 0.6 % of φ_max on make something slip
+LEAST_CHI = -0.99  # of χ > −1: what is less has no finite stiffness, and no number comes of it
+
+
+def _iwan(slip: Complex, chi: Complex, beta: Complex) -> tuple[Complex, Complex]:
+    """Weights and slips of the pieces (..., PIECES + 1), of constants (...,)."""
+    chi = np.where(chi.real < LEAST_CHI, np.nan, chi)
+    edges = np.concatenate([[0.0], SHRINK ** np.arange(PIECES - 1.0, -1, -1)])
+    with np.errstate(all="ignore"):
+        most = slip * (1 + beta) / (beta + (chi + 1) / (chi + 2))
+        stiffness, force = (
+            np.diff(np.where(edges > 0, edges ** (chi[..., None] + more), 0.0), axis=-1) for more in (1, 2)
+        )
+        slips = ((chi + 1) / (chi + 2))[..., None] * force / stiffness
+        weights = np.concatenate([stiffness, beta[..., None]], axis=-1) / (1 + beta)[..., None]
+        return weights, most[..., None] * np.concatenate([slips, np.ones_like(beta)[..., None]], axis=-1)
+
+
+@dataclass(frozen=True)
+class Sliders:
+    """The operators of a law: weights and widths (..., J), and their slopes along the constants (..., J, G)."""
+
+    weights: Real
+    widths: Real
+    by_weights: Real
+    by_widths: Real
+
+
 @dataclass(frozen=True)
 class ForceLaw:
     """A nonlinear law.
@@ -102,6 +150,34 @@ class ForceLaw:
     def has_state(self) -> bool:
         """Whether the force depends on more than the present d and v."""
         return self.rate is not None or bool(self.operator)
+
+    @property
+    def _named(self) -> NamedLaw:
+        return _ANYWHERE.get(self.text.strip().lower(), NamedLaw(""))
+
+    @property
+    def pure(self) -> Mapping[str, tuple[float, ...]]:
+        """Values to begin with of constants without a unit, by name."""
+        return self._named.pure
+
+    @property
+    def states(self) -> int:
+        """Numbers that the force depends on beside the present d and v."""
+        return (PIECES + 1 if self.pure else 1) if self.has_state else 0
+
+    def sliders(self, g: Real) -> Sliders:
+        """The operators of a law of stop or play, for constants g (..., G)."""
+        count = g.shape[-1]
+        if not self.pure:
+            one = np.zeros((*g.shape[:-1], 1, count))
+            one[..., 0] = 1.0
+            return Sliders(np.ones((*g.shape[:-1], 1)), g[..., :1], 0 * one, one)
+        # Exact slopes of analytic functions: Im f(g + ih)/h
+        h = 1e-30
+        weights, widths = _iwan(*np.moveaxis(g + 0j, -1, 0))
+        along = [_iwan(*np.moveaxis(g + 1j * h * unit, -1, 0)) for unit in np.eye(count)]
+        by_weights, by_widths = (np.stack([each[k].imag / h for each in along], axis=-1) for k in (0, 1))
+        return Sliders(weights.real, widths.real, by_weights, by_widths)
 
     @cached_property
     def smooth(self) -> bool:
@@ -127,7 +203,10 @@ class ForceLaw:
         """Powers of metre and second of the unit force and of each constant."""
         known: dict[str, Exponents] = {"d": (1.0, 0.0), "v": (1.0, -1.0)}
         if self.operator:
-            return (1.0, 0.0), dict.fromkeys(self.constant_names, (1.0, 0.0))
+            pure = self._named.pure
+            return (1.0, 0.0), {
+                name: (0.0, 0.0) if name in pure else (1.0, 0.0) for name in self.constant_names
+            }
         if self.rate is None:
             return dimensions(self.expression, known)
         known["z"] = (1.0, 0.0)

@@ -160,7 +160,7 @@ class HeldStates:
 @dataclass(frozen=True)
 class StepForces:
     """Unit forces at the nodes (S, 4, e) and their slopes: along d and v at the same node (S, 4 e), or, `full`, at all
-    nodes (S, 4 e, 4 e); along the states z0 at the start and the constants; z (S, 4, laws with a state).
+    nodes (S, 4 e, 4 e); along the states z0 at the start (S, 4, states) and the constants; z (S, 4, states of laws).
     """
 
     a: Real
@@ -188,20 +188,22 @@ class StepForces:
         return StepForces(a, by_d, by_v, by_z0, by_g, self.z[chosen], (), self.full)
 
 
-def held_states(law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: float) -> HeldStates:
+def held_states(
+    law: ForceLaw, d: Real, v: Real, z: Real, z0: Real, g: Real, h: float, width: Real | None = None
+) -> HeldStates:
     """The state of a law over one step, from z0: collocation of its rate, or the operator from node to node.
 
     One step of Newton's method from z (S, nodes) on the collocation, with the slopes there: the caller's steps for the
-    forces bring both to their end.  d, v (S, nodes), z0 (S,) at the start, g the constants of the law, h in s.
+    forces bring both to their end.  d, v (S, nodes), z0 (S,) at the start, g the constants of the law, h in s; width
+    (S,) of an operator, along which the slope by_g (S, nodes, 1) is then.
     """
-    if law.operator:
+    if width is not None:
         # Stop and play from node to node; a z0 that they cannot have at the first elongation is moved to where
         # they can.  Tangents are along d at the nodes, z0 and the width.
         S, K = d.shape
         tangent, nothing = np.zeros((S, K + 2)), np.zeros((S, K + 2))
         tangent[:, K] = 1.0
         z, states, tangents = z0, [], []
-        width = g[:, 0]
         for k in range(K):
             change = nothing.copy()
             change[:, k] = 1.0
@@ -307,7 +309,7 @@ class Integrator:
         self.offset = np.zeros(model.S.shape[1]) if offset is None else offset
         self.force = force + model.S @ self.offset
         self.laws = model.laws
-        self.with_state = [row for row, law in enumerate(self.laws) if law.has_state]
+        self.with_state = [row for row, law in enumerate(self.laws) for _ in range(law.states)]
         self.states = 2 * model.n + len(self.with_state)
         self.offsets = model.S  # constant forces that are unknown: one direction for each force input
         self.Bn, self.Dn = model.B[model.nonlinear], model.D[model.nonlinear]
@@ -414,7 +416,7 @@ class Integrator:
         d_x, d_v = motion.slope[:, :n], motion.slope[:, n : 2 * n]
         d_a = at.times((self.Bn @ d_x)[:, None], (self.Bn @ d_v)[:, None])[:, 0]
         for i, row in enumerate(self.with_state):
-            d_a[:, row] += at.by_z0[:, 0, row, None] * motion.slope[:, 2 * n + i]
+            d_a[:, row] += at.by_z0[:, 0, i, None] * motion.slope[:, 2 * n + i]
         m, start = len(self.model.unknowns), self.states
         for row, inner in enumerate(self.model.constant_slices):
             d_a[:, row, start : start + m] += at.by_g[row][:, 0] @ self.model.constants_map[0][inner]
@@ -492,33 +494,47 @@ class Integrator:
         """
         S, K, e = d.shape
         full = bool(self.with_state)
-        a, by_z0 = np.zeros((S, K, e)), np.zeros((S, K, e))
+        a, by_z0 = np.zeros((S, K, e)), np.zeros((S, K, len(self.with_state)))
         size = (S, K, e, K, e) if full else (S, K, e)
         by_d, by_v, by_g = np.zeros(size), np.zeros(size), []
         z_new, states = z.copy(), []
         nothing, nodes = np.zeros((S, K)), np.arange(K)
         for row, (law, own) in enumerate(zip(self.laws, self.model.constant_slices, strict=True)):
             g = np.broadcast_to(self.constants[own], (S, own.stop - own.start))
-            inside, held = nothing, None
-            if law.has_state:
-                i = self.with_state.index(row)
-                inside = z[..., i]
-            if law.operator or (law.has_state and h):
-                held = held_states(law, d[..., row], v[..., row], inside, z0[:, i], g, h)
-                inside = z_new[..., i] = held.z
-                states.append(held)
+            inside, mine, sliders = nothing, list[HeldStates](), None
+            first = self.with_state.index(row) if law.has_state else 0
+            own_states = range(first, first + law.states)
+            if law.operator:
+                sliders, inside = law.sliders(g), np.zeros((S, K))
+                for j, i in enumerate(own_states):
+                    width = sliders.widths[:, j]
+                    held = held_states(law, d[..., row], v[..., row], z[..., i], z0[:, i], g, h, width)
+                    z_new[..., i] = held.z
+                    inside = inside + sliders.weights[:, j, None] * held.z
+                    mine.append(replace(held, by_g=held.by_g * sliders.by_widths[:, j, None]))
+            elif law.has_state:
+                inside = z[..., first]
+                if h:
+                    mine = [held_states(law, d[..., row], v[..., row], inside, z0[:, first], g, h)]
+                    inside = z_new[..., first] = mine[0].z
+            states += mine
             at = law(d[..., row], v[..., row], inside, g)
             a[..., row] = at.value
             place = (slice(None), nodes, row, nodes, row) if full else (..., row)
             by_d[place], by_v[place] = at.slopes.get("d", nothing), at.slopes.get("v", nothing)
             columns = [np.broadcast_to(at.slopes.get(name, nothing), (S, K)) for name in law.constant_names]
             inner = np.stack(columns, axis=-1) if columns else np.zeros((S, K, 0))
-            by_z0[..., row] = by_z = np.broadcast_to(at.slopes.get("z", nothing), (S, K))
-            if held is not None:
-                by_d[:, :, row, :, row] += by_z[..., None] * held.by_d
-                by_v[:, :, row, :, row] += by_z[..., None] * held.by_v
-                by_z0[..., row] *= held.by_z0
-                inner = inner + by_z[..., None] * held.by_g
+            by_z = np.broadcast_to(at.slopes.get("z", nothing), (S, K))
+            for i in own_states if not mine else ():
+                by_z0[..., i] = by_z
+            for j, held in enumerate(mine):
+                share = by_z if sliders is None else by_z * sliders.weights[:, j, None]
+                by_d[:, :, row, :, row] += share[..., None] * held.by_d
+                by_v[:, :, row, :, row] += share[..., None] * held.by_v
+                by_z0[..., first + j] = share * held.by_z0
+                inner = inner + share[..., None] * held.by_g
+                if sliders is not None:
+                    inner = inner + (by_z * held.z)[..., None] * sliders.by_weights[:, j, None]
             by_g.append(inner)
         wide = (S, K * e, K * e) if full else (S, K * e)
         return StepForces(
@@ -540,7 +556,7 @@ class Integrator:
         base = (self.grown.T @ slope[:, : 2 * n]).reshape(S, 4, 2 * n, Q)  # at fixed unit forces
         direct = np.zeros((S, 4, e, Q))  # of the unit forces at fixed d and v
         for i, row in enumerate(self.with_state):
-            direct[:, :, row] += at.by_z0[:, :, row, None] * slope[:, None, 2 * n + i]
+            direct[:, :, row] += at.by_z0[:, :, i, None] * slope[:, None, 2 * n + i]
         m, first = len(model.unknowns), Q - self.directions
         if with_unknowns:
             G = model.constants_map[0]
