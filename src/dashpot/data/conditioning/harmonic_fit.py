@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, Unpack
+from typing import Literal, Unpack, cast
 
 import numpy as np
 from scipy.linalg import cho_solve
@@ -519,15 +519,17 @@ def fit_harmonics(
     if not (np.isfinite(f) and f > 0):
         raise DataError(f"frequency {f} Hz", record.source, "frequencies must be positive and finite")
     settings = conditioning_of(conditioning, treatments)
-    terms = Terms(settings.degree, settings.wanted)
-    check_length(record, f, terms)
-    beside = settings.nuisance_orders
-    if beside is None:
-        terms = _with_significant(record, f, terms)
-    else:
-        terms = replace(terms, orders=tuple(sorted({*terms.orders, *beside})))
+    asked = fit_harmonics, f, settings.wanted, settings.nuisance_orders, settings.degree, settings.noise
+    if asked not in record.kept:
+        terms = Terms(settings.degree, settings.wanted)
         check_length(record, f, terms)
-    return _fit(record, f, terms, settings.noise)
+        if settings.nuisance_orders is None:
+            terms = _with_significant(record, f, terms)
+        else:
+            terms = replace(terms, orders=tuple(sorted({*terms.orders, *settings.nuisance_orders})))
+            check_length(record, f, terms)
+        record.kept[asked] = _fit(record, f, terms, settings.noise)
+    return cast("HarmonicFit", record.kept[asked])
 
 
 def _fit(record: Record, f: float, terms: Terms, noise: Noise) -> HarmonicFit:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Unpack
 
 import numpy as np
@@ -164,15 +164,7 @@ HIGHEST = 0.95  # of half the sampling rate
 MOST = 100  # multiples
 
 
-@dataclass(frozen=True)
-class DrivenOrders:
-    """The multiples of its frequency that drive a dwell; fit: that of the fundamental alone, where it was made."""
-
-    orders: tuple[int, ...]
-    fit: HarmonicFit | None = None
-
-
-def driven_orders(records: Sequence[Record], conditioning: Conditioning) -> list[DrivenOrders]:
+def driven_orders(records: Sequence[Record], conditioning: Conditioning) -> list[tuple[int, ...]]:
     """For each dwell the multiples of its frequency that are driven: 1 alone, unless half of the long dwells have more.
 
     A multiple counts where each channel's F test rejects noise at 1 % over all, and where it has a hundredth of some
@@ -180,18 +172,15 @@ def driven_orders(records: Sequence[Record], conditioning: Conditioning) -> list
     """
     able = [record.values.ndim == 2 and periods_of(record) >= LONG for record in records]
     driven = [
-        _orders_of(record, conditioning) if long else DrivenOrders((1,))
-        for record, long in zip(records, able, strict=True)
+        _orders_of(record, conditioning) if long else (1,) for record, long in zip(records, able, strict=True)
     ]
-    several = sum(len(dwell.orders) > 1 for dwell in driven)
-    if 2 * several >= max(sum(able), 1):
-        return driven
-    return [DrivenOrders((1,), dwell.fit) for dwell in driven]
+    several = sum(len(orders) > 1 for orders in driven)
+    return driven if 2 * several >= max(sum(able), 1) else [(1,)] * len(driven)
 
 
-def orders_used(driven: Sequence[DrivenOrders]) -> list[Notice]:
+def orders_used(driven: Sequence[tuple[int, ...]]) -> list[Notice]:
     """A note where dwells have more lines than their fundamentals."""
-    several = [len(dwell.orders) for dwell in driven if len(dwell.orders) > 1]
+    several = [len(orders) for orders in driven if len(orders) > 1]
     if not several:
         return []
     dwells = f"{len(several)} dwell{'s' if len(several) > 1 else ''}"
@@ -199,21 +188,19 @@ def orders_used(driven: Sequence[DrivenOrders]) -> list[Notice]:
     return [Notice("harmonics_driven", text)]
 
 
-def _orders_of(record: Record, conditioning: Conditioning) -> DrivenOrders:
+def _orders_of(record: Record, conditioning: Conditioning) -> tuple[int, ...]:
     """The multiples that drive every channel of a long dwell."""
     fundamental = conditioning.changed(orders=(1,))
-    alone = None
     try:
-        alone = fit_harmonics(record, None, fundamental)
-        if np.sum(_driven(alone)) < 2:
-            return DrivenOrders((1,), alone)
+        if np.sum(_driven(fit_harmonics(record, None, fundamental))) < 2:
+            return (1,)
         rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
         most = min(MOST, int(HIGHEST * rate / 2 / (record.frequency_hz or rate)), (len(record.time) - 4) // 6)
         every = fit_harmonics(record, None, fundamental.changed(orders=range(1, most + 1), harmonics="none"))
     except DataError:
-        return DrivenOrders((1,), alone)  # the samples do not tell so many apart
+        return (1,)  # the samples do not tell so many apart
     there = _driven(every)
-    return DrivenOrders(tuple(np.array(every.orders)[there].tolist()) if there[0] else (1,), alone)
+    return tuple(np.array(every.orders)[there].tolist()) if there[0] else (1,)
 
 
 def _driven(fit: HarmonicFit) -> Bools:
@@ -430,7 +417,7 @@ def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Con
     steps = rounding_steps(dwells)
     if np.any(steps > 0):
         dwells = [replace(of, cell=steps) if of.values.ndim == 2 else of for of in dwells]
-    driven = [DrivenOrders(settings.wanted)] * len(dwells)
+    driven = [settings.wanted] * len(dwells)
     if settings.orders == "auto" and not settings.moments:
         driven = driven_orders(dwells, settings)
         notes = orders_used(driven)
@@ -481,14 +468,13 @@ def _taken_as_steady(
 
 
 def _lines(
-    record: Record, settings: Conditioning, driven: DrivenOrders, steps: Real
+    record: Record, settings: Conditioning, orders: tuple[int, ...], steps: Real
 ) -> tuple[Spectrum, Real]:
     """The lines of one record, whose channels are rounded to `steps` (channels,), and the share of each amplitude's
     information that what is measured has, (lines, channels)."""
-    settings = settings.changed(orders=driven.orders)
-    known = driven.fit if driven.orders == (1,) and settings.refine != "always" else None
+    settings = settings.changed(orders=orders)
     record, notes = _at_its_frequency(record, settings)
-    fit = fit_harmonics(record, None, settings) if known is None else known
+    fit = fit_harmonics(record, None, settings)
     wanted = [fit.orders.index(order) for order in settings.wanted]
     frequencies = fit.frequency_hz * np.array([fit.orders[i] for i in wanted], dtype=float)
     h = calibration(record.channels, frequencies)
