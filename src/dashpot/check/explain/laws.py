@@ -327,7 +327,6 @@ LEFT = 0.1  # share of the misfit in the equation of motion that a candidate may
 ROUGHLY = 7.0  # or χ² of a degree of freedom that it may leave there
 FALLEN = 0.1  # share by which the softened misfit must have fallen for a fit to go on
 SOFT_NONLINEAR_ELEMENTS = 0.05  # relative noise of the softened data
-ROUNDED = 1e-9  # of the largest harmonic of a force: what is smaller is none
 
 
 def scored_in_dwells(

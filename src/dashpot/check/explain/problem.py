@@ -559,10 +559,6 @@ class FittedProblem:
         """What all channels should show, those left out as well, (lines, channels)."""
         return self.problem.expected(self.psi)
 
-    def again(self, problem: FitProblem) -> FittedProblem:
-        """The same values beside other data: not fitted."""
-        return judged([replace(problem, starts=(self.psi,))])[0]
-
 
 def judged(problems: Sequence[FitProblem]) -> list[FittedProblem]:
     """Each problem at its first start, as it is."""
