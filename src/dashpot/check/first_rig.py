@@ -149,18 +149,18 @@ def first_rig(
         moving = [c for c in moving if c not in bases]
         if not moving:  # all are called like a base
             bases, moving = bases[-1:], bases[:-1]
-    if drive in ("force", "stand") and len(forces) != 1:
+    if (drive == "force" and not forces) or (drive == "stand" and len(forces) != 1):
         what = f"{len(forces)} columns are forces" if forces else "no column is a force"
-        raise UsageError(
-            what, "--driven-by", f"a rig driven by {drive!r} has one" if drive == "stand" else "take another"
-        )
+        cure = "on a test stand one is" if drive == "stand" else "take another"
+        raise UsageError(what, "--driven-by", cure)
     if drive != "stand" and not moving:
         raise UsageError("no column shows a motion of the rig", "--driven-by", "take another")
     if drive == "stand" and len(moving) != 1:
         raise UsageError(f"{len(moving)} columns show a motion", "--driven-by", "on a test stand one does")
     for column in data.columns:
         if column in forces:
-            of = {"stand": "u", "force": "f"}.get(drive, PLACEHOLDER)
+            number = forces.index(column) + 1
+            of = {"stand": "u", "force": "f" if number == 1 else f"f{number}"}.get(drive, PLACEHOLDER)
         elif drive == "stand" or (drive == "base" and column in bases):
             of = "u"
         else:
@@ -176,4 +176,4 @@ def first_rig(
         masses = max(masses - 1, 1)
     if drive == "force" and at is None:
         at = "x1" if masses == 1 else PLACEHOLDER
-    return Chain(name, max(masses, 1), drive, known=known, at=at, sensors=tuple(sensors))
+    return Chain(name, max(masses, 1), drive, known=known, at=at, forces=len(forces), sensors=tuple(sensors))

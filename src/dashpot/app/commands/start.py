@@ -61,6 +61,7 @@ def command(
     from dashpot.check.first_rig import first_rig, seen_data
     from dashpot.data.inspection import inspect_file
     from dashpot.data.readers.manifest import files_named, is_manifest
+    from dashpot.data.readers.modes import holds_modes
     from dashpot.errors import UsageError
     from dashpot.io.atomic import write_text
     from dashpot.io.toml_document import PLACEHOLDER
@@ -76,6 +77,9 @@ def command(
     paths = [path for name in files for path in files_named(name)]
     inspections: list[Inspection] = []
     for path in paths:
+        if holds_modes(path):
+            cure = "write a rig file by hand or with dashpot new; identify takes the modes"
+            raise UsageError("this file holds modes, and no channels", str(path), cure)
         with progress(reading_of([str(path)])):
             inspections.append(inspect_file(path))
         say(inspection_document(inspections[-1]))

@@ -639,7 +639,9 @@ def _delimiter(text: str) -> str:
     """The delimiter of a row."""
     most = max(_DELIMITERS, key=text.count)
     if text.count(most) == 0 and len(text.split()) > 1:
-        return _BLANKS
+        name, unit = bare(text)
+        alone = unit is not None and len(name.split()) == 1 and is_unit(unit)  # "laser (mm)"
+        return most if alone else _BLANKS
     if most == "," and text.count(";") > 0:  # decimal commas
         return ";"
     return most

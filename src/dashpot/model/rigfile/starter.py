@@ -49,6 +49,7 @@ class Chain:
     force_unit of the force's
     known      kg of x1; None: it was not weighed, and where no force gives the scale STAND_IN stands there
     at         the mass that the force acts on; None: the last
+    forces     how many forces act, f, f2, …; where the others do is left open
     sensors    the channels; none: every coordinate and what drives, of those names
     """
 
@@ -60,6 +61,7 @@ class Chain:
     force_unit: str = "N"
     known: float | None = None
     at: str | None = None
+    forces: int = 1
     sensors: tuple[Sensor, ...] = ()
 
     @property
@@ -82,6 +84,8 @@ def starter_text(chain: Chain) -> str:
         lines += ["", "[inputs]", 'u = { kind = "displacement" }']
     elif chain.drive == "force":
         lines += ["", "[inputs]", f'f = {{ kind = "force", at = {quoted(chain.at or names[-1])} }}']
+        for number in range(2, chain.forces + 1):
+            lines.append(f'f{number} = {{ kind = "force", at = "{PLACEHOLDER}" }}')
     lines += [
         "",
         "# Without a value an entry is unknown; value = …, sd = … say what has been weighed.",

@@ -111,11 +111,33 @@ def test_a_force_at_one_of_several_masses_and_samples_without_times(monkeypatch:
         CliRunner().invoke(cli, ["inspect", "other-data.toml"], catch_exceptions=False)
 
 
+def test_several_forces_are_inputs_of_their_own() -> None:
+    data("t,F1 [N],F2 [N],a1 [g],a2 [g]", STEADY, STEADY, STEADY, STEADY)
+    assert start("--force-at", "x1").exit_code == 0
+    rig = written()
+    assert {name: entry["at"] for name, entry in rig["inputs"].items()} == {"f": "x1", "f2": "?"}
+    assert (rig["channels"]["F1"]["of"], rig["channels"]["F2"]["of"]) == ("f", "f2")
+
+
+def test_a_file_of_modes_is_named_as_such() -> None:
+    Path("data.csv").write_text(
+        "frequency_hz,frequency_sd,damping_ratio,x1,x2\n1.2,0.01,0.01,1,0.5\n3.4,0.01,0.02,1,-0.5\n"
+    )
+    with pytest.raises(dashpot.UsageError, match="modes"):
+        start()
+
+
 def test_a_stand_needs_its_force() -> None:
     data("t,x [mm]", STEADY)
     with pytest.raises(dashpot.UsageError, match="no column is a force"):
         start("--driven-by", "stand")
     assert not Path("rig.toml").exists()
+
+
+def test_one_column_with_its_unit_is_one_column() -> None:
+    data("laser (mm)", DECAY)
+    assert start("--rate", "500").exit_code == 0
+    assert list(written()["channels"]) == ["laser"]
 
 
 def test_frequency_responses_name_output_and_input() -> None:
