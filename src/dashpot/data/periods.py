@@ -40,9 +40,9 @@ def driven_lines(X: Complex) -> Bools:
     """(lines,): which of neighbouring multiples are driven, X (lines, channels); all where that is not to be told.
 
     In the channel of the drive some lines are far below those beside them, here and there in the band in which it
-    moves.  The channel that tells them apart best has the say.
+    moves.  Of the channels that tell them apart that with most driven lines decides.
     """
-    found, clearest = np.ones(len(X), dtype=bool), SPLIT
+    found, most = np.ones(len(X), dtype=bool), 0
     if len(X) < 2 * RUNS:
         return found
     for size in np.abs(np.nan_to_num(X)).T:
@@ -52,11 +52,11 @@ def driven_lines(X: Complex) -> Bools:
         ordered = np.sort(share[moving])
         first = int(np.ceil(UNDRIVEN * len(ordered)))
         gaps = ordered[first : len(ordered) - RUNS] / ordered[first - 1 : len(ordered) - RUNS - 1]
-        if first == 0 or not np.max(gaps, initial=0.0) > clearest:
+        if first == 0 or not np.max(gaps, initial=0.0) > SPLIT:
             continue
         driven = share >= ordered[first + int(np.argmax(gaps))]
-        if np.count_nonzero(driven[:-1] > driven[1:]) >= RUNS:
-            found, clearest = driven, float(np.max(gaps))
+        if np.count_nonzero(driven[:-1] > driven[1:]) >= RUNS and np.count_nonzero(driven) > most:
+            found, most = driven, int(np.count_nonzero(driven))
     return found
 
 

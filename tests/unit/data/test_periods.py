@@ -143,6 +143,16 @@ def test_distortion_is_what_repeats_at_lines_that_are_not_driven():
     assert "distortion" not in [note.code for note in clean.notes]
 
 
+def test_the_channel_that_moves_in_the_widest_band_tells_what_is_driven():
+    """The answer falls below its noise half way up the band."""
+    n = np.arange(1, 601)
+    rng = np.random.default_rng(2)
+    noise = rng.normal(size=(600, 2)) + 1j * rng.normal(size=(600, 2))
+    drive = (n % 2 == 1) * np.exp(6j * rng.uniform(size=600))
+    X = np.stack([drive, 30 * drive / (1 + (n / 20.0) ** 2)], axis=1) + [0.03, 0.002] * noise
+    assert np.array_equal(driven_lines(X), n % 2 == 1)
+
+
 def test_lines_all_driven_are_all_kept():
     """A flat multisine, one that falls, random motion, a sweep, hum beside noise, a resonance: 40 draws of each."""
     for seed in range(40):
