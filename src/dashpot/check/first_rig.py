@@ -16,7 +16,7 @@ from dashpot.data.inspection import InspectedColumn, Inspection, guessed_quantit
 from dashpot.data.readers.columns import factors, is_unit
 from dashpot.errors import UsageError
 from dashpot.io.toml_document import PLACEHOLDER
-from dashpot.model.rigfile.starter import MOST_MASSES, Chain, Drive, Sensor
+from dashpot.model.rigfile.starter import MOST_MASSES, Chain, ChannelLine, Drive
 
 _LETTERS = {"a": "acceleration", "v": "velocity", "f": "force", **dict.fromkeys("xyzdsuqw", "displacement")}
 _BASE = re.compile(
@@ -141,7 +141,7 @@ def first_rig(
     Columns of different quantities whose names end in one number are of one mass.  What is unknown of a channel is
     left open.  Raises UsageError where the columns cannot be those of such a rig.
     """
-    sensors, points = list[Sensor](), dict[str, str]()
+    sensors, points = list[ChannelLine](), dict[str, str]()
     forces = [c for c in data.columns if c.quantity == "force"]
     bases = [c for c in data.columns if c not in forces and c.of_base]
     moving = [c for c in data.columns if c not in forces]
@@ -168,7 +168,9 @@ def first_rig(
                 column.name, _same_point(column, data.columns, points) or f"x{len(set(points.values())) + 1}"
             )
         sensors.append(
-            Sensor(column.name, of, column.quantity or PLACEHOLDER, column.unit or PLACEHOLDER, column.raw)
+            ChannelLine(
+                column.name, of, column.quantity or PLACEHOLDER, column.unit or PLACEHOLDER, column.raw
+            )
         )
     masses = len(set(points.values()))
     if drive == "base" and not bases and sensors:  # the base is one of the columns, and nobody says which

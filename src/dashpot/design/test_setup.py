@@ -242,7 +242,9 @@ def per_sample(model: Model, channels: Sequence[Channel], seen: Outputs) -> Real
     return fisher(J, G, V, [channel.name for channel in channels])
 
 
-def at_limits(model: Model, p: Real, limits: ShakerLimits, frequency_hz: Real, unit: Complex) -> Complex:
+def drive_at_limits(
+    model: Model, p: Real, limits: ShakerLimits, frequency_hz: Real, unit: Complex
+) -> Complex:
     """Drives (lines, r + s) in the proportions of `unit`, as large as the shaker can at each frequency.
 
     p (scenarios, elements); what the first scenario to meet a limit allows.  Raises UsageError as `TestSetup.drive`.
@@ -367,7 +369,7 @@ class TestSetup:
         unit = self.drives[pattern]
         if not self.limits.given:
             return self.amplitude * unit
-        return at_limits(self.model, self.p, self.limits, frequency_hz, unit)
+        return drive_at_limits(self.model, self.p, self.limits, frequency_hz, unit)
 
     def seen(self, frequency_hz: Real, pattern: Ints) -> Outputs:
         """What the channels show at each line, at the nominal values; frequency_hz and pattern (lines,).

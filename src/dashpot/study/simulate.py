@@ -20,7 +20,7 @@ from dashpot.arrays import Complex, Ints, Real, freeze
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Moments, SettledDwell, Spectrum
-from dashpot.design.test_setup import at_limits
+from dashpot.design.test_setup import drive_at_limits
 from dashpot.errors import ConvergenceError, DataError, UsageError
 from dashpot.estimate.nonlinear.record_problem import enough_substeps
 from dashpot.estimate.nonlinear.records import (
@@ -334,7 +334,7 @@ def amplitudes_within(
     if not np.any(unit):
         return dict(given)
     lines = np.broadcast_to(unit, (len(at), len(unit)))
-    drive = at_limits(model, model.parameters(theta)[None], limits, at, lines)
+    drive = drive_at_limits(model, model.parameters(theta)[None], limits, at, lines)
     return {name: given.get(name, drive[:, j]) for j, name in enumerate(names)}
 
 

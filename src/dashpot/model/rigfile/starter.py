@@ -18,7 +18,7 @@ Drive = Literal["base", "force", "release", "stand"]
 
 
 @dataclass(frozen=True)
-class Sensor:
+class ChannelLine:
     """A channel of a rig file: its column, the point, what is measured in which unit; PLACEHOLDER where it is open."""
 
     column: str
@@ -62,7 +62,7 @@ class Chain:
     known: float | None = None
     at: str | None = None
     forces: int = 1
-    sensors: tuple[Sensor, ...] = ()
+    sensors: tuple[ChannelLine, ...] = ()
 
     @property
     def lacks_scale(self) -> bool:
