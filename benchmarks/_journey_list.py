@@ -941,6 +941,16 @@ def spectrum(k: int, d: Draw) -> Journey:
     return d.journey.run("spectrum", "rig.toml", "data.csv", "-o", "amplitudes.csv", *d.settings())
 
 
+def frequency_responses(k: int, d: Draw) -> Journey:
+    d.rigs().dwells(lines=7)
+    return d.journey.run("frf", "data.csv", "--rig", "rig.toml", "--json", "f.json", "-o", "f.csv")
+
+
+def measured_modes(k: int, d: Draw) -> Journey:
+    d.rigs().dwells(lines=24)
+    return d.journey.run("modes", "data.csv", "--rig", "rig.toml", "--json", "m.json", "-o", "m.csv")
+
+
 def fleet(k: int, d: Draw) -> Journey:
     d.rigs()
     names = [f"rig{i}.csv" for i in range(5)]
@@ -1042,6 +1052,7 @@ KINDS: tuple[tuple[str, Callable[[int, Draw], Journey], int, Sequence[Bench]], .
     ("export", export, 30, LINEAR), ("response", response, 8, NONLINEAR), ("new", new, 6, LINEAR),
     ("inspect", inspect, 20, LINEAR), ("spectrum", spectrum, 9, LINEAR), ("fleet", fleet, 8, LINEAR[:4]),
     ("study", study, 5, LINEAR[:3]), ("design", design, 16, LINEAR),
+    ("frf", frequency_responses, 3, LINEAR), ("modes", measured_modes, 3, LINEAR),
 )  # fmt: skip
 
 

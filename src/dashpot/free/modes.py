@@ -61,13 +61,17 @@ class Stabilisation:
 class MeasuredModes:
     """Modes of a test, in order of their frequency.
 
+    inputs, outputs  channels; points: the names of the outputs in shapes
     eigenvalues    λ (modes,), 1/s, and their covariance (modes, 2, 2) of (Re λ, Im λ)
-    shapes         (modes, outputs): displacements, the largest 1; sd (modes, outputs) of real and imaginary part, each
+    shapes         (modes, outputs): displacements, the largest 1; shape_sd of real and imaginary part, each
     participation  (modes, inputs): residue of the largest output per unit of each input, as H = Σ φ pᵀ / (s − λ) + …;
-                   without inputs (modes, 0); and its sd
+                   without inputs (modes, 0); and its standard deviation, participation_sd
     frequency, measured, modelled  (lines,), (lines, outputs), …: what was fitted, for the picture (of the first record)
     chi2, dof      of the fit with the noise as it was known before it; NaN where it was not
     order          poles of the model, of which those that are no modes in the band are not reported
+    stabilisation  poles of least-squares fits of growing order
+    real           whether shapes were held real
+    notes          what a reader should know
     """
 
     inputs: tuple[Channel, ...]

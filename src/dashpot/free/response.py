@@ -45,6 +45,7 @@ Data = TypeVar("Data", Record, Spectrum)
 class MeasuredResponse:
     """H of each pair of output and input, in units of the output over the input, calibrations taken out.
 
+    inputs, outputs  channels
     frequency_hz  (lines,)
     values        (lines, outputs, inputs)
     covariance    (lines, pairs, pairs), E[Δ Δᴴ] of the pairs in the order of `values`, circular: the real and the
@@ -55,6 +56,7 @@ class MeasuredResponse:
     distortion    of periodic tests, share of each output's motion (rms) at even and at odd multiples that are not
                   driven, beyond noise and what the inputs put there; 0 where chance may do as much, NaN where no such
                   multiple is left out
+    notes         what a reader should know
     """
 
     inputs: tuple[Channel, ...]
