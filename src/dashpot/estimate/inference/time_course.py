@@ -530,7 +530,8 @@ class NoiseInTime:
 class CountedInTime:
     """Estimates of K repeats of M unknowns with what the noise in time makes of them.
 
-    step (K, M) from those that weigh lines; covariance and bound (K, M, M); dof (K, M); uneven: the repeats' noise
+    step (K, M) from those that weigh lines; covariance and bound (K, M, M); dof (K, M); uneven: the repeats' noise;
+    louder (K,): variance of what the lines say, in the direction where it is largest, over that of even noise
     """
 
     step: Real
@@ -538,6 +539,7 @@ class CountedInTime:
     bound: Real
     dof: Real
     uneven: tuple[NoiseInTime | None, ...]
+    louder: Real
 
 
 def counted_in_time(
@@ -550,6 +552,7 @@ def counted_in_time(
     exact, theta = measured(data), solution.theta
     signs = data.spectrum.signs(solution.signs, len(theta))
     step, uneven = np.zeros(theta.shape), list[NoiseInTime | None]([None] * len(theta))
+    louder = np.ones(len(theta))
     covariance, bound, dof = covariance.copy(), bound.copy(), np.array(dof)
     for k in range(len(theta) if exact.ends is not None and small(data.model) else 0):
         one = slice(k, k + 1)
@@ -560,13 +563,14 @@ def counted_in_time(
         uneven[k] = noise = NoiseInTime(*(np.concatenate(part) for part in zip(*blocks, strict=True)))
         lines = EvenNoise(sums.symmetric[k], sums.gradient[k], covariance[k], dof[k])
         best, of_samples = noise.of_lines(lines), noise.of_samples(lines)
+        louder[k] = max(float(np.max(np.linalg.eigvals(lines.information @ best.covariance).real)), 1.0)
         # A step that noise does not explain, by the estimate's own covariance: the model does not fit, and has no
         # better end.
         away = of_samples.step @ scaled_inverse(best.covariance) @ of_samples.step
         if solution.bounds is None and chdtrc(len(of_samples.step), away) > 1e-3:
             best = of_samples
         step[k], covariance[k], dof[k], bound[k] = best.step, best.covariance, best.dof, noise.bound(lines)
-    return CountedInTime(step, covariance, bound, dof, tuple(uneven))
+    return CountedInTime(step, covariance, bound, dof, tuple(uneven), louder)
 
 
 def _uneven_blocks(
@@ -665,6 +669,11 @@ class BandStability:
                 dof += int(np.sum(seen))
             tails[k] = 1.0 if dof < 1 else float(chdtrc(dof, statistic))
         return tails
+
+    def in_noise(self, louder: Real) -> BandStability:
+        """The same where noise has so many times (K,) the variance that the lines count."""
+        ratio = 1 / louder[:, None, None]
+        return BandStability(self.information * ratio[..., None], self.scores * ratio, self.total * ratio)
 
     @property
     def disagree(self) -> Bools:

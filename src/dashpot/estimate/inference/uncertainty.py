@@ -341,8 +341,8 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
     if not traits.weighted:
         noise = solution.covariance
     if RESIDUAL in data.spectrum.noise and traits.weighted:
-        bands = around.bands(np.arange(len(chi2)), data.spectrum.frequency_hz)
         in_time = counted_in_time(data, solution, sums, noise, bound, degrees)
+        bands = around.bands(np.arange(len(chi2)), data.spectrum.frequency_hz).in_noise(in_time.louder)
         noise, bound = in_time.covariance, in_time.bound
         covariance, degrees = bands.widened(noise, in_time.dof, bands.disagree)
         return Uncertainty(covariance, noise, bound, degrees, chi2, p, excess, bands, in_time)
