@@ -946,6 +946,11 @@ def frequency_responses(k: int, d: Draw) -> Journey:
     return d.journey.run("frf", "data.csv", "--rig", "rig.toml", "--json", "f.json", "-o", "f.csv")
 
 
+def start(k: int, d: Draw) -> Journey:
+    d.record("noise", n=400) if k == 1 else d.rigs().dwells(lines=6)
+    return d.journey.run("start", "data.csv", "--out", "first.toml").run("check", "first.toml")
+
+
 def measured_modes(k: int, d: Draw) -> Journey:
     d.rigs().dwells(lines=24)
     return d.journey.run("modes", "data.csv", "--rig", "rig.toml", "--json", "m.json", "-o", "m.csv")
@@ -1034,6 +1039,9 @@ def helps() -> Iterator[Journey]:
         "design",
         "reproduce",
         "completion",
+        "start",
+        "frf",
+        "modes",
     ]
     yield Journey("help").run("--help").run("--version").run("nonsense").run()
     yield from (Journey(f"help-{command}").run(command, "--help").run(command) for command in commands)
@@ -1052,7 +1060,7 @@ KINDS: tuple[tuple[str, Callable[[int, Draw], Journey], int, Sequence[Bench]], .
     ("export", export, 30, LINEAR), ("response", response, 8, NONLINEAR), ("new", new, 6, LINEAR),
     ("inspect", inspect, 20, LINEAR), ("spectrum", spectrum, 9, LINEAR), ("fleet", fleet, 8, LINEAR[:4]),
     ("study", study, 5, LINEAR[:3]), ("design", design, 16, LINEAR),
-    ("frf", frequency_responses, 3, LINEAR), ("modes", measured_modes, 3, LINEAR),
+    ("frf", frequency_responses, 3, LINEAR), ("modes", measured_modes, 3, LINEAR), ("start", start, 3, LINEAR),
 )  # fmt: skip
 
 

@@ -538,13 +538,13 @@ Dask = Annotated[
 ]
 CHANNELS = "Channels"
 InputColumns = Annotated[
-    tuple[str, ...] | None,
-    Option("--input NAME,…", TextType("names", names), CHANNELS),
+    str | None,
+    Option("--input NAME,…", None, CHANNELS),
     "Columns that drive the rig.  [default: those of --rig]",
 ]
 OutputColumns = Annotated[
-    tuple[str, ...] | None,
-    Option("--output NAME,…", TextType("names", names), CHANNELS),
+    str | None,
+    Option("--output NAME,…", None, CHANNELS),
     "Columns that show its motion.  [default: those of --rig, else all others]",
 ]
 ChannelsOfRig = Annotated[

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import brentq, linear_sum_assignment
 from scipy.special import chdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze, hermitian
@@ -111,6 +110,8 @@ class ModeProblem:
         cost = np.where(swings[:, None, :], cost, 1e6)
         chosen = np.empty(cost.shape[:2], dtype=np.int64)
         for k, table in enumerate(cost):
+            from scipy.optimize import linear_sum_assignment  # which takes long to load
+
             of_mode, columns = linear_sum_assignment(table)
             chosen[k, of_mode] = np.where(table[of_mode, columns] < 1e6, columns, -1)
         return chosen
@@ -267,6 +268,8 @@ def like_parts(model: Model, data: ModalData) -> Real:
             break
         if (there > 0) != (at_zero > 0):
             with suppress(ValueError):  # no value on the way
+                from scipy.optimize import brentq  # which takes long to load
+
                 size = float(brentq(too_quick, low, high, xtol=1e-12))
             break
     return scaled_by(size)

@@ -119,7 +119,7 @@ def test_figures_and_reports_have_formats() -> None:
         "identify", "compare", "check", "design", "validate", "study", "reproduce",
     }  # fmt: skip
     assert {name for name, parameter in _of_formats() if parameter in ("figure", "out")} == {
-        "compare", "design", "draw", "fleet", "identify", "response", "validate",
+        "compare", "design", "draw", "fleet", "frf", "identify", "modes", "response", "validate",
     }  # fmt: skip
 
 

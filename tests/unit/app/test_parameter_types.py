@@ -61,6 +61,7 @@ def test_extreme_numbers_are_refused_in_one_line(dashpot: Command, rig: Path, ca
         "new": ["new.toml"], "validate": ["estimate.json", "data.csv"], "draw": ["rig.toml", "--out", "o.svg"],
         "export": ["rig.toml", "--out", "o.json"], "response": ["rig.toml", "--out", "o.svg"],
         "fleet": ["rig.toml", "data.csv", "--out", "o.parquet"], "start": ["data.csv", "--out", "n.toml"],
+        "frf": ["data.csv"], "modes": ["data.csv"],
     }  # fmt: skip
     for form, extreme in product(forms, EXTREMES):
         value = form.format(extreme)
@@ -82,6 +83,10 @@ def test_an_option_means_the_same_in_every_command() -> None:
     assert {name: found for name, found in kinds.items() if len(found) > 1} == {
         "--out": {"file, flag: False", "folder, flag: False"},
         "-o": {"file, flag: False", "folder, flag: False"},
+        "--input": {
+            "file, flag: False",
+            "text, flag: False",
+        },  # a file, or a channel
     }
 
 
@@ -121,7 +126,7 @@ def test_every_quantity_of_every_command_takes_units_or_per_cent() -> None:
     assert texts == {
         "--methods", "--profile", "--for",  # names of methods, parameters and criteria
         "--name", "--unit", "--rig-column", "--dask", "--drive", "--label", "--experiment",
-        "--force-at",
+        "--force-at", "--input", "--output",
     }  # fmt: skip
 
 

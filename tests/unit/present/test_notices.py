@@ -3,11 +3,15 @@
 import ast
 from pathlib import Path
 
+from dashpot.data.conditioning.steadiness import UNSTEADY
 from dashpot.present.words import REMEDIED, notice_guide
 
 SOURCE = Path(__file__).parents[3] / "src" / "dashpot"
 # Codes that are composed when they are given, and places that pass on the codes of others.
-COMPOSED = {"study/montecarlo.py": {"damaged_blocks", "outdated_blocks"}}
+COMPOSED = {
+    "study/montecarlo.py": {"damaged_blocks", "outdated_blocks"},
+    "data/conditioning/lines.py": {row.code for row in UNSTEADY},
+}
 PASSED_ON = {"estimate/assessment.py", "estimate/result.py"}
 
 
@@ -31,7 +35,7 @@ def given_codes() -> dict[str, set[str]]:
             texts = {leaf.value for leaf in ast.walk(first) if isinstance(leaf, ast.Constant)}
             if isinstance(first, ast.Name) and first.id in constants:
                 texts = {constants[first.id]}
-            if place in COMPOSED:
+            if place in COMPOSED and isinstance(first, ast.Attribute | ast.JoinedStr | ast.BinOp):
                 texts = set(COMPOSED[place])
             assert texts or place in PASSED_ON, f"{place}:{node.lineno}: a code that no test can read"
             codes.setdefault(place, set()).update(str(text) for text in texts)

@@ -45,9 +45,10 @@ def command(
     from dashpot.model.rigfile import read_rig
 
     require_each_once(data)
+    driven, shown = (None if text is None else opt.names(text) for text in (inputs, outputs))
     with progress(reading_of(data), quiet):
         read = None if rig is None else read_rig(rig)
-        found = frf(data, inputs, outputs, rig=read, band=band, frequency_hz=frequency)
+        found = frf(data, driven, shown, rig=read, band=band, frequency_hz=frequency)
     tell_notes(found.notes, quiet)
     if out is not None:
         write_response(found, out)

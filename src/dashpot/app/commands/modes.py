@@ -50,11 +50,10 @@ def command(
     from dashpot.model.rigfile import read_rig
 
     require_each_once(data)
+    driven, shown = (None if text is None else opt.names(text) for text in (inputs, outputs))
     with progress(reading_of(data), quiet):
         read = None if rig is None else read_rig(rig)
-        found = modes(
-            data, inputs, outputs, rig=read, band=band, frequency_hz=frequency, most=most, real=real
-        )
+        found = modes(data, driven, shown, rig=read, band=band, frequency_hz=frequency, most=most, real=real)
     tell_notes(found.notes, quiet)
     if out is not None:
         write_mode_table(found.modal_data, out)

@@ -187,7 +187,8 @@ def _allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) -
                 continue
             places = [there.index(name) for name in names]
             away, spread = part.psi[places] - estimate.values, part.covariance[np.ix_(places, places)]
-            if np.all(np.isfinite(spread)):
+            # Information of a direction that is lost in rounding has an inverse that is no covariance.
+            if np.all(np.isfinite(spread)) and np.all(np.diagonal(spread) > 0):
                 mean_square = mean_square + odds / len(parts) * (spread + np.outer(away, away))
                 total += odds / len(parts)
     if not total > 0:
