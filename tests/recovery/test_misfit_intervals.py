@@ -105,8 +105,8 @@ def test_unknowns_away_from_the_fault_keep_their_truth(test: Callable[[Rigs, int
     assert np.median(largest) <= 3
 
 
-def test_the_covariance_is_the_mean_square_of_all_fits_about_the_values() -> None:
-    """Written out: each cause of the engine by its odds, and the rig as it is, half by its own covariance."""
+def test_the_covariance_adds_that_of_all_fits_and_their_distance_from_the_values() -> None:
+    """Written out: each cause of the engine by its odds, and its fit of the rig as it is."""
     case = FAULTS["m1 stated 8 % low"]()
     stated, spectrum = case[2], table(case, 7)
     plain = dashpot.identify(stated, spectrum)
@@ -114,18 +114,18 @@ def test_the_covariance_is_the_mean_square_of_all_fits_about_the_values() -> Non
     assert found is not None
     odds = [cause.odds for cause in found.weighed]
     assert found.as_stated + sum(odds) == pytest.approx(1)
-    slow = found.as_stated / 2 * plain.covariance
+    slow = np.array(plain.covariance)
     fits = [(cause.odds, cause.fit) for cause in found.weighed if not cause.fit.parts]
     for cause in found.weighed:  # of a rig that changed each part counts alike
         fits += [(cause.odds / len(cause.fit.parts), part) for part in cause.fit.parts]
-    for chance, fit in [*fits, (found.as_stated / 2, found.as_is)]:
-        where = [fit.problem.view.names.index(name) for name in plain.names]
+    for chance, fit in [*fits, (found.as_stated, found.as_is)]:
+        where = [fit.problem.names.index(name) for name in plain.names]
         information = fit.problem.slopes(fit.psi)[0]
         inverse = np.linalg.inv(information) * max(1.0, fit.chi2 / fit.dof)
         for i, a in enumerate(where):
             for j, b in enumerate(where):
                 moved = (fit.psi[a] - plain.values[i]) * (fit.psi[b] - plain.values[j])
-                slow[i, j] += chance * (inverse[a, b] + moved)
+                slow[i, j] += chance * (moved + (0.0 if fit is found.as_is else inverse[a, b]))
     examined = dashpot.identify(stated, spectrum, diagnose=True)
     np.testing.assert_allclose(examined.covariance, slow, rtol=1e-6, atol=1e-9 * np.max(slow))
     np.testing.assert_array_equal(examined.values, plain.values)

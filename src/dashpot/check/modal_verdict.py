@@ -21,7 +21,8 @@ def examined_modes(model: Model, data: ModalData, estimate: Estimate, *, seed: i
     """The estimate from `data` (no batch axes) with its assessment, and a diagnosis where the rig does not fit."""
     assessment = assess_modes(model, data, estimate)
     if assessment.verdict == "does not fit" or not bool(estimate.converged):
-        assessment = replace(assessment, findings=diagnose_modes(model, data, estimate, seed=seed))
+        findings, estimate = diagnose_modes(model, data, estimate, seed=seed)
+        assessment = replace(assessment, findings=findings)
     return replace(estimate, assessment=assessment)
 
 

@@ -33,7 +33,10 @@ from dashpot.check.explain.problem import (
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
 from dashpot.estimate.inference.diagnostics import of_one_sign
+from dashpot.estimate.inference.uncertainty import linear_modes
+from dashpot.estimate.result import MISFIT, Estimate
 from dashpot.model.elements import Kind
+from dashpot.model.network import Model
 
 # The kinds of effects, each with its probability before the data: what people get wrong, by how often.
 KINDS: tuple[tuple[float, Effects], ...] = (
@@ -731,3 +734,32 @@ def unexplained(found: Explanation) -> Phrase:
             f". Nearest, with {100 * nearest.explains:.0f} % of it: {nearest.effect.words(nearest.size).text}"
         )
     return Phrase(text, "look at the residuals there, and measure more points or fewer at a time")
+
+
+@np.errstate(all="ignore")  # values where a search was lost may be absurd
+def allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) -> Estimate:
+    """The estimate with intervals that allow for what its unknowns would be with each cause mended, by its odds.
+
+    The values stay those of the rig as it is stated.  To their covariance comes, for each fit that was weighed, its own
+    covariance and the square of its distance from them, by its odds.  The engine's fit of the rig as it is, which
+    weighs the lines otherwise than the estimate does, stands for what is not listed.
+    """
+    fits = [(cause.odds, cause.fit.parts or (cause.fit,)) for cause in found.weighed]
+    fits.append((found.as_stated, (found.as_is,)))
+    names, covariance = estimate.names, estimate.covariance
+    for odds, parts in fits:
+        for part in parts:
+            there = part.problem.names
+            if not set(names) <= set(there):
+                continue
+            places = [there.index(name) for name in names]
+            away, spread = part.psi[places] - estimate.values, part.covariance[np.ix_(places, places)]
+            added = odds / len(parts) * (np.outer(away, away) + (0.0 if part is found.as_is else spread))
+            # Information of a direction that is lost in rounding has an inverse that is no covariance.
+            if np.all(np.isfinite(added)) and np.all(np.diagonal(added) >= 0):
+                covariance = covariance + added
+    if not np.all(np.isfinite(covariance)):
+        return estimate
+    m = len(model.unknowns)
+    modes = linear_modes(model, estimate.values[:m], covariance[:m, :m])
+    return replace(estimate, covariance=covariance, basis=MISFIT, modes=modes)

@@ -12,7 +12,7 @@ from dashpot.arrays import diagonal_matrices, random_generator
 from dashpot.channel import Channel
 from dashpot.check.explain.channels import factor_in_words, late, turned
 from dashpot.check.explain.effect import Effect, as_is
-from dashpot.check.explain.engine import LARGEST, Explanation, explain
+from dashpot.check.explain.engine import LARGEST, Explanation, allowing_for_causes, explain
 from dashpot.check.explain.laws import called_for, called_for_in_records, in_place_of_laws, nonlinear_finding
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.record_channels import mistakes_by_equation
@@ -34,11 +34,10 @@ from dashpot.errors import DashpotError, ModelError
 from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.time_course import TIME_CHANGES
-from dashpot.estimate.inference.uncertainty import linear_modes
 from dashpot.estimate.likelihood.global_search import candidates
 from dashpot.estimate.nonlinear.search import linear_rig, starting_points
 from dashpot.estimate.preparation import prepare
-from dashpot.estimate.result import MISFIT, Estimate
+from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input, observation_model
 from dashpot.notices import Notice
@@ -164,41 +163,7 @@ def examined(
     estimate = _closed(model, spectrum, estimate, assessment)
     if found is None or estimate.assessment is None or estimate.assessment.verdict != "does not fit":
         return estimate
-    return _allowing_for_causes(model, estimate, found)
-
-
-@np.errstate(all="ignore")  # values where a search was lost may be absurd
-def _allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) -> Estimate:
-    """The estimate with intervals that allow for what its unknowns would be with each cause mended, by its odds.
-
-    The values stay those of the rig as it is stated.  Their covariance is the mean square about them of the mixture
-    of all fits that were weighed, the rig as it is among them.
-    """
-    fits = [(cause.odds, cause.fit.parts or (cause.fit,)) for cause in found.weighed]
-    fits.append(
-        (found.as_stated / 2, (found.as_is,))
-    )  # which weighs the lines otherwise than the estimate does
-    names, total = estimate.names, found.as_stated / 2
-    mean_square = total * estimate.covariance
-    for odds, parts in fits:
-        for part in parts:
-            there = part.problem.names
-            if not set(names) <= set(there):
-                continue
-            places = [there.index(name) for name in names]
-            away, spread = part.psi[places] - estimate.values, part.covariance[np.ix_(places, places)]
-            # Information of a direction that is lost in rounding has an inverse that is no covariance.
-            if np.all(np.isfinite(spread)) and np.all(np.diagonal(spread) > 0):
-                mean_square = mean_square + odds / len(parts) * (spread + np.outer(away, away))
-                total += odds / len(parts)
-    if not total > 0:
-        return estimate
-    covariance = mean_square / total
-    if not np.all(np.isfinite(covariance)):
-        return estimate
-    m = len(model.unknowns)
-    modes = linear_modes(model, estimate.values[:m], covariance[:m, :m])
-    return replace(estimate, covariance=covariance, basis=MISFIT, modes=modes)
+    return allowing_for_causes(model, estimate, found)
 
 
 def _with_causes(assessment: Assessment, found: tuple[Finding, ...], laws: tuple[Finding, ...]) -> Assessment:

@@ -11,7 +11,7 @@ import numpy as np
 from dashpot.check.explain import channels, dwells, rigs
 from dashpot.check.explain.channels import in_data
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, said
-from dashpot.check.explain.engine import KINDS, LARGEST, begun_at, explain_in_steps
+from dashpot.check.explain.engine import KINDS, LARGEST, allowing_for_causes, begun_at, explain_in_steps
 from dashpot.check.explain.problem import ModalProblem
 from dashpot.data.modal_data import ModalData
 from dashpot.estimate.assessment import Finding
@@ -25,16 +25,18 @@ DRAWS = 4  # rigs drawn at random from which each fit starts as well, where the 
 
 def diagnose_modes(
     model: Model, data: ModalData, estimate: Estimate, *, seed: int = 0
-) -> tuple[Finding, ...]:
-    """What may be the matter where a rig has not the modes that were measured (no batch axes), the likeliest first."""
+) -> tuple[tuple[Finding, ...], Estimate]:
+    """What may be the matter where a rig has not the modes that were measured (no batch axes), the likeliest first; and
+    the estimate with intervals that allow for it."""
     if model.n > LARGEST or not np.all(np.isfinite(estimate.values)):
-        return ()
+        return (), estimate
     seen = set(data.points) == set(model.coordinates) and bool(np.all(np.isfinite(data.shapes)))
     drawn = random_rigs(model, data, 0 if seen else DRAWS, np.random.default_rng(seed))
     out = np.zeros((data.modes, len(data.points) + 2), dtype=bool)
     problem = ModalProblem(model, data, (estimate.values, like_parts(model, data), *drawn), out)
     found = explain_in_steps(begun_at(problem), OF_MODES)
-    return tuple(_in_the_shapes(each) for each in found.findings())
+    findings = tuple(_in_the_shapes(each) for each in found.findings())
+    return findings, allowing_for_causes(model, estimate, found)
 
 
 def _in_the_shapes(cause: Finding) -> Finding:
