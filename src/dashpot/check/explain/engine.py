@@ -740,14 +740,16 @@ def unexplained(found: Explanation) -> Phrase:
 def allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) -> Estimate:
     """The estimate with intervals that allow for what its unknowns would be with each cause mended, by its odds.
 
-    The values stay those of the rig as it is stated.  To their covariance comes, for each fit that was weighed, its own
-    covariance and the square of its distance from them, by its odds.  The engine's fit of the rig as it is, which
-    weighs the lines otherwise than the estimate does, stands for what is not listed.
+    The values stay those of the rig as it is stated.  To their covariance comes, for each of the likeliest fits, whose
+    odds sum to 95 %, its own covariance and the square of its distance from them, by its odds.  The engine's fit of the
+    rig as it is, which weighs the lines otherwise than the estimate does, stands for what is not listed.
     """
     fits = [(cause.odds, cause.fit.parts or (cause.fit,)) for cause in found.weighed]
     fits.append((found.as_stated, (found.as_is,)))
+    fits.sort(key=lambda each: -each[0])
+    told = np.cumsum([odds for odds, _ in fits]) - [odds for odds, _ in fits] < LISTED
     names, covariance = estimate.names, estimate.covariance
-    for odds, parts in fits:
+    for odds, parts in (fit for fit, counts in zip(fits, told, strict=True) if counts):
         for part in parts:
             there = part.problem.names
             if not set(names) <= set(there):
