@@ -34,22 +34,31 @@ UNDRIVEN = 0.2  # share of the lines at least, in RUNS runs: else a few are weak
 RUNS = 10
 IN_BAND = 0.03  # of a channel's largest lines: where it moves less, nothing is told
 DISTORTED = 1e-3  # of a channel's motion, and p-value of its being noise
+ROUNDING = 1e-9  # of a channel's largest line or mean: where it moves less, it rests
+
+
+def moving(X: Complex, lines: Ints) -> Bools:
+    """(channels,): which move at some of the lines by more than rounding; X (multiples from 0, channels)."""
+    size = np.abs(X)
+    return np.asarray(np.max(size[lines], axis=0) > ROUNDING * np.max(size, axis=0))
 
 
 def driven_lines(X: Complex) -> Bools:
     """(lines,): which of neighbouring multiples are driven, X (lines, channels); all where that is not to be told.
 
     In the channel of the drive some lines are far below those beside them, here and there in the band in which it
-    moves.  Of the channels that tell them apart that with most driven lines decides.
+    moves.  Of the channels that tell them apart that with most driven lines decides, unless one moves at every line.
     """
     found, most = np.ones(len(X), dtype=bool), 0
     if len(X) < 2 * RUNS:
         return found
     for size in np.abs(np.nan_to_num(X)).T:
         around = np.max(sliding_window_view(np.pad(size, NEAR), 2 * NEAR + 1), axis=-1)
-        moving = around > IN_BAND * np.max(around)
-        share = np.maximum(size / np.where(moving, around, np.inf), 1e-12)
-        ordered = np.sort(share[moving])
+        in_band = around > IN_BAND * np.max(around)
+        share = np.maximum(size / np.where(in_band, around, np.inf), 1e-12)
+        if np.min(share) > 1 / SPLIT:
+            return np.ones(len(X), dtype=bool)
+        ordered = np.sort(share[in_band])
         first = int(np.ceil(UNDRIVEN * len(ordered)))
         gaps = ordered[first : len(ordered) - RUNS] / ordered[first - 1 : len(ordered) - RUNS - 1]
         if first == 0 or not np.max(gaps, initial=0.0) > SPLIT:
@@ -61,10 +70,10 @@ def driven_lines(X: Complex) -> Bools:
 
 
 def _driven_and_not(mean: Complex, wanted: Ints) -> tuple[Ints, Ints]:
-    """Of the multiples that are wanted those that are driven, and all between that are not; mean (multiples from 1,
+    """Of the multiples that are wanted those that are driven, and all between that are not; mean (multiples from 0,
     channels)."""
     every = np.arange(wanted[0], wanted[-1] + 1)
-    driven = driven_lines(mean[every - 1])
+    driven = driven_lines(mean[every][:, moving(mean, every)])
     found = np.intersect1d(wanted, every[driven])
     return (found, every[~driven]) if len(found) else (wanted, every[:0])
 
@@ -74,29 +83,32 @@ def driven_note(source: str, asked: int, driven: Ints) -> tuple[Notice, ...]:
     if len(driven) == asked:
         return ()
     steps = np.unique(np.diff(driven))
-    each = f"every {steps[0]}th" if len(steps) == 1 else "some"
+    each = "some" if len(steps) != 1 else "every second" if steps[0] == 2 else f"one in {steps[0]}"
     text = (
         f"{source}: {len(driven)} of {asked} lines are driven, {each} from {driven[0]} to {driven[-1]}; the others "
         "tell noise and distortion alone"
     )
-    return (Notice("lines_driven", text.replace("every 2th", "every second"), (source,)),)
+    return (Notice("lines_driven", text, (source,)),)
 
 
 def _distortion(record: Record, X: Complex, driven: Ints, between: Ints) -> tuple[Notice, ...]:
     """How much channels move at multiples between the driven ones, by more than the periods (periods, lines, channels)
-    scatter there: distortion by odd and even laws where the driven multiples are odd."""
+    scatter there: distortion by odd and even laws where the driven multiples are odd; multiples from 0."""
     if not len(between):
         return ()
     count, texts, names = len(X), [], []
     mean, variance = np.abs(np.mean(X, axis=0)) ** 2, np.var(X, axis=0, ddof=1) / count
+    moves = moving(np.mean(X, axis=0), driven)
     for c, channel in enumerate(record.channels):
+        if not moves[c]:
+            continue
         sizes = []
         for which in (between % 2 == 1, between % 2 == 0) if np.all(driven % 2 == 1) else (between > 0,):
-            lines = between[which] - 1
+            lines = between[which]
             power, noise = np.sum(mean[lines, c]), np.sum(variance[lines, c])
             p = fdtrc(2 * len(lines), 2 * len(lines) * (count - 1), power / noise) if noise > 0 else 0.0
             beyond = max(power - noise, 0.0) / max(len(lines), 1) if p < DISTORTED else 0.0
-            sizes.append(float(np.sqrt(beyond / np.mean(mean[driven - 1, c]))))
+            sizes.append(float(np.sqrt(beyond / np.mean(mean[driven, c]))))
         if max(sizes) > DISTORTED:
             odd_even = zip((" odd", " even") if len(sizes) > 1 else ("",), sizes, strict=True)
             texts.append(
@@ -144,7 +156,7 @@ def one_period(record: Record, period_s: float, orders: Sequence[int]) -> Spectr
     first = len(record.time) - each
     phase = np.exp(-2j * np.pi * np.arange(each // 2) * record.time[first] / period_s)
     F = np.fft.fft(record.values[first:], axis=0)[: each // 2] * (2 / each) * phase[:, None]
-    asked, (wanted, between) = len(wanted), _driven_and_not(F[1:], wanted)
+    asked, (wanted, between) = len(wanted), _driven_and_not(F, wanted)
     beside = np.arange(max(1, int(wanted[0]) - 2 * NEIGHBOURS), min(each // 2, int(wanted[-1]) + 1))
     silent = np.union1d(beside[beside < wanted[0]], between) if len(between) else np.setdiff1d(beside, wanted)
     if len(silent) < NEIGHBOURS:
@@ -184,7 +196,7 @@ def average_periods(
     wanted = np.array(sorted({int(order) for order in orders}))
     notes: tuple[Notice, ...] = ()
     if wanted[-1] < each / 2:
-        every = np.fft.rfft(values, axis=1)[:, 1 : each // 2 + 1]
+        every = np.fft.rfft(values, axis=1)
         asked, (wanted, between) = len(wanted), _driven_and_not(np.mean(every, axis=0), wanted)
         notes = (
             *driven_note(record.source, asked, wanted),

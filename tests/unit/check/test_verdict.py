@@ -204,7 +204,7 @@ def test_lines_that_a_multisine_does_not_drive_are_no_silent_sensor(distortion: 
     values += 0.01 * size * rng.normal(size=values.shape)
     lines = spectrum([Record(channels, np.arange(len(values)) / rate, values)])
     (note,) = [note for note in lines.notes if note.code == "lines_driven"]
-    assert "every 12th from 33 to 741" in note.text
+    assert "one in 12 from 33 to 741" in note.text
     assert silent_channels(model, lines) == {}
     assert not np.all(driven_lines(lines.amplitudes[:, :1]))  # the answer alone shows the pattern, too
     estimate = identify_with_noise(model, lines)[0]

@@ -124,7 +124,7 @@ def test_lines_that_are_driven_are_found_among_those_stated():
     ):
         assert np.rint(lines.frequency_hz * N * STEP).tolist() == FOURTH.tolist()
         assert [note.code for note in lines.notes] == ["lines_driven"]
-        assert "60 of 240 lines are driven, every 4th from 11 to 247" in lines.notes[0].text
+        assert "60 of 240 lines are driven, one in 4 from 11 to 247" in lines.notes[0].text
     assert average_periods(record, N * STEP, FOURTH).notes == ()
 
 
@@ -151,6 +151,26 @@ def test_the_channel_that_moves_in_the_widest_band_tells_what_is_driven():
     drive = (n % 2 == 1) * np.exp(6j * rng.uniform(size=600))
     X = np.stack([drive, 30 * drive / (1 + (n / 20.0) ** 2)], axis=1) + [0.03, 0.002] * noise
     assert np.array_equal(driven_lines(X), n % 2 == 1)
+
+
+@pytest.mark.parametrize("rest", [5.0, 5.3, 0.1])
+def test_a_channel_at_rest_tells_nothing(rest):
+    """Rounding of its lines looks like a pattern, and is no distortion."""
+    n, time = np.arange(1, 201), np.arange(8000) / 1000
+    rng = np.random.default_rng(0)
+    drive = np.cos(2 * np.pi * np.outer(time, n) + rng.uniform(0, 6.3, 200)).sum(axis=1)
+    values = np.column_stack([drive + 1e-3 * rng.normal(size=8000), np.full(8000, rest)])
+    lines = average_periods(Record(CHANNELS, time, values), 1.0, n)
+    assert lines.lines == 200
+    assert lines.notes == ()
+
+
+def test_a_channel_that_moves_at_every_line_outvotes_a_pattern():
+    rng = np.random.default_rng(0)
+    drive, odd = np.exp(6j * rng.uniform(size=(2, 200)))
+    odd[::2] *= 1e-3
+    assert np.count_nonzero(driven_lines(odd[:, None])) == 100
+    assert np.all(driven_lines(np.stack([drive, odd], axis=1)))
 
 
 def test_lines_all_driven_are_all_kept():
