@@ -24,7 +24,7 @@ from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.whole_record import without_gaps
 from dashpot.data.local_noise import with_local_noise
-from dashpot.data.periods import average_periods, period_of, unsettled_periods
+from dashpot.data.periods import ROUNDING, average_periods, period_of, unsettled_periods
 from dashpot.data.readers import Reading
 from dashpot.data.readers.text import write_rows
 from dashpot.data.readers.uff import FRF, NodalFunction, NodePoint
@@ -372,6 +372,7 @@ def _of_periods(record: Record, nu: int) -> tuple[Spectrum, dict[str, tuple[floa
     each = period_of(driving)
     if each is None:
         return None
+    _require_motion(record, nu)
     count = len(record.time) // each
     step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
     X = fft.rfft(record.values[: count * each].reshape(count, each, -1), axis=1)[:, 1 : each // 2] * (
@@ -403,6 +404,18 @@ def _of_periods(record: Record, nu: int) -> tuple[Spectrum, dict[str, tuple[floa
     return replace(spectrum, notes=notes), dict(zip(names, distortion, strict=True))
 
 
+def _resting(values: Real) -> Bools:
+    """(channels,): which of (samples, channels) move by no more than rounding."""
+    return np.asarray(np.ptp(values, axis=0) <= ROUNDING * np.max(np.abs(values), axis=0))
+
+
+def _require_motion(record: Record, nu: int) -> None:
+    """Raises DataError where an output stays at one value."""
+    for c in np.flatnonzero(_resting(record.values)):
+        if c >= nu:
+            raise DataError(f"{record.channels[c].name} does not move", record.source, "leave it out")
+
+
 def _still_settling(X: Complex) -> int:
     """Periods of the first half that differ from the last half by more than noise, in all lines of some channel.
 
@@ -411,6 +424,7 @@ def _still_settling(X: Complex) -> int:
     half = len(X) // 2
     last = X[half:]
     noise = np.sum(np.var(last, axis=0, ddof=1), axis=0) * (1 + 1 / len(last))
+    noise = np.maximum(noise, (ROUNDING * np.max(np.abs(last), axis=(0, 1))) ** 2 * X.shape[1])
     away = np.sum(np.abs(X[:half] - np.mean(last, axis=0)) ** 2, axis=1)
     late = np.flatnonzero(np.any(away > (1 + 5 / X.shape[1] ** 0.5) * noise, axis=1))
     return int(late[-1]) + 1 if len(late) else 0
@@ -470,14 +484,15 @@ class RecordLines:
 
 
 def record_lines(record: Record, nu: int) -> RecordLines:
-    """The lines of a record.  Raises DataError for uneven stamps and records that are too short."""
+    """The lines of a record.  Raises DataError for uneven stamps, and outputs that do not move."""
     if record.values.ndim != 2:
         raise DataError("repeats of a record cannot be combined", record.source, "give one at a time")
+    _require_motion(record, nu)
     step, samples = even_step(record), len(record.time)
     lines = (samples - 1) // 2
     frequency = np.arange(1, lines + 1) / (samples * step)
     X = fft.rfft(record.values - record.values.mean(axis=0), axis=0)[1 : lines + 1] * (2 / samples**0.5)
-    X = X * calibration(record.channels, frequency)
+    X = X * calibration(record.channels, frequency) * ~_resting(record.values)  # inputs at rest: exactly
     return RecordLines(frequency, X[:, :nu], X[:, nu:], samples * step, samples)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -173,3 +174,28 @@ def test_refusals_are_one_line() -> None:
         dashpot.frf(still, "u0")
     reading = dashpot.Reading((record,), None, ())
     assert frequency_response(reading, ["u0"], ["a1"]).outputs[0].quantity is Quantity.ACCELERATION
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_an_output_that_does_not_move_is_named(periodic: bool) -> None:
+    rng = np.random.default_rng(0)
+    record = TWO.record(TWO.noise(rng, 20.0, 1), rng, 0.01)
+    values = np.tile(record.values[:200], (10, 1)) if periodic else record.values.copy()
+    values[:, 2] = 5.3
+    stuck = Record(record.channels, record.time[: len(values)], values)
+    with pytest.raises(DataError, match=r"a1 does not move.*leave it out"):
+        dashpot.frf(stuck, "u0")
+    with pytest.raises(DataError, match="a1 does not move"):
+        dashpot.modes(stuck, "u0" if periodic else None, "a0,a1")
+    values[:, 0] = 5.3
+    with pytest.raises(DataError, match="u0 is at rest"):
+        dashpot.frf(replace(stuck, values=values), "u0", "a0")
+
+
+def test_no_period_is_left_out_for_rounding() -> None:
+    """A drive without noise differs between periods by the rounding of its time."""
+    rng, time, odd = np.random.default_rng(0), np.arange(8000) / 1000, np.arange(3, 200, 4)
+    drive = np.sin(2 * np.pi * odd * time[:, None] + rng.uniform(0, 6.28, odd.size)).sum(axis=1)
+    answer = drive + 1e-3 * rng.standard_normal(8000)
+    (note,) = dashpot.frf({"time_s": time, "f": drive, "y": answer}, "f", "y").notes
+    assert "means of 8 periods" in note.text
