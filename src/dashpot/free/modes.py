@@ -35,7 +35,7 @@ from dashpot.io.words import counted
 from dashpot.notices import Notice
 
 MOST_MODES = 40
-HIGHEST_DAMPING = 0.3  # of what is reported as a mode: broader poles stand for what lies outside the band
+HIGHEST_DAMPING = 0.8  # of what is reported as a mode: broader poles stand for what lies outside the band
 STABLE = (
     0.01,
     0.1,
@@ -664,7 +664,7 @@ def _with_noise_of(sets: Sequence[_Set], fit: _Fit) -> list[_Set]:
 def _modes_among(fit: _Fit, sets: Sequence[_Set]) -> tuple[Ints, int]:
     """Numbers of the poles that are modes, by frequency, and how many others there are.
 
-    A mode swings, lies in the band, and its frequency is known to better than the width of the band's tenth.
+    A mode swings, lies in the band, and its eigenvalue is known to a tenth, its damping to its own size.
     """
     f = np.abs(fit.poles) * sets[0].unit / (2 * np.pi)
     zeta = -fit.poles.real / np.abs(fit.poles)
@@ -675,7 +675,7 @@ def _modes_among(fit: _Fit, sets: Sequence[_Set]) -> tuple[Ints, int]:
         / np.abs(fit.poles)[:, None]
     )
     there = (f > low) & (f < high) & (zeta < HIGHEST_DAMPING) & (zeta > -3 * sd[:, 0])
-    there &= (sd[:, 1] < 0.1) & (sd[:, 0] < np.maximum(1.0 * np.abs(zeta), 0.01))
+    there &= (sd[:, 1] < 0.1) & (sd[:, 0] < np.clip(np.abs(zeta), 0.01, 0.1))
     order = np.argsort(f)
     return order[there[order]], int(np.sum(~there))
 

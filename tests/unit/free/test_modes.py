@@ -15,6 +15,7 @@ from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.free.modes import MeasuredModes, _Set, _solved
 from dashpot.io.json_document import to_json
+from tests import rigs
 from tests.unit.free.bench import Bench
 
 TWO = Bench((4.0, 9.0), (0.01, 0.02))
@@ -193,3 +194,18 @@ def test_a_models_modes_are_still_to_be_had() -> None:
     model = dashpot.parse_rig(ONE).model
     found = dashpot.modes(model, np.array([1.0, 4 * np.pi**2]))
     assert found.frequency_hz == pytest.approx(1.0)
+
+
+def test_modes_damped_to_two_thirds_of_critical_are_found_in_settled_sines() -> None:
+    """Of the rig in Yamane (1989), whose modes have damping ratios of 0.65 and 0.40; no other pole counts as one."""
+    rig = rigs.paper_rig(np.linspace(1.0, 12.0, 40))
+    chosen = rigs.channels(rig)
+    spectrum = rigs.noisy(rig, chosen, rigs.covariance(rig, chosen, 0.01), np.random.default_rng(3))
+    found = dashpot.modes(spectrum, ["u"], [channel.name for channel in chosen if channel.name != "u"])
+    true = dashpot.modes(rig.model, rig.model.parameters(rig.theta))
+    for shown, sd, value in (
+        (found.frequency_hz, found.frequency_sd, true.frequency_hz),
+        (found.damping_ratio, found.damping_sd, true.damping_ratio),
+    ):
+        assert np.max(np.abs(shown - value) / sd) < 3.5
+        assert np.all(sd < 0.03 * value)
