@@ -115,21 +115,28 @@ def test_the_covariance_adds_that_of_all_fits_and_their_distance_from_the_values
     odds = [cause.odds for cause in found.weighed]
     assert found.as_stated + sum(odds) == pytest.approx(1)
     slow = np.array(plain.covariance)
-    fits = [(cause.odds, cause.fit) for cause in found.weighed if not cause.fit.parts]
+    fits = [(found.as_stated, None, found.as_is)]
     for cause in found.weighed:  # of a rig that changed each part counts alike
-        fits += [(cause.odds / len(cause.fit.parts), part) for part in cause.fit.parts]
+        parts = cause.fit.parts or (cause.fit,)
+        fits += [(cause.odds / len(parts), cause.effect, part) for part in parts]
     total = 0.0
-    for chance, fit in sorted([*fits, (found.as_stated, found.as_is)], key=lambda each: -each[0]):
+    for chance, effect, fit in sorted(fits, key=lambda each: -each[0]):
         if total >= 0.95:
             break
         total += chance
-        where = [fit.problem.names.index(name) for name in plain.names]
-        information = fit.problem.slopes(fit.psi)[0]
-        inverse = np.linalg.inv(information) * max(1.0, fit.chi2 / fit.dof)
+        names = list(fit.problem.names)
+        where = [names.index(name) for name in plain.names]
+        information = fit.problem.slopes(fit.psi)[0] / max(1.0, fit.chi2 / fit.dof)
+        if effect is not None and effect.unknown and effect.width is not None:  # its prior
+            at = names.index(effect.unknown)
+            information[at, at] += (effect.width * (abs(fit.psi[at]) if effect.of_ratio else 1.0)) ** -2
+        for name, _ in () if effect is None else effect.others:
+            information[names.index(name), names.index(name)] += fit.psi[names.index(name)] ** -2
+        inverse = np.linalg.inv(information)
         for i, a in enumerate(where):
             for j, b in enumerate(where):
                 moved = (fit.psi[a] - plain.values[i]) * (fit.psi[b] - plain.values[j])
-                slow[i, j] += chance * (moved + (0.0 if fit is found.as_is else inverse[a, b]))
+                slow[i, j] += chance * (moved + (0.0 if effect is None else inverse[a, b]))
     examined = dashpot.identify(stated, spectrum, diagnose=True)
     np.testing.assert_allclose(examined.covariance, slow, rtol=1e-6, atol=1e-9 * np.max(slow))
     np.testing.assert_array_equal(examined.values, plain.values)

@@ -37,6 +37,7 @@ from dashpot.estimate.inference.uncertainty import linear_modes
 from dashpot.estimate.result import MISFIT, Estimate
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model
+from dashpot.numerics.small_systems import scaled_inverse
 
 # The kinds of effects, each with its probability before the data: what people get wrong, by how often.
 KINDS: tuple[tuple[float, Effects], ...] = (
@@ -211,7 +212,8 @@ def explain_in_steps(baseline: Baseline, kinds: Kinds, *, laws: bool = False) ->
         return first
     both = replace(more[0], odds=best.odds * more[0].odds)
     beside = tuple(replace(each, odds=best.odds * each.odds) for each in second.weighed)
-    weighed = (*(each for each in first.weighed if each.effect is not best.effect), *beside)
+    alone = replace(best, odds=best.odds * second.as_stated)
+    weighed = (*(each for each in first.weighed if each.effect is not best.effect), alone, *beside)
     if first.causes:
         nearly_all = not _leaves_more_than_noise(both.fit) or both.explains >= NEARLY_ALL
         causes = (best, both, *first.causes[1:])[:MOST]
@@ -736,6 +738,21 @@ def unexplained(found: Explanation) -> Phrase:
     return Phrase(text, "look at the residuals there, and measure more points or fewer at a time")
 
 
+def _covariance(effect: Effect, fit: FittedProblem) -> Real:
+    """Of ψ (M,), (M, M), with an effect fitted: by χ² over its degrees of freedom wider than noise gives it, where that
+    is larger.  What the data do not tell of the unknowns that it brings, their priors do."""
+    information, _, _ = fit.problem.slopes(fit.psi)
+    information = information / max(fit.reduced, 1.0 if fit.problem.noise_known else 0.0)
+    names = list(fit.problem.names)
+    widths = {name: abs(float(fit.psi[names.index(name)])) for name, _ in effect.others}
+    if effect.unknown and effect.width is not None:
+        size = abs(float(fit.psi[names.index(effect.unknown)])) if effect.of_ratio else 1.0
+        widths[effect.unknown] = effect.width * size
+    for name, width in widths.items():
+        information[names.index(name), names.index(name)] += 1 / width**2
+    return scaled_inverse(information)
+
+
 @np.errstate(all="ignore")  # values where a search was lost may be absurd
 def allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) -> Estimate:
     """The estimate with intervals that allow for what its unknowns would be with each cause mended, by its odds.
@@ -744,19 +761,24 @@ def allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) ->
     odds sum to 95 %, its own covariance and the square of its distance from them, by its odds.  The engine's fit of the
     rig as it is, which weighs the lines otherwise than the estimate does, stands for what is not listed.
     """
-    fits = [(cause.odds, cause.fit.parts or (cause.fit,)) for cause in found.weighed]
-    fits.append((found.as_stated, (found.as_is,)))
+    fits: list[tuple[float, Effect | None, tuple[FittedProblem, ...]]] = [
+        (cause.odds, cause.effect, cause.fit.parts or (cause.fit,)) for cause in found.weighed
+    ]
+    fits.append((found.as_stated, None, (found.as_is,)))
     fits.sort(key=lambda each: -each[0])
-    told = np.cumsum([odds for odds, _ in fits]) - [odds for odds, _ in fits] < LISTED
-    names, covariance = estimate.names, estimate.covariance
-    for odds, parts in (fit for fit, counts in zip(fits, told, strict=True) if counts):
+    names, covariance, total = estimate.names, estimate.covariance, 0.0
+    for odds, effect, parts in fits:
+        if total >= LISTED:
+            break
+        total += odds
         for part in parts:
             there = part.problem.names
             if not set(names) <= set(there):
                 continue
             places = [there.index(name) for name in names]
-            away, spread = part.psi[places] - estimate.values, part.covariance[np.ix_(places, places)]
-            added = odds / len(parts) * (np.outer(away, away) + (0.0 if part is found.as_is else spread))
+            away = part.psi[places] - estimate.values
+            spread = 0.0 if effect is None else _covariance(effect, part)[np.ix_(places, places)]
+            added = odds / len(parts) * (np.outer(away, away) + spread)
             # Information of a direction that is lost in rounding has an inverse that is no covariance.
             if np.all(np.isfinite(added)) and np.all(np.diagonal(added) >= 0):
                 covariance = covariance + added

@@ -29,7 +29,6 @@ from dashpot.model.elements import Element
 from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, calibration_factors, observation_model, transfer
-from dashpot.numerics.small_systems import scaled_inverse
 
 DRAWS, FEWER_DRAWS = (
     1500,
@@ -539,13 +538,6 @@ class FittedProblem:
         excess = max(self.reduced, 1.0 if known else 1e-12)
         held = min(self.reduced, 1.0) if known else 1.0
         return roughly_lost(self.problem) - 0.5 * self.dof * (float(np.log(excess)) + held)
-
-    @cached_property
-    def covariance(self) -> Real:
-        """Of ψ, (M, M): by χ² over its degrees of freedom wider than the noise gives it, where that is larger."""
-        information, _, _ = self.problem.slopes(self.psi)
-        floor = 1.0 if self.problem.noise_known else 0.0
-        return max(self.reduced, floor) * scaled_inverse(information)
 
     @cached_property
     def residual(self) -> Complex:

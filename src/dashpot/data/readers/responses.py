@@ -127,8 +127,6 @@ def _pair(source: str, channels: Sequence[Channel]) -> tuple[str, str]:
     if len(named) != 2:
         what = f"nothing says which response this is, of {listed([c.name for c in channels])}"
         raise DataError(what, source, "name the file after output and input, such as H_a1_f.csv")
-    if named[0] in forces and named[1] not in forces:
-        named.reverse()
     return named[0].name, named[1].name
 
 
@@ -145,7 +143,12 @@ def joined_responses(
             f"{each.frequency_hz[0]:.6g}", "ascii"
         )
         groups.setdefault((each.pair[1], key), []).append(each)
-    inputs = {each.pair[1] for each in responses} | {c.name for c in channels if c.quantity is Quantity.FORCE}
+    inputs = {each.pair[1] for each in responses}
+    forces = {channel.name for channel in channels if channel.quantity is Quantity.FORCE}
+    if (
+        inputs & forces
+    ):  # what is pushed somewhere is not pushed elsewhere; a force on a moved base is none that drives
+        inputs |= forces
     scale = np.array([channel.scale for channel in channels])
     for number, ((into, _), group) in enumerate(groups.items()):
         frequency = group[0].frequency_hz

@@ -7,6 +7,8 @@ import pytest
 
 import dashpot
 from dashpot.arrays import Complex, Real
+from dashpot.channel import Channel, Quantity
+from dashpot.data.readers import read
 from dashpot.data.readers.amplitudes import coherent_variance
 
 RIG = dashpot.parse_rig("""
@@ -157,3 +159,17 @@ def test_what_cannot_be_meant_is_refused_in_one_line(name: str, columns: str, ca
     with pytest.raises(dashpot.DataError, match=cause) as refused:
         RIG.read(write(name, columns, H[:, 0].real, H[:, 0].imag, np.full(len(HZ), 7.0)))
     assert len(refused.value.problems) == 1
+
+
+def test_the_order_of_a_files_name_counts_and_a_force_on_a_moved_base_is_no_input() -> None:
+    """Force over displacement stays what it is; where the base drives, a force without a file was not measured."""
+    stand = (Channel("F", {"u": 1.0}, Quantity.FORCE), Channel("u", {"u": 1.0}), Channel("x", {"x": 1.0}))
+    columns = "Frequency\tReal\tImag"
+    file = write("H_F_u.txt", columns, np.full(len(HZ), 5e4), np.zeros(len(HZ)))
+    other = write("H_x_u.txt", columns, np.ones(len(HZ)), np.zeros(len(HZ)))
+    spectrum = read([file, other], stand).amplitudes
+    assert spectrum is not None
+    np.testing.assert_allclose(spectrum.amplitudes, np.tile([5e4, 1.0, 1.0], (len(HZ), 1)))
+    alone = read([other], stand).amplitudes
+    assert alone is not None
+    assert np.all(np.isnan(alone.amplitudes[:, 0]))
