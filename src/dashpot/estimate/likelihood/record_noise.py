@@ -480,19 +480,22 @@ def _smoothed(
         if not np.any(there):
             continue
         kept, count = order[there[order]], np.bincount(record[there], minlength=len(records))
-        choices: list[tuple[float, Real, Real]] = []
+        limit = float(chdtri(max(int(np.count_nonzero(count)) - 1, 1), 1e-3))
+        fewest = int(np.min(count[count > 0]))  # lines: short records show their size and no course
+        choices: list[tuple[bool, float, Real, Real]] = []
         for scale in (1 / spectrum.samples[lines], its_size):
             expected, behind = np.ones(len(lines)), np.ones(len(lines))
-            course, behind[kept] = _course(shown[kept] / scale[kept])
+            course, behind[kept] = _course(shown[kept] / scale[kept], fewest > HALF_WINDOW)
             expected[kept] = np.maximum(scale[kept] * course, np.finfo(float).tiny)
             own = np.where(count > 0, means(shown / expected), 1.0)
             level = np.sum(count * own) / np.sum(count)
             scatter = 2 * float(np.sum(count * np.log(level / own)))
-            choices.append((scatter, level * expected, behind))
-        scatter, common, behind = min(choices, key=lambda choice: choice[0])
-        limit = float(chdtri(max(int(np.count_nonzero(count)) - 1, 1), 1e-3))
+            # A course over frequency takes up scatter between the records that is none: what needs none comes first.
+            plain = scatter <= limit and bool(np.all(behind[kept] >= 2 * len(kept)))
+            choices.append((not plain, scatter, expected, behind))
+        _, scatter, common, behind = min(choices, key=lambda choice: choice[:2])
         # With less than 8 degrees of freedom a record tells no noise of its own.
-        if len(records) > 1 and scatter > limit and 2 * left * float(np.min(count[count > 0])) >= 8.0:
+        if len(records) > 1 and scatter > limit and 2 * left * fewest >= 8.0:
             for number in np.flatnonzero(count):
                 its = record == number
                 common[its], behind[its] = _course(shown[its])
@@ -503,15 +506,15 @@ def _smoothed(
     return np.maximum(variance, 1e-7**2 * np.mean(size, axis=0)), dof  # below, noise is rounding
 
 
-def _course(power: Real) -> tuple[Real, Real]:
+def _course(power: Real, told: bool = True) -> tuple[Real, Real]:
     """Variances (lines,) from the power of residuals in order of frequency, and their degrees of freedom.
 
-    Over 2·HALF_WINDOW + 1 lines; over all of them where they are white, the mean powers of groups of lines differing by
+    Over 2·HALF_WINDOW + 1 lines where a course can be `told`; over all of them where they are white, the mean powers of groups of lines differing by
     no more than chance.
     """
     width = 2 * HALF_WINDOW + 1
     groups = len(power) // width
-    if groups > 1:
+    if told and groups > 1:
         of_groups = np.mean(power[: groups * width].reshape(groups, width), axis=1)
         if equal_variances(of_groups, 2.0 * width) < 0.01:
             around = smoothed(power[:, None].astype(np.complex128), HALF_WINDOW)[:, 0].real

@@ -31,7 +31,7 @@ LAWS: dict[str, tuple[Law, str, str]] = {
     "speed": (lambda d, v: 60 * v * abs(v), "cq", "damping that grows with speed"),
     "friction": (lambda d, v: 0.3 * np.tanh(v / 0.005), "fc", "friction"),
     "stop": (lambda d, v: 1500 * min(d + 0.002, 0), "kstop", "with a clearance on one side"),
-    "gap": (lambda d, v: 1500 * (max(d - 0.003, 0) + min(d + 0.003, 0)), "kgap", "with a clearance"),
+    "gap": (lambda d, v: 1500 * (max(d - 0.0027, 0) + min(d + 0.0027, 0)), "kgap", "with a clearance"),
 }
 ROOT = Path(__file__).parents[4]
 CHANNELS = (Channel("x", {"x": 1.0}), Channel("u", {"u": 1.0}))
