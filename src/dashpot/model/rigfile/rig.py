@@ -15,7 +15,7 @@ from dashpot.experiment import Experiment, channels_of
 from dashpot.io.words import counted, did_you_mean, listed, shown
 from dashpot.model.network import Model
 from dashpot.shorthand import InNotebooks, call
-from dashpot.units import scale, si_unit
+from dashpot.units import STANDARD_GRAVITY, scale, si_unit
 
 if TYPE_CHECKING:
     from dashpot.check.identifiability import Structure
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from dashpot.estimate.result import Estimate
     from dashpot.export.state_space import StateSpace
     from dashpot.export.transfer_functions import TransferFunctions
-
-
-G = 9.80665  # m/s²
 
 
 @dataclass(frozen=True)
@@ -62,7 +59,7 @@ class ShakerLimits:
         units = {
             "stroke": (1e3, "mm"),
             "velocity": (1.0, "m/s"),
-            "acceleration": (1 / G, "g"),
+            "acceleration": (1 / STANDARD_GRAVITY, "g"),
             "force": (1.0, "N"),
         }
         if turning:
@@ -91,7 +88,7 @@ def usual_limits(model: Model) -> ShakerLimits:
         return (
             ShakerLimits(stroke=0.1, acceleration=10.0)
             if turning
-            else ShakerLimits(stroke=0.01, acceleration=G)
+            else ShakerLimits(stroke=0.01, acceleration=STANDARD_GRAVITY)
         )
     turning = all(all_angles(source.at, model.angles) for source in forced)
     return ShakerLimits(force=1.0 if turning else 10.0)
