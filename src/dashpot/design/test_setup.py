@@ -247,9 +247,16 @@ def drive_at_limits(
 ) -> Complex:
     """Drives (lines, r + s) in the proportions of `unit`, as large as the shaker can at each frequency.
 
-    p (scenarios, elements); what the first scenario to meet a limit allows.  Raises UsageError as `TestSetup.drive`.
+    p (scenarios, elements); what the first scenario to meet a limit allows.  Of limits by kind, displacement inputs and
+    forces have a size each.  Raises UsageError as `TestSetup.drive`.
     """
     omega = 2 * np.pi * frequency_hz
+    if limits.by_kind:
+        moved = np.arange(unit.shape[1]) < len(model.displacement_inputs)
+        motion, force = np.where(moved, unit, 0), np.where(moved, 0, unit)
+        sizes = [limits.use(omega, motion, 0 * force), limits.use(omega, 0 * motion, force)]
+        use_of = np.where(moved, *(np.where(each > 0, each, 1.0)[:, None] for each in sizes))
+        return np.asarray(unit / use_of * (1 - 1e-12))
     if len(model.nonlinear):
         use = _used_directly(model, limits, omega, unit)
     else:

@@ -60,6 +60,44 @@ def test_limits_of_motion_at_a_force_hold_for_the_point_that_it_drives() -> None
     )
 
 
+TWO_BASES = """
+coordinates = ["x"]
+inputs = { a = { kind = "displacement" }, b = { kind = "displacement" }, f = { kind = "force", at = "x" } }
+masses = { m = { at = "x", value = 2 } }
+springs = { k = { between = ["x", "a"], guess = 8000 }, k2 = { between = ["x", "b"], guess = 900 } }
+dampers = { c = { between = ["x", "a"], guess = 10 } }
+channels = { x = { of = "x" }, a = { of = "a" }, b = { of = "b" }, f = { of = "f" } }
+"""
+
+
+def test_without_limits_moved_bases_and_forces_have_a_size_each(tmp_path: Path) -> None:
+    """10 mm and 1 g of the bases, 10 N of the force: one factor for both had left 10 mN."""
+    rig, out = tmp_path / "rig.toml", str(tmp_path / "a.csv")
+    rig.write_text(TWO_BASES)
+    simulate = ["simulate", str(rig), "--frequencies", "1,30", "--samples", "2000", "-o", out]
+    done = CliRunner().invoke(cli, simulate, catch_exceptions=False)
+    assert "10 mm, 1 g, 10 N at most" in " ".join(done.output.split())
+    records = dashpot.read(out, dashpot.read_rig(rig)).records
+    moved = [1e-2, 9.80665 / (60 * np.pi) ** 2]
+    for base in "ab":
+        np.testing.assert_allclose(amplitudes(records, base), moved, rtol=1e-4)
+    np.testing.assert_allclose(amplitudes(records, "f"), 10.0, rtol=1e-4)
+    plan = ["design", str(rig), "--samples", "500", "--band", "1:40", "--json", str(tmp_path / "plan.json")]
+    CliRunner().invoke(cli, plan, catch_exceptions=False)
+    dwells = json.loads((tmp_path / "plan.json").read_text())["dwells"]
+    forces = [abs(dwell["amplitudes"]["f"]) for dwell in dwells]
+    assert all(force == pytest.approx(10, rel=1e-6) for force in forces if force)
+
+
+def test_the_input_beyond_the_shaker_is_named_in_the_order_of_the_rig(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(TWO_BASES + '[shaker]\nstroke = "5 mm"\n')
+    far = ["--amplitude", "b=20mm", "--amplitude", "a=10mm", "--amplitude", "f=1N"]
+    simulate = ["simulate", str(rig), "--frequencies", "2", *far, "-o", str(tmp_path / "a.csv")]
+    done = CliRunner().invoke(cli, simulate, catch_exceptions=False)
+    assert "a is 2 ×" in " ".join(done.output.split())
+
+
 def test_commands_say_what_they_take_where_nothing_is_stated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

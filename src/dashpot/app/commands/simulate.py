@@ -179,7 +179,7 @@ def _beyond(rig: Rig, drive: Mapping[str, float], frequencies: Sequence[float]) 
 
     assert rig.shaker is not None
     omega = 2 * np.pi * np.asarray(frequencies, dtype=float)
-    for name in set(drive) & set(rig.model.displacement_inputs):
+    for name in (each for each in rig.model.displacement_inputs if each in drive):
         motion = np.full((len(omega), 1), drive[name], dtype=complex)
         use = rig.shaker.use(omega, motion, 0 * motion)
         if np.max(use) > 1 + 1e-9:

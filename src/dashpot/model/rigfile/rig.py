@@ -33,13 +33,15 @@ class ShakerLimits:
 
     At a force input they hold for the motion of the point that it drives; the force of a displacement input is the
     reaction of the rig.  None is no limit.  Together they limit the amplitude by frequency: the stroke at low ones, the
-    velocity, then the acceleration.
+    velocity, then the acceleration.  Of limits `by_kind` those of motion hold for displacement inputs alone and that of
+    force for force inputs, each kind being driven as far as its own allow.
     """
 
     stroke: float | None = None
     velocity: float | None = None
     acceleration: float | None = None
     force: float | None = None
+    by_kind: bool = False
 
     def __post_init__(self) -> None:
         for name, value in self.given.items():
@@ -49,7 +51,8 @@ class ShakerLimits:
     @property
     def given(self) -> dict[str, float]:
         """The limits that are there, by name, SI units."""
-        return {name: value for name, value in vars(self).items() if value is not None}
+        sizes = {name: value for name, value in vars(self).items() if name != "by_kind"}
+        return {name: value for name, value in sizes.items() if value is not None}
 
     def text(self, model: Model) -> str:
         """The limits with their units, "10 mm, 1 g"."""
@@ -83,15 +86,12 @@ class ShakerLimits:
 def usual_limits(model: Model) -> ShakerLimits:
     """What is taken for a shaker of which nothing is said: 10 mm and 1 g, or 10 N; 0.1 rad and 10 rad/s², or 1 N·m."""
     moved, forced = model.displacement_inputs, [s for s in model.inputs if s.kind == "force"]
-    if moved:
-        turning = all_angles(moved, model.angles)
-        return (
-            ShakerLimits(stroke=0.1, acceleration=10.0)
-            if turning
-            else ShakerLimits(stroke=0.01, acceleration=STANDARD_GRAVITY)
-        )
     turning = all(all_angles(source.at, model.angles) for source in forced)
-    return ShakerLimits(force=1.0 if turning else 10.0)
+    force = (1.0 if turning else 10.0) if forced or not moved else None
+    if not moved:
+        return ShakerLimits(force=force)
+    stroke, acceleration = (0.1, 10.0) if all_angles(moved, model.angles) else (0.01, STANDARD_GRAVITY)
+    return ShakerLimits(stroke=stroke, acceleration=acceleration, force=force, by_kind=bool(forced))
 
 
 @dataclass(frozen=True)
