@@ -105,8 +105,8 @@ def plan_releases(
     deflection  of the point that moves most; without one DEFLECTION, or for a `target` (rms relative sd) what it takes
     time_s      of all recordings together; without one, as long as recording is worth it
 
-    Raises UsageError for a nonlinear rig, an unknown name and where no channel states its noise, IdentifiabilityError
-    where no release determines the unknowns, ModelError where the rig has no motion in time.
+    Raises UsageError for a nonlinear rig, one without unknowns and an unknown name, IdentifiabilityError where no
+    release determines the unknowns, ModelError where the rig has no motion in time.
     """
     _require_plannable(model, names)
     notes: list[str] = []
@@ -132,10 +132,16 @@ def plan_releases(
     decay = float(np.min(-found.real[found.real < -1e-9 * np.abs(found)], initial=np.inf))
     longest = min(_longest(slowest, decay), MOST_SAMPLES / rate)
     view = observation_model(model, channels, np.ones(1))
-    sd = _noise(model, p, channels, view, held[0] * size, rate, notes)
+    stated = _with_noise(channels, notes)
     chosen = [model.unknown_names.index(name) for name in names or model.unknown_names]
     prior = np.diag(model.prior_precision)
-    infos = [_information(model, theta, view, shape * size, sd, rate, longest) for shape in held]
+
+    def informed(size: float) -> list[tuple[Real, Real]]:
+        sd = _noise(model, p, stated, view, [shape * size for shape in held], rate)
+        starts = zip(held, sd, strict=True)
+        return [_information(model, theta, view, shape * size, each, rate, longest) for shape, each in starts]
+
+    infos = informed(size)
 
     def figure_of(information: Real) -> float:
         relative = np.sqrt(np.diagonal(_covariance(information + prior)))[chosen] / np.abs(theta[chosen])
@@ -200,7 +206,11 @@ def plan_releases(
 
 
 def _require_plannable(model: Model, names: Sequence[str]) -> None:
-    """Raises UsageError for a nonlinear rig, and for names that are no unknowns."""
+    """Raises UsageError for a nonlinear rig, one without unknowns, and for names that are no unknowns."""
+    if not model.unknown_names:
+        raise UsageError(
+            "every value of the rig is known", cure="leave out the values that releases are to tell"
+        )
     if len(model.nonlinear):
         raise UsageError(
             "releases are planned for linear rigs", cure="leave out the nonlinear elements for the plan"
@@ -234,25 +244,34 @@ def _shapes(model: Model, p: Real) -> list[Real]:
     return shapes
 
 
+def _with_noise(channels: Sequence[Channel], notes: list[str]) -> list[Channel]:
+    """The channels, with a noise that is assumed where they state none."""
+    silent = [channel.name for channel in channels if not channel.noise and not channel.relative_noise]
+    if silent:
+        which = "no channel" if len(silent) == len(channels) else f"{', '.join(silent)} nowhere"
+        notes.append(f"{which} states its noise: 1 % of the largest value is assumed")
+    return [replace(c, relative_noise=0.01) if c.name in silent else c for c in channels]
+
+
 def _noise(
     model: Model,
     p: Real,
     channels: Sequence[Channel],
     view: ObservationModel,
-    start: Real,
+    starts: Sequence[Real],
     rate: float,
-    notes: list[str],
 ) -> Real:
-    """Standard deviation of a sample of each channel, SI units, (channels,), a relative part being of its largest."""
-    machine = integrator(model, p, 1 / rate)
-    motion = machine.motion(np.zeros((max(int(rate), 64), 0)), np.concatenate([start, np.zeros(model.n)]))
-    largest = np.max(np.abs(channel_samples(view, p, motion)), axis=0)
-    silent = [channel.name for channel in channels if not channel.noise and not channel.relative_noise]
-    if silent:
-        which = "no channel" if len(silent) == len(channels) else f"{', '.join(silent)} nowhere"
-        notes.append(f"{which} states its noise: 1 % of the largest value is assumed")
-    stated = [replace(c, relative_noise=0.01) if c.name in silent else c for c in channels]
-    return noise_sd(stated, largest[None].astype(np.complex128))[0]
+    """Standard deviation of a sample of each channel after each release, (releases, channels), SI units.
+
+    A relative part is of the channel's largest value; inf where a channel without another stays still: that tells
+    nothing.
+    """
+    machine, nothing = integrator(model, p, 1 / rate), np.zeros((max(int(rate), 64), 0))
+    motions = [machine.motion(nothing, np.concatenate([start, np.zeros(model.n)])) for start in starts]
+    largest = np.array([np.max(np.abs(channel_samples(view, p, motion)), axis=0) for motion in motions])
+    moves = largest > 1e-9 * np.max(largest, axis=0)  # rounding
+    sd = noise_sd(channels, (largest * moves).astype(np.complex128))
+    return np.where(sd > 0, sd, np.inf)
 
 
 def _information(

@@ -103,19 +103,28 @@ def test_the_best_hold_is_first_and_a_target_gives_the_deflection() -> None:
     assert asked.together[0].largest == pytest.approx(SIZE * plan.figure / 0.01, rel=0.05)
 
 
-def test_releases_that_tell_little_alone_are_put_together() -> None:
-    """Two masses that do not touch: one release cannot tell of both."""
+@pytest.mark.parametrize("noise", [", noise = 1e-5", ", relative_noise = 0.01", ""])
+def test_releases_that_tell_little_alone_are_put_together(noise: str) -> None:
+    """Two masses that do not touch: one release cannot tell of both, and shows nothing in the other's channel."""
     text = """
     coordinates = ["x1", "x2"]
     masses = { m1 = { at = "x1", value = 2 }, m2 = { at = "x2", value = 1 } }
     springs = { k1 = { between = ["x1", "ground"], guess = 8000 }, k2 = { between = ["x2", "ground"], guess = 3000 } }
     dampers = { c1 = { between = ["x1", "ground"], guess = 8 }, c2 = { between = ["x2", "ground"], guess = 3 } }
-    channels = { x1 = { of = "x1", noise = 1e-5 }, x2 = { of = "x2", noise = 1e-5 } }
+    channels = { x1 = { of = "x1" NOISE }, x2 = { of = "x2" NOISE } }
     """
-    rig = dashpot.parse_rig(text)
+    rig = dashpot.parse_rig(text.replace("NOISE", noise))
     plan = plan_releases(rig.model, rig.channels, {}, deflection=SIZE, rate_hz=RATE)
     assert sorted(each.hold for each in plan.together) == ["x1", "x2"]
     assert plan.figure < 0.01
+    assert all(each.figure == np.inf for each in plan.releases)
+
+
+def test_a_rig_without_unknowns_is_refused_in_one_line() -> None:
+    rig = dashpot.parse_rig(RIG.replace("guess", "value"))
+    with pytest.raises(dashpot.UsageError) as refused:
+        plan_releases(rig.model, rig.channels, {})
+    assert len(refused.value.problems) == 1
 
 
 def test_the_command_says_where_how_far_and_how_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
