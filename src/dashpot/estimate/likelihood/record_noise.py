@@ -509,8 +509,8 @@ def _smoothed(
 def _course(power: Real, told: bool = True) -> tuple[Real, Real]:
     """Variances (lines,) from the power of residuals in order of frequency, and their degrees of freedom.
 
-    Over 2·HALF_WINDOW + 1 lines where a course can be `told`; over all of them where they are white, the mean powers of groups of lines differing by
-    no more than chance.
+    Over 2·HALF_WINDOW + 1 lines where a course can be `told`; over all of them where they are white, the mean powers of
+    groups of lines differing by no more than chance.
     """
     width = 2 * HALF_WINDOW + 1
     groups = len(power) // width
