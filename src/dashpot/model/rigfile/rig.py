@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
@@ -33,15 +33,14 @@ class ShakerLimits:
 
     At a force input they hold for the motion of the point that it drives; the force of a displacement input is the
     reaction of the rig.  None is no limit.  Together they limit the amplitude by frequency: the stroke at low ones, the
-    velocity, then the acceleration.  Of limits `by_kind` those of motion hold for displacement inputs alone and that of
-    force for force inputs, each kind being driven as far as its own allow.
+    velocity, then the acceleration.
     """
 
     stroke: float | None = None
     velocity: float | None = None
     acceleration: float | None = None
     force: float | None = None
-    by_kind: bool = False
+    by_kind: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         for name, value in self.given.items():
@@ -51,8 +50,7 @@ class ShakerLimits:
     @property
     def given(self) -> dict[str, float]:
         """The limits that are there, by name, SI units."""
-        sizes = {name: value for name, value in vars(self).items() if name != "by_kind"}
-        return {name: value for name, value in sizes.items() if value is not None}
+        return {name: value for name, value in vars(self).items() if value is not None}
 
     def text(self, model: Model) -> str:
         """The limits with their units, "10 mm, 1 g"."""
@@ -83,6 +81,12 @@ class ShakerLimits:
         return np.max(parts, axis=0) if parts else np.zeros(X.shape[:-1])
 
 
+class LimitsByKind(ShakerLimits):
+    """Those of motion hold for displacement inputs alone, that of force for forces; each kind has a size of its own."""
+
+    by_kind = True
+
+
 def usual_limits(model: Model) -> ShakerLimits:
     """What is taken for a shaker of which nothing is said: 10 mm and 1 g, or 10 N; 0.1 rad and 10 rad/s², or 1 N·m."""
     moved, forced = model.displacement_inputs, [s for s in model.inputs if s.kind == "force"]
@@ -91,7 +95,8 @@ def usual_limits(model: Model) -> ShakerLimits:
     if not moved:
         return ShakerLimits(force=force)
     stroke, acceleration = (0.1, 10.0) if all_angles(moved, model.angles) else (0.01, STANDARD_GRAVITY)
-    return ShakerLimits(stroke=stroke, acceleration=acceleration, force=force, by_kind=bool(forced))
+    limits = LimitsByKind if forced else ShakerLimits
+    return limits(stroke=stroke, acceleration=acceleration, force=force)
 
 
 @dataclass(frozen=True)
