@@ -483,7 +483,9 @@ def _smoothed(
         limit = float(chdtri(max(int(np.count_nonzero(count)) - 1, 1), 1e-3))
         fewest = int(np.min(count[count > 0]))  # lines: short records show their size and no course
         choices: list[tuple[bool, float, Real, Real]] = []
-        for scale in (1 / spectrum.samples[lines], its_size):
+        # Of one record both are one size.
+        scales = (1 / spectrum.samples[lines], its_size)[: len(records)]
+        for scale in scales:
             expected, behind = np.ones(len(lines)), np.ones(len(lines))
             course, behind[kept] = _course(shown[kept] / scale[kept], fewest > HALF_WINDOW)
             expected[kept] = np.maximum(scale[kept] * course, np.finfo(float).tiny)
