@@ -50,8 +50,7 @@ from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import method_class, methods_for
 from dashpot.estimate.result import Cycle, Estimate, Origin, Value
 from dashpot.experiment import RUNS, kind_of
-from dashpot.free.modes import MOST_MODES, MeasuredModes, measured_modes
-from dashpot.free.response import MeasuredResponse, frequency_response
+from dashpot.free import MOST_MODES
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
 from dashpot.io.words import listed, names_in
@@ -67,6 +66,8 @@ if TYPE_CHECKING:
     from dashpot.export.identified_rig import IdentifiedRig
     from dashpot.export.state_space import StateSpace
     from dashpot.export.transfer_functions import TransferFunctions
+    from dashpot.free.modes import MeasuredModes
+    from dashpot.free.response import MeasuredResponse
     from dashpot.present.schematic.drawing import Drawing, ModeDrawing
 
 AnyPath = str | os.PathLike[str]
@@ -634,6 +635,8 @@ def frf(
     Raises UsageError for channels that are not there, DataError where the data do not separate the inputs, are too
     short, or hold no excitation in the band.
     """
+    from dashpot.free.response import frequency_response
+
     return frequency_response(*_without_rig(data, inputs, outputs, rig, frequency_hz), band)
 
 
@@ -679,6 +682,9 @@ def modes(
     """
     if isinstance(data, Model):
         return modes_of_model(data, inputs)
+    from dashpot.free.modes import measured_modes
+    from dashpot.free.response import MeasuredResponse
+
     if isinstance(data, MeasuredResponse):
         lines = np.ones(len(data.frequency_hz), dtype=bool)
         if band is not None:

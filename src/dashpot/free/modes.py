@@ -21,6 +21,7 @@ from dashpot.data.modal_data import ModalData, of_eigenvalues
 from dashpot.data.readers import Reading
 from dashpot.data.record import Record
 from dashpot.errors import DataError
+from dashpot.free import MOST_MODES
 from dashpot.free.response import (
     Band,
     MeasuredResponse,
@@ -34,7 +35,6 @@ from dashpot.free.response import (
 from dashpot.io.words import counted
 from dashpot.notices import Notice
 
-MOST_MODES = 40
 HIGHEST_DAMPING = 0.8  # of what is reported as a mode: broader poles stand for what lies outside the band
 STABLE = (
     0.01,
