@@ -25,12 +25,12 @@ from dashpot.free import MOST_MODES
 from dashpot.free.response import (
     Band,
     MeasuredResponse,
-    continuous_pieces,
-    frequency_response,
     in_units,
     line_noise,
     local_response,
+    parted,
     record_lines,
+    response_of,
 )
 from dashpot.io.words import counted
 from dashpot.notices import Notice
@@ -167,13 +167,14 @@ def measured_modes(
         sets, found = _of_response(reading), reading
         inputs_of, outputs_of, notes = reading.inputs, reading.outputs, reading.notes
     else:
-        whole, told = continuous_pieces(reading, inputs, outputs)
-        if whole:
-            sets = _of_records(whole, len(inputs), band_hz)
-            inputs_of, outputs_of = whole[0].channels[: len(inputs)], whole[0].channels[len(inputs) :]
-            notes = (*reading.notes, *told)
+        data = parted(reading, inputs, outputs)
+        if data.records:
+            sets = _of_records(data.records, data.inputs, band_hz)
+            channels = data.records[0].channels
+            inputs_of, outputs_of = channels[: data.inputs], channels[data.inputs :]
+            notes = data.notes
         else:
-            found = frequency_response(reading, inputs, outputs, band_hz)
+            found = response_of(data, band_hz)
             sets = _of_response(found)
             inputs_of, outputs_of, notes = found.inputs, found.outputs, found.notes
     fit, stabilisation, first = _by_evidence(sets, most)

@@ -148,9 +148,30 @@ def frequency_response(
     Raises UsageError for channels that are not there, DataError where the data do not separate the inputs, are too
     short, or hold no excitation in the band.
     """
+    return response_of(parted(reading, inputs, outputs), band_hz)
+
+
+@dataclass(frozen=True)
+class Parted:
+    """Data by what they are: amplitudes of steady motion, and records of any excitation without gaps; never both.
+
+    inputs      how many of the channels are; they come first
+    distortion  as of a MeasuredResponse; empty where no record repeats
+    notes       what was said of the data
+    """
+
+    inputs: int
+    spectra: tuple[Spectrum, ...]
+    records: tuple[Record, ...]
+    distortion: dict[str, tuple[float, float]]
+    notes: tuple[Notice, ...]
+
+
+def parted(reading: Reading, inputs: Sequence[str], outputs: Sequence[str]) -> Parted:
+    """What data are of some inputs and outputs; records without inputs are free decays.  Raises as they are read."""
     if reading.joint:
         raise DataError("channels have clocks of their own", cure="record them on one clock")
-    told, spectra, whole = list(reading.notes), [], []
+    told, spectra, whole = list(reading.notes), list[Spectrum](), list[Record]()
     distortion: dict[str, tuple[float, float]] = {}
     if reading.amplitudes is not None:
         spectra.append(with_local_noise(_of_channels(reading.amplitudes, inputs, outputs)))
@@ -170,13 +191,18 @@ def frequency_response(
             "some data are steady (dwells, periods, tables), and some are records of another excitation",
             cure="give them in two calls",
         )
-    if whole:
-        found = local_response(whole, len(inputs), band_hz)
+    return Parted(len(inputs), tuple(spectra), tuple(whole), distortion, tuple(told))
+
+
+def response_of(data: Parted, band_hz: Band | None = None) -> MeasuredResponse:
+    """The responses that parted data show in a band."""
+    if data.records:
+        found = local_response(data.records, data.inputs, band_hz)
     else:
-        lines = concatenate(spectra) if len(spectra) > 1 else spectra[0]
-        found = _of_lines(lines, len(inputs), band_hz, "periods" if distortion else "dwells")
-    notes = tuple(dict.fromkeys((*told, *found.notes)))
-    return replace(found, distortion=distortion, notes=notes)
+        lines = concatenate(data.spectra) if len(data.spectra) > 1 else data.spectra[0]
+        found = _of_lines(lines, data.inputs, band_hz, "periods" if data.distortion else "dwells")
+    notes = tuple(dict.fromkeys((*data.notes, *found.notes)))
+    return replace(found, distortion=data.distortion, notes=notes)
 
 
 def _of_channels(data: Data, inputs: Sequence[str], outputs: Sequence[str]) -> Data:
@@ -197,19 +223,6 @@ def _of_channels(data: Data, inputs: Sequence[str], outputs: Sequence[str]) -> D
     cell = None if data.cell is None else data.cell[at]
     status = None if data.status is None else data.status[:, at]
     return replace(data, channels=channels, values=data.values[..., at], sd=None, status=status, cell=cell)
-
-
-def continuous_pieces(
-    reading: Reading, inputs: Sequence[str], outputs: Sequence[str]
-) -> tuple[list[Record], list[Notice]]:
-    """Records of any excitation, or free decays where there is no input, without gaps; none where data are steady."""
-    told: list[Notice] = []
-    if reading.amplitudes is not None or reading.joint or not reading.records:
-        return [], told
-    records = [_of_channels(record, inputs, outputs) for record in reading.records]
-    if any(r.frequency_hz is not None or _of_periods(r, len(inputs)) is not None for r in records):
-        return [], told
-    return [piece for record in records for piece in _pieces(record, told)], told
 
 
 def _pieces(record: Record, told: list[Notice]) -> list[Record]:
