@@ -38,6 +38,7 @@ from dashpot.io.words import chosen_format, counted, joined, listed
 from dashpot.notices import Notice
 
 Band = tuple[float, float]
+SHORTEST = 64  # samples of a piece between gaps: a local model needs some 30 lines
 Data = TypeVar("Data", Record, Spectrum)
 
 
@@ -191,6 +192,10 @@ def parted(reading: Reading, inputs: Sequence[str], outputs: Sequence[str]) -> P
             "some data are steady (dwells, periods, tables), and some are records of another excitation",
             cure="give them in two calls",
         )
+    if not spectra and not whole:
+        raise DataError(
+            f"no part of the data without a gap has {SHORTEST} samples", cure="record longer, or without gaps"
+        )
     return Parted(len(inputs), tuple(spectra), tuple(whole), distortion, tuple(told))
 
 
@@ -232,7 +237,7 @@ def _pieces(record: Record, told: list[Notice]) -> list[Record]:
     if any(piece.status is not None for piece in pieces):  # rows of unknown samples were put in: cut there
         usual = float(np.median(np.diff(record.time)))
         edges = [0, *(np.flatnonzero(np.diff(record.time) > 1.5 * usual) + 1).tolist(), len(record.time)]
-        pieces = [record.part(slice(a, b)) for a, b in pairwise(edges) if b - a >= 64]
+        pieces = [record.part(slice(a, b)) for a, b in pairwise(edges) if b - a >= SHORTEST]
     return pieces
 
 

@@ -172,6 +172,11 @@ def test_refusals_are_one_line() -> None:
     still = Record(record.channels, record.time, record.values * np.array([0.0, 1.0, 1.0]))
     with pytest.raises(DataError, match="at rest"):
         dashpot.frf(still, "u0")
+    kept = np.arange(100) != 50
+    gap = Record(record.channels, record.time[:100][kept], record.values[:100][kept])
+    for ask in (dashpot.frf, dashpot.modes):
+        with pytest.raises(DataError, match="without a gap"):
+            ask(gap, "u0")
     reading = dashpot.Reading((record,), None, ())
     assert frequency_response(reading, ["u0"], ["a1"]).outputs[0].quantity is Quantity.ACCELERATION
 
