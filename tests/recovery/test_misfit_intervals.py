@@ -127,11 +127,13 @@ def test_the_covariance_adds_that_of_all_fits_and_their_distance_from_the_values
         names = list(fit.problem.names)
         where = [names.index(name) for name in plain.names]
         information = fit.problem.slopes(fit.psi)[0] / max(1.0, fit.chi2 / fit.dof)
-        if effect is not None and effect.unknown and effect.width is not None:  # its prior
-            at = names.index(effect.unknown)
-            information[at, at] += (effect.width * (abs(fit.psi[at]) if effect.of_ratio else 1.0)) ** -2
-        for name, _ in () if effect is None else effect.others:
-            information[names.index(name), names.index(name)] += fit.psi[names.index(name)] ** -2
+        brought = (
+            () if effect is None or not effect.unknown else (effect.unknown, *(n for n, _ in effect.others))
+        )
+        for name in brought:  # its prior, on the scale on which it is sought
+            at, width = names.index(name), 1.0 if name != effect.unknown else effect.width or 1.0
+            in_ratios = effect.of_ratio or effect.others
+            information[at, at] += (width * (abs(fit.psi[at]) if in_ratios else 1.0)) ** -2
         inverse = np.linalg.inv(information)
         for i, a in enumerate(where):
             for j, b in enumerate(where):

@@ -575,16 +575,26 @@ def _weighed(trial: Trial, block: Ints) -> Cause | None:
     return Cause(effect, size, fit, likelihood, evidence, possible)
 
 
+def _brought(effect: Effect, fit: FittedProblem) -> tuple[list[int], Real, Real]:
+    """Places in ψ of the unknowns that an effect brings, the first its size, and the units of the scale on which each
+    is sought, and its prior scale there, (unknowns,) both."""
+    if not effect.unknown:
+        return [], np.ones(0), np.ones(0)
+    names = fit.problem.names
+    chosen = [names.index(name) for name in (effect.unknown, *(name for name, _ in effect.others))]
+    stretch = np.abs(fit.psi[chosen]) if effect.of_ratio or effect.others else np.ones(1)
+    widths = np.array([effect.width if effect.width is not None else 1.0, *([1.0] * len(effect.others))])
+    return chosen, stretch, widths
+
+
 def _of_unknowns(effect: Effect, fit: FittedProblem, scale: float) -> tuple[float, float | None]:
     """The size that is an unknown of the problem, and what the priors of all that the effect brings leave (Laplace).
 
     None where a part that must be positive is not.
     """
-    names = fit.problem.names
-    size = float(fit.psi[names.index(effect.unknown)])
-    added = [effect.unknown, *(name for name, _ in effect.others)]
-    chosen = [names.index(name) for name in added]
+    chosen, stretch, widths = _brought(effect, fit)
     values = fit.psi[chosen]
+    size = float(values[0])
     if effect.others and not np.all(values > 0):
         return size, None
     information, _, _ = fit.problem.slopes(fit.psi)
@@ -592,9 +602,7 @@ def _of_unknowns(effect: Effect, fit: FittedProblem, scale: float) -> tuple[floa
         return size, None
     unit = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     inverse = np.linalg.pinv(information / np.outer(unit, unit), rcond=1e-14) / np.outer(unit, unit)
-    stretch = np.abs(values) if effect.of_ratio or effect.others else np.ones(1)
     covariance = scale * inverse[np.ix_(chosen, chosen)] / np.outer(stretch, stretch)
-    widths = np.array([effect.width if effect.width is not None else 1.0, *([1.0] * len(effect.others))])
     # A posterior is no wider than its prior.
     precision = np.linalg.pinv(covariance, rcond=1e-14) + np.diag(1 / widths**2)
     left = 0.5 * (len(chosen) * log(2 * np.pi) - float(np.linalg.slogdet(precision)[1]))
@@ -743,13 +751,8 @@ def _covariance(effect: Effect, fit: FittedProblem) -> Real:
     is larger.  What the data do not tell of the unknowns that it brings, their priors do."""
     information, _, _ = fit.problem.slopes(fit.psi)
     information = information / max(fit.reduced, 1.0 if fit.problem.noise_known else 0.0)
-    names = list(fit.problem.names)
-    widths = {name: abs(float(fit.psi[names.index(name)])) for name, _ in effect.others}
-    if effect.unknown and effect.width is not None:
-        size = abs(float(fit.psi[names.index(effect.unknown)])) if effect.of_ratio else 1.0
-        widths[effect.unknown] = effect.width * size
-    for name, width in widths.items():
-        information[names.index(name), names.index(name)] += 1 / width**2
+    chosen, stretch, widths = _brought(effect, fit)
+    information[chosen, chosen] += 1 / (stretch * widths) ** 2
     return scaled_inverse(information)
 
 
