@@ -39,6 +39,18 @@ k2 = { between = ["x2", "u"] }
 c1 = { between = ["x1", "x2"] }
 c2 = { between = ["x2", "u"] }
 """
+# Two masses held by the ground, one of them known, the rest guessed; inputs and channels to be added.
+HELD = """\
+[masses]
+m1 = { at = "x1", value = 2 }
+m2 = { at = "x2", guess = 1 }
+[springs]
+k1 = { between = ["x1", "ground"], guess = 8000 }
+k2 = { between = ["x1", "x2"], guess = 3000 }
+[dampers]
+c1 = { between = ["x1", "ground"], guess = 8 }
+c2 = { between = ["x1", "x2"], guess = 3 }
+"""
 VALUES = {"m1": 3.0, "c1": 20.0, "c2": 30.0}
 TWO_SCENARIOS = """\
 name = "noise"

@@ -12,21 +12,13 @@ import dashpot
 from dashpot.app.cli import cli
 from dashpot.arrays import Real
 from dashpot.design.releases import ReleasePlan, plan_releases
+from tests.two_masses import HELD
 
-RIG = """
+RIG = f"""
 coordinates = ["x1", "x2"]
-[masses]
-m1 = { at = "x1", value = 2 }
-m2 = { at = "x2", guess = 1 }
-[springs]
-k1 = { between = ["x1", "ground"], guess = 8000 }
-k2 = { between = ["x1", "x2"], guess = 3000 }
-[dampers]
-c1 = { between = ["x1", "ground"], guess = 8 }
-c2 = { between = ["x1", "x2"], guess = 3 }
-[channels]
-x1 = { of = "x1", unit = "mm", noise = 0.02 }
-x2 = { of = "x2", unit = "mm", noise = 0.02 }
+{HELD}[channels]
+x1 = {{ of = "x1", unit = "mm", noise = 0.02 }}
+x2 = {{ of = "x2", unit = "mm", noise = 0.02 }}
 """
 TRUTH = np.array([1.0, 8000.0, 3000.0, 8.0, 3.0])
 RATE, SIZE = 400.0, 5e-3

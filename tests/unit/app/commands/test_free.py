@@ -5,25 +5,17 @@ from pathlib import Path
 
 import pytest
 
+from tests.two_masses import HELD
 from tests.unit.app.conftest import Command
 
-TWO = """
+TWO = f"""
 coordinates = ["x1", "x2"]
 [inputs]
-f = { kind = "force", at = "x1" }
-[masses]
-m1 = { at = "x1", value = 2 }
-m2 = { at = "x2", guess = 1 }
-[springs]
-k1 = { between = ["x1", "ground"], guess = 8000 }
-k2 = { between = ["x1", "x2"], guess = 3000 }
-[dampers]
-c1 = { between = ["x1", "ground"], guess = 8 }
-c2 = { between = ["x1", "x2"], guess = 3 }
-[channels]
-f = { of = "f", unit = "N", noise = 0.02 }
-a1 = { of = "x1", quantity = "acceleration", unit = "m/s²", noise = 0.02 }
-a2 = { of = "x2", quantity = "acceleration", unit = "m/s²", noise = 0.02 }
+f = {{ kind = "force", at = "x1" }}
+{HELD}[channels]
+f = {{ of = "f", unit = "N", noise = 0.02 }}
+a1 = {{ of = "x1", quantity = "acceleration", unit = "m/s²", noise = 0.02 }}
+a2 = {{ of = "x2", quantity = "acceleration", unit = "m/s²", noise = 0.02 }}
 """
 
 

@@ -10,24 +10,16 @@ from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.data.readers import read
 from dashpot.data.readers.amplitudes import coherent_variance
+from tests.two_masses import HELD
 
-RIG = dashpot.parse_rig("""
+RIG = dashpot.parse_rig(f"""
 coordinates = ["x1", "x2"]
 [inputs]
-f = { kind = "force", at = "x1" }
-[masses]
-m1 = { at = "x1", guess = 2 }
-m2 = { at = "x2", guess = 1 }
-[springs]
-k1 = { between = ["x1", "ground"], guess = 8000 }
-k2 = { between = ["x1", "x2"], guess = 3000 }
-[dampers]
-c1 = { between = ["x1", "ground"], guess = 8 }
-c2 = { between = ["x1", "x2"], guess = 3 }
-[channels]
-a1 = { of = "x1", quantity = "acceleration", unit = "g" }
-a2 = { of = "x2", quantity = "acceleration", unit = "m/s^2" }
-hammer = { of = "f", unit = "N" }
+f = {{ kind = "force", at = "x1" }}
+{HELD.replace("value", "guess")}[channels]
+a1 = {{ of = "x1", quantity = "acceleration", unit = "g" }}
+a2 = {{ of = "x2", quantity = "acceleration", unit = "m/s^2" }}
+hammer = {{ of = "f", unit = "N" }}
 """)
 TRUTH = {"m1": 2.0, "m2": 1.0, "k1": 8000.0, "k2": 3000.0, "c1": 8.0, "c2": 3.0}
 HZ = np.arange(3, 20, 0.25)
