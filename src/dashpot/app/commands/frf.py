@@ -53,10 +53,10 @@ def command(
     if out is not None:
         write_response(found, out)
     if figure is not None:
-        from dashpot.present.figures.free import response_figure
+        from dashpot.present.figures.free import measured_response_figure
         from dashpot.present.figures.style import write_figure
 
-        write_figure(figure, response_figure(found))
+        write_figure(figure, measured_response_figure(found))
     opt.write_result(json_out, to_json(found.to_dict()))
     if not quiet and json_out != opt.STDOUT:
         from dashpot.present.document import say

@@ -12,7 +12,7 @@ from dashpot.present.figures.style import COLOURS, DATA, MODEL, MUTED, style
 
 
 @style()
-def response_figure(found: MeasuredResponse) -> Figure:
+def measured_response_figure(found: MeasuredResponse) -> Figure:
     """Magnitude with its standard deviation, phase and coherence over frequency; a column for each input."""
     nu = len(found.inputs)
     figure = Figure(figsize=(7.6 if nu == 1 else 4.6 * nu, 7.2))
