@@ -120,6 +120,7 @@ def estimation_plan(
     model.require_unknowns()
     if spectrum.lines == 0:
         raise DataError("there are no lines in the data", cure="give at least one frequency")
+    diagnostics.require_motion(model, spectrum)
     if isinstance(method, str):
         method = suited_method(method, model, spectrum, seed=seed, positive=positive)
     spectrum = with_settling_decided(model, spectrum, method)

@@ -271,6 +271,20 @@ def dead_channels(model: Model, spectrum: Spectrum) -> list[str]:
     ]
 
 
+def require_motion(model: Model, spectrum: Spectrum) -> None:
+    """Raises IdentifiabilityError where no channel of a moving point shows any: a rig of any size fits that."""
+    dead = dead_channels(model, spectrum)
+    if dead and len(dead) == sum(not measures_input(model, channel) for channel in spectrum.channels):
+        raise _nothing_moves(f"the data do not determine {', '.join(model.unknown_names)}", dead)
+
+
+def _nothing_moves(what: str, dead: Sequence[str]) -> IdentifiabilityError:
+    return IdentifiabilityError(
+        f"{what}, for {joined(dead)} show{'s' if len(dead) == 1 else ''} no motion at any line",
+        cure="check that the sensor is connected, or leave the channel out of the rig file",
+    )
+
+
 def duplicated_lines(spectrum: Spectrum) -> list[Notice]:
     """A warning of lines whose noisy amplitudes are those of another line to the last digit."""
     if len(set(spectrum.frequency_hz.tolist())) == spectrum.lines or not spectrum.covariance.any():
@@ -488,10 +502,7 @@ def require_determined(
     lost = [name for name, v in zip(names, variance, strict=True) if not np.isfinite(v)]
     what = f"the data do not determine {', '.join(lost) if lost else 'the unknowns'}"
     if dead:
-        raise IdentifiabilityError(
-            f"{what}, for {', '.join(dead)} show{'s' if len(dead) == 1 else ''} no motion at any line",
-            cure="check that the sensor is connected, or leave the channel out of the rig file",
-        )
+        raise _nothing_moves(what, dead)
     if few is not None:
         raise IdentifiabilityError(f"{what}: {few}", cure="widen the band, or record for longer")
     traces()

@@ -11,6 +11,8 @@ from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.diagnostics import dead_channels
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.model.observation import measures_input
 from tests.partly_seen import two
 
 
@@ -46,6 +48,18 @@ def test_a_channel_that_shows_nothing_is_named():
     dead[:, 1] = 0
     with pytest.raises(IdentifiabilityError, match="for x2 shows no motion at any line"):
         identify(two(full=True).model, replace(once, amplitudes=dead))
+
+
+@pytest.mark.parametrize("method", ["ml", MaximumLikelihood(positive=True)], ids=["ml", "positive"])
+def test_a_test_in_which_nothing_moves_is_refused(method):
+    """Any rig that stands still fits such a table, and its noise has no size: no number is divided by it."""
+    model = two(full=True).model
+    once = replace(
+        measured(), covariance=np.full_like(measured().covariance, np.nan), noise=("unknown",) * 14
+    )
+    moved = np.array([measures_input(model, channel) for channel in once.channels])
+    with pytest.raises(IdentifiabilityError, match="show no motion at any line"):
+        identify(model, replace(once, amplitudes=once.amplitudes * moved), method)
 
 
 def test_phases_that_count_the_other_way():
