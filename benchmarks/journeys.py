@@ -93,13 +93,14 @@ def _stamps() -> dict[str, tuple[int, int]]:
 
 @contextlib.contextmanager
 def _surroundings(folder: Path) -> Iterator[None]:
-    """A folder, a width of the terminal, no colours; warnings as they come."""
+    """A folder, a width of the terminal, no colours; warnings are faults, as in the tests."""
     kept = dict(os.environ)
     os.environ.update(COLUMNS=WIDTH, LINES="40", NO_COLOR="1", TERM="dumb", MPLBACKEND="Agg")
     os.environ.pop("DASHPOT_TRACEBACK", None)
     logging.disable(logging.WARNING)
     try:
         with contextlib.chdir(folder), warnings.catch_warnings():
+            warnings.simplefilter("error")
             yield
     finally:
         logging.disable(logging.NOTSET)
