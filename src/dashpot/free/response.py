@@ -527,8 +527,7 @@ def local_response(records: Sequence[Record], nu: int, band_hz: Band | None = No
     for c in range(nu):
         if not any(np.any(part.inputs[:, c]) for part in parts):
             raise DataError(f"the input {channels[c].name} is at rest", cure="name what drives the rig")
-    half = _smallest_half(nu, len(parts))
-    _require_lines(parts, half)
+    half = _smallest_half(parts)
     low, high = band_hz or (0.0, np.inf)
     grid = np.flatnonzero((first.frequency_hz >= low) & (first.frequency_hz <= high))
     if not len(grid):
@@ -547,7 +546,7 @@ def local_response(records: Sequence[Record], nu: int, band_hz: Band | None = No
         H * units,
         covariance * np.outer(units.ravel(), units.ravel()),
         power / np.maximum(power + noise, 1e-300),
-        np.full(len(grid), max(1, half // stride)),
+        np.full(len(grid), -(-half // stride)),
         "local",
     )
     return _where_it_shows(found, stated=band_hz is not None)
@@ -564,8 +563,7 @@ def line_noise(parts: Sequence[RecordLines], low: float, high: float) -> list[Co
     for group in groups:
         ordered = sorted(group, key=lambda part: -part.duration_s)
         first = ordered[0]
-        half = _smallest_half(nu, len(ordered))
-        _require_lines(ordered, half)
+        half = _smallest_half(ordered)
         grid = np.flatnonzero((first.frequency_hz >= low) & (first.frequency_hz <= high))
         if len(grid) < 2 * half + 1:
             raise DataError(
@@ -580,19 +578,21 @@ def line_noise(parts: Sequence[RecordLines], low: float, high: float) -> list[Co
     return [found[id(part)] for part in parts]
 
 
-def _smallest_half(nu: int, records: int) -> int:
-    """Lines on either side of a window that leaves SPARE degrees of freedom."""
-    return max(3, int(np.ceil((3 * (nu + records) + 2 + SPARE - records) / (2 * records))))
+def _smallest_half(parts: Sequence[RecordLines]) -> int:
+    """Lines of the longest record, which comes first, on either side of windows that leave SPARE degrees of freedom.
 
-
-def _require_lines(parts: Sequence[RecordLines], half: int) -> None:
-    """Raises DataError where a record has fewer lines than a window needs."""
+    Raises DataError where a record has fewer lines than a window needs.
+    """
+    unknowns, half = 3 * (parts[0].inputs.shape[1] + len(parts)) + 2, 3
+    while sum(_lines_of(part, parts[0], half) for part in parts) < unknowns + SPARE:
+        half += 1
     if any(len(part.frequency_hz) < _lines_of(part, parts[0], half) for part in parts):
         shortest = min(part.samples for part in parts)
         raise DataError(
             f"a record of {counted(shortest, 'sample')} is too short",
             cure=f"each local model needs {2 * half + 1} lines of every record: record longer",
         )
+    return half
 
 
 def _lines_of(part: RecordLines, first: RecordLines, half: int) -> int:

@@ -27,13 +27,15 @@ def z_scores(found: MeasuredResponse, truth: Complex) -> Real:
     return np.concatenate([error.real.ravel(), error.imag.ravel()])
 
 
-@pytest.mark.parametrize(("inputs", "records", "seconds"), [(1, 1, 60.0), (2, 1, 60.0), (1, 4, 20.0)])
-def test_records_of_random_excitation(inputs: int, records: int, seconds: float) -> None:
-    rng = np.random.default_rng(3)
-    tests = [TWO.record(TWO.noise(rng, seconds, inputs), rng, 0.02) for _ in range(records)]
+@pytest.mark.parametrize(
+    ("inputs", "seconds"), [(1, (60.0,)), (2, (60.0,)), (1, (20.0,) * 4), (2, (20.0, 33.0)), (6, (6.0, 33.0))]
+)
+def test_records_of_random_excitation(inputs: int, seconds: tuple[float, ...]) -> None:
+    rng, bench = np.random.default_rng(3), replace(TWO, points=6) if inputs > 2 else TWO
+    tests = [bench.record(bench.noise(rng, each, inputs), rng, 0.02) for each in seconds]
     names = [f"u{i}" for i in range(inputs)]
     found = dashpot.frf(tests, names, "a0,a1", band=(1, 30))
-    z = z_scores(found.independent(), TWO.accelerance(found.independent().frequency_hz, inputs))
+    z = z_scores(found.independent(), bench.accelerance(found.independent().frequency_hz, inputs)[:, :2])
     assert abs(np.mean(np.abs(z) < 1.96) - 0.95) < 0.035  # 3 standard errors of some 400 independent numbers
     assert found.pairs[0] == "a0/u0"
     assert np.all(found.coherence <= 1)
@@ -54,6 +56,15 @@ def test_local_models_are_the_textbooks_least_squares() -> None:
         A = np.stack([U, r * U, r**2 * U, r**0, r, r**2], axis=1)
         alike.append(abs(H / np.linalg.lstsq(A, Y, rcond=None)[0][0] - 1) < 1e-8)
     assert np.mean(alike) > 0.8
+
+
+def test_lines_that_are_told_apart_share_no_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of every sixth line, with windows of 8 lines on either side, every second one."""
+    monkeypatch.setattr("dashpot.free.response.MOST_LINES", 300)
+    rng = np.random.default_rng(3)
+    found = dashpot.frf(TWO.record(TWO.noise(rng, 60.0, 1), rng, 0.02), "u0", band=(1, 30))
+    assert np.diff(found.frequency_hz) == pytest.approx(0.1)
+    assert np.all(found.apart == 2)
 
 
 def test_periods_have_noise_and_distortion_apart() -> None:
