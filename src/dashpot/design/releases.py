@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations_with_replacement
+from typing import NamedTuple
 
 import numpy as np
 
-from dashpot.arrays import Real, freeze
+from dashpot.arrays import Bools, Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.model.dynamics import matrices
@@ -121,88 +123,170 @@ def plan_releases(
         notes.append(
             f"no sampling rate is stated: {rate:g} Hz is assumed, {SAMPLES_A_PERIOD} samples a period"
         )
-    size = DEFLECTION if deflection is None else deflection
+    unit = "rad" if set(model.coordinates) <= model.angles else "m"
     if deflection is None and target is None:
-        unit = "rad" if set(model.coordinates) <= model.angles else "m"
         notes.append(
-            f"no deflection is stated: {size:g} {unit} of the point that moves most is assumed (--stroke)"
+            f"no deflection is stated: {DEFLECTION:g} {unit} of the point that moves most is assumed (--stroke)"
         )
-    held = _shapes(model, p)
     slowest = float(np.min(np.abs(found[np.abs(found) > 0]), initial=np.inf))
     decay = float(np.min(-found.real[found.real < -1e-9 * np.abs(found)], initial=np.inf))
-    longest = min(_longest(slowest, decay), MOST_SAMPLES / rate)
-    view = observation_model(model, channels, np.ones(1))
-    stated = _with_noise(channels, notes)
-    chosen = [model.unknown_names.index(name) for name in names or model.unknown_names]
-    prior = np.diag(model.prior_precision)
-
-    def informed(size: float) -> list[tuple[Real, Real]]:
-        sd = _noise(model, p, stated, view, [shape * size for shape in held], rate)
-        starts = zip(held, sd, strict=True)
-        return [_information(model, theta, view, shape * size, each, rate, longest) for shape, each in starts]
-
-    infos = informed(size)
-
-    def figure_of(information: Real) -> float:
-        relative = np.sqrt(np.diagonal(_covariance(information + prior)))[chosen] / np.abs(theta[chosen])
-        return float(np.max(relative) if worst else np.sqrt(np.mean(relative**2)))
-
-    def until(k: int, seconds: float) -> Real:
-        times, each = infos[k]
-        return np.asarray(each[min(int(np.searchsorted(times, seconds * (1 - 1e-9))), len(times) - 1)])
-
-    def worth(group: Sequence[int]) -> float:
-        """Shortest recording, s, of each of these releases after which more is hardly worth it."""
-        times = infos[0][0]
-        if time_s is not None:
-            return min(time_s / len(group), float(times[-1]))
-        figures = [figure_of(sum((until(k, t) for k in group), np.zeros_like(prior))) for t in times.tolist()]
-        if not np.isfinite(figures[-1]):
-            return float(times[-1])
-        return float(times[next(i for i, figure in enumerate(figures) if figure <= ENOUGH * figures[-1])])
-
-    def together(group: Sequence[int]) -> tuple[float, float]:
-        seconds = worth(group)
-        return figure_of(sum((until(k, seconds) for k in group), np.zeros_like(prior))), seconds
-
-    singles = [together((k,)) for k in range(model.n)]
-    best = min(singles)
-    group: tuple[int, ...] = (singles.index(best),)
-    for count in range(2, MOST_TOGETHER + 1):
-        groups = combinations_with_replacement(range(min(model.n, 12)), count)
-        trial, other = min((together(each), each) for each in groups)
-        # As many releases more as they are worth: √(releases) alone brings that much from the same place
-        fair = 1.0 if time_s is not None else np.sqrt((count - 1) / count)
-        if not trial[0] * ENOUGH < best[0] * fair and np.isfinite(best[0]):
-            break
-        best, group = trial, other
-    if not np.isfinite(best[0]):
+    samples = max(int(min(_longest(slowest, decay) * rate, MOST_SAMPLES)), 4 * model.n + 4)
+    ends = np.geomspace(min(4 * model.n + 4, samples), samples, 24).astype(int)
+    if time_s is not None:
+        shared = (rate * time_s / np.arange(1, MOST_TOGETHER + 1)).astype(int)
+        ends = np.concatenate([ends, np.clip(shared, 1, samples)])
+    asked = np.isin(model.unknown_names, names or model.unknown_names)
+    bench = Bench(
+        model, theta, tuple(_with_noise(channels, notes)), rate, np.unique(ends), time_s, asked, worst
+    )
+    told = bench.told(DEFLECTION if deflection is None else deflection)
+    if not np.isfinite(told.best.figure):
         raise IdentifiabilityError(
             "no release determines the unknowns", cure="state one value (weigh a mass), or add channels"
         )
     if target is not None and deflection is None:
-        size *= best[0] / target
-        infos = [(times, each * (best[0] / target) ** 2) for times, each in infos]
-        best = (figure_of(sum((until(k, best[1]) for k in group), np.zeros_like(prior))), best[1])
-        notes.append(f"a deflection of {size:.3g} reaches the target of {100 * target:.3g} %")
-
-    def release(k: int, figure: float, seconds: float) -> Release:
-        return Release(model.coordinates[k], float(size * held[k][k]), size, float(f"{seconds:.3g}"), figure)
-
-    covariance = _covariance(sum((until(k, best[1]) for k in group), np.zeros_like(prior)) + prior)
-    alone = sorted((release(k, *single) for k, single in enumerate(singles)), key=lambda each: each.figure)
+        told = _reaching(bench, told, target)
+        notes.append(
+            f"a deflection of {told.size:.3g} {unit} reaches the target of {100 * target:.3g} %"
+            if told.best.figure <= target
+            else f"the target of {100 * target:.3g} % is not reached: a deflection of {told.size:.3g} {unit} leaves "
+            f"{100 * told.best.figure:.3g} %, as noise that is a share of the motion grows with it"
+        )
+    best = told.best
+    alone = sorted((told.recorded((k,)) for k in range(model.n)), key=lambda each: each.figure)
     return ReleasePlan(
         model,
-        tuple(alone),
-        tuple(release(k, *best) for k in group),
+        tuple(told.release(each.group[0], each) for each in alone),
+        tuple(told.release(k, best) for k in best.group),
         model.unknown_names,
         model.unknown_units,
         theta,
-        np.sqrt(np.diagonal(covariance)),
-        best[0],
+        np.sqrt(np.diagonal(_covariance(told.information(best.group, best.seconds)))),
+        best.figure,
         rate,
         tuple(notes),
     )
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A rig of which releases are planned.
+
+    theta   of the unknowns, and which of them are asked for (`worst`: the worst of these)
+    ends    numbers of samples of the recordings that are compared
+    time_s  of all recordings together, None where that is open
+    """
+
+    model: Model
+    theta: Real
+    channels: tuple[Channel, ...]
+    rate: float
+    ends: Ints
+    time_s: float | None
+    asked: Bools
+    worst: bool
+
+    @cached_property
+    def held(self) -> list[Real]:
+        """Static shapes from which the rig is let go, (n,) each, the largest entry 1 in size."""
+        return _shapes(self.model, self.model.parameters(self.theta))
+
+    def told(self, size: float) -> Told:
+        """What releases tell whose largest deflection is `size`, m or rad."""
+        p, starts = self.model.parameters(self.theta), [shape * size for shape in self.held]
+        view = observation_model(self.model, self.channels, np.ones(1))
+        each_sd = _noise(self.model, p, self.channels, view, starts, self.rate)
+        infos = [
+            _information(self.model, self.theta, view, start, sd, self.rate, self.ends)
+            for start, sd in zip(starts, each_sd, strict=True)
+        ]
+        return Told(self, size, np.array(infos))
+
+
+class Recorded(NamedTuple):
+    """Releases that are recorded for so long each, and their figure; the smallest is the best."""
+
+    figure: float
+    seconds: float
+    group: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Told:
+    """What releases of one size (m or rad) tell: the information of each after each recording, (n, ends, m, m)."""
+
+    bench: Bench
+    size: float
+    infos: Real
+
+    def information(self, group: Sequence[int], seconds: float) -> Real:
+        """Of releases from these coordinates, `seconds` each, and of what is known beforehand, (m, m)."""
+        samples = self.bench.rate * seconds * (1 + 1e-9)
+        at = max(int(np.searchsorted(self.bench.ends, samples, side="right")) - 1, 0)
+        told = np.sum(self.infos[list(group), at], axis=0)
+        return np.asarray(told + np.diag(self.bench.model.prior_precision))
+
+    def figure(self, group: Sequence[int], seconds: float) -> float:
+        """Rms (or largest) relative standard deviation of what is asked for, inf where it is not determined."""
+        sd = np.sqrt(np.diagonal(_covariance(self.information(group, seconds))))
+        relative = (sd / np.abs(self.bench.theta))[self.bench.asked]
+        return float(np.max(relative) if self.bench.worst else np.sqrt(np.mean(relative**2)))
+
+    def recorded(self, group: tuple[int, ...]) -> Recorded:
+        """Recorded until more is hardly worth it, or for an equal part of the time there is."""
+        times = (self.bench.ends / self.bench.rate).tolist()
+        if self.bench.time_s is not None:
+            seconds = min(self.bench.time_s / len(group), times[-1])
+            return Recorded(self.figure(group, seconds), seconds, group)
+        figures = [self.figure(group, seconds) for seconds in times]
+        i = next(i for i, figure in enumerate(figures) if figure <= ENOUGH * figures[-1])
+        i = i if np.isfinite(figures[-1]) else len(figures) - 1
+        return Recorded(figures[i], times[i], group)
+
+    @cached_property
+    def best(self) -> Recorded:
+        """The releases to make."""
+        n = self.bench.model.n
+        best = min(self.recorded((k,)) for k in range(n))
+        for count in range(2, MOST_TOGETHER + 1):
+            # Of twelve coordinates: their triples are 364 already
+            trial = min(
+                self.recorded(group) for group in combinations_with_replacement(range(min(n, 12)), count)
+            )
+            # As many releases more as they are worth: √(releases) alone brings that much from the same place
+            fair = 1.0 if self.bench.time_s is not None else np.sqrt((count - 1) / count)
+            if not trial.figure * ENOUGH < best.figure * fair and np.isfinite(best.figure):
+                break
+            best = trial
+        return best
+
+    def release(self, k: int, recorded: Recorded) -> Release:
+        """The one from coordinate k."""
+        deflection, seconds = float(self.size * self.bench.held[k][k]), float(f"{recorded.seconds:.3g}")
+        return Release(self.bench.model.coordinates[k], deflection, self.size, seconds, recorded.figure)
+
+
+def _reaching(bench: Bench, told: Told, target: float) -> Told:
+    """What releases of a size tell that reaches a target, in three digits; as `told` where none does.
+
+    figure² = a²/size² + b² of noise of its own size and of noise that is a share of the motion, by the last two sizes.
+    """
+    first, share = told, 0.0
+    for _ in range(8):
+        part = told.best.figure**2 - share
+        if not part > 0 or not share < target**2:
+            break
+        exact = told.size * float(np.sqrt(part / (target**2 - share)))
+        digit = 10 ** (np.floor(np.log10(exact)) - 2)
+        before, told = told, bench.told(float(f"{np.ceil(exact / digit * (1 - 1e-9)) * digit:.3g}"))
+        if told.best.figure <= target:
+            return told
+        if told.size == before.size:
+            break
+        inverse = np.array([before.size, told.size]) ** -2.0
+        square = np.array([before.best.figure, told.best.figure]) ** 2
+        share = float(square[1] - inverse[1] * np.diff(square)[0] / np.diff(inverse)[0])
+    return first
 
 
 def _require_plannable(model: Model, names: Sequence[str]) -> None:
@@ -275,13 +359,13 @@ def _noise(
 
 
 def _information(
-    model: Model, theta: Real, view: ObservationModel, start: Real, sd: Real, rate: float, longest: float
-) -> tuple[Real, Real]:
-    """Recording times (T,), s, and the information of each on θ, (T, m, m), the states at the start projected out.
+    model: Model, theta: Real, view: ObservationModel, start: Real, sd: Real, rate: float, ends: Ints
+) -> Real:
+    """The information on θ of recordings of so many samples, (ends, m, m), the states at the start projected out.
 
     Slopes along θ by central differences, exact along the states.
     """
-    samples = max(int(longest * rate), 4 * model.n + 4)
+    samples = int(ends[-1])
     nothing, state = np.zeros((samples, 0)), np.concatenate([start, np.zeros(model.n)])
 
     def shown(at: Real, begin: Real) -> Real:
@@ -294,7 +378,6 @@ def _information(
     along = [(shown(theta + step, state) - shown(theta - step, state)) / (2 * h) for step, h in steps]
     J = np.stack([*along, *(shown(theta, unit) for unit in np.eye(2 * model.n))], axis=1)
     each = J.reshape(samples, -1, J.shape[1])
-    ends = np.unique(np.geomspace(min(4 * model.n + 4, samples), samples, 24).astype(int))
     m, infos, total, begin = len(theta), [], np.zeros((J.shape[1], J.shape[1])), 0
     for end in ends.tolist():
         part = each[begin:end].reshape(-1, J.shape[1])
@@ -304,7 +387,7 @@ def _information(
         outer = np.outer(scale, scale)
         of_states = np.linalg.pinv(total[m:, m:] / outer, rcond=1e-12, hermitian=True) / outer
         infos.append(total[:m, :m] - total[:m, m:] @ of_states @ total[m:, :m])
-    return ends / rate, np.array(infos)
+    return np.array(infos)
 
 
 def _covariance(information: Real) -> Real:
