@@ -627,17 +627,13 @@ def _in_si(name: str, amount: Amount, unit: str, option: str) -> float:
         ) from None
 
 
-def input_is_angular(model: Model) -> bool:
-    """Whether the inputs are angles or torques."""
-    points = {*model.displacement_inputs, *(point for source in model.inputs for point in source.at)}
-    return bool(points) and points <= set(model.angles)
-
-
 def drive_amplitude(model: Model, given: Amount | Mapping[str, Amount]) -> float:
     """One amplitude for the drive, in m or rad where the rig is moved, in N or N·m where it is pushed.
 
     Raises UsageError where inputs are named and their amplitudes differ, for what is designed is one drive.
     """
+    from dashpot.model.rigfile.rig import drive_is_angular
+
     if isinstance(given, Mapping):
         sizes = set(input_amplitudes(model, [given]).values())
         if len(sizes) > 1:
@@ -646,7 +642,7 @@ def drive_amplitude(model: Model, given: Amount | Mapping[str, Amount]) -> float
             )
         return sizes.pop()
     kind = "displacement" if model.displacement_inputs else "force"
-    return given.si(kind, input_is_angular(model))
+    return given.si(kind, drive_is_angular(model, kind))
 
 
 def input_amplitudes(model: Model, settings: Sequence[Amount | Mapping[str, Amount]]) -> dict[str, float]:

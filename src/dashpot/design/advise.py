@@ -426,8 +426,8 @@ def _size_of_drive(
     of_drive = "stroke" if question.model.displacement_inputs else "force"
     limits, amplitude = question.limits, question.amplitude
     if amplitude is not None:
-        least = min(amplitude, limits.given.get(of_drive, amplitude))
-        return (replace(limits, **{of_drive: least}) if limits.given else limits), amplitude
+        least: dict[str, Any] = {of_drive: min(amplitude, limits.given.get(of_drive, amplitude))}
+        return (replace(limits, **least) if limits.given else limits), amplitude
     if limits.given or not question.model.inputs:
         return limits, 1.0
     floors = [c.name for c in channels if c.noise > 0]

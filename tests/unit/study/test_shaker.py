@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 import dashpot
 from dashpot.app.cli import cli
+from dashpot.model.rigfile.rig import usual_limits
 
 RIG = """
 coordinates = ["x"]
@@ -87,6 +88,26 @@ def test_without_limits_moved_bases_and_forces_have_a_size_each(tmp_path: Path) 
     dwells = json.loads((tmp_path / "plan.json").read_text())["dwells"]
     forces = [abs(dwell["amplitudes"]["f"]) for dwell in dwells]
     assert all(force == pytest.approx(10, rel=1e-6) for force in forces if force)
+
+
+def test_each_limit_has_the_unit_of_the_inputs_that_it_holds_for() -> None:
+    """A base that turns and a force along a line: rad and N, stated, assumed and said."""
+    rig = dashpot.parse_rig(
+        """
+        coordinates = ["x", "w"]
+        angles = ["u", "w"]
+        inputs = { u = { kind = "displacement" }, f = { kind = "force", at = "x" } }
+        masses = { m = { at = "x", value = 2 }, J = { at = "w", value = 0.1 } }
+        springs = { k = { between = ["x", "ground"], value = 8000 }, q = { between = ["w", "u"], value = 50 } }
+        channels = { x = { of = "x" }, w = { of = "w" } }
+        shaker = { stroke = "2 deg", force = "20 N" }
+        """
+    )
+    assert rig.shaker is not None
+    assert (rig.shaker.force, rig.shaker.stroke) == (20.0, pytest.approx(np.deg2rad(2)))
+    assert rig.shaker.text(rig.model) == "0.0349 rad, 20 N"
+    assert usual_limits(rig.model).text(rig.model) == "0.1 rad, 10 rad/s², 10 N"
+    assert dashpot.parse_rig(dashpot.write_rig(rig)).shaker == rig.shaker
 
 
 def test_the_input_beyond_the_shaker_is_named_in_the_order_of_the_rig(tmp_path: Path) -> None:

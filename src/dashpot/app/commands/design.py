@@ -11,7 +11,7 @@ import click
 
 from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions
-from dashpot.app.options import drive_amplitude, input_is_angular, parameter_values
+from dashpot.app.options import drive_amplitude, parameter_values
 from dashpot.app.report_files import ReportFile
 from dashpot.app.workers import progress
 from dashpot.errors import UsageError
@@ -297,7 +297,7 @@ def _question(rig: Rig, whole: Rig, wanted: DesignOptions, records: RecordOption
     from dashpot.design.advise import Question
     from dashpot.estimate.result import Estimate
     from dashpot.model.observation import with_relative_noise
-    from dashpot.model.rigfile.rig import ShakerLimits
+    from dashpot.model.rigfile.rig import ShakerLimits, drive_is_angular
 
     data, earlier = _earlier(whole, wanted.after, records)
     estimate = None if wanted.estimate_file is None else Estimate.load(wanted.estimate_file)
@@ -313,15 +313,14 @@ def _question(rig: Rig, whole: Rig, wanted: DesignOptions, records: RecordOption
     criterion, target = _criterion(wanted.aim, wanted.target)
     channels, noise = rig.channels, wanted.relative_noise
     settling = wanted.settling_time
-    angular = input_is_angular(rig.model)
     limits = {
         "displacement": wanted.stroke,
         "velocity": wanted.max_velocity,
         "acceleration": wanted.max_acceleration,
         "force": wanted.max_force,
     }
-    stated = {
-        "stroke" if kind == "displacement" else kind: given.si(kind, angular)
+    stated: dict[str, Any] = {
+        "stroke" if kind == "displacement" else kind: given.si(kind, drive_is_angular(rig.model, kind))
         for kind, given in limits.items()
         if given is not None
     }

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -33,14 +33,15 @@ class ShakerLimits:
 
     At a force input they hold for the motion of the point that it drives; the force of a displacement input is the
     reaction of the rig.  None is no limit.  Together they limit the amplitude by frequency: the stroke at low ones, the
-    velocity, then the acceleration.
+    velocity, then the acceleration.  `by_kind`: those of motion hold for displacement inputs alone, that of force for
+    forces, and each kind has a size of its own.
     """
 
     stroke: float | None = None
     velocity: float | None = None
     acceleration: float | None = None
     force: float | None = None
-    by_kind: ClassVar[bool] = False
+    by_kind: bool = False
 
     def __post_init__(self) -> None:
         for name, value in self.given.items():
@@ -50,24 +51,22 @@ class ShakerLimits:
     @property
     def given(self) -> dict[str, float]:
         """The limits that are there, by name, SI units."""
-        return {name: value for name, value in vars(self).items() if value is not None}
+        limits = ((name, getattr(self, name)) for name in ("stroke", "velocity", "acceleration", "force"))
+        return {name: value for name, value in limits if value is not None}
 
     def text(self, model: Model) -> str:
         """The limits with their units, "10 mm, 1 g"."""
-        turning = all_angles(
-            model.displacement_inputs or [p for s in model.inputs for p in s.at], model.angles
-        )
         units = {
-            "stroke": (1e3, "mm"),
-            "velocity": (1.0, "m/s"),
-            "acceleration": (1 / STANDARD_GRAVITY, "g"),
-            "force": (1.0, "N"),
+            "stroke": ((1e3, "mm"), (1.0, "rad")),
+            "velocity": ((1.0, "m/s"), (1.0, "rad/s")),
+            "acceleration": ((1 / STANDARD_GRAVITY, "g"), (1.0, "rad/s²")),
+            "force": ((1.0, "N"), (1.0, "N·m")),
         }
-        if turning:
-            units = dict(
-                zip(units, ((1.0, "rad"), (1.0, "rad/s"), (1.0, "rad/s²"), (1.0, "N·m")), strict=True)
-            )
-        return ", ".join(f"{value * units[key][0]:.3g} {units[key][1]}" for key, value in self.given.items())
+        parts = []
+        for key, value in self.given.items():
+            factor, unit = units[key][drive_is_angular(model, key)]
+            parts.append(f"{value * factor:.3g} {unit}")
+        return ", ".join(parts)
 
     def use(self, omega: Real, motion: Complex, force: Complex) -> Real:
         """Largest part of a limit that is used, (..., lines), of motion and force (..., lines, inputs), SI units.
@@ -81,22 +80,15 @@ class ShakerLimits:
         return np.max(parts, axis=0) if parts else np.zeros(X.shape[:-1])
 
 
-class LimitsByKind(ShakerLimits):
-    """Those of motion hold for displacement inputs alone, that of force for forces; each kind has a size of its own."""
-
-    by_kind = True
-
-
 def usual_limits(model: Model) -> ShakerLimits:
     """What is taken for a shaker of which nothing is said: 10 mm and 1 g, or 10 N; 0.1 rad and 10 rad/s², or 1 N·m."""
     moved, forced = model.displacement_inputs, [s for s in model.inputs if s.kind == "force"]
-    turning = all(all_angles(source.at, model.angles) for source in forced)
-    force = (1.0 if turning else 10.0) if forced or not moved else None
+    force = (1.0 if drive_is_angular(model, "force") else 10.0) if forced or not moved else None
     if not moved:
         return ShakerLimits(force=force)
-    stroke, acceleration = (0.1, 10.0) if all_angles(moved, model.angles) else (0.01, STANDARD_GRAVITY)
-    limits = LimitsByKind if forced else ShakerLimits
-    return limits(stroke=stroke, acceleration=acceleration, force=force)
+    turning = drive_is_angular(model, "displacement")
+    stroke, acceleration = (0.1, 10.0) if turning else (0.01, STANDARD_GRAVITY)
+    return ShakerLimits(stroke=stroke, acceleration=acceleration, force=force, by_kind=bool(forced))
 
 
 @dataclass(frozen=True)
@@ -222,6 +214,23 @@ def all_angles(points: Iterable[str], angles: Collection[str]) -> bool:
     """Whether there are points, and all of them are angles."""
     points = list(points)
     return bool(points) and all(point in angles for point in points)
+
+
+def drive_is_angular(model: Model, quantity: str) -> bool:
+    """Whether a force of the drive, or another quantity of its motion, is of a rotation, as `limit_is_angular`."""
+    forced = [point for source in model.inputs if source.kind == "force" for point in source.at]
+    return limit_is_angular(quantity, model.displacement_inputs, forced, model.angles)
+
+
+def limit_is_angular(
+    quantity: str, moved: Sequence[str], forced: Sequence[str], angles: Collection[str]
+) -> bool:
+    """Whether a limit of force, or of another quantity, is of a rotation: as all points are that are forced, or moved.
+
+    Where no point is forced the force is the reaction of moved ones; where none is moved the motion is of forced ones.
+    """
+    own, others = (forced, moved) if quantity == "force" else (moved, forced)
+    return all_angles(own or others, angles)
 
 
 def is_electrical(unit: str, quantity: str) -> bool:

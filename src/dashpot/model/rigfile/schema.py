@@ -35,7 +35,7 @@ from dashpot.io.toml_document import (
 from dashpot.io.words import did_you_mean, listed, quoted, written
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, number_problems
-from dashpot.model.rigfile.rig import ShakerLimits, all_angles
+from dashpot.model.rigfile.rig import ShakerLimits, limit_is_angular
 from dashpot.quantities import Amount
 from dashpot.units import scale
 
@@ -309,18 +309,20 @@ class RigReading:
             cure = 'write [shaker] and below it stroke = "5 mm"'
             self.report.add((SHAKER,), f"{written(raw)} is not a section", cure)
             return None
-        entry, limits = validated(ShakerEntry, raw, (SHAKER,), self.report), dict[str, float]()
+        entry, limits = validated(ShakerEntry, raw, (SHAKER,), self.report), dict[str, Any]()
         if not raw or entry is None:
             return None
         moved = [name for name, each in self.inputs.items() if each.kind == "displacement"]
-        turning = all_angles(moved or [p for each in self.inputs.values() for p in each.at], self.angles)
+        forced = [p for each in self.inputs.values() if each.kind == "force" for p in each.at]
         for key, value in entry:
             if value is None:
                 continue
             quantity = "displacement" if key == "stroke" else key
             try:
+                turning = limit_is_angular(quantity, moved, forced, self.angles)
                 size = value.si(quantity, turning) if isinstance(value, Amount) else float(value)
-                limits |= ShakerLimits(**{key: size}).given
+                one: dict[str, Any] = {key: size}
+                limits |= ShakerLimits(**one).given
             except UsageError as error:
                 self.include((SHAKER, key), error)
         return ShakerLimits(**limits) if limits and not self.faulty else None
