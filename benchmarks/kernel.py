@@ -1,13 +1,12 @@
-"""The compiled kernel against its NumPy twins, one identification against lmfit, searches from nothing, memory speed.
+"""The compiled kernel against its NumPy twins, one identification against lmfit, searches from nothing.
 
 `python3 dev.py bench kernel`.  Ratios of one run, in processor time where both sides compute on one core; `--repeats N`
-identifications in a batch, `--samples N` of the long record.  Without the kernel it says so and ends.
+identifications in a batch.  Without the kernel it says so and ends.
 """
 
 from __future__ import annotations
 
 import argparse
-import functools
 import sys
 import time
 from collections.abc import Callable
@@ -22,7 +21,6 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.gram import compiled_equation, compiled_search
 from dashpot.estimate.linear.instrumental_variables import FAR, OptimalIV
 from dashpot.estimate.preparation import prepare
-from dashpot.numerics.harmonic_sums import even_gram, harmonic_sums
 from dashpot.numerics.kernel import kernel, using
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the rigs of the tests and of the other benchmarks
@@ -139,42 +137,10 @@ def searches(draws: int) -> None:
     print()
 
 
-def memory(samples: int) -> None:
-    """Amplitudes of a long record against the time that reading it takes."""
-    rng = np.random.default_rng(3)
-    values = rng.standard_normal((samples, 4))
-    turn = 0.00731
-
-    def amplitudes(orders: tuple[int, ...]) -> np.ndarray:
-        sums = harmonic_sums(values, turn * np.array(orders, dtype=float))
-        gram = even_gram(samples, turn, 0.0, orders, 0)
-        right = np.empty((1 + 2 * len(orders), 4))
-        right[0], right[1::2], right[2::2] = sums.plain, sums.waves.real, sums.waves.imag
-        return np.linalg.solve(gram, right)
-
-    flat = values.reshape(-1)
-    reading = min(shortest(lambda: np.add.reduce(flat), 5), shortest(lambda: np.max(flat), 5))
-    print(f"{samples:g} samples × 4 channels into amplitudes, one core\n")
-    print("| | s | GB/s | share of the reading speed, % |")
-    print("|---|---|---|---|")
-    rate = values.nbytes / reading / 1e9
-    print(f"| reading (the quicker of NumPy's sum and max) | {reading:.3f} | {rate:.1f} | 100 |")
-    for choice in ("compiled", "numpy"):
-        with using(choice):
-            for orders in ((1,), (1, 2)):
-                call = functools.partial(amplitudes, orders)
-                taken = shortest(call, 5 if choice == "compiled" else 1)
-                rate, share = values.nbytes / taken / 1e9, 100 * reading / taken
-                what = f"offset and {'fundamental' if len(orders) == 1 else 'two harmonics'}, {choice}"
-                print(f"| {what} | {taken:.3f} | {rate:.1f} | {share:.0f} |")
-    print()
-
-
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--repeats", type=int, default=3000, help="identifications of a batch")
     options.add_argument("--draws", type=int, default=10, help="of each rig that is seen in part")
-    options.add_argument("--samples", type=int, default=10_000_000, help="of the long record")
     given = options.parse_args()
     core = kernel()
     if core is None:
@@ -184,7 +150,6 @@ def main() -> None:
     print(f"dashpot-kernels {core.__version__}, {core.instruction_set()} (this processor has {sets})\n")
     batches(given.repeats)
     single()
-    memory(given.samples)
     searches(given.draws)
 
 

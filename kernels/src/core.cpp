@@ -610,40 +610,6 @@ nb::tuple line_shares(Reals information, Reals inflation, Reals bread, int threa
     return nb::make_tuple(sums.array, diagonals.array);
 }
 
-nb::tuple harmonic_sums(Reals values, Reals turns, double origin, int threads) {
-    require(values.ndim() == 2 && values.shape(1) > 0 && values.shape(1) <= 64 && turns.size() > 0,
-            "values must be (samples, channels) with at most 64 channels, and there must be a frequency");
-    const long N = static_cast<long>(values.shape(0));
-    const size_t C = values.shape(1), F = turns.size(), width = 2 * F * C + 3 * C;
-    // Pieces of a fixed size, added in their order: the same sums with any number of threads.
-    const long piece = 1 << 16, pieces = (N + piece - 1) / piece;
-    std::vector<double> partial(pieces * width, 0.0);
-    auto sums = array<std::complex<double>>({F, C});
-    auto plain = array({C}), moment = array({C}), largest = array({C});
-    {
-        nb::gil_scoped_release released;
-        share(pieces, threads, 64, [&](long from, long to, char *) {
-            for (long k = from; k < to; ++k) {
-                double *own = partial.data() + k * width;
-                chosen->harmonic_sums(values.data(), k * piece, std::min(N, (k + 1) * piece), static_cast<int>(C),
-                                      turns.data(), static_cast<int>(F), origin, own, own + 2 * F * C,
-                                      own + 2 * F * C + C, own + 2 * F * C + 2 * C);
-            }
-        });
-        double *total = reinterpret_cast<double *>(sums.data);
-        for (long k = 0; k < pieces; ++k) {
-            const double *own = partial.data() + k * width;
-            for (size_t i = 0; i < 2 * F * C; ++i) total[i] += own[i];
-            for (size_t c = 0; c < C; ++c) {
-                plain.data[c] += own[2 * F * C + c];
-                moment.data[c] += own[2 * F * C + C + c];
-                largest.data[c] = std::max(largest.data[c], own[2 * F * C + 2 * C + c]);
-            }
-        }
-    }
-    return nb::make_tuple(sums.array, plain.array, moment.array, largest.array);
-}
-
 void set_instructions(const std::string &name) {
     for (const dashpot::Loops *set : available())
         if (name == set->name) {
@@ -699,7 +665,6 @@ NB_MODULE(_core, module) {
     dashpot::bind_small_rigs(module);
     dashpot::bind_nonlinear_rigs(module);
     module.def("line_shares", &line_shares, "information"_a, "inflation"_a, "bread"_a, "threads"_a = 1);
-    module.def("harmonic_sums", &harmonic_sums, "values"_a, "turns"_a, "origin"_a, "threads"_a = 1);
     module.def("instruction_sets", [] {
         std::vector<std::string> names;
         for (const dashpot::Loops *set : available()) names.push_back(set->name);

@@ -1,7 +1,6 @@
 // All loops of one instruction set, named by DASHPOT_SET.
 #include "balance.hpp"
 #include "equation.hpp"
-#include "harmonics.hpp"
 #include "output.hpp"
 #include "records.hpp"
 
@@ -15,7 +14,7 @@ const dashpot::Loops LOOPS = {
     TEXT(DASHPOT_SET), equation_workspace, equation_evaluate, equation_lines, equation_starts, equation_descend,
     output_workspace,  output_evaluate,    output_lines,      output_descend, records_workspace,
     records_columns,   records_slopes,     records_lines,     records_residuals,
-    line_shares,       harmonic_sums,     balance_workspace,  balance_forces,
+    line_shares,       balance_workspace, balance_forces,
     balance_linear_start, balance_solve, balance_slopes, balance_lines,
 };
 

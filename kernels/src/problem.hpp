@@ -203,9 +203,6 @@ struct Loops {
     void (*records_residuals)(const Records &, const RecordsAt &, long from, long to, double *residuals, char *work);
     void (*line_shares)(const double *information, const double *inflation, const double *bread, long lines, int m,
                         double *shares, double *diagonals);
-    void (*harmonic_sums)(const double *values, long from, long to, int channels, const double *turns,
-                          int frequencies, double origin, double *sums, double *plain, double *moment,
-                          double *largest);
     unsigned long (*balance_workspace)(const NonlinearRig &, const Dwells &, int directions);
     void (*balance_forces)(const NonlinearRig &, const Dwells &, const double *q, long from, long to, double *a,
                            char *work);

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, Unpack, cast
 
 import numpy as np
-from scipy.linalg import cho_solve
 from scipy.special import bdtrc, chdtrc, digamma, fdtr, fdtrc, polygamma
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
@@ -19,7 +18,6 @@ from dashpot.data.conditioning.regression import (
     HarmonicSolution,
     Terms,
     check_length,
-    cholesky_solve,
     duration,
     solve_harmonics,
     window,
@@ -47,49 +45,49 @@ FEWEST_LINES = 6  # below this the local spectrum is not an estimate
 SIGNIFICANT = 0.01
 
 
-class ResidualMonitor:
-    """Collects, while the residual streams by, its autocovariances and its Fourier sums beside each harmonic."""
+@dataclass(frozen=True)
+class ResidualSums:
+    """Sums over the residual of a fit, sample after sample.
 
-    def __init__(self, record: Record, f: float, terms: Terms) -> None:
+    owner (lines,): the harmonic that each line lies beside; sums (batch, lines, channels): Fourier sums on the lines;
+    taken (lines,): share of a line that the fit itself has taken; products (batch, lags, channels): autocovariances
+    """
+
+    owner: Ints
+    sums: Complex
+    taken: Real
+    products: Real
+
+    @staticmethod
+    def of(record: Record, f: float, solution: HarmonicSolution) -> ResidualSums:
+        """Of a solution at f Hz."""
         samples, channels = record.values.shape[-2:]
-        batch = int(np.prod(record.values.shape[:-2]))
-        self.orders = len(terms.orders)
-        self.lags = min(LAGS, samples // 5) if samples >= 40 else 0
-        self.step = 1 / duration(record.time)
-        self.first = terms.degree + 1
-        self.offset, self.owner = _neighbours(f, terms.orders, self.step, samples)
-        self.products = np.zeros((batch, self.lags, channels))
-        self.tail = np.zeros((batch, channels, self.lags))
-        self.sums = np.zeros((batch, len(self.owner), channels), dtype=complex)
-        self.overlap = np.zeros((terms.count, len(self.owner)), dtype=complex)
-        self.waves = np.zeros((len(self.owner), 0), dtype=complex)
-
-    def next_rows(self, t: Real, A: Real) -> None:
-        """The samples that `see` shows next: their times and design rows."""
-        cycles = self.step * t
-        turn = np.exp(-2j * np.pi * (cycles - np.floor(cycles)))
-        reach = int(np.max(np.abs(self.offset), initial=0))
-        turns = np.empty((reach + 1, len(t)), dtype=complex)
-        turns[0] = 1.0
-        for m in range(reach):
-            np.multiply(turns[m], turn, out=turns[m + 1])
-        self.waves = np.empty((len(self.offset), len(t)), dtype=complex)
-        for line, (order, m) in enumerate(zip(self.owner.tolist(), self.offset.tolist(), strict=True)):
-            carrier = A[:, self.first + 2 * order] - 1j * A[:, self.first + 2 * order + 1]
-            np.multiply(carrier, turns[m] if m >= 0 else np.conj(turns[-m]), out=self.waves[line])
-        self.overlap += (self.waves @ A).T
-
-    def see(self, part: slice, e: Real) -> None:
-        """Residuals (batch, rows, channels) of the present rows."""
-        self.sums[part] += self.waves.real @ e + 1j * (self.waves.imag @ e)
-        if self.lags:
-            rows = e.shape[1]
-            both = np.concatenate([self.tail[part], np.swapaxes(e, 1, 2)], axis=2)
-            later = both[:, :, self.lags :]
-            for lag in range(1, self.lags + 1):
-                earlier = both[:, :, self.lags - lag : self.lags - lag + rows]
-                self.products[part, lag - 1] += np.einsum("bct,bct->bc", later, earlier)
-            self.tail[part] = both[:, :, -self.lags :]
+        terms, batch, step = solution.terms, len(solution.squares), 1 / duration(record.time)
+        lags = min(LAGS, samples // 5) if samples >= 40 else 0
+        offset, owner = _neighbours(f, terms.orders, step, samples)
+        products, tail = np.zeros((batch, lags, channels)), np.zeros((batch, lags, channels))
+        sums = np.zeros((batch, len(owner), channels), dtype=complex)
+        overlap = np.zeros((len(owner), terms.count), dtype=complex)
+        for rows, A, e in solution.residuals(record, f):
+            cycles = step * record.time[rows]
+            turn = np.exp(-2j * np.pi * (cycles - np.floor(cycles)))
+            turns = {0: np.ones_like(turn)}
+            for m in range(1, 1 + int(np.max(np.abs(offset), initial=0))):
+                turns[m] = turns[m - 1] * turn
+                turns[-m] = np.conj(turns[m])
+            first = terms.degree + 1
+            carriers = [A[:, c] - 1j * A[:, c + 1] for c in range(first, first + 2 * len(terms.orders), 2)]
+            lines = zip(owner.tolist(), offset.tolist(), strict=True)
+            waves = np.array([carriers[order] * turns[m] for order, m in lines]).reshape(len(owner), len(A))
+            overlap += waves @ A
+            sums += waves.real @ e + 1j * (waves.imag @ e)
+            both = np.concatenate([tail, e], axis=1)
+            for lag in range(1, lags + 1):
+                earlier = both[:, lags - lag : len(both[0]) - lag]
+                products[:, lag - 1] += np.einsum("btc,btc->bc", e, earlier)
+            tail = both[:, len(both[0]) - lags :]
+        taken = np.einsum("lk,km,lm->l", np.conj(overlap), solution.of_all, overlap).real / samples
+        return ResidualSums(owner, sums, taken, products)
 
 
 def _neighbours(f: float, orders: Sequence[int], step: float, samples: int) -> tuple[Ints, Ints]:
@@ -125,9 +123,7 @@ class NoiseLevel:
     notes: tuple[Notice, ...] = ()
 
 
-def _noise_level(
-    record: Record, f: float, solution: HarmonicSolution, monitor: ResidualMonitor | None, noise: Noise
-) -> NoiseLevel:
+def _noise_level(record: Record, f: float, solution: HarmonicSolution, noise: Noise) -> NoiseLevel:
     """The white noise of the residual at every harmonic alike, or that on the lines beside each, which is chosen where
     it is another.  Raises DataError where it is asked for and the record is too short."""
     sigma, exact, orders = solution.covariance, solution.exact(), len(solution.terms.orders)
@@ -135,13 +131,13 @@ def _noise_level(
     level = np.broadcast_to(sigma[:, None].astype(complex), (len(sigma), orders, *sigma.shape[1:]))
     dof = np.full(orders, float(np.min(solution.free)))
     white = NoiseLevel("white", level, dof, np.full(len(sigma), np.nan))
-    if monitor is None:
+    if noise == "white":
         return white
-    samples = len(record.time)
-    local, counts = _local_level(monitor, solution.L, samples, sigma, exact)
+    sums, samples = ResidualSums.of(record, f, solution), len(record.time)
+    local, counts = _local_level(sums, orders, samples, sigma, exact)
     # What rounding leaves over in cells is no noise, nor are the digits of the numbers, which repeat with the drive
     quiet = exact | solution.exact(DIGITS) | solution.in_cells
-    p = _whiteness(monitor, sigma, quiet, local, counts, samples, samples - solution.terms.count)
+    p = _whiteness(sums.products, sigma, quiet, local, counts, samples, samples - solution.terms.count)
     enough, coloured, periods = (
         bool(np.all(counts >= FEWEST_LINES)),
         is_coloured(p),
@@ -166,7 +162,7 @@ def _noise_level(
 
 
 def _local_level(
-    monitor: ResidualMonitor, L: Real, samples: int, sigma: Real, exact: Bools
+    of: ResidualSums, orders: int, samples: int, sigma: Real, exact: Bools
 ) -> tuple[Complex, Real]:
     """Noise level at each harmonic, (batch, orders, channels, channels) per sample, and lines behind it, (orders,).
 
@@ -174,20 +170,16 @@ def _local_level(
     line that the fit itself has taken.  Where the lines are too few for the correlations of so many channels, the
     variances come from the lines and the correlations from the residual of all samples.
     """
-    batch, _, channels = monitor.sums.shape
-    orders = monitor.orders
-    seen = cho_solve((L, True), monitor.overlap, check_finite=False)
-    share = np.sum((np.conj(monitor.overlap) * seen).real, axis=0) / samples
-    usable = share < 0.5
+    batch, _, channels = of.sums.shape
     level = np.zeros((batch, orders, channels, channels), dtype=complex)
     counts = np.zeros(orders)
     active = int(np.max(np.sum(~exact, axis=-1), initial=0))
     for order in range(orders):
-        mine = usable & (monitor.owner == order)
+        mine = (of.taken < 0.5) & (of.owner == order)
         counts[order] = np.sum(mine)
         if not counts[order]:
             continue
-        J = monitor.sums[:, mine] / np.sqrt(samples * (1 - share[mine]))[None, :, None]
+        J = of.sums[:, mine] / np.sqrt(samples * (1 - of.taken[mine]))[None, :, None]
         S = np.swapaxes(J, 1, 2) @ np.conj(J) / counts[order]
         if counts[order] < 2 * active:
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -200,16 +192,16 @@ def _local_level(
 
 
 def _whiteness(
-    monitor: ResidualMonitor, sigma: Real, exact: Bools, local: Complex, counts: Real, samples: int, free: int
+    products: Real, sigma: Real, exact: Bools, local: Complex, counts: Real, samples: int, free: int
 ) -> Real:
     """(batch,): p-value of white noise by Ljung and Box's portmanteau and by the noise level at each harmonic."""
     variance = np.diagonal(sigma, axis1=1, axis2=2)
     safe = np.where(exact, 1.0, variance)
     ps: list[Real] = []
-    if monitor.lags:
-        lag = np.arange(1, monitor.lags + 1)[None, :, None]
-        r = monitor.products / (safe * free)[:, None, :]
-        ps.append(chdtrc(monitor.lags, samples * (samples + 2.0) * np.sum(r**2 / (samples - lag), axis=1)))
+    if lags := products.shape[1]:
+        lag = np.arange(1, lags + 1)[None, :, None]
+        r = products / (safe * free)[:, None, :]
+        ps.append(chdtrc(lags, samples * (samples + 2.0) * np.sum(r**2 / (samples - lag), axis=1)))
     for order, count in enumerate(counts):
         if count >= FEWEST_LINES:
             ratio = np.diagonal(local[:, order], axis1=1, axis2=2).real / safe
@@ -535,15 +527,14 @@ def fit_harmonics(
 def _fit(record: Record, f: float, terms: Terms, noise: Noise) -> HarmonicFit:
     samples, channels = record.values.shape[-2:]
     leading, orders = record.values.shape[:-2], len(terms.orders)
-    monitor = None if noise == "white" else ResidualMonitor(record, f, terms)
-    solution = solve_harmonics(record, f, terms, monitor)
-    level, exact = _noise_level(record, f, solution, monitor, noise), solution.exact()
+    solution = solve_harmonics(record, f, terms)
+    level, exact = _noise_level(record, f, solution, noise), solution.exact()
     P = _real_and_imaginary(solution.P, terms)
     spread = P[..., 0, 0] + P[..., 1, 1]  # (orders, channels)
     real = P * np.diagonal(level.level.real, axis1=-2, axis2=-1)[..., None, None]
     told = np.ones(spread.shape)
     if not np.all(record.whole_channels & ~solution.in_cells):
-        of_all = _real_and_imaginary(cholesky_solve(solution.L, np.eye(terms.count)[None]), terms)
+        of_all = _real_and_imaginary(solution.of_all[None], terms)
         told = np.minimum((of_all[..., 0, 0] + of_all[..., 1, 1]) / spread, 1.0)
     both = np.sqrt(spread[:, :, None] * spread[:, None, :])
     return HarmonicFit(

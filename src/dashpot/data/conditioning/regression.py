@@ -2,30 +2,26 @@
 
     y_c(t) = Σ_i τ_ic P_i((t − centre)/half) + Σ_k Re(X_kc e^{jkωt}) + noise_c(t)                      (H)
 
-P_i are Legendre polynomials, so the columns are of one size and nearly orthogonal; the normal equations are summed
-over chunks of samples and refined once by the residual, which gives the accuracy of an orthogonal factorisation.
-All channels and leading batch axes share it.
+P_i are Legendre polynomials, so the columns are of one size and nearly orthogonal.  Columns and channels are brought to
+the triangle of their orthogonal factorisation, some samples at a time; whatever is solved for among them follows from
+it.  Repeats (leading axes) share the triangle of the columns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
-from scipy.linalg import cho_solve
 from scipy.special import fdtrc, log_ndtr
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.data.record import Record, kept
 from dashpot.errors import DataError
-from dashpot.numerics.harmonic_sums import even_gram, harmonic_sums
-from dashpot.numerics.kernel import kernel
 
 CHUNK = 1 << 15  # samples whose design matrix is held at a time
-TILE = 1 << 21  # numbers of a batch worked on at a time
+TILE = 1 << 21  # numbers of repeats worked on at a time
 EXACT = 1e-10  # residual over amplitude below which a channel counts as noise-free
 LITTLE = 1e-6  # rms of a column that is nothing
 ALIKE = 1e-7  # least eigenvalue of the correlations of columns that the samples tell apart
@@ -138,26 +134,13 @@ def check_length(record: Record, f: float, terms: Terms) -> None:
         )
 
 
-def tiles(batch: int, rows: int, channels: int) -> Iterator[slice]:
-    """Pieces of the flattened batch axis of about TILE numbers."""
-    step = max(1, TILE // max(1, rows * channels))
-    for start in range(0, batch, step):
-        yield slice(start, min(batch, start + step))
-
-
-def chunks(samples: int) -> Iterator[slice]:
-    """The samples, CHUNK at a time."""
-    for start in range(0, samples, CHUNK):
-        yield slice(start, min(samples, start + CHUNK))
-
-
 @dataclass(frozen=True)
 class HarmonicSolution:
     """Least squares over some terms, of clipped samples by the likelihood of being beyond their value.
 
     terms         what was solved for
-    L             (terms, terms)  factor of the Gram AᵀA = L Lᵀ of all samples
-    P             (channels, terms, terms)  covariance of coefficients per unit variance of a sample
+    of_all        (terms, terms)  covariance of coefficients per unit variance of a sample, if all samples are measured
+    P             (channels, terms, terms)  the same by the samples of each channel
     coefficients  (batch, terms, channels)
     squares       (batch, channels, channels)  of the residual
     free          (channels,)  degrees of freedom of the residual
@@ -166,7 +149,7 @@ class HarmonicSolution:
     """
 
     terms: Terms
-    L: Real
+    of_all: Real
     P: Real
     coefficients: Real
     squares: Real
@@ -210,97 +193,85 @@ class HarmonicSolution:
             F = np.sum(c * inside, axis=-1) / (some.shape[1] * variance)[..., None]
         return np.asarray(fdtrc(some.shape[1], self.free[:, None], F))
 
+    def residuals(self, record: Record, f: float) -> Iterator[tuple[slice, Real, Real]]:
+        """Some samples after others: which, their columns (rows, terms) and the residuals (batch, rows, channels).
 
-class Monitor(Protocol):
-    """What sees the residual as it streams by."""
+        Of samples that are not measured 0, and of a channel that has such as large as if all were.
+        """
+        samples, channels = record.values.shape[-2:]
+        Y = record.values.reshape(-1, samples, channels)
+        shown = np.where(self.in_cells, 0.0, np.sqrt(samples / (self.free + self.terms.count)))
+        for rows, A in columns_of(record, f, self.terms):
+            e = Y[:, rows] - A @ self.coefficients
+            yield rows, A, e if record.status is None else e * (record.status[rows] == 0) * shown
 
-    def next_rows(self, t: Real, A: Real) -> None:
-        """The samples that `see` shows next: their times (samples,) and design rows (samples, terms)."""
 
-    def see(self, part: slice, e: Real) -> None:
-        """Residuals (batch, rows, channels) of the present rows."""
+def columns_of(record: Record, f: float, terms: Terms) -> Iterator[tuple[slice, Real]]:
+    """Some samples after others, and their columns (rows, terms)."""
+    samples = len(record.time)
+    step = max(16, min(CHUNK, TILE * samples // record.values.size))
+    for start in range(0, samples, step):
+        rows = slice(start, min(samples, start + step))
+        yield rows, terms.columns(record.time[rows], f, *window(record.time))
 
 
-def solve_harmonics(
-    record: Record, f: float, terms: Terms, monitor: Monitor | None = None
-) -> HarmonicSolution:
-    """Least squares of some terms over the samples; the residual is shown to `monitor`.
+def solve_harmonics(record: Record, f: float, terms: Terms) -> HarmonicSolution:
+    """Least squares of some terms over the samples.
 
-    A dwell at its own frequency is factored once for all terms that are usual.  Else there are two passes over the
-    samples: normal equations, then the residual and one refinement.  Channels with samples that are not measured are
-    solved for by themselves, `_partly_measured`.  Raises DataError where the samples of some channel cannot tell the
-    columns apart.
+    A record at its own frequency is factored once for all terms that are usual; of repeats the columns alone are.
+    Channels with samples that are not measured are solved for by themselves, `_partly_measured`.  Raises DataError
+    where the samples of some channel cannot tell the columns apart.
     """
-    plain = record.values.ndim == 2 and record.status is None and record.cell is None
-    if plain and terms.count < len(record.time) <= CHUNK and f == record.frequency_hz:
-        columns = terms.within(_factored(record)[0])
-        if columns is not None:
-            found = _nested(record, terms, columns)
-            if monitor is not None:
-                A = terms.columns(record.time, f, *window(record.time))
-                monitor.next_rows(record.time, A)
-                monitor.see(slice(0, 1), (record.values - A @ found.coefficients[0])[None])
-            return found
-    return _in_two_passes(record, f, terms, monitor)
-
-
-def _in_two_passes(record: Record, f: float, terms: Terms, monitor: Monitor | None) -> HarmonicSolution:
-    samples, channels = record.values.shape[-2:]
-    Y = record.values.reshape(-1, samples, channels)
-    batch = len(Y)
-    centre, half = window(record.time)
-    held = terms.columns(record.time, f, centre, half) if samples <= CHUNK else None
-
-    def pieces() -> Iterator[tuple[slice, Real]]:
-        for rows in chunks(samples):
-            yield rows, terms.columns(record.time[rows], f, centre, half) if held is None else held
-
-    sums = _even_sums(record.time, record.values, f, terms)
-    if sums is None:
-        gram, right = np.zeros((terms.count, terms.count)), np.zeros((batch, terms.count, channels))
-        largest = np.zeros((batch, channels))
-        for rows, A in pieces():
-            gram += A.T @ A
-            for part in tiles(batch, len(A), channels):
-                y = Y[part, rows]
-                right[part] += A.T @ y
-                np.maximum(largest[part], np.max(np.abs(y), axis=1, initial=0.0), out=largest[part])
+    if record.values.ndim > 2:
+        return _of_repeats(record, f, terms)
+    every, R, largest = _factored(record)
+    columns = terms.within(every) if f == record.frequency_hz else None
+    if columns is None:
+        R = triangle(
+            np.concatenate([A, record.values[rows]], axis=1) for rows, A in columns_of(record, f, terms)
+        )
     else:
-        gram, right, largest = sums
-    L: Real = factor(gram, record, f)
-    identity = cholesky_solve(L, np.eye(terms.count)[None])[0]
-    P = np.broadcast_to((identity + identity.T) / 2, (channels, *gram.shape))
-    coefficients, free = cholesky_solve(L, right), np.full(channels, float(samples - terms.count))
+        R = triangle([R[:, [*columns, *range(every.count, R.shape[1])]]])
+    k, channels = terms.count, len(record.channels)
+    P, coefficients = solved(R, k, record, f)
+    left = R[k:, k:]
+    free, in_cells = np.full(channels, float(len(record.time) - k)), np.zeros(channels, dtype=bool)
+    each = np.broadcast_to(P, (channels, k, k))
+    whole = HarmonicSolution(
+        terms, P, each, coefficients[None], (left.T @ left)[None], free, largest, in_cells
+    )
     rounded = False if record.cell is None else record.cell > 0
-    shown, partly, times = np.ones(channels), np.zeros(channels, dtype=bool), np.zeros(channels)
-    for c in np.flatnonzero(~record.whole_channels | rounded).tolist():
-        found = _partly_measured(record, c, f, pieces)
-        if found is None:
-            continue
-        P = P if np.any(partly) else np.array(P)
-        coefficients[0, :, c], P[c], free[c] = found.coefficients, found.P, found.free
-        shown[c] = 0.0 if found.in_cells else np.sqrt(samples / (found.free + terms.count))
-        partly[c], times[c] = True, found.variance * found.free
-    correction, squares = np.zeros_like(right), np.zeros((batch, channels, channels))
-    for rows, A in pieces():
-        if monitor is not None:
-            monitor.next_rows(record.time[rows], A)
-        for part in tiles(batch, len(A), channels):
-            e = Y[part, rows] - A @ coefficients[part]
-            if record.status is not None:
-                e[:, record.status[rows] != 0] = 0.0
-            correction[part] += A.T @ e
-            squares[part] += np.swapaxes(e, 1, 2) @ e
-            if monitor is not None:
-                monitor.see(part, e * shown if np.any(partly) else e)
-    correction[..., partly] = 0.0
-    coefficients += cholesky_solve(L, correction)
-    if np.any(partly):
-        # Correlations of what is measured of both, as those of the coefficients are, and the variances found above
-        size = np.maximum(np.diagonal(squares[0]), 1e-300)
-        times = np.sqrt(np.where(partly, times / size, 1.0))
-        squares = squares * times[:, None] * times
-    return HarmonicSolution(terms, L, P, coefficients, squares, free, largest, shown == 0)
+    some = np.flatnonzero(~record.whole_channels | rounded).tolist()
+    return _with_partly_measured(record, f, whole, some) if some else whole
+
+
+def triangle(pieces: Iterable[Real]) -> Real:
+    """R of the QR factors of rows (rows, columns) that come in pieces."""
+    R: Real | None = None
+    for rows in pieces:
+        R = np.linalg.qr(rows if R is None else np.concatenate([R, rows]), mode="r")  # type: ignore[assignment]
+    assert R is not None
+    return R
+
+
+def solved(R: Real, k: int, record: Record, f: float) -> tuple[Real, Real]:
+    """Inverse Gram (k, k) of the first k columns, and their coefficients (k, others) in the others, by `triangle`.
+
+    Raises DataError where the samples do not tell the columns apart.
+    """
+    size = np.sqrt(np.sum(R[:k, :k] ** 2, axis=0))
+    apart = len(R) >= k and np.all(size > LITTLE * len(record.time) ** 0.5)
+    if apart and np.all(np.abs(np.diagonal(R)[:k]) > ALIKE**0.5 * size):
+        both = np.linalg.solve(R[:k, :k], np.concatenate([np.eye(k), R[:k, k:]], axis=1))
+        P = both[:, :k] @ both[:, :k].T
+        if float(np.sum(np.diagonal(P) * size**2)) < 1 / ALIKE:
+            return P, both[:, k:]
+    rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
+    raise DataError(
+        f"the samples (about {rate:g} per second) cannot tell offset, drift and harmonics apart at {f:g} Hz",
+        record.source,
+        "record more periods, at a rate that is not twice the frequency or less, or ask for fewer harmonics",
+    )
 
 
 @kept
@@ -309,41 +280,56 @@ def _factored(record: Record) -> tuple[Terms, Real, Real]:
 
     Whatever is solved for among them follows from R, without the samples and as accurately as from these.
     """
-    f = record.frequency_hz or 0.0
+    largest = np.maximum(np.max(record.values, axis=0), -np.min(record.values, axis=0))[None]
+    f = record.frequency_hz
+    if f is None:
+        return Terms(-1, ()), np.zeros((0, 0)), largest
     rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
     highest = max(1, min(HIGHEST_HARMONIC, int(BELOW_HALF_RATE * rate / 2 / f)))
     every = Terms(HIGHEST_DEGREE, tuple(range(1, highest + 1)), 1)
-    A = every.columns(record.time, f, *window(record.time))
-    R: Real = np.linalg.qr(np.concatenate([A, record.values], axis=1), mode="r")  # type: ignore[assignment]
-    return every, R, np.max(np.abs(record.values), axis=0)[None]
+    both = (np.concatenate([A, record.values[rows]], axis=1) for rows, A in columns_of(record, f, every))
+    return every, triangle(both), largest
 
 
-def _nested(record: Record, terms: Terms, columns: Sequence[int]) -> HarmonicSolution:
-    """Least squares of some terms, at these columns of `_factored`."""
-    every, R, largest = _factored(record)
-    k, channels = terms.count, len(record.channels)
-    some = R[:, [*columns, *range(every.count, R.shape[1])]]
-    inner: Real = np.linalg.qr(some, mode="r")  # type: ignore[assignment]
-    size = np.sqrt(np.sum(inner[:, :k] ** 2, axis=0))
-    require_told_apart(
-        bool(np.all(size > LITTLE * len(record.time) ** 0.5)), record, record.frequency_hz or 0.0
-    )
-    both = np.linalg.solve(inner[:k, :k], np.concatenate([np.eye(k), inner[:k, k:]], axis=1))
-    P = both[:, :k] @ both[:, :k].T
-    require_told_apart(
-        float(np.sum(np.diagonal(P) * size**2)) < 1 / ALIKE, record, record.frequency_hz or 0.0
-    )
-    left = inner[k:, k:]
-    return HarmonicSolution(
-        terms,
-        inner[:k, :k].T,
-        np.broadcast_to(P, (channels, k, k)),
-        both[None, :, k:],
-        (left.T @ left)[None],
-        np.full(channels, float(len(record.time) - k)),
-        largest,
-        np.zeros(channels, dtype=bool),
-    )
+def _of_repeats(record: Record, f: float, terms: Terms) -> HarmonicSolution:
+    """Of records with leading axes: normal equations, then the residual and one refinement, some repeats at a time."""
+    samples, channels = record.values.shape[-2:]
+    Y = record.values.reshape(-1, samples, channels)
+    P, _ = solved(triangle(A for _, A in columns_of(record, f, terms)), terms.count, record, f)
+    right, largest = np.zeros((len(Y), terms.count, channels)), np.zeros((len(Y), channels))
+    for rows, A in columns_of(record, f, terms):
+        right += A.T @ Y[:, rows]
+        largest = np.maximum(largest, np.max(np.abs(Y[:, rows]), axis=1))
+    free, squares = np.full(channels, float(samples - terms.count)), np.zeros((len(Y), channels, channels))
+    each, none = np.broadcast_to(P, (channels, *P.shape)), np.zeros(channels, dtype=bool)
+    found = HarmonicSolution(terms, P, each, P @ right, squares, free, largest, none)
+    correction = np.zeros_like(right)
+    for _, A, e in found.residuals(record, f):
+        correction += A.T @ e
+        squares += np.swapaxes(e, 1, 2) @ e
+    return replace(found, coefficients=found.coefficients + P @ correction)
+
+
+def _with_partly_measured(
+    record: Record, f: float, found: HarmonicSolution, some: Sequence[int]
+) -> HarmonicSolution:
+    """The solution with those channels of which samples are not measured solved for by themselves."""
+    P, free, in_cells = np.array(found.P), found.free.copy(), found.in_cells.copy()
+    coefficients, variance = found.coefficients.copy(), np.diagonal(found.covariance[0]).copy()
+    for c in some:
+        its = _partly_measured(record, c, f, found.terms)
+        if its is not None:
+            P[c], free[c], in_cells[c] = its.P, its.free, its.in_cells
+            coefficients[0, :, c], variance[c] = its.coefficients, its.variance
+    if np.array_equal(free, found.free) and not np.any(in_cells):
+        return found
+    found = replace(found, P=P, coefficients=coefficients, free=free, in_cells=in_cells)
+    # Correlations of what is measured of both, as those of the coefficients are, and the variances found above
+    squares = np.zeros_like(found.squares)
+    for _, _, e in replace(found, in_cells=np.zeros_like(in_cells)).residuals(record, f):
+        squares += np.swapaxes(e, 1, 2) @ e
+    size = np.sqrt(variance * free / np.maximum(np.diagonal(squares[0]), 1e-300))
+    return replace(found, squares=squares * size[:, None] * size)
 
 
 FAR = 1e4  # standard deviations: what is beyond counts as that
@@ -363,9 +349,7 @@ class PartlyMeasured:
     in_cells: bool
 
 
-def _partly_measured(
-    record: Record, c: int, f: float, pieces: Callable[[], Iterator[tuple[slice, Real]]]
-) -> PartlyMeasured | None:
+def _partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMeasured | None:
     """A channel with samples that are clipped, missing or rounded to cells; None where all are as good as measured.
 
     Of a sample in a cell from a to b it is known that the noise is between: ln(Φ(τ b − A γ) − Φ(τ a − A γ)) with
@@ -377,14 +361,15 @@ def _partly_measured(
     status = np.zeros(len(y)) if record.status is None else record.status[:, c]
     cell = 0.0 if record.cell is None else float(record.cell[c])
     seen = status == 0
-    gram = right = np.zeros(())
-    for rows, A in pieces():
-        some = A[seen[rows]]
-        gram, right = gram + some.T @ some, right + some.T @ y[rows][seen[rows]]
-    beta: Real = cholesky_solve(factor(gram, record, f), right[None, :, None])[0, :, 0]
-    left = sum(float(np.sum((y[rows] - A @ beta)[seen[rows]] ** 2)) for rows, A in pieces())
-    terms, count = len(beta), int(np.count_nonzero(seen))
-    variance = left / max(count - terms, 1)
+    pieces = list(columns_of(record, f, terms)) if len(y) <= CHUNK else None
+
+    def columns() -> Iterable[tuple[slice, Real]]:
+        return columns_of(record, f, terms) if pieces is None else pieces
+
+    k, count = terms.count, int(np.count_nonzero(seen))
+    R = triangle(np.column_stack([A, y[rows]])[seen[rows]] for rows, A in columns())
+    beta = solved(R, k, record, f)[1][:, 0]
+    variance = float(np.sum(R[k:, k] ** 2)) / max(count - k, 1)
     if np.sqrt(variance) > DITHERED * cell:
         cell = 0.0
     if not cell and np.all(seen):
@@ -394,10 +379,10 @@ def _partly_measured(
 
     def at(beta: Real, tau: float) -> tuple[float, Real, Real]:
         """Log-likelihood, its slope along (η, τ) and its information."""
-        k = (0 if cell else count) - terms
-        total, slope, info = k * np.log(tau), np.zeros(terms + 1), np.zeros((terms + 1, terms + 1))
-        slope[-1], info[-1, -1] = k / tau, k / tau**2
-        for rows, A in pieces():
+        sharp = 0 - k if cell else count - k
+        total, slope, info = sharp * np.log(tau), np.zeros(k + 1), np.zeros((k + 1, k + 1))
+        slope[-1], info[-1, -1] = sharp / tau, sharp / tau**2
+        for rows, A in columns():
             e, side = y[rows] - A @ beta, status[rows]
             if not cell:
                 B, exact = A[side == 0], e[side == 0]
@@ -437,7 +422,7 @@ def _partly_measured(
         (beta, tau), (total, slope, info) = other, found
     free = 0.0 if inverse is None else float(tau**2 / (2 * inverse[-1, -1]))
     if cell and (free < 1 or 1 / tau < COARSEST * cell):
-        return _partly_measured(replace(record, cell=None), c, f, pieces)
+        return _partly_measured(replace(record, cell=None), c, f, terms)
     if inverse is None:
         raise DataError(
             f"the samples that {record.channels[c].name} did measure cannot tell its motion at {f:g} Hz",
@@ -475,64 +460,3 @@ def in_between(a: Real, b: Real) -> tuple[Real, Real, Real, Real, Real, Real]:
     fa, aa = np.where(a > FAR, a, fa), np.where(a > FAR, -1.0, aa)
     fb, bb = np.where(b < -FAR, -b, fb), np.where(b < -FAR, -1.0, bb)
     return L, fa, fb, aa, fa * fb, bb
-
-
-def _even_sums(time: Real, values: Real, f: float, terms: Terms) -> tuple[Real, Real, Real] | None:
-    """Gram, right sides and largest |y| of many even samples, by the compiled pass; None where NumPy does as well.
-
-    What the recurrence of its waves rounds off, the refinement by the residual takes out.
-    """
-    samples, (centre, _) = len(time), window(time)
-    orders, degree = terms.orders, terms.degree
-    if kernel() is None or samples <= CHUNK or degree > 1 or terms.bends:
-        return None
-    Y = values.reshape(-1, *values.shape[-2:])
-    step = float(time[-1] - time[0]) / (samples - 1)
-    due = time[0] + step * np.arange(samples)
-    if np.max(np.abs(time - due)) > 8 * np.finfo(float).eps * np.max(np.abs(time)):
-        return None
-    phase = 2 * np.pi * ((f * centre) % 1.0)
-    gram = even_gram(samples, f * step, phase, orders, degree)
-    if gram is None:
-        return None
-    turned = np.exp(1j * phase * np.asarray(orders))[:, None]
-    right = np.empty((len(Y), len(gram), Y.shape[-1]))
-    largest = np.empty((len(Y), Y.shape[-1]))
-    for k, y in enumerate(Y):
-        sums = harmonic_sums(y, f * step * np.asarray(orders, dtype=np.float64))
-        right[k, : degree + 1] = np.stack([sums.plain, 2 * sums.moment / (samples - 1)])[: degree + 1]
-        waves = turned * sums.waves
-        right[k, degree + 1 :: 2], right[k, degree + 2 :: 2] = waves.real, waves.imag
-        largest[k] = sums.largest
-    return gram, right, largest
-
-
-def factor(gram: Real, record: Record, f: float) -> Real:
-    """Cholesky factor of the Gram.  Raises DataError where the samples do not tell the columns apart.
-
-    (..., columns, columns).
-    """
-    size = np.sqrt(np.diagonal(gram))
-    some = bool(np.all(size > LITTLE * np.sqrt(len(record.time))))
-    require_told_apart(some and float(np.linalg.eigvalsh(gram / np.outer(size, size))[0]) >= ALIKE, record, f)
-    return np.linalg.cholesky(gram).astype(np.float64)
-
-
-def require_told_apart(apart: bool, record: Record, f: float) -> None:
-    """Raises DataError where the samples do not tell the columns apart."""
-    if not apart:
-        rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
-        raise DataError(
-            f"the samples (about {rate:g} per second) cannot tell offset, drift and harmonics apart at {f:g} Hz",
-            record.source,
-            "record more periods, at a rate that is not twice the frequency or less, or ask for fewer harmonics",
-        )
-
-
-def cholesky_solve(L: Real, right: Real) -> Real:
-    """(L Lᵀ)⁻¹ right over a batch of right sides (batch, terms, columns)."""
-    batch, terms, columns = right.shape
-    flat = np.moveaxis(right, 1, 0).reshape(terms, -1)
-    # Not by two solve_triangular: its LAPACK wakes threads for the smallest matrix, 8 ms each where cores are busy.
-    whole = cho_solve((L, True), flat, check_finite=False)
-    return np.ascontiguousarray(np.moveaxis(whole.reshape(terms, batch, columns), 0, 1))
