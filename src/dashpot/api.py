@@ -34,7 +34,6 @@ from dashpot.data.modal_data import ModalData
 from dashpot.data.readers import Reading
 from dashpot.data.readers.experiments import Experiments
 from dashpot.data.readers.in_memory import columns_in_memory, records_of
-from dashpot.data.readers.manifest import is_manifest
 from dashpot.data.readers.modes import holds_modes, read_modes
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -53,7 +52,7 @@ from dashpot.experiment import RUNS, kind_of
 from dashpot.free import MOST_MODES
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
-from dashpot.io.words import listed, names_in
+from dashpot.io.words import counted, listed, names_in
 from dashpot.model.modes import Modes
 from dashpot.model.modes import modes as modes_of_model
 from dashpot.model.network import Model
@@ -308,6 +307,8 @@ def start(
     units: Mapping[str, str] | None = None,
     name: str = "My rig",
     first_mass: float | None = None,
+    force_at: str | None = None,
+    base: str | None = None,
 ) -> Rig:
     """A rig to begin with, suggested by what is in data: a channel for each column, everything unknown.
 
@@ -315,12 +316,15 @@ def start(
     driven_by   what drives the rig; without it what the columns suggest
     units       of columns that state none, by name; otherwise numbers count as SI
     first_mass  kg, where it was weighed; 1 where nothing else gives the scale
+    force_at    the mass that the force acts on, such as "x1"; needed where there are several
+    base        the column of the base's motion; needed where none is named like one
 
     `dashpot.write_rig(rig)` is its rig file.  Raises UsageError where the columns cannot be those of a rig, or nothing
-    tells what one measures.
+    tells what one measures or where a force acts.
     """
     from dashpot.check.first_rig import first_rig, seen_data
     from dashpot.data.inspection import inspect_columns, inspect_file
+    from dashpot.io.toml_document import PLACEHOLDER
     from dashpot.model.rigfile.starter import starter_text
 
     several = _several(data)
@@ -341,7 +345,20 @@ def start(
             cure = f'give its unit, units={{"{column.name}": "m/s²"}}'
             raise UsageError(f"nothing tells what the column {column.name} measures", cure=cure)
         columns.append(column.in_unit(unit))
-    chain = first_rig(replace(seen, columns=tuple(columns)), name, driven_by or seen.drive, first_mass)
+    seen = replace(seen, columns=tuple(columns))
+    drive = driven_by or ("base" if base else "force" if force_at else seen.drive)
+    chain = first_rig(seen, name, drive, first_mass, force_at, base)
+    if chain.at == PLACEHOLDER or (chain.drive == "force" and chain.forces > 1):
+        places = f"x1 to x{chain.masses}"
+        cure = f"give force_at=, one of {places}" if chain.forces == 1 else "leave out the column of one"
+        raise UsageError(f"nothing tells where {counted(chain.forces, 'force')} may act", cure=cure)
+    for sensor in chain.sensors:
+        if sensor.of == PLACEHOLDER:
+            cure = "give base=, the column of the base, or another driven_by="
+            raise UsageError(f"nothing tells what the column {sensor.column} shows", cure=cure)
+        if sensor.raw:
+            what = f"the column {sensor.column} is in {sensor.unit}, without a sensitivity"
+            raise UsageError(what, cure="give it in a unit of what it measures")
     return parse_rig(starter_text(chain))
 
 
@@ -741,12 +758,12 @@ def _without_rig(
     if not out:
         raise UsageError("no output is named", cure=f"there are {listed(known)}")
     for name in (*into, *out):
-        if name not in known and not any(_is_path(each) and is_manifest(each) for each in several):
+        if name not in known:
             raise UsageError(f"there is no channel {name}", cure=f"there are {listed(known)}")
     if isinstance(data, Reading | Spectrum):
         return Reading((), data, ()) if isinstance(data, Spectrum) else data, tuple(into), tuple(out)
     every = dict.fromkeys([*into, *out])
-    channels = tuple(known.get(name, Channel(name, {name: 1.0})) for name in every)
+    channels = tuple(known[name] for name in every)
     if rig is not None:
         reading = _reading(replace(rig, channels=channels), data, frequency_hz)
     elif all(map(_is_path, several)):

@@ -6,16 +6,17 @@ Units say what is measured, names say it where there is no unit, and what is sai
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dashpot.channel import RESERVED_NAMES, Quantity
-from dashpot.data.inspection import InspectedColumn, Inspection, guessed_quantity
+from dashpot.data.inspection import Inspection, NamedChannel, guessed_quantity
 from dashpot.data.readers.columns import factors, is_unit
 from dashpot.errors import UsageError
 from dashpot.io.toml_document import PLACEHOLDER
+from dashpot.io.words import listed
 from dashpot.model.rigfile.starter import MOST_MASSES, Chain, ChannelLine, Drive
 
 _LETTERS = {"a": "acceleration", "v": "velocity", "f": "force", **dict.fromkeys("xyzdsuqw", "displacement")}
@@ -23,7 +24,6 @@ _BASE = re.compile(
     r"(base|table|shaker|ground|floor_?0|input|drive|excit|ref|boden|tisch|fuss|fuß)", re.IGNORECASE
 )
 _BASE_LETTERS = re.compile(r"([auw]?[_ ]?(base|table|ground)|u\d*|w\d*|a?0)$", re.IGNORECASE)
-_AMPLITUDE = re.compile(r"_(re|im|sd|amplitude|amp|abs|magnitude|mag|phase|phase_deg|phase_rad|ph|arg)$")
 DECAYED = 0.5  # rms of the last quarter of a record over that of its first, below which the rig was let go
 
 
@@ -74,23 +74,21 @@ def seen_data(inspections: Sequence[Inspection]) -> SeenData:
     """What files seem to hold.  Raises UsageError where they hold no channel, or too many."""
     by_name: dict[str, SeenColumn] = {}
     parts = [part for inspection in inspections for part in inspection.parts]
-    amplitudes = False
-    for column in (each for part in parts for each in part.columns):
-        for name, of_input in _channels_of(column.name):
-            amplitudes |= name != column.name
-            if name not in by_name and name.lower() not in RESERVED_NAMES:
-                by_name[name] = _seen(name, column, of_input, single=name == column.name)
+    for channel in (each for part in parts for each in part.channels):
+        if channel.name.lower() not in RESERVED_NAMES:
+            by_name.setdefault(channel.name, _seen(channel))
     columns = tuple(by_name.values())
     if not columns or len(columns) > MOST_MASSES:
         what = f"{len(columns)} channels" if columns else "no channel in these data"
         raise UsageError(what, cure=f"start from files with 1 to {MOST_MASSES} channels, or with dashpot new")
-    timed = amplitudes or all(part.rates_hz is not None for part in parts if part.columns)
+    timed = all(part.complexes or part.rates_hz is not None for part in parts if part.columns)
     forces = [c for c in columns if c.quantity == "force"]
     bases = [c for c in columns if c.quantity != "force" and c.of_base]
     others = [c for c in columns if c not in forces and c not in bases]
     if forces:
         travel = [c for c in (*bases, *others) if c.quantity == "displacement"]
-        stand = len(forces) == 1 and len(columns) == 2 and len(travel) == 1 and not amplitudes
+        stand = len(forces) == 1 and len(columns) == 2 and len(travel) == 1
+        stand = stand and not any(part.complexes for part in parts)
         return SeenData(columns, "stand" if stand else "force", bool(others) and not stand, timed)
     if bases and others:
         return SeenData(columns, "base", True, timed)
@@ -99,25 +97,14 @@ def seen_data(inspections: Sequence[Inspection]) -> SeenData:
     return SeenData(columns, "release" if let_go else "base", let_go, timed)
 
 
-def _channels_of(column: str) -> Iterator[tuple[str, bool]]:
-    """Channels that a column tells of, with whether they are inputs: OUT and IN of OUT/IN_re, NAME of NAME_re."""
-    stem = _AMPLITUDE.sub("", column)
-    out, stroke, into = stem.partition("/")
-    if stem == column:
-        yield column, False
-    elif stroke:
-        yield from ((out, False), (into, True))
-    else:
-        yield stem, False
-
-
-def _seen(name: str, column: InspectedColumn, of_input: bool, single: bool) -> SeenColumn:
-    unit = column.unit if single and column.unit and is_unit(column.unit) else None
+def _seen(channel: NamedChannel) -> SeenColumn:
+    name, unit = channel.name, channel.unit if channel.unit and is_unit(channel.unit) else None
     quantity = guessed_quantity(name, unit) if unit or not re.fullmatch(r"[A-Za-z]\d*", name) else None
     if quantity is None and (letter := re.fullmatch(r"([A-Za-z])[\d_xyz]*", name)):
         quantity = _LETTERS.get(letter[1].lower())
-    of_base = bool(_BASE.search(name) or _BASE_LETTERS.fullmatch(name) or (of_input and quantity != "force"))
-    return SeenColumn(name, unit, quantity, of_base, column.decay)
+    of_base = bool(_BASE.search(name) or _BASE_LETTERS.fullmatch(name))
+    of_base |= channel.of_input and quantity != "force"
+    return SeenColumn(name, unit, quantity, of_base, channel.decay)
 
 
 def _same_point(column: SeenColumn, columns: Sequence[SeenColumn], points: Mapping[str, str]) -> str | None:
@@ -134,17 +121,28 @@ def _same_point(column: SeenColumn, columns: Sequence[SeenColumn], points: Mappi
 
 
 def first_rig(
-    data: SeenData, name: str, drive: Drive, known: float | None = None, at: str | None = None
+    data: SeenData,
+    name: str,
+    drive: Drive,
+    known: float | None = None,
+    at: str | None = None,
+    base: str | None = None,
 ) -> Chain:
     """The rig of some columns: a mass for each that moves, in the order of the columns, the last next to the base.
 
-    Columns of different quantities whose names end in one number are of one mass.  What is unknown of a channel is
-    left open.  Raises UsageError where the columns cannot be those of such a rig.
+    Columns of different quantities whose names end in one number are of one mass.  `known` kg of the first mass, `at`
+    the one that the force acts on, `base` the column of the base.  What is unknown of a channel is left open.  Raises
+    UsageError where the columns cannot be those of such a rig.
     """
     sensors, points = list[ChannelLine](), dict[str, str]()
     forces = [c for c in data.columns if c.quantity == "force"]
     bases = [c for c in data.columns if c not in forces and c.of_base]
     moving = [c for c in data.columns if c not in forces]
+    if base is not None:
+        bases = [c for c in moving if c.name == base]
+        if drive != "base" or not bases:
+            what = f"no motion is called {base}" if drive == "base" else f"{base} cannot be the base"
+            raise UsageError(what, cure=f"there are {listed([c.name for c in moving])}, driven by the base")
     if drive == "base":
         moving = [c for c in moving if c not in bases]
         if not moving:  # all are called like a base
@@ -178,4 +176,8 @@ def first_rig(
         masses = max(masses - 1, 1)
     if drive == "force" and at is None:
         at = "x1" if masses == 1 else PLACEHOLDER
+    elif drive == "force" and at not in (places := [f"x{i + 1}" for i in range(masses)]):
+        raise UsageError(
+            f"there is no mass {at} for the force to act on", cure=f"take one of {listed(places)}"
+        )
     return Chain(name, max(masses, 1), drive, known=known, at=at, forces=len(forces), sensors=tuple(sensors))

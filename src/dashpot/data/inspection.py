@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -15,10 +15,19 @@ import numpy as np
 from dashpot.arrays import Real, freeze
 from dashpot.channel import RESERVED_NAMES, Channel, Quantity
 from dashpot.data.readers.amplitudes import amplitude_columns
-from dashpot.data.readers.columns import Columns, bare, factors, frequency_column, read_time, time_column
+from dashpot.data.readers.columns import (
+    Columns,
+    bare,
+    factors,
+    frequency_column,
+    is_unit,
+    read_time,
+    time_column,
+)
 from dashpot.data.readers.datafile import open_file
-from dashpot.data.readers.manifest import files_named
+from dashpot.data.readers.manifest import columns_meant
 from dashpot.data.readers.registry import reader_of
+from dashpot.data.readers.responses import is_response, response_named
 from dashpot.data.record import samples_at_limit
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.toml_document import PLACEHOLDER, toml_key
@@ -34,6 +43,16 @@ WORDS = {
     Quantity.VELOCITY: ("vel", "gyr", "omega", "speed"),
     Quantity.DISPLACEMENT: ("disp", "weg", "pos", "laser", "theta", "angle", "x"),
 }
+
+
+@dataclass(frozen=True)
+class NamedChannel:
+    """A channel that data tell of: its name, unit, whether it is the input of a response, `decay` as of a column."""
+
+    name: str
+    unit: str | None
+    of_input: bool = False
+    decay: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -86,6 +105,7 @@ class InspectedPart:
     others       columns without numbers, or beyond those that are shown
     damaged      what is wrong with columns that begin with a number and hold something else as well
     notes        what was noticed on reading
+    complexes    channels that amplitudes or frequency responses are of; empty: the columns are samples
     """
 
     source: str
@@ -101,6 +121,13 @@ class InspectedPart:
     others: tuple[str, ...]
     damaged: tuple[DashpotError, ...]
     notes: tuple[Notice, ...]
+    complexes: tuple[NamedChannel, ...] = ()
+
+    @property
+    def channels(self) -> tuple[NamedChannel, ...]:
+        """The channels that it tells of: one for each column of samples, or those of amplitudes and responses."""
+        each = (NamedChannel(column.name, column.unit, decay=column.decay) for column in self.columns)
+        return self.complexes or tuple(each)
 
 
 @dataclass(frozen=True)
@@ -191,6 +218,7 @@ def _part(columns: Columns) -> InspectedPart:
         tuple(others),
         tuple(damaged),
         tuple(notes),
+        tuple(_tried(lambda: _complexes(columns), [], damaged)),
     )
 
 
@@ -258,7 +286,10 @@ def _decay(values: Real, stretches: Sequence[_Stretch]) -> float:
         return np.nan
     x = values[longest.begin : longest.end]
     quarter = len(x) // 4
-    x = x - np.nanmean(x[-quarter:])
+    there = np.isfinite(x)
+    if not (there[:quarter].any() and there[-quarter:].any()):
+        return np.nan
+    x = x - np.mean(x[-quarter:][there[-quarter:]])
     first, last = (float(np.sqrt(np.nanmean(part**2))) for part in (x[:quarter], x[-quarter:]))
     return last / first if first > 0 else np.nan
 
@@ -299,31 +330,47 @@ def guessed_quantity(name: str, unit: str | None) -> str | None:
 def channels_in(data: Sequence[str | os.PathLike[str] | Columns]) -> dict[str, Channel]:
     """The channels that files or tables hold by themselves, by name: quantity and unit as the first one says them.
 
-    Columns of numbers, amplitudes (NAME_re) and both sides of responses (OUT/IN_re); those of manifests have no unit.
-    Raises DataError where a file cannot be read.
+    Columns of numbers, amplitudes (NAME_re), both sides of responses (OUT/IN_re, or by the file's name); of a manifest
+    those that it names.  Raises DataError where a file cannot be read.
     """
     found: dict[str, Channel] = {}
     for one in data:
-        files = [] if isinstance(one, Columns) else map(open_file, files_named(one))
-        parts = (
-            [one]
-            if isinstance(one, Columns)
-            else (part for file in files for part in reader_of(file).parts(file))
-        )
-        for columns in parts:
-            apart = {time_column(columns, (), may_lack=True), frequency_column(columns, ())}
-            complexes = amplitude_columns(columns)
-            for stem in complexes:
-                for name in reversed(stem.split("/")):
-                    if "&" not in name:
-                        found.setdefault(name, Channel(name, {name: 1.0}))
-            for i, header in enumerate(columns.header):
-                name, unit = bare(header)[0], columns.unit(i)
-                plain = re.match(r"[-+]?\.?\d|nan", columns.first(i), re.IGNORECASE)
-                if complexes or i in apart or not plain or name in (*found, *RESERVED_NAMES):
-                    continue
-                found[name] = _channel_of(name, unit)
+        for columns, chosen in [(one, frozenset[str]())] if isinstance(one, Columns) else columns_meant(one):
+            for channel in _complexes(columns) or _samples(columns):
+                if not chosen or channel.name in chosen:
+                    found.setdefault(channel.name, _channel_of(channel.name, channel.unit))
     return found
+
+
+def _complexes(columns: Columns) -> list[NamedChannel]:
+    """The channels that amplitudes or responses are of; none where the columns are samples."""
+    found = amplitude_columns(columns)
+    stems = {stem: None if pair.decibel else columns.unit(pair.first) for stem, pair in found.items()}
+    if not found and is_response(columns):
+        pair, unit = response_named(columns)
+        stems = {"/".join(pair): unit}
+    channels = dict[str, NamedChannel]()
+    for stem, unit in stems.items():
+        if "&" in stem:  # the covariance of two
+            continue
+        out, stroke, into = stem.partition("/")
+        parts = [part.strip("() ") for part in (unit or "").rpartition("/")[::2]]  # of (m/s²)/N
+        of = parts if stroke and all(map(is_unit, parts)) else [None if stroke else unit, None]
+        for name, unit_of, of_input in ((out, of[0], False), (into, of[1], True)):
+            if name:
+                channels.setdefault(name, NamedChannel(name, unit_of, of_input))
+    return list(channels.values())
+
+
+def _samples(columns: Columns) -> Iterator[NamedChannel]:
+    """Columns of samples but the time and the drive frequency; those without a name where none has one."""
+    apart = {time_column(columns, (), may_lack=True), frequency_column(columns, ())}
+    others = [i for i in range(len(columns.header)) if i not in apart]
+    nameless = not any(columns.header[i] for i in others)
+    for i in others:
+        plain = re.match(r"[-+]?\.?\d|nan", columns.first(i), re.IGNORECASE)
+        if plain and (columns.header[i] or nameless) and columns.names[i] not in RESERVED_NAMES:
+            yield NamedChannel(columns.names[i], columns.unit(i))
 
 
 def _channel_of(name: str, unit: str | None) -> Channel:
@@ -335,10 +382,11 @@ def _channel_of(name: str, unit: str | None) -> Channel:
 
 
 def suggested_channels(inspections: Sequence[Inspection]) -> str:
-    """A [channels] table to start from, in TOML: one entry for each column of any of the files."""
+    """A [channels] table to start from, in TOML: one entry for each channel that any of the files tells of."""
     lines: dict[str, str] = {}
-    for column in (each for inspection in inspections for part in inspection.parts for each in part.columns):
-        quantity = f', quantity = "{column.quantity}"' if column.quantity else ""
-        unit = f", unit = {quoted(column.unit)}" if column.unit else ""
-        lines.setdefault(column.name, f'{toml_key(column.name)} = {{ of = "{PLACEHOLDER}"{quantity}{unit} }}')
+    for each in (each for inspection in inspections for part in inspection.parts for each in part.channels):
+        kind = guessed_quantity(each.name, each.unit)
+        quantity = f', quantity = "{kind}"' if kind else ""
+        unit = f", unit = {quoted(each.unit)}" if each.unit else ""
+        lines.setdefault(each.name, f'{toml_key(each.name)} = {{ of = "{PLACEHOLDER}"{quantity}{unit} }}')
     return "\n".join(["[channels]", *lines.values()]) + "\n"

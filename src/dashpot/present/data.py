@@ -10,7 +10,7 @@ from dashpot.data.inspection import InspectedColumn, InspectedPart, Inspection
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import printable
-from dashpot.io.words import counted, joined
+from dashpot.io.words import counted, joined, listed
 from dashpot.model.rigfile import Rig
 from dashpot.present.document import Block, Document, Paragraph, Table, columns_of, section
 from dashpot.present.words import percent, plain, short
@@ -84,6 +84,9 @@ def part_in_words(part: InspectedPart, source: str) -> str:
             start, end = part.longest_gap
             which = "from" if part.gaps == 1 else "the longest from"
             words.append(f"{counted(part.gaps, 'gap')}, {which} {start:.6g} to {end:.6g} s")
+    if part.complexes:
+        inputs, outputs = ([c.name for c in part.complexes if c.of_input is into] for into in (True, False))
+        words.append(f"responses of {listed(outputs)} to {listed(inputs)}" if inputs else "amplitudes")
     if part.frequencies:
         several = (
             f"{len(part.frequencies)} drive frequencies, " if len(part.frequencies) > 1 else "driven at "

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from dashpot.data.inspection import guessed_quantity, inspect_file, suggested_channels
+import dashpot
+from dashpot.data.inspection import channels_in, guessed_quantity, inspect_file, suggested_channels
 from dashpot.errors import DataError
+from dashpot.free.response import write_response
 from dashpot.present.data import inspection_document, part_in_words, picture
 from dashpot.present.document import show
 from tests.unit.data.readers.written import WRITERS, recording
@@ -98,6 +100,28 @@ def test_every_format_is_inspected(tmp_path, name):
     assert {"x1", "x2", "u"} <= names
     assert {f for part in inspection.parts for f in part.frequencies} == {2.0, 4.0, 8.0}
     assert any(part.rates_hz == pytest.approx((128, 128)) for part in inspection.parts)
+
+
+def test_channels_of_data_without_a_rig(tmp_path: Path) -> None:
+    """Columns without names, those that a manifest chooses, and responses with covariances, from file to response."""
+    rng = np.random.default_rng(0)
+    t, u = np.arange(2000) / 100, rng.standard_normal(2000)
+    np.savetxt(tmp_path / "plain.csv", np.column_stack([t, u, 2 * u, 3 * u]), delimiter=",")
+    manifest = tmp_path / "test.toml"
+    manifest.write_text(
+        '[[files]]\nname = "plain.csv"\ncolumns = { u = "column2", x = "column4" }\nunits = { x = "mm" }\n'
+    )
+    assert list(channels_in([tmp_path / "plain.csv"])) == ["column2", "column3", "column4"]
+    assert {name: channel.unit for name, channel in channels_in([manifest]).items()} == {"u": "", "x": "mm"}
+    found = dashpot.frf(str(manifest), "u")
+    assert found.pairs == ("x/u",)
+    assert found.values[:, 0, 0] == pytest.approx(3)
+    both = dashpot.frf(str(tmp_path / "plain.csv"), "column2")
+    write_response(both, tmp_path / "frf.parquet")
+    assert set(channels_in([tmp_path / "frf.parquet"])) == {"column2", "column3", "column4"}
+    assert dashpot.frf(str(tmp_path / "frf.parquet"), "column2").pairs == both.pairs
+    (tmp_path / "index.csv").write_text(",time_s,x\n0,0.0,1\n1,0.1,2\n2,0.2,3\n")
+    assert list(channels_in([tmp_path / "index.csv"])) == ["x"]
 
 
 def test_what_cannot_be_read_is_said(tmp_path):

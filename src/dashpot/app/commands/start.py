@@ -49,6 +49,11 @@ def command(
     at: Annotated[
         str | None, opt.Option("--force-at NAME", None, CHAIN), "The mass that the force acts on, such as x1."
     ],
+    base: Annotated[
+        str | None,
+        opt.Option("--base COLUMN", None, CHAIN),
+        "The column of the base's motion, where none is named like one.",
+    ],
     rate: Annotated[
         float | None, opt.Option("--rate HZ", opt.FREQUENCY, CHAIN), "Sampling rate of files without times."
     ],
@@ -91,20 +96,17 @@ def command(
             column = column if said == PLACEHOLDER else column.in_unit(said)
         columns.append(column)
     seen = replace(seen, columns=tuple(columns))
+    drive = drive or ("base" if base else "force" if at else None)
     drive = drive or (seen.drive if seen.sure else ask("What drives it", seen.drive, DRIVEN))
-    chain = first_rig(seen, _title(paths), cast(Any, drive), known, at)
+    chain = first_rig(seen, _title(paths), cast(Any, drive), known, at, base)
     if (
         chain.lacks_scale
         and (first := ask("Mass of x1, where it has been weighed", UNKNOWN, WEIGHED)) != UNKNOWN
     ):
         chain = replace(chain, known=first)
-    places = click.Choice((*(f"x{i + 1}" for i in range(chain.masses)), PLACEHOLDER))
     if chain.at == PLACEHOLDER:
+        places = click.Choice((*(f"x{i + 1}" for i in range(chain.masses)), PLACEHOLDER))
         chain = replace(chain, at=ask("Mass that the force acts on", PLACEHOLDER, places))
-    elif chain.at not in (None, *places.choices):
-        raise UsageError(
-            f"there is no mass {at}", "--force-at", f"take one of {', '.join(places.choices[:-1])}"
-        )
     data = list(files)
     if not seen.timed and not any(map(is_manifest, files)):
         rate = rate or ask("Sampling rate, Hz", PLACEHOLDER, opt.FREQUENCY.or_words(PLACEHOLDER))

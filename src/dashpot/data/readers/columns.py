@@ -24,7 +24,7 @@ from dashpot.units import SHARE
 LARGEST = 1e100  # beyond this squares overflow, and no measurement is meant
 MOST_COLUMNS = 10_000
 UNNAMED = "column"  # and its number from 1: what a column without a name is called
-_UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
+_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\]|\((?P<round>[^\[\]()]*)\))$")
 _DIVIDED = re.compile(
     r"^(?P<name>.*\S)\s+(?:/|in)\s+(?P<unit>\S+)$"
 )  # ISO 80000-1: x1 / mm, and what people say
@@ -35,7 +35,7 @@ def bare(column: str) -> tuple[str, str | None]:
     """A column's name without the unit in brackets, or behind a stroke (x1 / mm) or `in`, and the unit."""
     match = _UNIT.match(column)
     if match:
-        return match["name"], match["unit"].strip()
+        return match["name"], (match["unit"] or match["round"] or "").strip()
     match = _DIVIDED.match(column)
     if match and is_unit(match["unit"]):
         return match["name"], match["unit"]

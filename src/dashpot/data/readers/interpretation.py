@@ -50,7 +50,7 @@ def interpret_parts(
     for part in parts:
         first = part if first is None else first
         # Whether a column belongs to one of the channels
-        names = {name for column in part.header for name in (column, bare(column)[0])}
+        names = {name for column in part.header for name in (column, bare(column)[0])} | {*part.names}
         stems = {name.rpartition("_")[0].split("/")[0] for name in names}
         if any(channel.name in names | stems for channel in channels):
             total += interpret(part, channels, circumstances)

@@ -507,8 +507,14 @@ def _chosen(
         if name not in by_name and name not in RESERVED_NAMES:
             cure = f"the rig file lists {listed(by_name)}"
             raise DataError(f"{shown(name)} is not a channel of the rig", group.place, cure)
+    named = [by_name[name] for name in names if name in by_name]
+    return _renamed(group, columns, names), tuple(named) if named else tuple(channels)
+
+
+def _renamed(group: FileGroup, columns: Columns, names: Mapping[str, str]) -> Columns:
+    """The columns under the names of the channels and in the units of the entry.  Raises DataError for what is none."""
     for name, unit in group.entry.units.items():
-        if name in by_name and not is_unit(unit):
+        if name not in RESERVED_NAMES and not is_unit(unit):
             what = f"units: {shown(unit)} of {shown(name)} is not a unit"
             raise DataError(what, group.place, "write one such as mm, g or mV")
     chosen = columns.renamed({column: name for name, column in names.items()})
@@ -519,8 +525,23 @@ def _chosen(
             if name not in other_sensors:
                 units[chosen.need(name)] = unit
         chosen = replace(chosen, units=tuple(units))
-    named = [by_name[name] for name in names if name in by_name]
-    return chosen, tuple(named) if named else tuple(channels)
+    return chosen
+
+
+def columns_meant(path: str | os.PathLike[str]) -> Iterator[tuple[Columns, frozenset[str]]]:
+    """The parts of what a name stands for, under the names and in the units that a manifest gives them.
+
+    With them the channels that it chooses; none: all.  Raises DataError as `read_group`.
+    """
+    if not is_manifest(path):
+        for file in map(open_file, files_named(path)):
+            yield from ((part, frozenset()) for part in reader_of(file).parts(file))
+        return
+    for group in read_manifest(path).groups:
+        for sensor, each in group.paths.items():
+            names = {**group.entry.columns, **group.entry.sensors.get(sensor, {})}
+            for part in _parts(group, each):
+                yield _renamed(group, part, names), frozenset(names) - frozenset(RESERVED_NAMES)
 
 
 def _joined(group: FileGroup, channels: Sequence[Channel], circumstances: Circumstances) -> Interpreted:

@@ -38,6 +38,7 @@ _PARTS = (
 )
 _COHERENCE = ("coherence", "coh", "gamma2", "kohärenz")
 _AVERAGES = ("averages", "n_avg", "navg")
+_NO_CHANNEL = re.compile(r"\d+(hz)?|(h|frf|tf|tap|hit|test|run|avg|mean|resp|response|mag|phase)\d*")
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,20 @@ def _places(columns: Columns) -> tuple[int, int, int, bool] | None:
         if frequency is not None and first is not None and second is not None:
             return frequency, first, second, polar
     return None
+
+
+def response_named(columns: Columns) -> tuple[tuple[str, str], str | None]:
+    """Output and input of the only response of a file, by its name without a rig, and the unit of the response.
+
+    They are the last two words of the name that may be channels; what it does not say is called response and force.
+    """
+    places = _places(columns)
+    assert places is not None
+    words = re.split(r"[\W_]+", Path(re.sub(r"(?i)\.gz$", "", columns.source)).stem)
+    named = [word for word in dict.fromkeys(words) if word and not _NO_CHANNEL.fullmatch(word.lower())]
+    if len(named) < 2:
+        named = ["response" if named in ([], ["force"]) else named[0], "force"]
+    return (named[-2], named[-1]), columns.unit(places[1])
 
 
 def read_response(columns: Columns, channels: Sequence[Channel]) -> tuple[Response, list[Notice]]:

@@ -149,6 +149,33 @@ def test_frequency_responses_name_output_and_input() -> None:
     assert (channels["a1"]["of"], channels["f"]["of"]) == ("x1", "f")
 
 
+def test_the_response_of_an_analysers_file_is_of_two_channels(tmp_path: Path) -> None:
+    """Of 2 kg on 800 N/m, 6 N·s/m, acceleration over force; with the names come the units, and then the values."""
+    s = 2j * np.pi * np.arange(1, 10, 0.25)
+    H = s**2 / (2 * s**2 + 6 * s + 800)
+    header = "Frequency [Hz],Real [(m/s^2)/N],Imag [(m/s^2)/N]"
+    rows = np.column_stack([s.imag / 2 / np.pi, H.real, H.imag])
+    np.savetxt("H_a1_f.csv", rows, delimiter=",", header=header, comments="")
+    done = CliRunner().invoke(cli, ["start", "H_a1_f.csv"], catch_exceptions=False)
+    assert "responses of a1 to f" in done.output
+    channels = written()["channels"]
+    assert {name: (entry["of"], entry["unit"]) for name, entry in channels.items()} == {
+        "a1": ("x1", "m/s^2"),
+        "f": ("f", "N"),
+    }
+    assert list(dashpot.start("H_a1_f.csv").model.force_inputs) == ["f"]
+    assert dashpot.identify(dashpot.read_rig("rig.toml"), "H_a1_f.csv")["k1"].value == pytest.approx(800)
+    found = dashpot.frf("H_a1_f.csv", "f")
+    assert found.pairs == ("a1/f",)
+    assert found.values[:, 0, 0] == pytest.approx(H)
+
+
+def test_a_column_that_ends_early_is_told_without_a_warning() -> None:
+    x = np.where(T < 2.8, DECAY, np.nan)
+    rig = dashpot.start({"time_s": T, "x1": x, "x2": DECAY})
+    assert not rig.model.inputs  # let go, as the other column tells
+
+
 def test_the_first_two_commands_find_the_values() -> None:
     """ω² = k/m, 2ζω = c/m of a decay logged in µs without a word on its unit: 2 kg, 800 N/m, 6 N·s/m."""
     rng = np.random.default_rng(4)
@@ -174,3 +201,23 @@ def test_python_suggests_the_same_rig() -> None:
     assert rig.channels[0].scale == pytest.approx(1e-3)
     with pytest.raises(dashpot.UsageError, match="unit"):
         dashpot.start({"time_s": T, "ch": STEADY}, units={"ch": "bananas"})
+
+
+def test_python_says_where_a_force_acts_and_which_column_is_the_base() -> None:
+    pushed = {"time_s": T, "f": STEADY, "a1": STEADY, "a2": STEADY}
+    with pytest.raises(dashpot.UsageError, match="force_at="):
+        dashpot.start(pushed, driven_by="force")
+    with pytest.raises(dashpot.UsageError, match="x3"):
+        dashpot.start(pushed, force_at="x3")
+    assert dashpot.start(pushed, force_at="x2").model.inputs[0].at == {"x2": 1.0}
+    with pytest.raises(dashpot.UsageError, match="leave out"):
+        dashpot.start({**pushed, "f2": STEADY}, force_at="x2")
+    shaken = {"time_s": T, "a1": STEADY, "a2": STEADY}
+    with pytest.raises(dashpot.UsageError, match="base="):
+        dashpot.start(shaken, driven_by="base")
+    with pytest.raises(dashpot.UsageError, match="a3"):
+        dashpot.start(shaken, base="a3")
+    assert dashpot.start(shaken, base="a1").channels[0].of == {"u": 1.0}
+    data("t,a1 [g],a2 [g]", STEADY, STEADY)
+    assert start("--base", "a1").exit_code == 0
+    assert written()["channels"]["a1"]["of"] == "u"
