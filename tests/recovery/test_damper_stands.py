@@ -4,6 +4,7 @@ The forces are computed here, from the laws' formulas on a grid sixteen times as
 """
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -323,6 +324,28 @@ def test_cycles_of_two_moving_ends_and_of_amplitudes_that_are_asked_for() -> Non
     assert cycle_figure(estimate.cycles_at([1e-3, 2e-3], [5.0, 7.0])).axes[0].get_xlabel() == "amplitude, mm"
     with pytest.raises(dashpot.UsageError, match="above 0"):
         estimate.cycles_at(0.0, 7.0)
+
+
+def test_responses_per_unit_of_an_input_have_no_cycles(tmp_path: Path) -> None:
+    """They had been listed as cycles of 1 mm; dwells beside them keep theirs."""
+    text = RIG.format(spring=SPRING, damper="").replace('unit = "N"', 'unit = "N", noise = 0.3')
+    rig = dashpot.parse_rig(text)
+    frequencies = np.array([2.0, 5.0, 11.0])
+    H = (2e4 + 2j * np.pi * frequencies * 100.0) * 1e-3  # N/mm
+    table = tmp_path / "frf.csv"
+    rows = np.column_stack([frequencies, H.real, H.imag, 0.01 * np.abs(H)])
+    np.savetxt(table, rows, delimiter=",", header="frequency_hz,F/u_re,F/u_im,F/u_sd", comments="")
+    of_responses = rig.identify(table)
+    assert of_responses["k"].value == pytest.approx(2e4)
+    assert of_responses.cycles == ()
+    test = dashpot.dwells(rig.model, frequencies[:2], 200, amplitudes={"u": 2e-3})
+    driven = dashpot.simulate_spectrum(
+        rig.model, np.array([2e4, 100.0]), rig.channels, test, np.random.default_rng(4)
+    )
+    responses = dashpot.read([table], rig.channels).amplitudes
+    assert responses is not None
+    cycles = rig.identify(responses + driven).cycles
+    assert [cycle.amplitude for cycle in cycles] == pytest.approx([2e-3, 2e-3])
 
 
 def test_a_linear_stand_is_a_regression_of_its_force() -> None:

@@ -63,9 +63,11 @@ class SettledDwell:
     """Lines of a steady state: no transient is in them.
 
     fundamental_hz: drive frequency whose multiples the lines are; None where each line stands for itself.
+    per_unit: whether the lines are responses per unit of an input: how large the motion was they do not say.
     """
 
     fundamental_hz: float | None = None
+    per_unit: bool = False
 
     def orders(self, frequency_hz: Real) -> Ints:
         """Multiples of the fundamental that lines at `frequency_hz` are, 1 without one; shape of `frequency_hz`."""
@@ -164,13 +166,12 @@ def joined_stretches(
     Records and dwells stay apart, even where they are alike; lines that stand for themselves share one stretch.
     """
     stretches: list[Stretch] = []
-    alone = SettledDwell()
     lines = []
     for stretch, values in parts:
         number = np.zeros(len(values), dtype=np.int64)
         for i, value in enumerate(values):
-            if value == alone and alone in stretches:
-                number[i] = stretches.index(alone)
+            if isinstance(value, SettledDwell) and value.fundamental_hz is None and value in stretches:
+                number[i] = stretches.index(value)
                 continue
             number[i] = len(stretches)
             stretches.append(value)

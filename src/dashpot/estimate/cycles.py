@@ -128,7 +128,15 @@ def _of_theta(model: Model, estimate: Estimate) -> tuple[Real, Real]:
 
 
 def cycles_of_spectrum(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Cycle, ...]:
-    """The cycles of a test stand in the motion of its dwells, or as large and as fast as in its whole records."""
+    """The cycles of a test stand in the motion of its dwells, or as large and as fast as in its whole records.
+
+    Responses per unit of an input say nothing of a cycle: `cycles_at` gives those of a stated amplitude.
+    """
+    sized = np.array([isinstance(each, WholeRecord) or not each.per_unit for each in spectrum.stretches])
+    if not np.all(sized):
+        spectrum = spectrum.select(np.flatnonzero(sized[spectrum.stretch]))
+    if not spectrum.lines:
+        return ()
     view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
     sign = np.array([[float(estimate.signs.get(channel.name, 1.0)) for channel in spectrum.channels]])
     Y = spectrum.amplitudes / calibration_factors(view, estimate.values[None], sign)[0]

@@ -33,6 +33,13 @@ def mixed() -> Spectrum:
     )
 
 
+def test_responses_per_unit_of_an_input_stay_apart_from_dwells_and_share_a_stretch() -> None:
+    responses = spectrum([1.0, 2.0], [], (SettledDwell(per_unit=True),))
+    both = concatenate([responses, responses, mixed()])
+    assert both.stretches == (SettledDwell(per_unit=True), *mixed().stretches)
+    assert merge_repeats(both).stretches[0] == SettledDwell(per_unit=True)
+
+
 def test_lines_stand_for_themselves_unless_something_else_is_said() -> None:
     plain = spectrum([1.0, 2.0], [], (SettledDwell(),))
     assert plain.stretch.tolist() == [0, 0]
@@ -69,7 +76,8 @@ def test_merging_leaves_records_alone() -> None:
 
 
 def test_a_table_carries_them(tmp_path: Path) -> None:
-    written = mixed()
+    responses = spectrum([1.0, 2.0], [], (SettledDwell(per_unit=True),))
+    written = concatenate([mixed(), responses])
     write_amplitudes(written, tmp_path / "lines.csv")
     lines = read(tmp_path / "lines.csv", written.channels).amplitudes
     assert lines is not None

@@ -232,6 +232,7 @@ def read_frf(
                 np.full(lines, np.inf),
                 ("given" if variances else "unknown",) * lines,
                 np.full(lines, experiment + number),
+                stretches=(SettledDwell(per_unit=True),),
             )
         )
     return concatenate(spectra), notes
@@ -295,7 +296,7 @@ def _pairs(
 
 
 SAMPLES, DOF, NOISE = "samples", "dof", "noise"
-RECORD, FUNDAMENTAL = "record", "fundamental_hz"
+RECORD, FUNDAMENTAL, PER_UNIT = "record", "fundamental_hz", "per_unit"
 OF_RECORDS = ("record_duration_s", "record_samples", "record_loads", "record_polynomial", "record_ramp")
 KINDS = ("given", "white", "blocks", "periods", "rest", "floor", "residual", "unknown")
 
@@ -322,7 +323,7 @@ class _Layout:
     def gaps(self) -> list[int]:
         """Columns that may have empty cells."""
         complexes = [*self.amplitudes, *self.pairs.values()]
-        of_stretches = (self.more[name] for name in (FUNDAMENTAL, *OF_RECORDS) if name in self.more)
+        of_stretches = (self.more[name] for name in (FUNDAMENTAL, PER_UNIT, *OF_RECORDS) if name in self.more)
         sd = (at for at in self.sd if at is not None)
         return [*(at for pair in complexes for at in (pair.first, pair.second)), *sd, *of_stretches]
 
@@ -419,7 +420,7 @@ def _layout(
                 pairs[i, j] = _required(columns, found, name)
     names = [EXPERIMENT, SAMPLES, DOF, NOISE]
     if columns.find(RECORD) is not None:
-        names += [RECORD, FUNDAMENTAL, *OF_RECORDS]
+        names += [RECORD, FUNDAMENTAL, PER_UNIT, *OF_RECORDS]
     more = {name: at for name in names if (at := columns.find(name)) is not None}
     return _Layout(frequency_at, amplitudes, sd, np.array(scales), pairs, more, bool(named))
 
@@ -472,7 +473,8 @@ def _stretches(
     numbers = whole_numbers(columns, more[RECORD], values[more[RECORD]])
     absent = np.full(lines, np.nan)
     of_record = np.stack(
-        [values[more[name]] if name in more else absent for name in (FUNDAMENTAL, *OF_RECORDS)], axis=-1
+        [values[more[name]] if name in more else absent for name in (FUNDAMENTAL, PER_UNIT, *OF_RECORDS)],
+        axis=-1,
     )
     stretch = np.zeros(lines, dtype=np.int64)
     stretches: list[Stretch] = []
@@ -488,14 +490,14 @@ def _stretches(
                 f"record {number} is described differently at {columns.place(int(rows[0]))}",
                 "its duration, samples, loads and columns must be the same in all of its lines",
             )
-        fundamental, duration, samples, loads, polynomial, ramp = first.tolist()
+        fundamental, per_unit, duration, samples, loads, polynomial, ramp = first.tolist()
         stretch[rows] = len(stretches)
         try:
             if np.isfinite(duration) and np.isfinite(samples):
                 terms = 3 if np.isnan(polynomial) else int(polynomial)
                 stretches.append(WholeRecord(duration, int(samples), loads != 0, terms, ramp == 1))
             else:
-                stretches.append(SettledDwell(None if np.isnan(fundamental) else fundamental))
+                stretches.append(SettledDwell(None if np.isnan(fundamental) else fundamental, per_unit == 1))
         except DataError as error:
             what = error.problems[0]
             raise columns.error(int(rows[0]), more[RECORD], what.what, what.cure or "") from error
@@ -578,13 +580,13 @@ def _stretch_cells(spectrum: Spectrum) -> list[tuple[str, Sequence[object]]]:
     for number, value in enumerate(spectrum.stretches):
         if isinstance(value, WholeRecord):
             of_record = (value.duration_s, value.samples, int(value.loads), value.polynomial, int(value.ramp))
-            rows.append((str(number), "", *(repr(part) for part in of_record)))
+            rows.append((str(number), "", "", *(repr(part) for part in of_record)))
         else:
             fundamental = "" if value.fundamental_hz is None else repr(value.fundamental_hz)
-            rows.append((str(number), fundamental, *[""] * len(OF_RECORDS)))
+            rows.append((str(number), fundamental, "1" if value.per_unit else "", *[""] * len(OF_RECORDS)))
     return [
         (name, [rows[k][i] for k in spectrum.stretch.tolist()])
-        for i, name in enumerate((RECORD, FUNDAMENTAL, *OF_RECORDS))
+        for i, name in enumerate((RECORD, FUNDAMENTAL, PER_UNIT, *OF_RECORDS))
         if any(row[i] for row in rows)
     ]
 

@@ -22,7 +22,7 @@ from dashpot.data.readers.amplitudes import AmplitudeColumns, coherent_variance,
 from dashpot.data.readers.columns import Columns, bare, frequency_scale
 from dashpot.data.readers.records import check_frequency
 from dashpot.data.record import calibrated
-from dashpot.data.spectrum import Spectrum
+from dashpot.data.spectrum import SettledDwell, Spectrum
 from dashpot.errors import DataError
 from dashpot.io.words import listed
 from dashpot.notices import Notice
@@ -195,6 +195,7 @@ def joined_responses(
             np.full(lines, dof),
             (noise,) * lines,
             np.full(lines, experiment + number),
+            stretches=(SettledDwell(per_unit=True),),
         )
 
 
