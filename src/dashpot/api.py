@@ -662,6 +662,14 @@ def modes(data: Model, inputs: Real, /) -> Modes: ...
 
 
 @overload
+def modes(data: Model, /, *, p: Real) -> Modes: ...
+
+
+@overload
+def modes(*, model: Model, p: Real) -> Modes: ...
+
+
+@overload
 def modes(
     data: Data | MeasuredResponse,
     inputs: str | Sequence[str] | None = None,
@@ -677,7 +685,7 @@ def modes(
 
 @one_blas_thread()
 def modes(
-    data: Model | Data | MeasuredResponse,
+    data: Model | Data | MeasuredResponse = None,
     inputs: Any = None,
     outputs: str | Sequence[str] | None = None,
     *,
@@ -686,6 +694,8 @@ def modes(
     frequency_hz: float | None = None,
     most: int = MOST_MODES,
     real: bool = False,
+    model: Model | None = None,
+    p: Real | None = None,
 ) -> Modes | MeasuredModes:
     """The modes that data show, with standard deviations and without a rig's values; or those of a model.
 
@@ -697,8 +707,11 @@ def modes(
     Of a Model: `modes(model, p)` with the parameters p (elements,), as `dashpot.model.modes`.  Raises as `frf`, and
     DataError where no mode is found.
     """
-    if isinstance(data, Model):
-        return modes_of_model(data, inputs)
+    model, p = data if isinstance(data, Model) else model, inputs if p is None else p
+    if model is not None:
+        if p is None:
+            raise UsageError("the parameters of the model are missing", cure="call modes(model, p)")
+        return modes_of_model(model, p)
     from dashpot.free.modes import measured_modes
     from dashpot.free.response import MeasuredResponse
 

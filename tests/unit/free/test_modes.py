@@ -12,7 +12,7 @@ import pytest
 import dashpot
 from dashpot.arrays import Real
 from dashpot.data.record import Record
-from dashpot.errors import DataError
+from dashpot.errors import DataError, UsageError
 from dashpot.free.modes import MeasuredModes, _Set, _solved
 from dashpot.io.json_document import to_json
 from tests import rigs
@@ -191,9 +191,13 @@ k = { between = ["x", "ground"] }
 
 
 def test_a_models_modes_are_still_to_be_had() -> None:
-    model = dashpot.parse_rig(ONE).model
-    found = dashpot.modes(model, np.array([1.0, 4 * np.pi**2]))
-    assert found.frequency_hz == pytest.approx(1.0)
+    model, p = dashpot.parse_rig(ONE).model, np.array([1.0, 4 * np.pi**2])
+    for found in (dashpot.modes(model, p), dashpot.modes(model, p=p), dashpot.modes(model=model, p=p)):
+        assert found.frequency_hz == pytest.approx(1.0)
+    with pytest.raises(UsageError, match="parameters"):
+        dashpot.modes(model)
+    with pytest.raises(UsageError, match="no data"):
+        dashpot.modes()
 
 
 def test_modes_damped_to_two_thirds_of_critical_are_found_in_settled_sines() -> None:
