@@ -18,8 +18,8 @@ from dashpot.check.discrepancy import blocks_of
 from dashpot.data.modal_data import ModalData
 from dashpot.data.spectrum import SettledDwell
 from dashpot.errors import ModelError
-from dashpot.estimate.likelihood.descent import Stage, descend_all
-from dashpot.estimate.likelihood.global_search import candidates
+from dashpot.estimate.likelihood.descent import Stage
+from dashpot.estimate.likelihood.global_search import SOFTNESS, candidates, through
 from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import directly_driven, local, measured, predict
 from dashpot.estimate.linear.least_squares import compensated
@@ -35,7 +35,6 @@ DRAWS, FEWER_DRAWS = (
     200,
 )  # rigs drawn at random as starts; fewer where all motion is seen and gives a start
 FOLLOWED, FEWER_FOLLOWED = 12, 3  # of them that are followed
-SOFTNESS = 0.05  # relative noise added in the stage between logarithms and the likelihood
 GLANCE, SHORT, LONG = (
     3,
     8,
@@ -713,43 +712,32 @@ def _whole_lines(kept: Bools) -> Bools:
 def _from_afar(
     problems: Sequence[LineProblem], arranged: Sequence[Measured], starts: Sequence[Real]
 ) -> list[Real]:
-    """Where the starts lead by logarithms of the channels, then with softened weights; and the starts alone.
+    """Where each problem's starts lead by logarithms of the channels, then with softened weights; and by these alone.
 
     Problems whose inputs no channel shows go through the second stage alone.
     """
-    ends = list(starts)
     view, sign = problems[0].view, problems[0].sign
-    driven = [directly_driven(view, one) for one in arranged]
-    shown = {t: one for t, one in enumerate(driven) if one is not None and one.q is not None}
-    if shown:
-        past = _in_logarithms(
-            view, sign, list(shown.values()), [starts[t] for t in shown], by_logarithms=True
-        )
-        for t, psi in zip(shown, past, strict=True):
-            ends[t] = psi
-    soft = [each.arranged(SOFTNESS) for each in problems]
-    both = [np.concatenate([ends[t], starts[t]]) for t in range(len(problems))]
-    for exact in (True, False):
-        group = [t for t, one in enumerate(soft) if (one.q is not None) is exact]
-        if group:
-            past = _in_logarithms(view, sign, [soft[t] for t in group], [both[t] for t in group])
-            for t, psi in zip(group, past, strict=True):
-                ends[t] = psi
+    ends = list(starts)
+    driven, soft = (
+        [directly_driven(view, one) for one in arranged],
+        [each.arranged(SOFTNESS) for each in problems],
+    )
+    groups: dict[tuple[bool, bool], list[int]] = {}
+    for t, (one, other) in enumerate(zip(driven, soft, strict=True)):
+        groups.setdefault((one is None, other.q is None), []).append(t)
+    for group in groups.values():
+        stages = [Stage(view, _stack([soft[t] for t in group]))]
+        shown = [one for t in group if (one := driven[t]) is not None]
+        if shown:
+            # What is left out is 0 in its amplitudes, which logarithms pass over.
+            stages.insert(0, Stage(view, _stack(shown), np.ones(shown[0].y.shape[1:])))
+        psi = np.concatenate([starts[t] for t in group])
+        origin = np.repeat(np.arange(len(group)), [len(starts[t]) for t in group])
+        signs = np.broadcast_to(sign, (len(psi), len(sign)))
+        past, _, rows = through(stages, psi, signs, origin, past=len(psi) if shown else 0)
+        for k, t in enumerate(group):
+            ends[t] = past[rows == k]
     return ends
-
-
-def _in_logarithms(
-    view: ObservationModel, sign: Real, arranged: Sequence[Measured], starts: Sequence[Real], *,
-    by_logarithms: bool = False,
-) -> list[Real]:  # fmt: skip
-    """Where each problem's starts end that move in logarithms; the channels may be compared by theirs as well."""
-    data, start = _stack(arranged), np.concatenate(starts)
-    # What is left out is 0 in its amplitudes, which logarithms pass over.
-    stage = Stage(view, data, np.ones(data.y.shape[1:]) if by_logarithms else None)
-    origin = np.repeat(np.arange(len(starts)), [len(psi) for psi in starts])
-    signs = np.broadcast_to(sign, (len(start), len(sign)))
-    ends = descend_all(stage, start, signs, origin, limit=LONG, tolerance=ROUGHLY)
-    return [ends[origin == t] for t in range(len(starts))]
 
 
 def _distance(G: Complex, exact: Measured, problem: LineProblem) -> Real:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real
+from dashpot.arrays import Complex, Ints, Real
 from dashpot.channel import Quantity
 from dashpot.data.modal_data import ModalData, of_eigenvalues
 from dashpot.data.spectrum import Spectrum, WholeRecord
@@ -555,7 +555,7 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
     on_basis = likelihood.view.reduced
     one = Likelihood.of(thinned(likelihood.data.only(repeat)), effort)
     rng = np.random.default_rng([effort.seed, repeat])
-    stages = _stages(one)
+    stages, low, high = _stages(one), one.lower, one.upper
     seen = seen_directly(one.data)
     # Where all is seen starts are cheap, and a search goes on from a p-value of 0.1.
     acceptable = _acceptable(one.data, one.exact, len(one.view.names), 0.1 if seen else POOR)
@@ -567,7 +567,7 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
     if not small(one.view.model) and all(
         u.guess is not None or u.sd is not None for u in one.data.model.unknowns
     ):
-        psi, sign = _through(one, stages, *candidates(one.data, 1, rng), straight=True)
+        psi, sign, _ = through(stages, *candidates(one.data, 1, rng), past=1, lower=low, upper=high)
         end = one.descend(psi, sign)
         minima = minima.with_ends(end.x, sign, end.cost)
         if np.any(minima.cost <= acceptable):
@@ -577,7 +577,9 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
         psi, sign = _starts_of_round(one, stages, minima, int(effort.candidates * ease), starts, turn, rng)
         # Where all is seen, an end far beyond the starts is on its way to infinity.
         reach = 1e4 * np.max(np.abs(psi), axis=0) if seen else np.inf
-        psi, sign = _through(one, stages, psi, sign, straight=turn == 0)
+        # Half of the first starts go past the logarithms as well, all where there is no softened stage
+        past = (len(psi) + 1) // (1 if len(stages) == 2 else 2) if turn == 0 else 0
+        psi, sign, _ = through(stages, psi, sign, past=past, lower=low, upper=high)
         costs = np.where(np.all(np.abs(psi) <= reach, axis=-1), stages[-1].cost(psi, sign), np.inf)
         deep = np.argsort(costs)[:DEEPEST]
         end = one.descend(psi[deep], sign[deep], limit=25)
@@ -652,20 +654,32 @@ def _stages(one: Likelihood) -> tuple[Stage, ...]:
     return first, Stage(view, measured(one.data, SOFTNESS)), exact
 
 
-def _through(
-    one: Likelihood, stages: Sequence[Stage], psi: Real, sign: Real, *, straight: bool
-) -> tuple[Real, Real]:
-    """Where starts end that go through all stages; with `straight`, where the first half ends without the first.
+def through(
+    stages: Sequence[Stage],
+    psi: Real,
+    sign: Real,
+    rows: Ints | None = None,
+    *,
+    past: int = 0,
+    lower: Real | float = -np.inf,
+    upper: Real | float = np.inf,
+) -> tuple[Real, Real, Ints]:
+    """Where starts (k, M) end that go through all stages, and the first `past` of them without the first stage.
 
-    Logarithms lead nearly everything to one minimum, and that may be the wrong one.
+    Each in its repeat of `rows` (k,); ends, signs and repeats of all.  Logarithms lead nearly all to one minimum,
+    and that may be the wrong one.
     """
-    half = (len(psi) + 1) // (1 if len(stages) == 2 else 2) if straight else 0
-    past, signs = psi[:half], sign[:half]
+    rows = stages[0].data.rows_of(len(psi)) if rows is None else rows
+    ended, others = psi, psi[:past]
     for stage in stages:
-        psi = descend_all(stage, psi, sign, lower=one.lower, upper=one.upper)
-    for stage in stages[1:] if half else ():
-        past = descend_all(stage, past, signs, lower=one.lower, upper=one.upper)
-    return np.concatenate([psi, past]), np.concatenate([sign, signs])
+        ended = descend_all(stage, ended, sign, rows, lower=lower, upper=upper)
+    for stage in stages[1:] if past else ():
+        others = descend_all(stage, others, sign[:past], rows[:past], lower=lower, upper=upper)
+    return (
+        np.concatenate([ended, others]),
+        np.concatenate([sign, sign[:past]]),
+        np.concatenate([rows, rows[:past]]),
+    )
 
 
 def fits(likelihood: Likelihood, end: OptimizeResult) -> bool:
