@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import fft
+from scipy.ndimage import uniform_filter1d
 from scipy.special import fdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
@@ -69,13 +70,16 @@ def driven_lines(X: Complex) -> Bools:
     return found
 
 
-def _driven_and_not(mean: Complex, wanted: Ints) -> tuple[Ints, Ints]:
+def _driven_and_not(mean: Complex, wanted: Ints, inputs: int = 0) -> tuple[Ints, Ints]:
     """Of the multiples that are wanted those that are driven, and all between that are not; mean (multiples from 0,
-    channels)."""
+    channels), of which the first `inputs` drive, or nobody says which."""
     every = np.arange(wanted[0], wanted[-1] + 1)
-    driven = driven_lines(mean[every][:, moving(mean, every)])
+    driving = np.arange(mean.shape[1]) < inputs if inputs else moving(mean, every)
+    driven = driven_lines(mean[every][:, driving])
     found = np.intersect1d(wanted, every[driven])
-    return (found, every[~driven]) if len(found) else (wanted, every[:0])
+    if not len(found):
+        found, driven = wanted, np.ones(len(every), dtype=bool)
+    return found, np.setdiff1d(every, found) if inputs else every[~driven]
 
 
 def driven_note(source: str, asked: int, driven: Ints) -> tuple[Notice, ...]:
@@ -91,34 +95,48 @@ def driven_note(source: str, asked: int, driven: Ints) -> tuple[Notice, ...]:
     return (Notice("lines_driven", text, (source,)),)
 
 
-def _distortion(record: Record, X: Complex, driven: Ints, between: Ints) -> tuple[Notice, ...]:
-    """How much channels move at multiples between the driven ones, by more than the periods (periods, lines, channels)
-    scatter there: distortion by odd and even laws where the driven multiples are odd; multiples from 0."""
-    if not len(between):
+def distortion(X: Complex, driven: Ints, classes: Sequence[Ints], inputs: int = 0) -> Real:
+    """Of each channel, rms at some multiples that are not driven over that at those that are, (channels, classes).
+
+    X (periods, multiples from 0, channels).  0 where the scatter of the periods may do as much, NaN for no multiple.
+    What one input, the first channel, has there comes through H, between its driven lines, and is taken off (Pintelon
+    and Schoukens, §4.3.1.3).
+    """
+    count, at_driven = len(X), np.mean(X[:, driven], axis=0)
+    motion = np.mean(np.abs(at_driven) ** 2, axis=0)
+    if inputs == 1:
+        H = [np.interp(np.arange(X.shape[1]), driven, each) for each in (at_driven / at_driven[:, :1]).T]
+        X = X - np.stack(H, axis=1) * X[..., :1]
+    shares = np.full((X.shape[2], len(classes)), np.nan)
+    for k, lines in enumerate(classes):
+        if len(lines):
+            power = np.sum(np.abs(np.mean(X[:, lines], axis=0)) ** 2, axis=0)
+            noise = np.sum(np.var(X[:, lines], axis=0, ddof=1), axis=0) / count
+            ratio = power / np.maximum(noise, 1e-300)
+            p = fdtrc(2 * len(lines), 2 * len(lines) * (count - 1), np.minimum(ratio, 1e12))
+            beyond = np.where(p < DISTORTED, np.maximum(power - noise, 0), 0) / len(lines)
+            share = np.sqrt(beyond / np.maximum(motion, 1e-300))
+            shares[:, k] = np.where(share > ROUNDING, share, 0)
+    return shares
+
+
+def _distortion_note(record: Record, X: Complex, driven: Ints, between: Ints) -> tuple[Notice, ...]:
+    """Which channels are distorted, by odd and even laws where the driven multiples are odd; as of `distortion`."""
+    odd = bool(np.all(driven % 2 == 1))
+    parity = between % 2
+    classes = {" odd": between[parity == 1], " even": between[parity == 0]} if odd else {"": between}
+    shares = np.nan_to_num(distortion(X, driven, list(classes.values())))
+    told = np.flatnonzero(moving(np.mean(X, axis=0), driven) & (np.max(shares, axis=1) > DISTORTED))
+    if not len(told):
         return ()
-    count, texts, names = len(X), [], []
-    mean, variance = np.abs(np.mean(X, axis=0)) ** 2, np.var(X, axis=0, ddof=1) / count
-    moves = moving(np.mean(X, axis=0), driven)
-    for c, channel in enumerate(record.channels):
-        if not moves[c]:
-            continue
-        sizes = []
-        for which in (between % 2 == 1, between % 2 == 0) if np.all(driven % 2 == 1) else (between > 0,):
-            lines = between[which]
-            power, noise = np.sum(mean[lines, c]), np.sum(variance[lines, c])
-            p = fdtrc(2 * len(lines), 2 * len(lines) * (count - 1), power / noise) if noise > 0 else 0.0
-            beyond = max(power - noise, 0.0) / max(len(lines), 1) if p < DISTORTED else 0.0
-            sizes.append(float(np.sqrt(beyond / np.mean(mean[driven, c]))))
-        if max(sizes) > DISTORTED:
-            odd_even = zip((" odd", " even") if len(sizes) > 1 else ("",), sizes, strict=True)
-            texts.append(
-                f"{channel.name} " + " and ".join(f"{100 * size:.2g} %{kind}" for kind, size in odd_even)
-            )
-            names.append(channel.name)
-    if not texts:
-        return ()
+    names = tuple(record.channels[c].name for c in told)
+    texts = (
+        " and ".join(f"{100 * size:.2g} %{kind}" for kind, size in zip(classes, shares[c], strict=True))
+        for c in told
+    )
     text = f"{record.source}: distortion at lines that are not driven, of the motion at those that are: "
-    return (Notice("distortion", text + ", ".join(texts), tuple(names)),)
+    of = ", ".join(f"{name} {share}" for name, share in zip(names, texts, strict=True))
+    return (Notice("distortion", text + of, names),)
 
 
 def samples_of_period(record: Record, period_s: float) -> int:
@@ -170,12 +188,13 @@ def one_period(record: Record, period_s: float, orders: Sequence[int]) -> Spectr
 
 
 def average_periods(
-    record: Record, period_s: float, orders: Sequence[int], *, skip: int = 0, drift: int = 0
+    record: Record, period_s: float, orders: Sequence[int], *, skip: int = 0, drift: int = 0, inputs: int = 0
 ) -> Spectrum:
     """A line for each of `orders`, multiples of 1/period_s, from the periods after the first `skip`.
 
-    `drift` is the degree of the polynomial taken out of each period.  Raises DataError where the sampling is uneven,
-    a period is not a whole number of samples, or fewer than two periods are left.
+    The first `inputs` channels drive (0: nobody says which do); `drift` is the degree of the polynomial taken out of
+    each period.  Raises DataError where the sampling is uneven, a period is not a whole number of samples, or fewer
+    than two periods are left.
     """
     if record.values.ndim != 2:
         raise DataError(
@@ -197,10 +216,10 @@ def average_periods(
     notes: tuple[Notice, ...] = ()
     if wanted[-1] < each / 2:
         every = np.fft.rfft(values, axis=1)
-        asked, (wanted, between) = len(wanted), _driven_and_not(np.mean(every, axis=0), wanted)
+        asked, (wanted, between) = len(wanted), _driven_and_not(np.mean(every, axis=0), wanted, inputs)
         notes = (
             *driven_note(record.source, asked, wanted),
-            *_distortion(record, every, wanted, between),
+            *_distortion_note(record, every, wanted, between),
         )
     fit = fit_harmonics(
         periods, 1 / period_s, orders=wanted.tolist(), harmonics=(), drift=drift, noise="white"
@@ -261,51 +280,58 @@ LASTING = 0.97  # of it, between periods that are further apart
 FEWEST_PERIODS = 6
 FUNDAMENTAL = 0.3  # of the strongest line: what a dwell has in every channel
 SHORTEST = 32  # samples of a period
-SIGNIFICANT_REPETITION = 1e-3
-APART = 16.0  # times the scatter of the last half by which the mean square of a period that has not settled is off
+SIGNIFICANT = 1e-3  # p-value of all periods and lines together: of what repeats, and of what has not settled
 
 
-def averaged_periods(record: Record) -> Spectrum | None:
-    """The mean of the settled periods of a record that repeats, on the lines that every channel shows; else None.
+def averaged_periods(record: Record, inputs: int = 0) -> tuple[Spectrum, Real] | None:
+    """The mean of the settled periods of a record that repeats, and its distortion at even and at odd multiples.
 
-    A record of a stated frequency that moves at that frequency is a dwell, and no such record.
+    Where the first `inputs` channels drive, they repeat, and the lines are those that one of them shows; else all
+    channels repeat, and all show a line.  Distortion (channels, 2) as of `distortion`.  None for other records; one of
+    a stated frequency that moves at that frequency is a dwell.
     """
-    samples = period_of(record)
+    samples = period_of(record.values[..., : inputs or None])
     if samples is None:
         return None
     step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
     count = len(record.time) // samples
-    periods = record.values[: count * samples].reshape(count, samples, -1)
-    X = fft.rfft(periods, axis=1)[:, 1 : samples // 2]
-    skip = unsettled_periods(X)
-    lines = _driven_repetition(X[skip:])
+    X = fft.rfft(record.values[: count * samples].reshape(count, samples, -1), axis=1)[
+        :, : (samples + 1) // 2
+    ]
+    skip = unsettled_periods(X[:, 1:])
+    there = _repeating(X[skip:, 1:], DISTORTED if inputs else ROUNDING)
+    lines = np.flatnonzero(np.any(there[:, :inputs], axis=1) if inputs else np.all(there, axis=1)) + 1
     # lines in every channel: fewer are a sine, a decay or their harmonics
-    if len(lines) < 12 or (record.frequency_hz is not None and _is_dwell(X[skip:], lines)):
+    dwell = record.frequency_hz is not None and _is_dwell(X[skip:, 1:], lines.tolist())
+    if len(lines) < (1 if inputs else 12) or (dwell and not inputs):
         return None
     try:
-        mean = average_periods(record, samples * step, lines, skip=skip)
+        mean = average_periods(record, samples * step, lines.tolist(), skip=skip, inputs=inputs)
     except DataError:
         return None  # its stamps are uneven
+    driven = np.rint(mean.frequency_hz * samples * step).astype(np.int64)
+    between = np.setdiff1d(np.arange(driven[0], driven[-1]), driven)
+    shares = distortion(X[skip:], driven, [between[between % 2 == parity] for parity in (0, 1)], inputs)
     start = f", the first {skip} left out" if skip else ""
     text = (
-        f"{record.source}: the record repeats every {samples * step:.6g} s: {mean.lines} lines are means of "
-        f"{count - skip} periods{start}"
+        f"{record.source}: the {'inputs repeat' if inputs else 'record repeats'} every {samples * step:.6g} s: "
+        f"{mean.lines} lines are means of {count - skip} periods{start}"
     )
-    return replace(mean, notes=(Notice("periods_averaged", text, (record.source,)), *mean.notes))
+    return replace(mean, notes=(Notice("periods_averaged", text, (record.source,)), *mean.notes)), shares
 
 
 def _is_dwell(X: Complex, lines: list[int]) -> bool:
     """Whether all channels move at the fundamental, of (periods, lines, channels)."""
     size = np.abs(np.mean(X, axis=0))
-    return lines[0] == 1 and bool(np.all(size[0] > FUNDAMENTAL * np.max(size, axis=0)))
+    return lines[:1] == [1] and bool(np.all(size[0] > FUNDAMENTAL * np.max(size, axis=0)))
 
 
-def period_of(record: Record) -> int | None:
-    """Samples of the period that all channels repeat with to the record's end; None where there is none."""
-    n = len(record.time)
-    if record.values.ndim != 2 or n < FEWEST_PERIODS * SHORTEST:
+def period_of(values: Real) -> int | None:
+    """Samples of the period that all channels of (samples, channels) repeat with to the end; None: there is none."""
+    n = len(values)
+    if values.ndim != 2 or n < FEWEST_PERIODS * SHORTEST:
         return None
-    steps = np.diff(record.values, axis=0)
+    steps = np.diff(values, axis=0)
     steps = steps - np.mean(steps, axis=0)
     power = np.abs(fft.rfft(steps, fft.next_fast_len(2 * n), axis=0)) ** 2
     alike = fft.irfft(power, axis=0)[: n // 2]
@@ -322,25 +348,31 @@ def period_of(record: Record) -> int | None:
 
 
 def unsettled_periods(X: Complex) -> int:
-    """Periods to leave out, of at most the first half, of (periods, lines, channels)."""
-    half = len(X) // 2
+    """Periods to leave out, of at most the first half, of (periods, lines, channels): up to the last that differs.
+
+    In some channel the sum over its lines is further from the last half than its noise there allows (F-test, of as many
+    lines as share that noise).
+    """
+    half, count = len(X) // 2, len(X) - len(X) // 2
     last = X[half:]
-    variance = np.var(last, axis=0, ddof=1)
-    away = np.abs(X[:half] - np.mean(last, axis=0)) ** 2
-    varies = variance > 0  # records without noise may repeat exactly
-    if not np.any(varies):
-        return 0
-    off: Real = np.mean(away[:, varies] / variance[varies], axis=1)
-    late = np.flatnonzero(off > APART)
+    noise = np.var(last, axis=0, ddof=1)  # records without noise may repeat exactly, to rounding
+    noise = np.maximum(noise, (ROUNDING * np.max(np.abs(last), axis=(0, 1))) ** 2 + 1e-300)
+    alike = np.sum(noise, axis=0) ** 2 / np.sum(noise**2, axis=0)
+    away = np.sum(np.abs(X[:half] - np.mean(last, axis=0)) ** 2, axis=1) / np.sum(noise, axis=0)
+    p = fdtrc(2 * alike, 2 * alike * (count - 1), away / (1 + 1 / count))
+    late = np.flatnonzero(np.any(p < SIGNIFICANT / p.size, axis=1))
     return int(late[-1]) + 1 if len(late) else 0
 
 
-def _driven_repetition(X: Complex) -> list[int]:
-    """Multiples of the frequency that all channels show, of (periods, lines, channels)."""
-    count = len(X)
-    mean = np.mean(X, axis=0)
-    variance = np.var(X, axis=0, ddof=1) / count
-    with np.errstate(divide="ignore", invalid="ignore"):
-        p = fdtrc(2, 2 * (count - 1), np.abs(mean) ** 2 / variance)
-    there = np.all(p < SIGNIFICANT_REPETITION / p.size, axis=1)
-    return [int(line) + 1 for line in np.flatnonzero(there)]
+def _repeating(X: Complex, least: float) -> Bools:
+    """(lines, channels): which of (periods, lines, channels) repeat, above `least` of a channel's largest line.
+
+    Their noise is their own scatter, or that of the lines beside where it is larger: of few periods it may be small by
+    chance.
+    """
+    count, mean, beside = len(X), np.mean(X, axis=0), 2 * NEIGHBOURS + 1
+    scatter = np.var(X, axis=0, ddof=1) / count
+    noise = np.maximum(scatter, uniform_filter1d(scatter, beside, axis=0, mode="nearest"))
+    p = fdtrc(2, 2 * (count - 1) * beside, np.minimum(np.abs(mean) ** 2 / np.maximum(noise, 1e-300), 1e12))
+    loud = np.abs(mean) > least * np.max(np.abs(mean), axis=0)
+    return np.asarray((p < SIGNIFICANT / p.size) & loud)

@@ -24,7 +24,7 @@ from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.whole_record import without_gaps
 from dashpot.data.local_noise import with_local_noise
-from dashpot.data.periods import ROUNDING, average_periods, period_of, unsettled_periods
+from dashpot.data.periods import ROUNDING, averaged_periods
 from dashpot.data.readers import Reading
 from dashpot.data.readers.text import write_rows
 from dashpot.data.readers.uff import FRF, NodalFunction, NodePoint
@@ -181,12 +181,14 @@ def parted(reading: Reading, inputs: Sequence[str], outputs: Sequence[str]) -> P
     if dwells:
         spectra.append(amplitudes_of(dwells, Conditioning(transients="settle")))
     for record in (each for each in records if each.frequency_hz is None):
-        repeated = _of_periods(record, len(inputs))
+        repeated = averaged_periods(record, len(inputs)) if inputs else None
         if repeated is None:
             whole += _pieces(record, told)
-        else:
-            spectra.append(repeated[0])
-            distortion = distortion or repeated[1]
+            continue
+        _require_motion(record, len(inputs))
+        spectra.append(repeated[0])
+        shares = zip(outputs, repeated[1][len(inputs) :].tolist(), strict=True)
+        distortion = distortion or {name: (even, odd) for name, (even, odd) in shares}
     if spectra and whole:
         raise DataError(
             "some data are steady (dwells, periods, tables), and some are records of another excitation",
@@ -374,54 +376,6 @@ def _rows(U: Complex, Y: Complex, V: Complex) -> _Rows | None:
     return _Rows(H, pairs, explained / np.maximum(explained + noise, 1e-300), 0.0, 0.0)
 
 
-# Records that repeat.
-
-
-def _of_periods(record: Record, nu: int) -> tuple[Spectrum, dict[str, tuple[float, float]]] | None:
-    """Lines that the inputs drive, averaged over the settled periods, and the distortion at those that they do not.
-
-    None where the inputs do not repeat, or with no line.
-    """
-    if nu == 0 or record.values.ndim != 2:
-        return None
-    driving = replace(
-        record, channels=record.channels[:nu], values=record.values[:, :nu], cell=None, status=None
-    )
-    each = period_of(driving)
-    if each is None:
-        return None
-    _require_motion(record, nu)
-    count = len(record.time) // each
-    step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
-    X = fft.rfft(record.values[: count * each].reshape(count, each, -1), axis=1)[:, 1 : each // 2] * (
-        2 / each
-    )
-    skip = max(unsettled_periods(X), _still_settling(X))
-    X = X[skip:]
-    mean, variance = np.mean(X, axis=0), np.var(X, axis=0, ddof=1) / len(X)
-    power = np.max(np.abs(mean[:, :nu]) ** 2 / np.max(np.abs(mean[:, :nu]) ** 2, axis=0), axis=1)
-    noise = np.max(variance[:, :nu] / np.max(np.abs(mean[:, :nu]) ** 2, axis=0), axis=1)
-    # A driven line stands out of its noise (10 ×: one in 10,000 by chance), and is no more than 30 dB below the largest
-    # of its neighbours: what a shaker distorts is less
-    beside = np.array([np.max(power[max(0, k - 10) : k + 11]) for k in range(len(power))])
-    driven = (power > 10 * noise) & (power > 1e-3 * beside) & (power > 1e-6)
-    lines = np.flatnonzero(driven) + 1
-    if not len(lines):
-        return None
-    try:
-        spectrum = average_periods(record, each * step, lines.tolist(), skip=skip)
-    except DataError:
-        return None  # its stamps are uneven
-    text = (
-        f"{record.source}: the inputs repeat every {each * step:.6g} s: {len(lines)} driven lines are means of "
-        f"{len(X)} periods{f', the first {skip} left out' if skip else ''}"
-    )
-    distortion = _distortion(mean, variance, driven, nu)
-    names = [channel.name for channel in record.channels[nu:]]
-    notes = (*spectrum.notes, Notice("periods_averaged", text, (record.source,)))
-    return replace(spectrum, notes=notes), dict(zip(names, distortion, strict=True))
-
-
 def _resting(values: Real) -> Bools:
     """(channels,): which of (samples, channels) move by no more than rounding."""
     return np.asarray(np.ptp(values, axis=0) <= ROUNDING * np.max(np.abs(values), axis=0))
@@ -432,51 +386,6 @@ def _require_motion(record: Record, nu: int) -> None:
     for c in np.flatnonzero(_resting(record.values)):
         if c >= nu:
             raise DataError(f"{record.channels[c].name} does not move", record.source, "leave it out")
-
-
-def _still_settling(X: Complex) -> int:
-    """Periods of the first half that differ from the last half by more than noise, in all lines of some channel.
-
-    X (periods, lines, channels).  What is left of a transient would stand as distortion where nothing is driven.
-    """
-    half = len(X) // 2
-    last = X[half:]
-    noise = np.sum(np.var(last, axis=0, ddof=1), axis=0) * (1 + 1 / len(last))
-    noise = np.maximum(noise, (ROUNDING * np.max(np.abs(last), axis=(0, 1))) ** 2 * X.shape[1])
-    away = np.sum(np.abs(X[:half] - np.mean(last, axis=0)) ** 2, axis=1)
-    late = np.flatnonzero(np.any(away > (1 + 5 / X.shape[1] ** 0.5) * noise, axis=1))
-    return int(late[-1]) + 1 if len(late) else 0
-
-
-def _distortion(mean: Complex, variance: Real, driven: Bools, nu: int) -> list[tuple[float, float]]:
-    """Of each output, rms at even and odd multiples that are not driven, as a share of that at driven ones.
-
-    What the inputs have there comes through H, between its driven lines, and is taken off (Pintelon and Schoukens,
-    §4.3.1.3, for one input); so is the noise.
-    """
-    at = np.flatnonzero(driven)
-    number = np.arange(len(driven)) + 1
-    inside = ~driven & (number > number[at[0]]) & (number < number[at[-1]])
-    shares = []
-    for i in range(nu, mean.shape[1]):
-        left, noise = mean[:, i], variance[:, i]
-        if nu == 1:
-            H = np.interp(number, number[at], mean[at, i] / mean[at, 0])
-            left, noise = left - H * mean[:, 0], noise + np.abs(H) ** 2 * variance[:, 0]
-        motion = float(np.mean(np.abs(mean[at, i]) ** 2))
-        each = []
-        for parity in (0, 1):
-            some = inside & (number % 2 == parity)
-            count = int(np.sum(some))
-            beyond = float(np.mean(np.abs(left[some]) ** 2 - noise[some])) if count else np.nan
-            chance = float(
-                np.sqrt(np.sum(noise[some] ** 2)) / max(count, 1)
-            )  # of as many exponential numbers
-            each.append(
-                np.nan if not count else (max(beyond, 0.0) / motion) ** 0.5 if beyond > 3 * chance else 0.0
-            )
-        shares.append((each[0], each[1]))
-    return shares
 
 
 # Records of any excitation: in windows of neighbouring lines H and the transient of each record are smooth.

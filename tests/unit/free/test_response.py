@@ -208,6 +208,19 @@ def test_an_output_that_does_not_move_is_named(periodic: bool) -> None:
         dashpot.frf(replace(stuck, values=values), "u0", "a0")
 
 
+@pytest.mark.parametrize("periods", [6, 12])
+def test_a_line_at_which_the_force_drops_is_driven(periods: int) -> None:
+    """As a shaker's does at a resonance: 34 dB below the lines beside, 17 dB above the noise of the mean."""
+    rng, time, lines = np.random.default_rng(1), np.arange(1000 * periods) / 1000, np.arange(5, 90)
+    size = np.where(lines == 40, 0.02, 1.0)
+    waves = np.sin(2 * np.pi * lines * time[:, None] + rng.uniform(0, 6.28, lines.size)) * size
+    noise = 0.002 * (500 * periods) ** 0.5 * rng.standard_normal((len(time), 2))
+    drive, answer = waves.sum(axis=1), (waves / size**0.5).sum(axis=1)
+    found = dashpot.frf({"time_s": time, "f": drive + noise[:, 0], "y": answer + noise[:, 1]}, "f", "y")
+    assert found.frequency_hz == pytest.approx(lines)
+    assert abs(found.values[35, 0, 0] - 50**0.5) < 4 * found.sd[35, 0, 0]
+
+
 def test_no_period_is_left_out_for_rounding() -> None:
     """A drive without noise differs between periods by the rounding of its time."""
     rng, time, odd = np.random.default_rng(0), np.arange(8000) / 1000, np.arange(3, 200, 4)

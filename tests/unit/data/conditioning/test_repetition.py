@@ -48,11 +48,12 @@ def test_the_period_and_its_lines_are_found() -> None:
     assert spectrum([record], transients="estimate").records
 
 
-def test_periods_that_have_not_settled_are_left_out() -> None:
-    lines = averaged_periods(multisine(transient=5.0))
+@pytest.mark.parametrize("transient", [0.1, 5.0])
+def test_periods_that_have_not_settled_are_left_out(transient: float) -> None:
+    lines, _ = averaged_periods(multisine(transient=transient))
     assert "the first" in lines.notes[0].text
     assert lines.samples[0] < 12 * SAMPLES
-    settled = averaged_periods(multisine())
+    settled, _ = averaged_periods(multisine())
     assert settled.samples[0] == 12 * SAMPLES
 
 
