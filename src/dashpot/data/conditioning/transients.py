@@ -15,11 +15,11 @@ from scipy.special import fdtrc
 from dashpot.arrays import Complex, Real
 from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL, even_step
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
-from dashpot.data.conditioning.regression import CHUNK, Terms, duration, window
-from dashpot.data.conditioning.steadiness import period_blocks
+from dashpot.data.conditioning.regression import Terms, duration, solve_harmonics
+from dashpot.data.conditioning.steadiness import period_blocks, periods_of
 from dashpot.data.conditioning.still import Still
 from dashpot.data.conditioning.whole_record import whole_record
-from dashpot.data.record import Record, kept
+from dashpot.data.record import MISSING, Record, kept, real_factor
 from dashpot.data.spectrum import Spectrum, WholeRecord, concatenate
 from dashpot.errors import DataError
 from dashpot.notices import Notice
@@ -163,7 +163,6 @@ def _truncation(features: Real) -> int:
 
 
 SHORT = 200  # lines: below it two polynomial columns serve
-MOST_BENDS = 8  # degree of the polynomials that amplitude and phase of a sine may follow
 WITHIN = 0.5  # of a step: a block that follows after one step belongs to the same record
 
 
@@ -234,36 +233,30 @@ def dwells_with_transients(
 
 
 def _with_sine_floor(lines: Spectrum, record: Record) -> Spectrum:
-    """The noise of each channel from what a sine leaves over, where that is less than its floor or there is none."""
-    if record.frequency_hz is None:
+    """The noise of each channel from what a sine leaves over, where that is less than its floor or there is none.
+
+    Beside a slope and harmonics amplitude and phase of the sine follow a polynomial of fewer degrees than it has
+    periods, that neither harmonics nor slopes can look like.
+    """
+    f, samples = record.frequency_hz, len(record.time)
+    if f is None:
         return lines
+    if record.status is not None:  # what stands for samples that are clipped is no limit any more
+        record = replace(record, status=np.where(record.status == 0, 0, MISSING))
     try:
-        residual = _beside_the_sine(record, record.frequency_hz) * 4 / len(record.time)
+        orders = fit_harmonics(record, orders=(1,), drift=1, noise="white").orders
+        # 8: degree that is enough for any drive
+        bends = min(8, int(periods_of(record)), (samples - 2 - 2 * len(orders)) // 6)
+        found = solve_harmonics(record, f, Terms(1, orders, max(bends, 0)))
     except DataError:
         return lines
-    factor = np.abs(np.array([(c.gain or 1.0) * (c.sign or 1.0) for c in record.channels])) ** 2
+    residual = (
+        np.diagonal(found.covariance[0])
+        * 4
+        / samples
+        / np.array([real_factor(channel) for channel in record.channels]) ** 2
+    )
     floor = np.diagonal(lines.covariance[0]).real
-    variance = np.where(floor > 0, np.minimum(floor, residual / factor), residual / factor)
+    variance = np.where(floor > 0, np.minimum(floor, residual), residual)
     V = np.broadcast_to(np.diag(variance).astype(np.complex128), lines.covariance.shape)
     return replace(lines, covariance=V)
-
-
-def _beside_the_sine(record: Record, f: float) -> Real:
-    """Variance of a sample, (channels,), beside a slope, harmonics, and a sine whose amplitude and phase may drift.
-
-    By a polynomial of fewer degrees than it has periods, that neither harmonics nor slopes can look like.
-    """
-    fit = fit_harmonics(record, orders=(1,), drift=1, noise="white")
-    variance: Real = np.diagonal(fit.residual_covariance).real.copy()
-    samples, steady = len(record.time), Terms(1, fit.orders)
-    degree = min(MOST_BENDS, int(fit.periods), (samples - steady.count) // 6)
-    if degree < 1 or samples > CHUNK:
-        return variance
-    A = replace(steady, bends=degree).columns(record.time, f, *window(record.time))
-    for c, y in enumerate(record.values.T):
-        measured = slice(None) if record.status is None else record.status[:, c] == 0
-        rows, some = A[measured], y[measured]
-        if len(some) > A.shape[1]:
-            rest = some - rows @ np.linalg.lstsq(rows, some, rcond=None)[0]
-            variance[c] = rest @ rest / (len(some) - A.shape[1])
-    return variance

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import fft
 
-from dashpot.arrays import Complex, Ints, Real, diagonal_matrices
+from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel
 from dashpot.data.conditioning.clock import even_step, fewest_samples
 from dashpot.data.conditioning.still import Still, variance_at_rest
@@ -256,6 +256,17 @@ def _amplitudes(record: Record, first: int, last: int, *, stated: bool) -> tuple
     return X, floor, folded
 
 
+def _stands_out(mean: Real | float, floor: Real | float, lines: int) -> Bools:
+    """Whether mean powers of so many lines are beyond those of noise of mean power `floor`."""
+    return np.asarray(mean > (1 + STANDS_OUT / lines**0.5) * floor)
+
+
+def _bins(power: Real, lines: int = BIN) -> Real:
+    """Mean power (bins, ...) of so many neighbouring lines (lines, ...) each."""
+    count = len(power) // lines
+    return np.asarray(np.mean(power[: count * lines].reshape(count, lines, *power.shape[1:]), axis=1))
+
+
 def _motion_in(Y: Complex, floor: float, first: int, last: int) -> tuple[bool, float, float]:
     """Whether a channel moves in some of its lines, and the first and last line of its motion (inf and 0 of none).
 
@@ -263,17 +274,16 @@ def _motion_in(Y: Complex, floor: float, first: int, last: int) -> tuple[bool, f
     """
     power = np.abs(Y) ** 2
     power[0] = 0.0
+    inside = power[first : last + 1]
     if floor == 0:
         moves = power > (FAR_BELOW**2) * np.max(power)
         at = np.flatnonzero(moves)
         return bool(np.any(moves[first : last + 1])), float(at[0]), float(at[-1])
-    starts: Ints = np.arange(1, len(power) - BIN, BIN)
-    out = np.flatnonzero(np.add.reduceat(power, starts)[:-1] > (1 + STANDS_OUT / BIN**0.5) * floor * BIN)
-    low, high = (float(starts[out[0]]), float(starts[out[-1]] + BIN)) if len(out) else (np.inf, 0.0)
-    inside = power[first : last + 1]
+    out = np.flatnonzero(_stands_out(_bins(power[1:]), floor, BIN))
+    low, high = (1.0 + BIN * out[0], 1.0 + BIN * (out[-1] + 1)) if len(out) else (np.inf, 0.0)
     # Few lines, or few loud ones among many, may be a resonance.
     loudest = float(np.max(inside)) > floor * np.log(len(inside) / CHANCE)
-    return loudest or float(np.mean(inside)) > (1 + STANDS_OUT / len(inside) ** 0.5) * floor, low, high
+    return loudest or bool(_stands_out(np.mean(inside), floor, len(inside))), float(low), float(high)
 
 
 def at_the_top(Y: Complex, floor: float) -> float:
@@ -285,10 +295,8 @@ def at_the_top(Y: Complex, floor: float) -> float:
     top = power[int(HIGHEST_LINES * len(Y)) :]
     if len(top) < 2 * BIN:
         return 0.0
-    starts: Ints = np.arange(0, len(power) - BIN, BIN)
-    largest = float(np.max(np.add.reduceat(power, starts)[:-1])) / BIN
-    level, alike = float(np.mean(top)), STANDS_OUT / len(top) ** 0.5
-    return (level / largest) ** 0.5 if level > floor * (1 + alike) and largest > 0 else 0.0
+    level, largest = float(np.mean(top)), float(np.max(_bins(power)))
+    return (level / largest) ** 0.5 if _stands_out(level, floor, len(top)) and largest > 0 else 0.0
 
 
 def _notices(record: Record, folded: Real) -> tuple[Notice, ...]:
@@ -417,12 +425,11 @@ def white_floor(power: Real) -> float:
     0 where they are not flat, or not far below the others: then they show motion, and tell nothing of the noise.
     """
     top = power[int(TOP[0] * len(power)) : int(TOP[1] * len(power))]
-    halves = np.array_split(top, 2)
     if len(top) < 2 * BIN:
         return 0.0
-    low, high = (float(np.mean(half)) for half in halves)
+    low, high = sorted(float(np.mean(half)) for half in np.array_split(top, 2))
     level = (low + high) / 2
-    even = abs(low - high) <= STANDS_OUT * ALIKE * level * 2 / len(top) ** 0.5
+    even = high - low <= STANDS_OUT * ALIKE * level * 2 / len(top) ** 0.5
     return level if even and level < FAR_BELOW * float(np.mean(power[1:])) else 0.0
 
 
@@ -435,11 +442,9 @@ def _moving(X: Complex, source: str, highest_hz: float) -> int:
     each = max(BIN, -(-lines // BINS))
     if lines < 3 * each:
         return lines
-    power = np.abs(X) ** 2
-    edges: Ints = np.arange(0, lines - each + 1, each)
-    mean = np.add.reduceat(power[: edges[-1] + each], edges, axis=0) / each
+    mean = _bins(np.abs(X) ** 2, each)
     floor = np.quantile(mean[-max(3, len(mean) // 4) :], 0.25, axis=0)
-    out = np.flatnonzero(np.any(mean > (1 + STANDS_OUT / each**0.5) * floor, axis=-1))
+    out = np.flatnonzero(np.any(_stands_out(mean, floor, each), axis=-1))
     if not len(out):
         raise DataError(
             f"no channel moves more in one part of the band up to {highest_hz:.4g} Hz than in another: there is no "
