@@ -28,9 +28,9 @@ from dashpot.check.identifiability import Structure, nonlinear_structure, struct
 from dashpot.check.verdict import examined_records, with_causes
 from dashpot.data import readers
 from dashpot.data.conditioning.settings import Conditioning
-from dashpot.data.conditioning.still import Still
 from dashpot.data.inspection import channels_in
 from dashpot.data.modal_data import ModalData
+from dashpot.data.noise import Still
 from dashpot.data.readers import Reading
 from dashpot.data.readers.experiments import Experiments
 from dashpot.data.readers.in_memory import columns_in_memory, records_of

@@ -6,7 +6,7 @@ import numpy as np
 
 from dashpot.check.verdict import assess
 from dashpot.data.conditioning.lines import spectrum
-from dashpot.data.local_noise import with_local_noise
+from dashpot.data.noise import with_local_noise
 from dashpot.data.periods import average_periods
 from dashpot.estimate.identify import identify
 from dashpot.present.verdict import verdict_in_words

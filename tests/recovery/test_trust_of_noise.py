@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from dashpot.arrays import Real
 from dashpot.data.conditioning.lines import spectrum
-from dashpot.data.conditioning.still import noise_at_rest
+from dashpot.data.noise import noise_at_rest
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify

@@ -117,7 +117,7 @@ class RecordOptions:
         Raises DataError for a noise record that cannot be used.
         """
         from dashpot.data.conditioning.settings import Conditioning
-        from dashpot.data.conditioning.still import noise_at_rest
+        from dashpot.data.noise import noise_at_rest
         from dashpot.data.readers import read
 
         alike = ("orders", "harmonics", "noise", "refine", "settle", "transients")

@@ -15,8 +15,8 @@ from scipy.special import chdtrc
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.check.residuals import calibrations_of, channel_response, of_channels
 from dashpot.check.verdict import REJECTED
-from dashpot.data.conditioning.still import Still
 from dashpot.data.conditioning.whole_record import FLOOR
+from dashpot.data.noise import Still
 from dashpot.data.record import Record
 from dashpot.data.spectrum import SettledDwell, Spectrum, Stretch, WholeRecord, history_of_lines
 from dashpot.errors import DataError

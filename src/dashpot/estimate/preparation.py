@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian, is_diagonal
-from dashpot.data.local_noise import SMOOTH
+from dashpot.data.noise import SMOOTH
 from dashpot.data.spectrum import FITTED, Spectrum, flattened
 from dashpot.errors import DataError
 from dashpot.model.network import Model

@@ -23,7 +23,7 @@ from dashpot.data.conditioning.clock import even_step
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.whole_record import without_gaps
-from dashpot.data.local_noise import with_local_noise
+from dashpot.data.noise import with_local_noise
 from dashpot.data.periods import ROUNDING, averaged_periods
 from dashpot.data.readers import Reading
 from dashpot.data.readers.text import write_rows

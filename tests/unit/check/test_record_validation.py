@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from dashpot.check.validation import validate_records
-from dashpot.data.conditioning.still import noise_at_rest
+from dashpot.data.noise import noise_at_rest
 from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.result import Estimate
 from tests.driven_rigs import cubic

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dashpot.check.verdict import assess_records
-from dashpot.data.conditioning.still import noise_at_rest
+from dashpot.data.noise import noise_at_rest
 from dashpot.data.record import Record
 from dashpot.estimate.assessment import Assessment
 from dashpot.estimate.nonlinear.whole_record import fit_records

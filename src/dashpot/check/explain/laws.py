@@ -22,7 +22,7 @@ from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is
 from dashpot.check.explain.problem import FittedProblem, LineProblem, descended
 from dashpot.check.explain.rigs import points_of
 from dashpot.check.explain.score import score_tests, steadiness
-from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
+from dashpot.data.noise import HALF_WINDOW, smoothed
 from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding

@@ -21,7 +21,6 @@ from dashpot.data.conditioning.drive_frequency import (
 from dashpot.data.conditioning.harmonic_fit import (
     HarmonicFit,
     fit_harmonics,
-    moderated,
     rounding_steps,
     rounding_variance,
     second_moments,
@@ -49,6 +48,7 @@ from dashpot.data.conditioning.transients import (
 )
 from dashpot.data.conditioning.unmeasured import expected, marked, notices_of_doubt
 from dashpot.data.conditioning.whole_record import AT_REST, whole_records
+from dashpot.data.noise import moderated
 from dashpot.data.periods import averaged_periods
 from dashpot.data.record import Record, calibration
 from dashpot.data.spectrum import SettledDwell, Spectrum, concatenate

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypedDict, Unpack
 
-from dashpot.data.conditioning.still import Still
+from dashpot.data.noise import Still
 from dashpot.errors import DataError
 
 Noise = Literal["auto", "own", "white", "blocks"]

@@ -17,8 +17,8 @@ from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL, even_step
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.regression import Terms, duration, solve_harmonics
 from dashpot.data.conditioning.steadiness import period_blocks, periods_of
-from dashpot.data.conditioning.still import Still
 from dashpot.data.conditioning.whole_record import whole_record
+from dashpot.data.noise import Still
 from dashpot.data.record import MISSING, Record, kept, real_factor
 from dashpot.data.spectrum import Spectrum, WholeRecord, concatenate
 from dashpot.errors import DataError

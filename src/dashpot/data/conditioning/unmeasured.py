@@ -20,7 +20,7 @@ from dashpot.channel import Quantity
 from dashpot.data.conditioning.drive_frequency import at_frequencies, drive_frequencies
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
 from dashpot.data.conditioning.regression import Terms, in_between, solve_harmonics, window
-from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
+from dashpot.data.noise import HALF_WINDOW, smoothed
 from dashpot.data.record import ABOVE, BELOW, MISSING, Record, limits, runs_of_one_value
 from dashpot.errors import DataError
 from dashpot.io.words import counted, joined

@@ -17,7 +17,6 @@ from scipy import fft
 from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel
 from dashpot.data.conditioning.clock import even_step, fewest_samples
-from dashpot.data.conditioning.still import Still, variance_at_rest
 from dashpot.data.conditioning.unmeasured import (
     MOST_MISSING,
     MOST_UNKNOWN,
@@ -25,6 +24,15 @@ from dashpot.data.conditioning.unmeasured import (
     marked_whole,
     told_by_lines,
     with_likely,
+)
+from dashpot.data.noise import (
+    BIN,
+    FAR_BELOW,
+    STANDS_OUT,
+    Still,
+    variance_at_rest,
+    white_floor,
+    without_leakage,
 )
 from dashpot.data.periods import driven_lines, driven_note
 from dashpot.data.record import MISSING, Record, calibration
@@ -38,22 +46,17 @@ SHORTEST = 64  # samples of a piece between gaps
 SLIP = 0.1  # of a step: where the next sample is early or late by more, the clock has slipped
 UNEVEN = 0.02  # share of gaps from which on they are the clock's
 HIGHEST = 0.9  # of half the sampling rate: above it the input between the samples is not known well enough
-BIN = 30  # lines, at least, whose mean power says whether something moves there
 BINS = 200  # at most
-STANDS_OUT = 4.0  # standard deviations of a bin's mean power above the floor: a signal
 POLYNOMIAL = 4  # columns 1, jω, (jω)², … of each output channel: the fourth takes the error down by twenty
 AT_REST = "rest"  # kind of noise: as a record with nothing driven shows it
-ALIKE = 1.4  # by which the mean power of second differences scatters more: neighbours share lines
 FLOOR = "floor"  # kind of noise: white, as the top of the spectrum shows it, until residuals show more
 LOWEST = 10  # line up to which a linear drift is felt
 MANY = 200  # lines from which on a column for it costs nothing to speak of
-TOP = (0.6, 0.98)  # of half the sampling rate: where that floor is read
 HIGHEST_LINES = 0.96  # of half the sampling rate: a recorder's filter leaves nothing above
 FOLDED = 0.01  # of a channel's largest lines: what moves there that is said
 MANY_LINES = 300_000  # from which on a narrower band is worth stating
 BYTES = 650  # of memory that an identification takes for each line of a channel
 CHANCE = 1e-3  # that the loudest line of noise counts as motion
-FAR_BELOW = 0.1  # of the mean power of the lines: a floor is noise, not motion
 
 
 def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
@@ -408,29 +411,6 @@ def leaked_by_a_step(column: Real) -> Complex:
     leaked = np.zeros(samples // 2 + 1, dtype=np.complex128)
     leaked[1:] = 2 * (column[-1] - column[0]) / (samples - 1) / (turn - 1)
     return leaked
-
-
-def without_leakage(Y: Complex) -> Real:
-    """Power of neighbouring lines (k,) of a record without what its ends leak into them, (k − 2,).
-
-    A record that ends elsewhere than it began leaks into all lines, smoothly from one to the next: second differences
-    have none of it, and six times the power of what is independent from line to line.
-    """
-    return np.abs(np.diff(Y, 2)) ** 2 / 6
-
-
-def white_floor(power: Real) -> float:
-    """E[Δ Δ*] of white noise, from the power (N/2 + 1,) of the lines of one channel near half the sampling rate.
-
-    0 where they are not flat, or not far below the others: then they show motion, and tell nothing of the noise.
-    """
-    top = power[int(TOP[0] * len(power)) : int(TOP[1] * len(power))]
-    if len(top) < 2 * BIN:
-        return 0.0
-    low, high = sorted(float(np.mean(half)) for half in np.array_split(top, 2))
-    level = (low + high) / 2
-    even = high - low <= STANDS_OUT * ALIKE * level * 2 / len(top) ** 0.5
-    return level if even and level < FAR_BELOW * float(np.mean(power[1:])) else 0.0
 
 
 def _moving(X: Complex, source: str, highest_hz: float) -> int:

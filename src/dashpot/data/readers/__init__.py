@@ -12,7 +12,7 @@ from dashpot.channel import Channel
 from dashpot.data.clocks import ClockedRecords, clocked_lines
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
-from dashpot.data.local_noise import with_local_noise
+from dashpot.data.noise import with_local_noise
 from dashpot.data.readers.amplitudes import write_amplitudes
 from dashpot.data.readers.datafile import DataFile, open_file
 from dashpot.data.readers.experiments import Experiments

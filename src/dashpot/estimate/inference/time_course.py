@@ -19,7 +19,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtrc, fdtrc, stdtrit
 
 from dashpot.arrays import Bools, Complex, Ints, Real
-from dashpot.data.conditioning.still import smoothed
+from dashpot.data.noise import smoothed
 from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines, samples_of_squares
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_noise import RESIDUAL, residuals_of_records

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from dashpot.arrays import Bools, Complex, Real, diagonal_matrices, hermitian
-from dashpot.data.conditioning.still import HALF_WINDOW, smoothed
 from dashpot.data.conditioning.whole_record import FLOOR
+from dashpot.data.noise import HALF_WINDOW, smoothed
 from dashpot.data.spectrum import Spectrum, WholeRecord, flattened, in_chunks, taken_as_measured
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.descent import Likelihood, thinned

@@ -1,10 +1,9 @@
 """The noise of amplitudes for which none is given, from what the model leaves over of them (THEORY §11).
 
 The variance of a channel is a constant and a share of its motion, a² + b²|y|², found with the parameters by restricted
-maximum likelihood.  The steps that lead there are those of Zhou et al. (Journal of Computational and Graphical
-Statistics 28, 2019): each lowers the deviance where the parameters are kept; many at once are tried first.  Intervals
-pay for weights that were found from few amplitudes as Kenward and Roger say (Biometrics 53, 1997).  Inputs that a
-channel shows are exact: an error of theirs is one of all outputs, in proportion to the motion.
+maximum likelihood.  Each step of `sizes_of_parts` lowers the deviance where the parameters are kept; many at once are
+tried first.  Intervals pay for weights that were found from few amplitudes as Kenward and Roger say (Biometrics 53,
+1997).  Inputs that a channel shows are exact: an error of theirs is one of all outputs, in proportion to the motion.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real
+from dashpot.data.noise import sizes_of_parts
 from dashpot.data.spectrum import FITTED, Spectrum, flattened, in_chunks
 from dashpot.errors import DashpotError
 from dashpot.estimate.likelihood.descent import Likelihood
@@ -150,17 +150,6 @@ class _Left:
         deviance = 2 * np.sum(np.log(variance) + self.power / variance) + np.linalg.slogdet(information)[1]
         return _Weighed(float(deviance), spread, np.clip(1 - leverage, 0.0, 1.0))
 
-    def stepped(self, sizes: Real, unused: Real, steps: int) -> Real:
-        """Sizes of the parts (parts,) after at most so many steps towards less deviance, the leverage being kept."""
-        for _ in range(steps):
-            variance = self.parts @ sizes
-            shown, expected = (self.power / variance**2) @ self.parts, (unused / variance) @ self.parts
-            ratio = np.sqrt(shown / expected)
-            sizes = np.maximum(sizes * ratio, 1e-9 * np.max(sizes))  # of the larger part of a channel's noise
-            if np.all((np.abs(ratio - 1) < 1e-4) | (sizes <= 1e-6 * np.max(sizes))):
-                break
-        return sizes
-
 
 def _of_repeat(model: Model, spectrum: Spectrum, method: Method) -> Complex | None:
     """Covariance of the amplitudes of one repeat, (1, lines, channels, channels), even where its fit does not say more.
@@ -214,7 +203,7 @@ def _descended(fit: _Fit, fitted: Callable[[Complex, Real], tuple[Real, _Left]])
     """The noise and the rig fitted in turns, until the deviance falls no more; None where it leads nowhere."""
     for turn in range(30):
         for steps in (200, 1):
-            sizes = fit.left.stepped(fit.sizes, fit.weighed.unused, steps)
+            sizes = sizes_of_parts(fit.left.power, fit.left.parts, fit.weighed.unused, fit.sizes, steps)
             # The covariance with these variances, (rows,), of the amplitudes that are no inputs
             changed = np.array(fit.V)
             line, channel = fit.left.cells

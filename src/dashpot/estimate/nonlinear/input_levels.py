@@ -15,8 +15,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.arrays import Bools, Real
-from dashpot.data.conditioning.still import HALF_WINDOW, QUIETEST, smoothed, variance_at_rest
-from dashpot.data.conditioning.whole_record import TOP, white_floor
+from dashpot.data.noise import (
+    ALIKE,
+    HALF_WINDOW,
+    QUIETEST,
+    TOP,
+    smoothed,
+    variance_at_rest,
+    white_floor,
+    without_leakage,
+)
 from dashpot.estimate.likelihood.record_noise import ROOM, SHOWS, STAYS
 from dashpot.estimate.nonlinear.record_problem import (
     LinearisedRecord,
@@ -138,19 +146,15 @@ def own_noise(records: Sequence[RecordData]) -> OwnNoise:
     total, freedom, most = np.zeros(q), np.zeros(q), np.full(q, np.inf)
     for record in records:
         N = record.samples
-        window = np.hanning(N)[:, None]  # without it, what an input is at its ends spreads over all lines
-        lines = np.fft.rfft(window * (record.inputs - np.mean(record.inputs, axis=0)), axis=0)
-        lines /= np.sqrt(np.sum(window**2))
-        power = np.abs(lines[1:]) ** 2
+        lines = np.fft.rfft(record.inputs - np.mean(record.inputs, axis=0), axis=0) * (2 / N)
+        power = without_leakage(lines) * N / 4
         rounding = np.finfo(float).eps * np.sum(power, axis=0)  # of running sums
-        quietest = np.min(smoothed(power + 0j, HALF_WINDOW).real, axis=0)
+        quietest = np.min(smoothed(power.astype(np.complex128), HALF_WINDOW).real, axis=0)
         most = np.minimum(most, ROOM * np.maximum(quietest, rounding))
-        level = np.array([white_floor(np.abs(column) ** 2) for column in lines.T])
-        # Under Hann's window 35/18 samples count as one in the power of a record.
-        count = np.where(level > 0, (TOP[1] - TOP[0]) * N / (35 / 18), 0.0)
         at_rest = np.array([variance_at_rest(column) for column in record.inputs.T])
-        level = np.where(at_rest > 0, at_rest, level)
-        count = np.where(at_rest > 0, QUIETEST * N, count)
+        at_top = np.array([white_floor(column) for column in power.T])
+        level = np.where(at_rest > 0, at_rest, at_top)
+        count = np.where(at_rest > 0, QUIETEST * N, (at_top > 0) * (TOP[1] - TOP[0]) * N / ALIKE**2)
         total += count * level
         freedom += count
     return OwnNoise(total / np.maximum(freedom, 1.0), freedom, most)

@@ -10,7 +10,7 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel
-from dashpot.data.conditioning.still import Still
+from dashpot.data.noise import Still
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.io.words import joined

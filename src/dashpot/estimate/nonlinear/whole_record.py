@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.data.conditioning.still import Still
+from dashpot.data.noise import Still
 from dashpot.data.record import Record
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.nonlinear.input_levels import despite_wander, steadied, with_uncertain_inputs

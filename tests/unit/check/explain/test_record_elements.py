@@ -14,7 +14,7 @@ from dashpot.api import identify, read
 from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.settings import Conditioning
-from dashpot.data.conditioning.still import noise_at_rest
+from dashpot.data.noise import noise_at_rest
 from dashpot.data.record import Record
 from dashpot.estimate.assessment import Finding, applied
 from dashpot.estimate.nonlinear.whole_record import fit_records

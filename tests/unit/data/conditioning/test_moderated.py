@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Quantity
-from dashpot.data.conditioning.harmonic_fit import moderated
 from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.noise import moderated
 from dashpot.estimate.identify import identify
 from tests import rigs
 

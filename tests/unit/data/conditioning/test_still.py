@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from dashpot.data.conditioning.still import variance_at_rest
+from dashpot.data.noise import variance_at_rest
 
 SAMPLES = 6000
 

@@ -7,8 +7,8 @@ import pytest
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel
-from dashpot.data.conditioning.still import noise_at_rest
 from dashpot.data.conditioning.whole_record import whole_record, whole_records, without_gaps
+from dashpot.data.noise import noise_at_rest
 from dashpot.data.record import Record
 from dashpot.data.spectrum import WholeRecord
 from dashpot.errors import DataError

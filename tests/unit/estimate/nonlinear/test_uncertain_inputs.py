@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from dashpot.api import identify
 from dashpot.data.conditioning.settings import Conditioning
-from dashpot.data.conditioning.still import noise_at_rest
+from dashpot.data.noise import noise_at_rest
 from dashpot.data.record import Record
 from dashpot.estimate.nonlinear.input_levels import InputSizes, own_noise
 from dashpot.estimate.nonlinear.record_inference import record_covariances
