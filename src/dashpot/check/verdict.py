@@ -17,7 +17,7 @@ from dashpot.check.record_scores import elements_called_for, elements_of_uncerta
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
 from dashpot.data.periods import driven_lines
 from dashpot.data.record import Record
-from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
+from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import DashpotError, DataError, IdentifiabilityError
 from dashpot.estimate.assessment import Assessment, Discrepancy, Finding, Judgement, Misfit
 from dashpot.estimate.inference.diagnostics import MODES_UNSEEN, dead_channels, of_one_sign
@@ -65,17 +65,12 @@ def limited_channels(left: Residuals, spectrum: Spectrum, motions: Bools) -> lis
     """Motions (channels,) that end in some whole record, by the fit to all channels, with where they do."""
     notices: dict[str, Notice] = {}
     for number in spectrum.records:
-        its, stretch = np.flatnonzero(spectrum.stretch == number), spectrum.stretches[number]
-        assert isinstance(stretch, WholeRecord)
-        order = stretch.orders(spectrum.frequency_hz[its])
-        samples = 2 * (int(np.max(order)) + 1)
+        at = spectrum.in_time(number)
         for c in np.flatnonzero(motions):
-            y, p = left.measured[its, c], left.predicted[its, c]
+            y, p = left.measured[at.lines, c], left.predicted[at.lines, c]
             if not np.all(np.isfinite(y) & np.isfinite(p)):
                 continue
-            end = clipped_at(
-                history_of_lines(y, order, samples), history_of_lines(p, order, samples), 2 * len(its)
-            )
+            end = clipped_at(at.history_of(y), at.history_of(p), 2 * len(at.lines))
             if end is not None:
                 name = left.channels[c]
                 text = f"{name} reads too little where it moves much, as if it ended at {end:.3g} {left.units[c]}"

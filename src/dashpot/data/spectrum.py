@@ -142,11 +142,6 @@ class WholeRecord:
 Stretch = SettledDwell | WholeRecord
 
 
-def samples_of_squares(order: Ints) -> int:
-    """Samples of a history of these lines at which its squares alias nothing: twice what the lines ask for."""
-    return int(next_fast_len(4 * (int(np.max(order)) + 1), real=True))
-
-
 def history_of_lines(amplitudes: Complex, order: Ints, samples: int) -> Real:
     """The motion of a record whose lines k/T are those of `order` (lines,), without all others, (samples, ...).
 
@@ -156,6 +151,38 @@ def history_of_lines(amplitudes: Complex, order: Ints, samples: int) -> Real:
     lines = np.zeros((samples // 2 + 1, *amplitudes.shape[1:]), dtype=np.complex128)
     lines[order] = amplitudes * samples / 2
     return np.fft.irfft(lines, samples, axis=0)
+
+
+@dataclass(frozen=True)
+class LinesInTime:
+    """The lines of one whole record, their multiples of 1/T (lines,), and how many samples show them in time."""
+
+    lines: Ints
+    order: Ints
+    duration_s: float
+    samples: int
+
+    @property
+    def step_s(self) -> float:
+        """Step of the samples, s."""
+        return self.duration_s / self.samples
+
+    @property
+    def for_squares(self) -> LinesInTime:
+        """By twice as many samples as the lines ask for, so that squares alias nothing and no peak is missed."""
+        return replace(self, samples=int(next_fast_len(4 * (int(np.max(self.order)) + 1), real=True)))
+
+    def history(self, amplitudes: Complex) -> Real:
+        """The samples of amplitudes (lines of the whole spectrum, ...), (samples, ...)."""
+        return self.history_of(amplitudes[self.lines])
+
+    def history_of(self, amplitudes: Complex) -> Real:
+        """The samples of amplitudes of these lines alone (lines, ...), (samples, ...)."""
+        return history_of_lines(amplitudes, self.order, self.samples)
+
+    def amplitudes(self, history: Real) -> Complex:
+        """What a history (samples, ...) has at these lines, (lines, ...)."""
+        return np.fft.rfft(history, axis=0)[self.order] * (2 / self.samples)
 
 
 def joined_stretches(
@@ -357,6 +384,13 @@ class Spectrum(InNotebooks):
     def records(self) -> tuple[int, ...]:
         """Indices of the stretches that are whole records."""
         return tuple(i for i, value in enumerate(self.stretches) if isinstance(value, WholeRecord))
+
+    def in_time(self, number: int) -> LinesInTime:
+        """The lines of the record that is stretch `number`, by as few samples as they ask for."""
+        lines, record = np.flatnonzero(self.stretch == number), self.stretches[number]
+        assert isinstance(record, WholeRecord)
+        order = record.orders(self.frequency_hz[lines])
+        return LinesInTime(lines, order, record.duration_s, 2 * (int(np.max(order)) + 1))
 
     @property
     def carries_loads(self) -> bool:

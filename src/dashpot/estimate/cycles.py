@@ -17,7 +17,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real, frozen
 from dashpot.data.record import Record, real_factor
-from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
+from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.estimate.nonlinear.objective import dwells_of
 from dashpot.estimate.result import Cycle, Estimate
 from dashpot.experiment import kind_of
@@ -157,12 +157,8 @@ def cycles_of_spectrum(model: Model, estimate: Estimate, spectrum: Spectrum) -> 
     if np.any(whole):
         motions = []
         for k in np.unique(spectrum.stretch[whole]):
-            lines, shared = spectrum.stretch == k, spectrum.stretches[k]
-            assert isinstance(shared, WholeRecord)
-            order = shared.orders(spectrum.frequency_hz[lines])
-            motions.append(
-                (spectrum.omega[lines], U[lines], history_of_lines(U[lines], order, shared.samples))
-            )
+            at = spectrum.in_time(int(k)).for_squares
+            motions.append((spectrum.omega[at.lines], U[at.lines], at.history(U)))
         cycles += _usual(model, estimate, motions)
     return tuple(cycles[:MOST_CYCLES])
 

@@ -17,13 +17,13 @@ import numpy as np
 from scipy.fft import next_fast_len
 from scipy.special import fdtrc
 
-from dashpot.arrays import Complex, Ints, Real
+from dashpot.arrays import Complex, Real
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is
 from dashpot.check.explain.problem import FittedProblem, LineProblem, descended
 from dashpot.check.explain.rigs import points_of
 from dashpot.check.explain.score import score_tests, steadiness
 from dashpot.data.noise import HALF_WINDOW, smoothed
-from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
+from dashpot.data.spectrum import LinesInTime, Spectrum, WholeRecord
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
 from dashpot.estimate.inference.time_course import UNEVEN
@@ -686,42 +686,29 @@ def called_for_in_records(model: Model, spectrum: Spectrum, estimate: Estimate) 
     return _scored(model, exact, spectrum, fit, slopes, places, uneven)
 
 
-@dataclass(frozen=True)
-class _Times:
-    """The samples of whole records, and which of their lines are in the band."""
+def _in_time(spectrum: Spectrum) -> list[LinesInTime]:
+    """The lines of each whole record, finer than its samples."""
+    records = ((spectrum.in_time(number), spectrum.stretches[number]) for number in spectrum.records)
+    return [
+        replace(at, samples=int(next_fast_len(OVERSAMPLED * record.samples, real=True)))
+        for at, record in records
+        if isinstance(record, WholeRecord)
+    ]
 
-    lines: tuple[Ints, ...]
-    order: tuple[Ints, ...]
-    samples: tuple[int, ...]
 
-    @staticmethod
-    def of(spectrum: Spectrum) -> _Times:
-        """Those of a spectrum's whole records."""
-        lines, order, samples = [], [], []
-        for number in spectrum.records:
-            record = spectrum.stretches[number]
-            assert isinstance(record, WholeRecord)
-            lines.append(np.flatnonzero(spectrum.stretch == number))
-            order.append(record.orders(spectrum.frequency_hz[lines[-1]]))
-            samples.append(int(next_fast_len(OVERSAMPLED * record.samples, real=True)))
-        return _Times(tuple(lines), tuple(order), tuple(samples))
+def _history(records: Sequence[LinesInTime], amplitudes: Complex) -> Real:
+    """Motion in time of amplitudes (lines, ...), one record after the other, (samples of all, ...)."""
+    return np.concatenate([at.history(amplitudes) for at in records])
 
-    def history(self, amplitudes: Complex) -> Real:
-        """Motion in time of amplitudes (lines, ...), one record after the other, (samples of all, ...)."""
-        return np.concatenate(
-            [
-                history_of_lines(amplitudes[lines], order, samples)
-                for lines, order, samples in zip(self.lines, self.order, self.samples, strict=True)
-            ]
-        )
 
-    def amplitudes(self, history: Real) -> Complex:
-        """Lines (lines,) of a history (samples of all,)."""
-        out = np.zeros(sum(map(len, self.lines)), dtype=np.complex128)
-        pieces = np.split(history, np.cumsum(self.samples)[:-1])
-        for lines, order, piece in zip(self.lines, self.order, pieces, strict=True):
-            out[lines] = np.fft.rfft(piece)[order] * (2 / len(piece))
-        return out
+def _amplitudes(records: Sequence[LinesInTime], history: Real) -> Complex:
+    """Lines (lines,) of a history (samples of all,)."""
+    out = np.zeros(sum(len(at.lines) for at in records), dtype=np.complex128)
+    for at, piece in zip(
+        records, np.split(history, np.cumsum([at.samples for at in records])[:-1]), strict=True
+    ):
+        out[at.lines] = at.amplitudes(piece)
+    return out
 
 
 @dataclass(frozen=True)
@@ -778,9 +765,9 @@ def _places(
     X = X + (share * r / rates)[:, moving] @ np.linalg.pinv(view.on_x[moving]).T
     U = fit.motion[0, :, : model.D.shape[1]]
     motion = X @ larger.B[len(model.elements) :].T + U @ larger.D[len(model.elements) :].T
-    times = _Times.of(spectrum)
-    elongation = times.history(motion)
-    rate = times.history(1j * view.omega[:, None] * motion)
+    times = _in_time(spectrum)
+    elongation = _history(times, motion)
+    rate = _history(times, 1j * view.omega[:, None] * motion)
     reach = np.max(np.abs(elongation), axis=0)
     return {
         pair: _Place(probes[j].along, motion[:, j], effect[..., j], elongation[:, j], rate[:, j])
@@ -817,7 +804,7 @@ def _scored(
         """Columns (lines, channels, k) with unit noise, inputs and ends taken out, (rows, k)."""
         return real_rows(fit.root @ fit.left_of(columns[None]))[0]
 
-    times, rate = _Times.of(spectrum), 1j * spectrum.omega
+    times, rate = _in_time(spectrum), 1j * spectrum.omega
     linear = [
         place.effect * (factor * place.motion)[:, None] for place in places.values() for factor in (1.0, rate)
     ]
@@ -831,7 +818,7 @@ def _scored(
     motions = {pair: (place.size, float(np.max(np.abs(place.rate)))) for pair, place in places.items()}
     for element in at_each_scale(candidate_elements(model, motions)):
         place = next(place for place in places.values() if set(place.along) == set(element.along))
-        column = place.effect * times.amplitudes(place.force(element))[:, None]
+        column = place.effect * _amplitudes(times, place.force(element))[:, None]
         candidate = test.of(element, rows(column[..., None])[:, 0])
         if (
             candidate is not None
@@ -863,7 +850,7 @@ class _Test:
     rows: real parts of lines by channels, then imaginary ones
     """
 
-    times: _Times
+    times: Sequence[LinesInTime]
     own: Real
     beside: Real
     residual: Real
@@ -895,8 +882,8 @@ class _Test:
     def _history(self, rows: Real) -> Real:
         """Rows in time, (samples of all, channels)."""
         real, imaginary = np.split(rows, 2)
-        lines = sum(map(len, self.times.lines))
-        return self.times.history((real + 1j * imaginary).reshape(lines, -1))
+        lines = sum(len(at.lines) for at in self.times)
+        return _history(self.times, (real + 1j * imaginary).reshape(lines, -1))
 
 
 def _left(basis: Real, column: Real) -> Real:

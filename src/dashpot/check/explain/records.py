@@ -21,7 +21,7 @@ from dashpot.check.explain.engine import Explanation, explain_records
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.steady_lines import steady_lines, working_noise
 from dashpot.check.verdict import clipped_at, remedy_in_words
-from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines
+from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError
 from dashpot.estimate.inference.time_course import Kind, TimeChange, change_notice, time_changes
 from dashpot.estimate.likelihood.descent import loudest
@@ -103,13 +103,13 @@ def _shown(whole: LineProblem, c: int, predicted: Complex | None) -> tuple[str, 
     spectrum, y = whole.data.spectrum, whole.y[:, c]
     unit = channel_unit(whole.model, spectrum.channels[c])
     for number in spectrum.records:
-        its, order, samples, step_s = _samples_of(spectrum, number)
-        shown, should = (history_of_lines(values[its], order, samples) for values in (y, predicted))
-        end = clipped_at(shown, should, 2 * len(its))
+        at = spectrum.in_time(number)
+        shown, should = at.history(y), at.history(predicted)
+        end = clipped_at(shown, should, 2 * len(at.lines))
         if end is not None:
             return "saturation", limited(name, end, unit)
         gain = float(shown @ should / (should @ should)) if np.any(should) else 0.0
-        zero = _wander(shown - gain * should, step_s * samples, unit)
+        zero = _wander(shown - gain * should, at.duration_s, unit)
         if zero is not None:
             return "channel", Phrase(f"{name} {zero}", f"leave {name} out, or repair its signal chain")
     single = replace(spectrum, amplitudes=whole.y)
@@ -170,11 +170,11 @@ def _best_step(
     spectrum: Spectrum, y: Complex, predicted: Complex, number: int, name: str
 ) -> tuple[float, TimeChange]:
     """The step that leaves least of what is wrong with a channel (lines,) in a record, and that share."""
-    its, order, samples, step_s = _samples_of(spectrum, number)
-    shown, should = (history_of_lines(values[its], order, samples) for values in (y, predicted))
+    at = spectrum.in_time(number)
+    step_s, shown, should = at.step_s, at.history(y), at.history(predicted)
     before = np.concatenate([[0.0], np.cumsum((shown - should) ** 2)])
     found: list[tuple[float, TimeChange]] = []
-    edge = max(samples // 20, 1)  # what is otherwise from the first sample on is no step
+    edge = max(at.samples // 20, 1)  # what is otherwise from the first sample on is no step
 
     def add(kind: Kind, left: Real, sizes: Real | float) -> None:
         k = int(np.argmin(left[edge:-edge])) + edge
@@ -182,7 +182,7 @@ def _best_step(
         found.append((float(left[k] / before[-1]), TimeChange(kind, (name,), number, k * step_s, size)))
 
     for slip in SLIPS * step_s:
-        later = history_of_lines(y[its] * np.exp(-1j * spectrum.omega[its] * slip), order, samples)
+        later = at.history(y * np.exp(-1j * spectrum.omega * slip))
         away = np.concatenate([[0.0], np.cumsum((later - should) ** 2)])
         add("clock", before + away[-1] - away, -slip)
     yy, ye, ee = (
@@ -193,26 +193,17 @@ def _best_step(
     return min(found, key=lambda each: each[0])
 
 
-def _samples_of(spectrum: Spectrum, number: int) -> tuple[Ints, Ints, int, float]:
-    """The lines of a record, their orders, and the samples by which they are shown in time, with their step in s."""
-    its, stretch = np.flatnonzero(spectrum.stretch == number), spectrum.stretches[number]
-    assert isinstance(stretch, WholeRecord)
-    order = stretch.orders(spectrum.frequency_hz[its])
-    samples = 2 * (int(np.max(order)) + 1)
-    return its, order, samples, stretch.duration_s / samples
-
-
 def _before_step(
     whole: LineProblem, chosen: Ints, c: int, change: TimeChange, problem: LineProblem, size: float
 ) -> LineProblem:
     """The problem where channel c is from the step on what it was before."""
     spectrum, y = whole.data.spectrum, whole.y[:, c]
-    its, order, samples, step_s = _samples_of(spectrum, change.record)
-    mended = y[its] * np.exp(1j * spectrum.omega[its] * size) if change.kind == "clock" else y[its] / size
-    more = history_of_lines(mended - y[its], order, samples)
-    more[: round(change.time_s / step_s)] = 0.0
+    at = spectrum.in_time(change.record)
+    mended = y * np.exp(1j * spectrum.omega * size) if change.kind == "clock" else y / size
+    more = at.history(mended - y)
+    more[: round(change.time_s / at.step_s)] = 0.0
     added = np.zeros(len(y), dtype=np.complex128)
-    added[its] = np.fft.rfft(more)[order] * (2 / samples)
+    added[at.lines] = at.amplitudes(more)
     mended_y = np.array(problem.y)
     mended_y[:, c] += added[chosen]
     return problem.with_amplitudes(mended_y)

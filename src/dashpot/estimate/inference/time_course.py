@@ -20,7 +20,7 @@ from scipy.special import chdtrc, fdtrc, stdtrit
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.data.noise import smoothed
-from dashpot.data.spectrum import Spectrum, WholeRecord, history_of_lines, samples_of_squares
+from dashpot.data.spectrum import LinesInTime, Spectrum
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_noise import RESIDUAL, residuals_of_records
 from dashpot.estimate.likelihood.record_passes import RecordPieces
@@ -145,25 +145,21 @@ def time_changes(whitened: Whitened, spectrum: Spectrum, outputs: Ints) -> tuple
 
 def _of_record(whitened: Whitened, spectrum: Spectrum, number: int, outputs: Ints) -> list[TimeChange]:
     """Changes of one record, each told once: jumps of several channels at one time as one."""
-    lines, stretch = np.flatnonzero(spectrum.stretch == number), spectrum.stretches[number]
-    assert isinstance(stretch, WholeRecord)
+    at = spectrum.in_time(number).for_squares
+    lines = at.lines
     shown = {int(c): int(np.count_nonzero(whitened(lines, int(c))[0])) for c in outputs}
     shown = {c: count for c, count in shown.items() if count >= 60}  # lines of parts that can be compared
     if not shown:
         return []
-    near_s, total = stretch.duration_s / len(lines), sum(shown.values())
-    order = stretch.orders(spectrum.frequency_hz[lines])
-    samples = samples_of_squares(order)  # so that no peak is missed
+    near_s, total = at.duration_s / len(lines), sum(shown.values())
     blocks = min(BLOCKS, total // len(shown) // LINES_EACH)
     steps, jumps, by_block = list[TimeChange](), list[TimeChange](), np.zeros((3, blocks))
     for c, count in shown.items():  # histories of one channel at a time: those of long records are large
         residual, prediction = whitened(lines, c)
         rate = 1j * spectrum.omega[lines] * prediction
-        left, motion, slope = (
-            history_of_lines(each, order, samples) for each in (residual, prediction, rate)
-        )
-        name, step_s = spectrum.channels[c].name, stretch.duration_s / samples
-        of = _Histories(name, number, left, motion, slope, step_s, samples / (2 * count))
+        left, motion, slope = (at.history_of(each) for each in (residual, prediction, rate))
+        name, independent = spectrum.channels[c].name, at.samples / (2 * count)
+        of = _Histories(name, number, left, motion, slope, at.step_s, independent)
         steps += _steps(of)
         jumps += _jump(of)
         if blocks:
@@ -184,7 +180,7 @@ def _of_record(whitened: Whitened, spectrum: Spectrum, number: int, outputs: Int
     block = _loud_block(by_block, 2 * total / max(blocks, 1))
     if block is None:
         return changes
-    time_s = (block + 0.5) * stretch.duration_s / blocks
+    time_s = (block + 0.5) * at.duration_s / blocks
     if not any(each.times > 1 or abs(each.time_s - time_s) < DECAY * LINES_EACH * near_s for each in changes):
         power = float(by_block[0, block] / np.median(by_block[0]))
         changes.append(TimeChange("block", (), number, time_s, power))
@@ -581,28 +577,26 @@ def _uneven_blocks(
     residual = record_residuals(pieces, theta, sign)[0][0]
     spectrum = data.spectrum
     sought = np.array(spectrum.noise) == RESIDUAL
-    compared = list[tuple[Ints, int, Ints, int, float, float]]()
+    compared = list[tuple[LinesInTime, int, int, float, float]]()
     for number in spectrum.records:
-        stretch = spectrum.stretches[number]
-        assert isinstance(stretch, WholeRecord)
-        of_record = np.flatnonzero((spectrum.stretch == number) & sought)
+        record = spectrum.in_time(number)
         for channel in np.flatnonzero(~data.view.inputs_alone).tolist():
-            lines = of_record[residual[of_record, channel] != 0]
-            blocks = min(BLOCKS, len(lines) // EACH_POWER)
+            told = sought[record.lines] & (residual[record.lines, channel] != 0)
+            at = replace(record, lines=record.lines[told], order=record.order[told])
+            blocks = min(BLOCKS, len(at.lines) // EACH_POWER)
             if blocks < 6:  # that can be compared
                 continue
             # Where inputs are noisy, too, residuals are louder at some lines, which then tell more than others.
-            loud = smoothed(np.abs(residual[lines, channel]) ** 2 + 0j, EACH_POWER // 2).real
+            loud = smoothed(np.abs(residual[at.lines, channel]) ** 2 + 0j, EACH_POWER // 2).real
             dof = float(2 * np.sum(loud) ** 2 / np.sum(loud**2) / blocks)
-            orders = stretch.orders(spectrum.frequency_hz[lines])
-            parts = _in_blocks(residual[lines, channel], orders, blocks)
+            parts = _in_blocks(residual[:, channel], at, blocks)
             p_even = equal_variances(np.array([np.mean(part**2) for part in parts]), dof)
-            compared.append((lines, channel, orders, blocks, dof, p_even))
+            compared.append((at, channel, blocks, dof, p_even))
     found = [each for each in compared if each[-1] < 0.01 / len(compared)]
     rows = rows_by_line(pieces, theta, sign)[0] if found else residual
     uneven = []
-    for lines, channel, orders, blocks, dof, _ in found:
-        parts = _in_blocks(rows[lines, channel], orders, blocks)
+    for at, channel, blocks, dof, _ in found:
+        parts = _in_blocks(rows[:, channel], at, blocks)
         products = np.stack([part.T @ part for part in parts])
         power = products[:, -1, -1] / np.array([len(part) for part in parts])
         scale = 4 / sum(len(part) for part in parts)
@@ -610,11 +604,11 @@ def _uneven_blocks(
     return uneven
 
 
-def _in_blocks(rows: Complex, orders: Ints, blocks: int) -> list[Real]:
-    """Rows (lines, ...) of a record in time: those of each block, (samples, ...)."""
-    samples = samples_of_squares(orders)
-    begins = np.linspace(0, samples, blocks, endpoint=False).astype(np.int64)
-    return np.split(history_of_lines(rows, orders, samples), begins[1:])
+def _in_blocks(rows: Complex, at: LinesInTime, blocks: int) -> list[Real]:
+    """Rows (lines, ...) in the time of a record: those of each block, (samples, ...)."""
+    history = at.for_squares.history(rows)
+    begins = np.linspace(0, len(history), blocks, endpoint=False).astype(np.int64)
+    return np.split(history, begins[1:])
 
 
 # Whether parts of the band agree on the parameters, and how far they move when one part is left out (THEORY
