@@ -29,7 +29,7 @@ from dashpot.check.verdict import examined_records, with_causes
 from dashpot.data import readers
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.inspection import channels_in
-from dashpot.data.modal_data import ModalData
+from dashpot.data.modal_data import ModalData, at_coordinates
 from dashpot.data.noise import Still
 from dashpot.data.readers import Reading
 from dashpot.data.readers.experiments import Experiments
@@ -138,6 +138,7 @@ def identify(
 
         if isinstance(rig, Rig):
             rig.require_alike("identification from measured modes")
+        data = at_coordinates(data, model.coordinates, _channels(rig))
         estimate = identify_modal(model, data, seed=seed)
         return _of_rig(rig, examined_modes(model, data, estimate, seed=seed) if judged else estimate)
     files: tuple[str, ...] = ()
@@ -226,7 +227,7 @@ def compare(
         model,
         spectrum,
         {} if spectrum is None else methods,
-        modal=modal,
+        modal=None if modal is None else at_coordinates(modal, model.coordinates, _channels(rig)),
         refused=refused,
         truth=truth,
         seed=seed,

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dashpot.arrays import Complex, Real, freeze
+from dashpot.channel import Channel, Quantity
 from dashpot.errors import DataError
+from dashpot.io.words import listed, shown
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,42 @@ class ModalData:
         """λ = 2πf (−ζ + j √(1 − ζ²)), (..., modes), 1/s; ζ = 0 where not measured."""
         zeta = np.nan_to_num(self.damping_ratio)
         return 2 * np.pi * self.frequency_hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
+
+
+def named_points(coordinates: Sequence[str], channels: Iterable[Channel]) -> dict[str, tuple[str, float]]:
+    """What points of shapes may be called: coordinates, and motions that show one of them alone, with their factors."""
+    names = {name: (name, 1.0) for name in coordinates}
+    for channel in channels:
+        if channel.quantity is not Quantity.FORCE and len(channel.of) == 1:
+            ((point, factor),) = channel.of.items()
+            if point in coordinates:
+                names.setdefault(channel.name, (point, factor))
+    return names
+
+
+def at_coordinates(
+    modes: ModalData, coordinates: Sequence[str], channels: Iterable[Channel] = (), source: str = ""
+) -> ModalData:
+    """The same modes with the coordinates for their points, in the order of these; names as of `named_points`.
+
+    Raises DataError for a point that is none, and for two of one coordinate.
+    """
+    if not set(modes.points) - set(coordinates):
+        return modes
+    names, found = named_points(coordinates, channels), dict[str, tuple[int, float]]()
+    for i, name in enumerate(modes.points):
+        if name not in names:
+            what = f"{shown(name)} is not a coordinate of the rig, nor a channel that shows one alone"
+            raise DataError(what, source, f"there are {listed(coordinates)}")
+        point, factor = names[name]
+        if point in found:
+            both = f"{shown(modes.points[found[point][0]])} and {shown(name)}"
+            raise DataError(f"{both} show {shown(point)}: the same point twice", source, "leave one out")
+        found[point] = (i, factor)
+    points = tuple(point for point in coordinates if point in found)
+    at, by = (np.array([found[point][k] for point in points]) for k in (0, 1))
+    V = modes.shape_covariance[:, at[:, None], at] / np.outer(by, by)
+    return replace(modes, points=points, shapes=modes.shapes[..., at] / by, shape_covariance=V)
 
 
 def independent_modes(

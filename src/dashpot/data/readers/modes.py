@@ -7,6 +7,7 @@ JSON: `{"modes": [{"frequency_hz": 3.0, "frequency_sd": 0.01, "damping_ratio": 0
 "shape": {"x1": [1.0, 0.0], "x2": 0.6}, "shape_sd": {"x1": 0.01, "x2": 0.01}}]}`, or as `dashpot modes` writes it:
 each with `"frequency_hz": {"value": 3.0, "sd": 0.01}`, `damping_ratio` alike,
 and `"shape": {"x1": {"re": 1.0, "im": 0.0, "sd": 0.01}}`.
+Points are coordinates of the rig, or its channels that show one of them alone.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel
-from dashpot.data.modal_data import ModalData, independent_modes
+from dashpot.data.modal_data import ModalData, at_coordinates, independent_modes, named_points
 from dashpot.data.readers.arrays import ArrayColumns
 from dashpot.data.readers.columns import LARGEST, Columns, bare
 from dashpot.data.readers.datafile import DataFile, open_file
@@ -54,7 +55,7 @@ def read_modes(
 ) -> ModalData:
     """The modes in a file, with shapes at those of the rig's `coordinates` that it has.
 
-    channels     of the rig, whose names the nodes of a universal file may have
+    channels     of the rig: points may have the names of those that show one coordinate alone
     relative_sd  of frequencies, of damping ratios and of shapes against their largest entry, for universal files,
                  which have none
 
@@ -70,6 +71,8 @@ def modes_and_notes(
     relative_sd: tuple[float, float, float] = USUAL_SD,
 ) -> tuple[ModalData, list[Notice]]:
     """The same, and what was assumed."""
+    channels = tuple(channels)
+    names = list(named_points(coordinates, channels))
     if os.fspath(path).lower().endswith(".json"):
         # Modes as a table would have them: one a row, NaN where something is not given
         source, rows = shown(os.fspath(path), 200), []
@@ -83,7 +86,7 @@ def modes_and_notes(
             row = {key: _number(mode[key], key, where) for key in PLAIN if key in mode}
             spread = _shape(mode, "shape_sd", where)
             for name, value in _shape(mode, "shape", where).items():
-                if name not in coordinates:
+                if name not in names:
                     what = f"shape: {shown(name)} is not a coordinate of the rig"
                     raise DataError(what, where, f"there are {listed(coordinates)}")
                 sd = spread[name].real if name in spread else np.nan
@@ -91,11 +94,13 @@ def modes_and_notes(
             rows.append(row)
         header = tuple(dict.fromkeys(name for row in rows for name in row))
         columns = tuple(np.array([row.get(name, np.nan) for row in rows]) for name in header)
-        return _modes_of(ArrayColumns(source, header, (), (), len(rows), columns, "mode"), coordinates), []
-    file = open_file(path)
-    if is_universal(file):
-        return read_uff_modes(file, coordinates, channels, relative_sd)
-    return _modes_of(open_table(file), coordinates), []
+        table: Columns = ArrayColumns(source, header, (), (), len(rows), columns, "mode")
+    else:
+        file = open_file(path)
+        if is_universal(file):
+            return read_uff_modes(file, coordinates, channels, relative_sd)
+        table = open_table(file)
+    return at_coordinates(_modes_of(table, names), coordinates, channels, table.source), []
 
 
 def write_mode_table(modes: ModalData, path: AnyPath) -> None:
@@ -166,13 +171,13 @@ class _Layout:
         return list(dict.fromkeys(at for at in every if at is not None))
 
 
-def _modes_of(table: Columns, coordinates: Sequence[str]) -> ModalData:
+def _modes_of(table: Columns, names: Sequence[str]) -> ModalData:
     # Where everything stands
     f_at, f_sd_at = table.need(FREQUENCY), table.need(FREQUENCY_SD, " (a mode without it cannot be weighed)")
     z_at = table.find(DAMPING)
     z_sd_at = None if z_at is None else table.need(DAMPING_SD, f" (it belongs to {DAMPING})")
     points: dict[str, tuple[int, int | None, int]] = {}
-    for name in coordinates:
+    for name in names:
         real, alone = table.find(f"{name}_re"), table.find(name)
         if real is not None and alone is not None:
             what = f"columns {shown(name)} and {shown(name)}_re: the same point twice"
@@ -187,7 +192,7 @@ def _modes_of(table: Columns, coordinates: Sequence[str]) -> ModalData:
         raise DataError(
             f"column {listed(strangers)}: not a coordinate of the rig",
             table.heading,
-            f"shapes are read as NAME_re, NAME_im, NAME_sd at {listed(coordinates)}; remove the others",
+            f"shapes are read as NAME_re, NAME_im, NAME_sd at {listed(names)}; remove the others",
         )
     gaps = [at for at in layout.columns if at not in (layout.frequency, layout.frequency_sd)]
     values = table.numbers(layout.columns, gaps)

@@ -13,8 +13,8 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from dashpot.arrays import Complex, Real, freeze, frozen
-from dashpot.channel import Channel, Quantity
-from dashpot.data.modal_data import ModalData, independent_modes
+from dashpot.channel import Channel
+from dashpot.data.modal_data import ModalData, independent_modes, named_points
 from dashpot.data.readers.arrays import LONG, PIECE, ArrayColumns, Streamed, array_columns, steps
 from dashpot.data.readers.columns import FREQUENCY, TIME
 from dashpot.data.readers.datafile import DataFile
@@ -628,12 +628,7 @@ def _matched(
     A coordinate goes by its own name and by those of channels that show it alone; a place by node and direction and,
     where the node moves in one direction, by the node alone and the name that the file lists for it.
     """
-    names = {name: (name, 1.0) for name in coordinates}
-    for channel in channels:
-        if channel.quantity is not Quantity.FORCE and len(channel.of) == 1:
-            ((point, factor),) = channel.of.items()
-            if point in coordinates:
-                names.setdefault(channel.name, (point, factor))
+    names = named_points(coordinates, channels)
     pairs = (re.findall(r"(\d+) = ([^,]+)", text) for mode in modes for text in mode.ids[2:])
     listed_names = dict(pair for each in pairs for pair in each)
     nodes = [node for node, _ in places]

@@ -52,12 +52,13 @@ def test_modes_become_data(dashpot: Command, table: Path) -> None:
     content = json.loads(Path("m.json").read_text(encoding="utf-8"))
     assert [set(mode["shape"]) for mode in content["modes"]] == [{"x1", "x2"}] * 2
     assert content["modes"][0]["frequency_hz"]["value"] == pytest.approx(6.7294, abs=1e-3)
-    for path in ("m.json", "m.csv"):
+    assert dashpot("modes", "t.csv", "--input", "f", "--output", "a1,a2", "--json", "free.json").code == 0
+    for path in ("m.json", "m.csv", "free.json"):
         read = dashpot("identify", "two.toml", path, "--json", "e.json")
         assert read.code == 0, read.err
         found = json.loads(Path("e.json").read_text(encoding="utf-8"))["parameters"]
         assert found["k2"]["value"] == pytest.approx(3000, rel=0.01)
-    assert dashpot("compare", "two.toml", "--modal", "m.csv").code == 0
+    assert dashpot("compare", "two.toml", "--modal", "free.json").code == 0
 
 
 @pytest.mark.parametrize(

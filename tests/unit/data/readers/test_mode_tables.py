@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dashpot.channel import Channel
 from dashpot.data.readers.modes import read_modes
 from dashpot.errors import DataError
 
@@ -71,6 +72,20 @@ def test_json_says_the_same_as_csv(tmp_path: Path) -> None:
     for name in ("frequency_hz", "damping_ratio", "covariance", "shapes", "shape_covariance"):
         assert np.array_equal(getattr(one, name), getattr(other, name)), name
     assert one.points == other.points
+
+
+def test_points_have_the_names_of_channels(tmp_path: Path) -> None:
+    """A sensor that counts the other way, and one with a lever; two of one point are told."""
+    channels = [Channel("a1", {"x1": -1.0}), Channel("a3", {"x3": 2.0}), Channel("b3", {"x3": 1.0})]
+    header = HEADER.replace("x1", "a1").replace("x3", "a3")
+    renamed = json.loads(json.dumps(modes()).replace("x1", "a1").replace("x3", "a3"))
+    for path in (csv(tmp_path, ROWS, header), as_json(tmp_path, {"modes": renamed})):
+        found = read_modes(path, X, channels)
+        assert found.points == ("x1", "x3")
+        assert found.shapes[0] == pytest.approx([-1, 0.25 - 0.05j])
+        assert found.shape_covariance[0] == pytest.approx(np.diag([2 * 0.01**2, 2 * 0.01**2]))
+    with pytest.raises(DataError, match="the same point twice"):
+        read_modes(csv(tmp_path, ROWS, header.replace("a1", "b3")), X, channels)
 
 
 BAD_CSV = {
