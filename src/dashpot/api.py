@@ -364,22 +364,34 @@ def start(
 
 
 def draw(
-    rig: Rig | Model, estimate: Estimate | None = None, *, mode: int | None = None, level: float = 0.95
+    rig: Rig | Model,
+    estimate: Estimate | MeasuredModes | None = None,
+    *,
+    mode: int | None = None,
+    level: float = 0.95,
 ) -> Drawing | ModeDrawing:
     """The rig as a schematic: a value that notebooks show and `save("rig.svg")` writes (.svg, .png or .pdf).
 
-    estimate  whose values and intervals at `level` stand beside the elements
-    mode      the number of a mode that is drawn in their place, 1 the slowest: of the estimate, or of the values and
-              guesses that the rig states
+    estimate  whose values and intervals at `level` stand beside the elements; or modes of a test, which are drawn
+    mode      the number of a mode that is drawn in their place, 1 the slowest: of the estimate or the test, or of the
+              values and guesses that the rig states
 
     Raises UsageError where the rig has too many bodies for a drawing, or no such mode, ModelError or DataError where
     the rig or its channels cannot be.
     """
     from dashpot.check.evidence import doubtful, undetermined
-    from dashpot.present.schematic.drawing import mode_drawing, numbered_mode, schematic
+    from dashpot.free.modes import MeasuredModes
+    from dashpot.present.schematic.drawing import (
+        measured_modes_drawing,
+        mode_drawing,
+        numbered_mode,
+        schematic,
+    )
 
     rig = rig.in_experiment() if isinstance(rig, Rig) else rig
     model, channels = _model(rig), _channels(rig)
+    if isinstance(estimate, MeasuredModes):
+        return measured_modes_drawing(model, channels, estimate, mode)
     if mode is not None:
         title, shape = numbered_mode(model, estimate, mode)
         return mode_drawing(model, shape, title)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -129,9 +130,7 @@ def test_steps_and_covariance_are_those_of_differences() -> None:
     )
 
 
-def test_identify_and_compare_read_them(tmp_path: Path) -> None:
-    rig = dashpot.parse_rig(
-        """
+TWO_MASSES = """
 coordinates = ["x1", "x2"]
 [inputs]
 f = { kind = "force", at = "x1" }
@@ -149,9 +148,12 @@ f = { of = "f" }
 a1 = { of = "x1", quantity = "acceleration", unit = "m/s²", noise = 0.01 }
 a2 = { of = "x2", quantity = "acceleration", unit = "m/s²", noise = 0.01 }
 """
-    )
-    truth = {"m2": 1.0, "k1": 8000.0, "k2": 3000.0, "c1": 8.0, "c2": 3.0}
-    dwells = rig.simulate(truth, np.arange(2, 20, 0.5), amplitudes={"f": 5.0}, seed=1)
+TRUTH = {"m2": 1.0, "k1": 8000.0, "k2": 3000.0, "c1": 8.0, "c2": 3.0}
+
+
+def test_identify_and_compare_read_them(tmp_path: Path) -> None:
+    rig = dashpot.parse_rig(TWO_MASSES)
+    dwells = rig.simulate(TRUTH, np.arange(2, 20, 0.5), amplitudes={"f": 5.0}, seed=1)
     found = dashpot.modes(dwells, rig=rig)
     assert found.points == ("x1", "x2")
     path = tmp_path / "modes.json"
@@ -165,10 +167,32 @@ a2 = { of = "x2", quantity = "acceleration", unit = "m/s²", noise = 0.01 }
     from_value = rig.identify(found.modal_data, judge=False)
     blind = dashpot.modes(dwells, "f", ["a1", "a2"])
     of_channels = rig.identify(blind.modal_data, judge=False)
-    for name, value in truth.items():
+    for name, value in TRUTH.items():
         for other in (from_value, of_channels):
             assert from_json[name].value == pytest.approx(other[name].value, abs=0.1 * from_json[name].sd)
         assert abs(from_json[name].value - value) < 5 * from_json[name].sd
+
+
+def body_moves(drawing: Any, body: str) -> float:
+    """px that a body is from its mean place in the first frame."""
+    at = [part.shapes[0].points[0][0] for f in drawing.frames for part in f if part.title == f"body {body}"]
+    return float(at[0] - np.mean(at))
+
+
+def test_shapes_are_drawn_on_a_rig_and_what_is_not_measured_rests() -> None:
+    rig = dashpot.parse_rig(TWO_MASSES)
+    dwells = rig.simulate(TRUTH, np.arange(2, 20, 0.5), amplitudes={"f": 5.0}, seed=1)
+    found = dashpot.modes(dwells, "f", ["a1", "a2"])
+    second = dashpot.draw(rig, found, mode=2)
+    ratio = (found.shapes[1, 0] / found.shapes[1, 1]).real
+    assert body_moves(second, "x1") / body_moves(second, "x2") == pytest.approx(ratio, rel=0.01)
+    both = dashpot.draw(rig, found)
+    assert both.height == pytest.approx(dashpot.draw(rig, found, mode=1).height + second.height)
+    alone = dashpot.draw(rig, dashpot.modes(dwells, "f", "a2"), mode=1)
+    assert body_moves(alone, "x1") == 0
+    assert body_moves(alone, "x2") == pytest.approx(18)
+    with pytest.raises(UsageError, match="no mode 3"):
+        dashpot.draw(rig, found, mode=3)
 
 
 def test_real_shapes_and_no_modes() -> None:

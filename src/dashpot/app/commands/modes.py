@@ -7,13 +7,14 @@ from typing import Annotated
 from dashpot.app import options as opt
 from dashpot.app.data_files import reading_of, require_each_once, tell_notes
 from dashpot.app.workers import progress
-from dashpot.errors import printable
+from dashpot.errors import UsageError, printable
+from dashpot.io.words import PICTURES
 
 
 @opt.dashpot_command(
     "dashpot modes run.csv --input f --output a1,a2 --figure modes.png",
     "dashpot modes release.csv --output x1,x2,x3",
-    "dashpot modes hit*.csv --rig rig.toml --band 5:80 --json modes.json",
+    "dashpot modes hit*.csv --rig rig.toml --band 5:80 --shapes modes.svg",
 )
 def command(
     data: Annotated[tuple[str, ...], opt.NEEDED_FILES, opt.DATA],
@@ -37,6 +38,11 @@ def command(
     figure: Annotated[
         str | None, opt.FIGURE, "Draw what was fitted, and the poles of growing order (stabilisation)."
     ],
+    shapes: Annotated[
+        str | None,
+        opt.Option("--shapes FILE.svg|png|pdf", opt.OutputFile(formats=PICTURES), opt.OUTPUT),
+        "Draw the shapes on the rig of --rig.  In SVG they move.",
+    ],
     quiet: opt.Quiet,
 ) -> None:
     """Natural frequencies, damping ratios and mode shapes from DATA, with standard deviations; no rig is needed.
@@ -44,17 +50,21 @@ def command(
     Records of any excitation, several at once; free decays, where no input is named; stepped sine, periodic tests,
     tables of amplitudes and of frequency responses.  How many modes there are, the evidence decides.
     """
-    from dashpot.api import modes
+    from dashpot.api import draw, modes
     from dashpot.data.readers.modes import write_mode_table
     from dashpot.io.json_document import to_json
     from dashpot.model.rigfile import read_rig
 
     require_each_once(data)
+    if shapes is not None and rig is None:
+        raise UsageError("shapes are drawn on a rig", "--shapes", "give its file with --rig")
     driven, shown = (None if text is None else opt.names(text) for text in (inputs, outputs))
     with progress(reading_of(data), quiet):
         read = None if rig is None else read_rig(rig)
         found = modes(data, driven, shown, rig=read, band=band, frequency_hz=frequency, most=most, real=real)
     tell_notes(found.notes, quiet)
+    if shapes is not None and read is not None:
+        draw(read, found).save(shapes)
     if out is not None:
         write_mode_table(found.modal_data, out)
     if figure is not None:

@@ -6,13 +6,17 @@ import math
 import os
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
+
+import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel
 from dashpot.check.evidence import doubtful as doubtful_of
+from dashpot.data.modal_data import at_coordinates
 from dashpot.errors import UsageError
 from dashpot.estimate.result import Estimate
+from dashpot.free.modes import MeasuredModes
 from dashpot.model.modes import modes
 from dashpot.model.network import Model
 from dashpot.present.document import Picture
@@ -34,7 +38,7 @@ from dashpot.present.schematic.symbols import (
     block_width,
     stroke,
 )
-from dashpot.present.words import sentence, short
+from dashpot.present.words import sentence, short, value_and_sd
 
 MOST_ELEMENTS, MOST_BODIES = 60, 40
 
@@ -197,6 +201,37 @@ def numbered_mode(model: Model, estimate: Estimate | None, number: int) -> tuple
         return f"Mode {number}: {aperiodic_in_words(float(eigenvalues[k].real))}", shapes[k]
     title = f"Mode {number}: {short(float(frequencies[k]), 4)} Hz, damping ratio {short(float(ratios[k]), 3)}"
     return title, shapes[k]
+
+
+def measured_modes_drawing(
+    model: Model, channels: Sequence[Channel], found: MeasuredModes, number: int | None = None
+) -> ModeDrawing:
+    """Measured shapes on the drawing of a rig: mode `number`, or all below each other.  What was not measured rests.
+
+    Raises UsageError where there is no such mode or there are too many bodies, DataError for points that the rig has
+    not.
+    """
+    data = at_coordinates(found.modal_data, model.coordinates, channels)
+    if number is not None and number > data.modes:
+        raise UsageError(f"there is no mode {number}", cure=f"modes are numbered from 1 to {data.modes}")
+    at = [model.coordinates.index(point) for point in data.points]
+    drawings = []
+    for k in range(data.modes) if number is None else (number - 1,):
+        shape = np.zeros(model.n, dtype=np.complex128)
+        shape[at] = data.shapes[k]
+        hz, sd = value_and_sd(float(data.frequency_hz[k]), float(found.frequency_sd[k]))
+        ratio, ratio_sd = value_and_sd(float(data.damping_ratio[k]), float(found.damping_sd[k]))
+        title = f"Mode {k + 1}: {hz} ± {sd} Hz, damping ratio {ratio} ± {ratio_sd}"
+        drawings.append(mode_drawing(model, shape, title))
+    tops = [0.0, *accumulate(each.height for each in drawings)]
+    frames = (
+        tuple(
+            part.shifted(0, top) for each, top in zip(drawings, tops, strict=False) for part in each.frames[i]
+        )
+        for i in range(FRAMES)
+    )
+    title = drawings[0].title if len(drawings) == 1 else f"{len(drawings)} measured modes"
+    return ModeDrawing(title, tuple(frames), max(each.width for each in drawings), tops[-1])
 
 
 def mode_drawing(model: Model, shape: Complex, title: str) -> ModeDrawing:

@@ -45,10 +45,22 @@ def test_responses_keep_to_the_contract(dashpot: Command, table: Path) -> None:
 
 def test_modes_become_data(dashpot: Command, table: Path) -> None:
     done = dashpot(
-        "modes", "t.csv", "--rig", "two.toml", "--json", "m.json", "-o", "m.csv", "--figure", "m.svg"
+        "modes",
+        "t.csv",
+        "--rig",
+        "two.toml",
+        "--json",
+        "m.json",
+        "-o",
+        "m.csv",
+        "--figure",
+        "m.svg",
+        "--shapes",
+        "shapes.svg",
     )
     assert done.code == 0, done.err
     assert done.out.startswith("2 modes from 2.00 to 20.0 Hz")
+    assert Path("shapes.svg").read_text(encoding="utf-8").count("Mode 2: ") >= 1
     content = json.loads(Path("m.json").read_text(encoding="utf-8"))
     assert [set(mode["shape"]) for mode in content["modes"]] == [{"x1", "x2"}] * 2
     assert content["modes"][0]["frequency_hz"]["value"] == pytest.approx(6.7294, abs=1e-3)
@@ -68,6 +80,7 @@ def test_modes_become_data(dashpot: Command, table: Path) -> None:
         (["frf", "t.csv", "--input", "q"], "no channel q"),
         (["frf", "t.csv", "--input", "f", "--band", "30:40"], "lies in the band"),
         (["modes", "t.csv", "--input", "f", "--output", "f"], "input and output"),
+        (["modes", "t.csv", "--input", "f", "--shapes", "s.svg"], "give its file with --rig"),
     ],
 )
 def test_bad_input_is_one_line(dashpot: Command, table: Path, words: list[str], line: str) -> None:
