@@ -9,7 +9,6 @@ import numpy as np
 from scipy import fft
 from scipy.special import chdtrc
 
-from dashpot.arrays import Real
 from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL
 from dashpot.data.conditioning.regression import Terms, check_length, duration, window
 from dashpot.data.conditioning.settings import USUAL_DRIFT, Conditioning, Drift
@@ -257,7 +256,15 @@ def drive_frequencies(records: Sequence[Record]) -> DriveFrequencies:
     tested = int(np.sum([step is not None for step in steps]))
     if not tested or float(chdtrc(tested, float(z @ z))) > SIGNIFICANT:
         return DriveFrequencies(tuple(stated.tolist()))
-    frequency, sd = _refined(records, stated)
+    frequency, sd = stated.copy(), np.full(len(stated), np.inf)
+    for k, record in enumerate(records):
+        try:
+            refined = None if steps[k] is None else refine_frequency(record, within=WITHIN)
+        except DataError:
+            continue
+        near = max(WITHIN * stated[k], 0.25 / duration(record.time))
+        if refined is not None and abs(refined.frequency_hz - stated[k]) <= near:
+            frequency[k], sd[k] = refined.frequency_hz, refined.sd
     off = frequency / stated - 1
     weight = (stated / sd) ** 2
     ratio = 1 + float(weight @ off) / float(np.sum(weight)) if np.sum(weight) > 0 else 1.0
@@ -284,22 +291,6 @@ def _evidence(record: Record) -> tuple[float, float] | None:
         # The step is off by a tenth of its deviation, with the square of the noise: repeats do not average that out.
         sd *= max(1.0, float(np.sqrt(np.prod(record.values.shape[:-2]) / REPEATS_OF_SHORT)))
     return (step, sd) if np.isfinite(sd) and sd > 0 else None
-
-
-def _refined(records: Sequence[Record], stated: Real) -> tuple[Real, Real]:
-    """Refined frequencies and their sd; as stated with an infinite sd where there is none near."""
-    frequency, sd = stated.copy(), np.full(len(stated), np.inf)
-    for k, record in enumerate(records):
-        if _evidence(record) is None:
-            continue
-        try:
-            refined = refine_frequency(record, within=WITHIN)
-        except DataError:
-            continue
-        near = max(WITHIN * stated[k], 0.25 / duration(record.time))
-        if abs(refined.frequency_hz - stated[k]) <= near:
-            frequency[k], sd[k] = refined.frequency_hz, refined.sd
-    return frequency, sd
 
 
 def at_frequencies(records: Sequence[Record], drive: DriveFrequencies) -> list[Record]:

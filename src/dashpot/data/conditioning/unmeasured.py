@@ -20,6 +20,7 @@ from dashpot.channel import Quantity
 from dashpot.data.conditioning.drive_frequency import at_frequencies, drive_frequencies
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
 from dashpot.data.conditioning.regression import Terms, in_between, solve_harmonics, window
+from dashpot.data.conditioning.steadiness import periods_of
 from dashpot.data.noise import HALF_WINDOW, smoothed
 from dashpot.data.record import ABOVE, BELOW, MISSING, Record, limits, runs_of_one_value
 from dashpot.errors import DataError
@@ -75,7 +76,7 @@ def _with_missing(record: Record, notices: list[Notice]) -> Record:
     still = record.values[1:] == record.values[:-1]
     # Two equal neighbours in a row anywhere: nearly no record has any, which spares it the rest.
     held = np.any(still[1:] & still[:-1], axis=0)
-    most = max(1.0, PER_PERIOD * _periods(record))
+    most = max(1.0, PER_PERIOD * periods_of(record))
     status = np.zeros(record.values.shape, dtype=np.int64)
     for c, column in enumerate(record.values.T):
         runs = list(runs_of_one_value(column, 3)) if held[c] else []
@@ -127,11 +128,6 @@ def _spikes(column: Real) -> list[int]:
     return spikes
 
 
-def _periods(record: Record) -> float:
-    step = (record.time[-1] - record.time[0]) / (len(record.time) - 1)
-    return float(len(record.time) * step * (record.frequency_hz or 0.0))
-
-
 def _perhaps_clipped(record: Record) -> Record:
     """The dwell with all samples marked that stand at what may be limits."""
     if record.values.ndim != 2 or record.frequency_hz is None:
@@ -167,7 +163,7 @@ def _surroundings(record: Record, c: int, status: Ints) -> Iterator[tuple[slice,
     samples are measured.
     """
     assert record.frequency_hz is not None
-    period = max(round(len(status) / _periods(record)), 1)
+    period = max(round(len(status) / periods_of(record)), 1)
     edges = np.linspace(0, len(status), max(len(status) // (3 * period), 1) + 1).round().astype(int).tolist()
     for begin, end in pairwise(edges):
         around = slice(max(begin - period, 0), min(end + period, len(status)))
@@ -250,7 +246,7 @@ def notices_of_doubt(dwells: Sequence[Record]) -> list[Notice]:
     brief = {
         record.channels[c].name: None
         for record in dwells
-        if record.status is not None and _periods(record) < FEW
+        if record.status is not None and periods_of(record) < FEW
         for c in np.flatnonzero(np.any(np.abs(record.status) == 1, axis=0))
     }
     return [

@@ -51,7 +51,7 @@ POLYNOMIAL = 4  # columns 1, jω, (jω)², … of each output channel: the fourt
 AT_REST = "rest"  # kind of noise: as a record with nothing driven shows it
 FLOOR = "floor"  # kind of noise: white, as the top of the spectrum shows it, until residuals show more
 LOWEST = 10  # line up to which a linear drift is felt
-MANY = 200  # lines from which on a column for it costs nothing to speak of
+MANY = 200  # lines from which on a column for it costs nothing to speak of: few cannot spare one
 HIGHEST_LINES = 0.96  # of half the sampling rate: a recorder's filter leaves nothing above
 FOLDED = 0.01  # of a channel's largest lines: what moves there that is said
 MANY_LINES = 300_000  # from which on a narrower band is worth stating
@@ -188,7 +188,7 @@ def whole_record(
                 samples,
                 loads,
                 polynomial,
-                ramp and _drift_shows(first, lines),
+                ramp and first <= LOWEST and lines >= MANY,
                 unmeasured=_unmeasured(record, known, remaining, last),
             ),
         ),
@@ -384,11 +384,6 @@ def _aligned(record: Record, step: float) -> tuple[Record, tuple[Channel, ...]]:
     return replace(
         record, time=record.time[:count], values=shifted(record.values), sd=sd, status=status
     ), remaining
-
-
-def _drift_shows(first: int, lines: int) -> bool:
-    """Whether a linear drift is to be reckoned with: it is in the lowest lines, and few lines cannot spare one."""
-    return first <= LOWEST and lines >= MANY
 
 
 def _require_motion(record: Record) -> None:

@@ -73,7 +73,13 @@ class InputNoise:
         lines (lines,): of the records whose noise is to be found; V (1, lines, channels, channels) as they show it.
         """
         variance = np.diagonal(V[0, lines], axis1=-2, axis2=-1).real * spectrum.samples[lines, None]
-        least, most = np.min(variance, axis=0), most_noise(spectrum, lines)
+        least, most = np.min(variance, axis=0), np.full(len(spectrum.channels), np.inf)
+        for number in spectrum.records:  # the quietest lines show what white noise can be at most
+            its = np.flatnonzero((spectrum.stretch == number) & lines)
+            if len(its):
+                power = np.nan_to_num(np.abs(spectrum.amplitudes[0, its])) ** 2
+                around = smoothed(power.astype(np.complex128), HALF_WINDOW).real
+                most = np.minimum(most, ROOM * np.min(around, axis=0) * spectrum.samples[its[0]])
         sought = view.inputs_alone & (most > ROOM**2 * least)
         return InputNoise(sought, least, least, most)
 
@@ -86,13 +92,26 @@ class InputNoise:
         residual: Complex,
         G: Complex,
     ) -> InputNoise:
-        """After another fit.  What a next step does not bear out is given up for good."""
-        ends = self.least, self.most
-        shown = input_noise(view, spectrum, lines, data, residual, G, self.level, ends)
-        level = np.where(self.sought, shown, self.least)
-        return replace(
-            self, sought=self.sought & ((self.level <= self.least) | (level > self.least)), level=level
-        )
+        """After another fit, by a step of Fisher's scoring.  What a next step does not bear out is given up for good.
+
+        lines (lines,): of the records whose noise is to be found; residual (lines, channels); G (lines, channels,
+        inputs) calibrated.
+        """
+        score, scale = _slopes(view, data, residual, G)
+        each = (lines / spectrum.samples)[:, None]
+        information = np.sum((each * scale) ** 2, axis=0)
+        usable = self.sought & view.is_direct & (information > 0)
+        information = np.where(usable, information, 1.0)
+        # The few lines that tell are those at resonances, from which the fit has its unknowns and boundary loads too.
+        telling = information / np.maximum(np.max((each * scale) ** 2, axis=0), 1e-300)
+        fitted = len(view.names) + 2 * view.model.n * len(spectrum.records)
+        begun = self.level > self.least
+        left = np.where(begun, np.maximum(1 - fitted / (2 * telling), 0.5), 1.0)
+        step = np.sum(each * (score / left - scale), axis=0) / information
+        level = np.clip(self.level + step, self.least, self.most)
+        more = np.where(begun, STAYS, SHOWS) / np.sqrt(information)
+        level = np.where(usable & (level > self.least + more), level, self.least)
+        return replace(self, sought=self.sought & (~begun | (level > self.least)), level=level)
 
     def moves(self, view: ObservationModel, spectrum: Spectrum, G: Complex) -> Real:
         """Mean power that such errors put into all channels where they count as the inputs, (lines, channels)."""
@@ -156,39 +175,6 @@ def without_moved(power: Real, moved: Real, smooth: Callable[[Real], Real]) -> R
     return alone
 
 
-def input_noise(
-    view: ObservationModel,
-    spectrum: Spectrum,
-    sought: Bools,
-    data: Measured,
-    residual: Complex,
-    G: Complex,
-    before: Real,
-    ends: tuple[Real, Real],
-) -> Real:
-    """Variance times samples of channels that measure inputs alone, (channels,): the next after `before`.
-
-    The least where no more is shown.
-
-    sought (lines,): of the records whose noise is to be found; residual (lines, channels); G (lines, channels, inputs)
-    calibrated; ends: the least and most that it can be, (channels,) each.
-    """
-    score, scale = _slopes(view, data, residual, G)
-    each = (sought / spectrum.samples)[:, None]
-    information = np.sum((each * scale) ** 2, axis=0)
-    usable = view.inputs_alone & view.is_direct & (information > 0)
-    information = np.where(usable, information, 1.0)
-    # The few lines that tell are those at resonances, from which the fit has its unknowns and boundary loads as well.
-    telling = information / np.maximum(np.max((each * scale) ** 2, axis=0), 1e-300)
-    fitted = len(view.names) + 2 * view.model.n * len(spectrum.records)
-    least, most = ends
-    left = np.where(before > least, np.maximum(1 - fitted / (2 * telling), 0.5), 1.0)
-    step = np.sum(each * (score / left - scale), axis=0) / information
-    level = np.clip(before + step, least, most)
-    more = np.where(before > least, STAYS, SHOWS) / np.sqrt(information)
-    return np.where(usable & (level > least + more), level, least)
-
-
 def _slopes(view: ObservationModel, data: Measured, residual: Complex, G: Complex) -> tuple[Real, Real]:
     """|tᴴ Σ⁻¹ e|² and tᴴ Σ⁻¹ t of an error in each channel, both (lines, channels); some lines at a time."""
     score, scale = np.zeros(residual.shape), np.zeros(residual.shape)
@@ -209,18 +195,6 @@ def _slopes(view: ObservationModel, data: Measured, residual: Complex, G: Comple
             score[some, alone] = np.abs((hermitian(t) @ weighted[..., None])[..., 0]) ** 2
             scale[some, alone] = np.sum(np.conj(t) * (W @ t), axis=-2).real
     return score, scale
-
-
-def most_noise(spectrum: Spectrum, sought: Bools) -> Real:
-    """The variance times samples that white noise of a channel can have, (channels,): the quietest lines show it."""
-    least = np.full(len(spectrum.channels), np.inf)
-    for number in spectrum.records:
-        lines = np.flatnonzero((spectrum.stretch == number) & sought)
-        if len(lines):
-            power = np.nan_to_num(np.abs(spectrum.amplitudes[0, lines])) ** 2
-            around = smoothed(power.astype(np.complex128), HALF_WINDOW).real
-            least = np.minimum(least, np.min(around, axis=0) * spectrum.samples[lines[0]])
-    return ROOM * least
 
 
 RESIDUAL = "residual"
