@@ -23,7 +23,7 @@ from dashpot.check.residuals import (
 )
 from dashpot.check.sensitivity import KnownErrors, known_errors
 from dashpot.check.validation import RecordPrediction, validate
-from dashpot.data.conditioning.used_dwells import UsedDwell
+from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, DataError, IdentifiabilityError

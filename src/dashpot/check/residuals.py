@@ -14,7 +14,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze, hermitian
 from dashpot.channel import Channel, Quantity
-from dashpot.data.conditioning.used_dwells import UsedDwell
+from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.record import calibration, real_factor
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.likelihood.objective import FLOOR, measured, predict

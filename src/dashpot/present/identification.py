@@ -11,7 +11,7 @@ from dashpot.channel import Channel
 from dashpot.check.evidence import Collinearity, Evidence, doubtful, evidence_of, residuals_of, undetermined
 from dashpot.check.residuals import DwellHistory, Residuals, correlation, responses_of_channels
 from dashpot.check.validation import RecordPrediction
-from dashpot.data.conditioning.used_dwells import UsedDwell
+from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.result import Estimate

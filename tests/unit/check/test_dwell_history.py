@@ -6,9 +6,8 @@ import numpy as np
 
 from dashpot import Record, dwells, simulate_spectrum
 from dashpot.check.residuals import dwell_histories, residuals
-from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.conditioning.lines import spectrum, used_dwells
 from dashpot.data.conditioning.settings import Conditioning
-from dashpot.data.conditioning.used_dwells import used_dwells
 from tests.unit.present.conftest import RIG, VALUES
 
 SETTINGS = Conditioning(refine="none", transients="none", drift=0, noise="white", settle=0.5)

@@ -18,7 +18,7 @@ from dashpot.errors import DashpotError, DataError, Problem, UsageError
 
 if TYPE_CHECKING:
     from dashpot.check.validation import RecordPrediction
-    from dashpot.data.conditioning.used_dwells import UsedDwell
+    from dashpot.data.conditioning.lines import UsedDwell
     from dashpot.data.spectrum import Spectrum
     from dashpot.estimate.assessment import Finding
     from dashpot.estimate.result import Estimate
@@ -171,7 +171,7 @@ def _identified(
     """From all files together, but for the share `hold_out` at the end of every record, which is predicted."""
     from dashpot.api import identify
     from dashpot.app.data_files import traits_of
-    from dashpot.data.conditioning.used_dwells import used_dwells
+    from dashpot.data.conditioning.lines import used_dwells
     from dashpot.estimate.identify import conditioning_for
 
     everything = options.reading(rig, data)

@@ -6,9 +6,8 @@ import numpy as np
 
 from dashpot import Record, concatenate
 from dashpot.channel import Channel
-from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.conditioning.lines import spectrum, used_dwells
 from dashpot.data.conditioning.settings import Conditioning
-from dashpot.data.conditioning.used_dwells import used_dwells
 
 AS_TOLD = Conditioning(refine="none", transients="none", drift=0, noise="white", settle=1.0)
 
