@@ -33,7 +33,7 @@ import faults
 import journeys
 
 SOURCE = listed.ROOT / "src" / "dashpot"
-PACKAGES = ("check", "data/conditioning", "data/local_noise.py", "data/periods.py", "estimate")
+PACKAGES = ("check", "data/conditioning", "data/noise.py", "data/periods.py", "estimate")
 SLOWEST = 1.5  # s of a journey of the set
 EACH = 10  # decisions on which a constant is tried, at most,
 SECONDS = 5.0  # and how long they may take together

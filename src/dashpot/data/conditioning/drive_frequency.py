@@ -12,12 +12,10 @@ from scipy.special import chdtrc
 from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL
 from dashpot.data.conditioning.regression import Terms, check_length, duration, window
 from dashpot.data.conditioning.settings import USUAL_DRIFT, Conditioning, Drift
-from dashpot.data.conditioning.steadiness import common_ramp, periods_of, wholly_measured
+from dashpot.data.conditioning.steadiness import FEW_PERIODS, LEVEL, common_ramp, periods_of, wholly_measured
 from dashpot.data.record import Record
 from dashpot.errors import DataError, Problem
 from dashpot.notices import Notice
-
-FEW_PERIODS = 2.0  # below which the peak of a periodogram is as wide as the frequency is high
 
 
 @dataclass(frozen=True)
@@ -122,18 +120,11 @@ def frequency_step(record: Record, f: float, degree: int) -> tuple[float, float]
 DOMINANT = 0.5  # part of a channel's power that one sine explains: that is what it moves at
 ABSENT = 0.05  # part of a channel's power below which nothing is seen at the stated frequency
 WITHIN = 0.025  # relative error of a stated frequency that is corrected, not refused
-PADDED = 4  # points a line
-MOST_SAMPLES = 1 << 18  # of a record that are looked at, and repeats
-MOST_REPEATS = 4
-SIGNIFICANT = 1e-3
 OWN = 3.3  # standard deviations by which a dwell must differ from the common ratio to have a frequency of its own
-LEAST_PERIODS = 0.98  # of a dwell that has a say
-REPEATS_OF_SHORT = 4.0  # of a dwell of less than two periods that have one
 LABEL = 5e-6  # relative: as labels of six digits are rounded
 EVEN = 1e-7  # relative: what is nearer is the same frequency, however small the noise
 USUAL = ((2 * np.pi, "rad/s"), (1 / (2 * np.pi), "Hz in the place of rad/s"), (60.0, "rpm"))
 ALIKE = 0.05  # relative
-MANY = 3  # dwells that are wrong alike, of which the first is told
 
 
 @dataclass(frozen=True)
@@ -181,7 +172,7 @@ def require_stated(records: Sequence[Record], orders: Sequence[int]) -> None:
     guess = next((f": {name}?" for ratio, name in USUAL if abs(middle / ratio - 1) < ALIKE), "")
     if len(problems) > 1 and not guess and np.ptp(ratios) < ALIKE * middle:
         guess = f": a time base or frequencies that are wrong by the factor {middle:.3g}?"
-    shown = problems[:1] if guess and len(problems) > MANY else problems
+    shown = problems[:1] if guess and len(problems) > 3 else problems
     alike = f" ({len(problems)} of {len(records)} dwells alike)" if len(shown) < len(problems) else ""
     raise DataError(
         [
@@ -207,14 +198,14 @@ def moves_elsewhere(record: Record, orders: Sequence[int] = (1,)) -> float | Non
     `orders`) where it explains less than a twentieth in every channel.
     """
     f = record.frequency_hz
-    count = min(len(record.time), MOST_SAMPLES)
+    count = min(len(record.time), 1 << 18)  # samples that are looked at, of four repeats
     if f is None or count < 8:
         return None
     time = record.time[:count]
     step = float(time[-1] - time[0]) / (count - 1)
     if abs(f * step - 0.5) < 0.05:
         return None  # too near to half the sampling rate to tell
-    values = record.values.reshape(-1, *record.values.shape[-2:])[:MOST_REPEATS, :count]
+    values = record.values.reshape(-1, *record.values.shape[-2:])[:4, :count]
     Y = np.moveaxis(values, 1, 0).reshape(count, -1)
     line = np.arange(count) - (count - 1) / 2
     Y = Y - Y.mean(axis=0)
@@ -223,7 +214,7 @@ def moves_elsewhere(record: Record, orders: Sequence[int] = (1,)) -> float | Non
     Y = Y[:, power > 1e-20 * count * np.max(np.abs(values), initial=0.0) ** 2]
     if not Y.shape[1]:
         return None
-    size = int(fft.next_fast_len(PADDED * count))
+    size = int(fft.next_fast_len(4 * count))
     share = np.minimum(2 * np.abs(fft.rfft(Y, size, axis=0)) ** 2 / (count * np.sum(Y**2, axis=0)), 1.0)
     frequency = np.arange(len(share)) / (size * step)
     resolution = 1 / (count * step)
@@ -254,7 +245,7 @@ def drive_frequencies(records: Sequence[Record]) -> DriveFrequencies:
     steps = [_evidence(record) for record in records]
     z = np.array([0.0 if step is None else step[0] / step[1] for step in steps])
     tested = int(np.sum([step is not None for step in steps]))
-    if not tested or float(chdtrc(tested, float(z @ z))) > SIGNIFICANT:
+    if not tested or float(chdtrc(tested, float(z @ z))) > LEVEL:
         return DriveFrequencies(tuple(stated.tolist()))
     frequency, sd = stated.copy(), np.full(len(stated), np.inf)
     for k, record in enumerate(records):
@@ -281,15 +272,16 @@ def drive_frequencies(records: Sequence[Record]) -> DriveFrequencies:
 def _evidence(record: Record) -> tuple[float, float] | None:
     """(step of the frequency that the samples ask for, its sd), Hz; None where a dwell says nothing of it."""
     f = record.frequency_hz
-    if f is None or periods_of(record) < LEAST_PERIODS or len(record.time) < FEWEST_OF_A_DWELL:
+    if f is None or periods_of(record) < 0.98 or len(record.time) < FEWEST_OF_A_DWELL:
         return None
     try:
         step, sd = frequency_step(record, f, 1)
     except DataError:
         return None
     if periods_of(record) < FEW_PERIODS:
-        # The step is off by a tenth of its deviation, with the square of the noise: repeats do not average that out.
-        sd *= max(1.0, float(np.sqrt(np.prod(record.values.shape[:-2]) / REPEATS_OF_SHORT)))
+        # The step is off by a tenth of its deviation, with the square of the noise: more repeats than four do not
+        # average that out.
+        sd *= max(1.0, float(np.sqrt(np.prod(record.values.shape[:-2]) / 4)))
     return (step, sd) if np.isfinite(sd) and sd > 0 else None
 
 

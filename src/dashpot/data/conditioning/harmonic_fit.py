@@ -268,7 +268,6 @@ def second_moments(record: Record, drift: Drift = USUAL_DRIFT) -> Moments:
 
 
 FINEST = 1e-7  # of the largest value: finer steps are digits of a text, not of a converter
-LOOKED_AT = 4096  # samples of each record
 
 
 def rounding_steps(records: Sequence[Record]) -> Real:
@@ -281,7 +280,7 @@ def rounding_steps(records: Sequence[Record]) -> Real:
     channels = records[0].values.shape[-1]
     steps = np.zeros(channels)
     for c in range(channels):
-        values = np.concatenate([r.values.reshape(-1, channels)[:LOOKED_AT, c] for r in records])
+        values = np.concatenate([r.values.reshape(-1, channels)[:4096, c] for r in records])
         steps[c] = _common_step(np.unique(values), float(np.max(np.abs(values), initial=0.0)))
     return steps
 

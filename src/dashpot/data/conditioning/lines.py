@@ -25,11 +25,13 @@ from dashpot.data.conditioning.harmonic_fit import (
     rounding_variance,
     second_moments,
 )
-from dashpot.data.conditioning.regression import duration, holds_a_period
+from dashpot.data.conditioning.regression import BELOW_HALF_RATE, duration, holds_a_period
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
 from dashpot.data.conditioning.steadiness import (
     CHEAP,
     FADES,
+    LEVEL,
+    MANY_PERIODS,
     SLOPE_LEVEL,
     UNSETTLED,
     UNSTEADY,
@@ -61,7 +63,6 @@ from dashpot.notices import Notice
 
 SETTLED = "settled_dwells"
 OTHER_MOTION = "other_motion"
-COLOURED = 1e-3  # p-value of a white residual
 LITTLE = 0.3  # part of a channel's power that the multiples of the drive explain
 DRIFTS = {-1: "nothing", 0: "an offset", 1: "offset and slope"}
 
@@ -92,7 +93,7 @@ def other_motion(record: Record, fit: HarmonicFit, wanted: Sequence[int]) -> lis
     wanted: which of the fit's orders are used.  An earthquake given as a dwell does; so does one of hum or drift alone.
     """
     p = fit.whiteness[np.isfinite(fit.whiteness)]
-    if fit.noise == "white" and np.min(p, initial=1.0) > COLOURED:
+    if fit.noise == "white" and np.min(p, initial=1.0) > LEVEL:
         return []
     power = np.abs(fit.amplitudes) ** 2 / 2
     driven, of_all = np.sum(power[..., wanted, :], axis=-2), np.sum(power, axis=-2)
@@ -159,9 +160,6 @@ def _too_brief(record: Record) -> str:
 
 SIGNIFICANT = 0.01  # over all channels and multiples of a dwell together
 STRONG = 0.01  # of the fundamental, in the channel that shows a multiple most
-LONG = 8.0  # periods from which on the noise beside each multiple is seen
-HIGHEST = 0.95  # of half the sampling rate
-MOST = 100  # multiples
 
 
 def driven_orders(records: Sequence[Record], conditioning: Conditioning) -> list[tuple[int, ...]]:
@@ -170,7 +168,7 @@ def driven_orders(records: Sequence[Record], conditioning: Conditioning) -> list
     A multiple counts where each channel's F test rejects noise at 1 % over all, and where it has a hundredth of some
     channel's fundamental.  Short dwells and repeats have their fundamental alone.
     """
-    able = [record.values.ndim == 2 and periods_of(record) >= LONG for record in records]
+    able = [record.values.ndim == 2 and periods_of(record) >= MANY_PERIODS for record in records]
     driven = [
         _orders_of(record, conditioning) if long else (1,) for record, long in zip(records, able, strict=True)
     ]
@@ -195,7 +193,9 @@ def _orders_of(record: Record, conditioning: Conditioning) -> tuple[int, ...]:
         if np.sum(_driven(fit_harmonics(record, None, fundamental))) < 2:
             return (1,)
         rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
-        most = min(MOST, int(HIGHEST * rate / 2 / (record.frequency_hz or rate)), (len(record.time) - 4) // 6)
+        most = min(
+            100, int(BELOW_HALF_RATE * rate / 2 / (record.frequency_hz or rate)), (len(record.time) - 4) // 6
+        )
         every = fit_harmonics(record, None, fundamental.changed(orders=range(1, most + 1), harmonics="none"))
     except DataError:
         return (1,)  # the samples do not tell so many apart
@@ -212,9 +212,6 @@ def _driven(fit: HarmonicFit) -> Bools:
     p = fdtrc(2, fit.dof[:, None], F)
     strong = np.any(size >= STRONG * size[0], axis=-1)
     return strong & np.all(p < SIGNIFICANT / size.size, axis=-1)
-
-
-LONG_ENOUGH = 8  # periods that must be left of a dwell that rests for a part
 
 
 def spectrum(
@@ -338,7 +335,7 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
             kept.append(record)
             continue
         part = settled(record)
-        enough = settings.settle == "auto" or periods_of(part.record) >= LONG_ENOUGH
+        enough = settings.settle == "auto" or periods_of(part.record) >= MANY_PERIODS
         kept.append(part.record if enough else record)
         notes += [part.note] if enough and part.note is not None else []
     return kept, settings, notes

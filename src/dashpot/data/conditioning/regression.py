@@ -27,7 +27,6 @@ LITTLE = 1e-6  # rms of a column that is nothing
 ALIKE = 1e-7  # least eigenvalue of the correlations of columns that the samples tell apart
 HIGHEST_HARMONIC = 10  # that is looked for where nobody asks for more
 BELOW_HALF_RATE = 0.95  # of half the sampling rate, up to which harmonics are told from others
-HIGHEST_DEGREE = 3  # of the polynomials that short dwells may be bent by
 
 
 def holds_a_period(time: Real, f: float) -> bool:
@@ -286,7 +285,7 @@ def _factored(record: Record) -> tuple[Terms, Real, Real]:
         return Terms(-1, ()), np.zeros((0, 0)), largest
     rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
     highest = max(1, min(HIGHEST_HARMONIC, int(BELOW_HALF_RATE * rate / 2 / f)))
-    every = Terms(HIGHEST_DEGREE, tuple(range(1, highest + 1)), 1)
+    every = Terms(3, tuple(range(1, highest + 1)), 1)
     both = (np.concatenate([A, record.values[rows]], axis=1) for rows, A in columns_of(record, f, every))
     return every, triangle(both), largest
 

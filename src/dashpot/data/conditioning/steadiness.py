@@ -16,9 +16,21 @@ from numpy.polynomial.legendre import legvander
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
-from dashpot.data.conditioning.regression import CHUNK, Terms, duration, solve_harmonics, window
+from dashpot.data.conditioning.regression import (
+    BELOW_HALF_RATE,
+    CHUNK,
+    Terms,
+    duration,
+    solve_harmonics,
+    window,
+)
 from dashpot.data.record import Record, kept
 from dashpot.errors import DataError
+
+# In fewer a transient, drift of a sensor, another frequency and a sine that grows look alike
+FEW_PERIODS = 2.0
+MANY_PERIODS = 8  # from which on noise is seen beside a sine and from period to period
+LEVEL = 1e-3  # of tests whether dwells are what they are taken for
 
 
 def periods_of(record: Record) -> float:
@@ -37,9 +49,7 @@ def together(tails: Iterable[Real | float | None]) -> float:
 
 
 EXACT = 1e-9  # of a channel's size: what scatters less is rounding
-BESIDE, MANY_SAMPLES = (1, 2, 3), 24  # multiples solved for beside the fundamental, from so many samples on
-USABLE = 0.45  # of the sampling rate, up to which they are
-CONTRADICTED = 1e-3  # level of the test whether the channels agree
+BESIDE = (1, 2, 3)  # multiples solved for beside the fundamental, from 24 samples on
 SLIGHT_DRIFT = 5e-4  # of an amplitude: a drift by less spoils no more than gains are known to
 
 
@@ -64,7 +74,7 @@ class Nested:
         if f is None:
             return None
         rate = (samples - 1) / float(record.time[-1] - record.time[0])
-        if terms.orders == BESIDE and (samples < MANY_SAMPLES or BESIDE[-1] * f >= USABLE * rate):
+        if terms.orders == BESIDE and (samples < 24 or BESIDE[-1] * f >= BELOW_HALF_RATE * rate / 2):
             terms = replace(terms, orders=(1,))
         try:
             if self.common is not None:
@@ -137,7 +147,7 @@ def common_ramp(record: Record, f: float, terms: Terms, of: Literal["phase", "am
 
 def _contradiction(apart: float, others: int) -> float:
     """χ² over its degrees of freedom where that is significant, else 1."""
-    contradicted = others > 0 and float(chdtrc(others, apart)) < CONTRADICTED
+    contradicted = others > 0 and float(chdtrc(others, apart)) < LEVEL
     return apart / others if contradicted else 1.0
 
 
@@ -145,7 +155,6 @@ def _contradiction(apart: float, others: int) -> float:
 
 
 MOST = 32  # blocks, of more periods each where there are many
-FEWEST = 8
 SAMPLES = 8  # that a block has on average, at least
 
 
@@ -220,7 +229,7 @@ def _edges(time: Real, f: float) -> tuple[Ints, Ints] | None:
     periods = int(f * duration(time) + 1e-6)
     each = max(1, periods // MOST, int(np.ceil(SAMPLES * periods / len(time))))
     blocks = periods // each
-    if blocks < FEWEST:
+    if blocks < MANY_PERIODS:
         return None
     step = (time[-1] - time[0]) / (len(time) - 1)
     starts = np.searchsorted(time, time[-1] + step - (each / f) * np.arange(blocks, 0, -1) - step / 4)
@@ -293,15 +302,13 @@ def _about_a_line(x: Real) -> float:
 
 
 AMPLITUDE = Nested(Terms(1, BESIDE, 1), common="amplitude")  # in few periods
-FEWEST_PERIODS = 2.0  # below which drift of a sensor and a growing sine look alike
 BENT_AMPLITUDE = 2  # degree of the polynomial that the amplitude of many periods may follow
-START = 8  # th part of a dwell in which transients decay
 
 
 def _fading(record: Record) -> float | None:
     """p-value of one dwell having one amplitude; None where it has too few periods, or repeats."""
     record = wholly_measured(record)
-    if record.values.ndim != 2 or periods_of(record) < FEWEST_PERIODS or not record.channels:
+    if record.values.ndim != 2 or periods_of(record) < FEW_PERIODS or not record.channels:
         return None
     blocks = period_blocks(record)
     return cast("float | None", AMPLITUDE.tails(record)) if blocks is None else _of_blocks(blocks)
@@ -310,9 +317,9 @@ def _fading(record: Record) -> float | None:
 def _of_blocks(blocks: Blocks) -> float | None:
     """F of a slow change of the common amplitude over its scatter from block to block, which knows the noise.
 
-    The first blocks have no say: what decays there is a transient, which has a test of its own.
+    The first eighth of the blocks has no say: what decays there is a transient, which has a test of its own.
     """
-    size = np.abs(blocks.amplitudes[len(blocks.amplitudes) // START :])
+    size = np.abs(blocks.amplitudes[len(blocks.amplitudes) // 8 :])
     mean, noise = np.mean(size, axis=0), np.median(blocks.rms, axis=0)
     moves = mean > 0
     if not np.any(moves):
@@ -348,9 +355,6 @@ def wholly_measured(record: Record) -> Record:
 # hardly reaches its amplitude, and the noise beside its line contains it.
 
 
-LEVEL = 1e-3  # of the tests for transients
-MANY_PERIODS = 8  # from which on the scatter of the later ones is a better measure of the noise
-MOST_A_PERIOD = 1e9  # samples, beyond which the stamps of the record are damaged
 CLEAR = 6.0  # standard deviations of a change that no drift of a sensor makes: one of them is enough
 SEEN = 3.0  # and of changes that are transients where there are many
 MANY = 0.1  # of all dwells and channels
@@ -411,7 +415,7 @@ def _block(record: Record) -> tuple[int, int] | None:
         return None
     period = 1 / record.frequency_hz
     step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
-    if not 2 * step < period < step * MOST_A_PERIOD:
+    if not 2 * step < period < 1e9 * step:  # of more samples a period the stamps are damaged
         return None
     periods = max(1, int(np.ceil((FEWEST_A_BLOCK - 0.5) * step / period)))
     each = round(periods * period / step)
@@ -464,13 +468,12 @@ def first_to_last(record: Record) -> DwellChange | None:
 # there are samples enough, explain more of the residual than noise would.
 
 
-COMPARED = 2.0  # periods from which on a dwell's first can be set against its last
 BENDS = Nested(Terms(3, BESIDE, 1), (2, 3, -2, -1))
 
 
 def bending(records: Sequence[Record]) -> float:
     """p-value of dwells of less than two periods being steady sines; 1 where few of all dwells are none."""
-    short = [record for record in records if record.values.ndim == 2 and 0 < periods_of(record) < COMPARED]
+    short = [record for record in records if record.values.ndim == 2 and 0 < periods_of(record) < FEW_PERIODS]
     tails = [np.asarray(tail) for tail in map(BENDS.tails, short) if tail is not None]
     bent = sum(bool(np.any(tail < LEVEL / max(tail.size, 1))) for tail in tails)
     return together(tails) if bent > MANY * len(records) else 1.0
@@ -503,7 +506,7 @@ WANDERS = Unsteady(
 )
 FADES = Unsteady(
     lambda records: together(map(_fading, records)),
-    1e-3,
+    LEVEL,
     "not steady (the drive's amplitude drifts)",
     "drive_fades",
     f"the drive's amplitude drifts {IGNORED}",

@@ -20,7 +20,7 @@ from dashpot.channel import Quantity
 from dashpot.data.conditioning.drive_frequency import at_frequencies, drive_frequencies
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
 from dashpot.data.conditioning.regression import Terms, in_between, solve_harmonics, window
-from dashpot.data.conditioning.steadiness import periods_of
+from dashpot.data.conditioning.steadiness import FEW_PERIODS, LEVEL, periods_of
 from dashpot.data.noise import HALF_WINDOW, smoothed
 from dashpot.data.record import ABOVE, BELOW, MISSING, Record, limits, runs_of_one_value
 from dashpot.errors import DataError
@@ -36,7 +36,6 @@ MOST_MISSING = 0.1  # of a channel's samples: a channel that misses more is at f
 PER_PERIOD = 0.5  # runs at the most: a mass that sticks rests twice in each period
 FREEDOM = 8  # samples that there must be around beside the parameters of the motion
 MOST_BENDS = 6  # degree of the polynomials that amplitude and phase of a sine that is not steady may follow
-LEVEL = 1e-3  # of the tests for it
 
 
 def marked(dwells: Sequence[Record]) -> tuple[list[Record], list[Notice]]:
@@ -238,15 +237,12 @@ def expected(record: Record) -> Record:
     return replace(record, values=values, sd=sd)
 
 
-FEW = 2.0  # periods, in which a transient under a clipped sine is not to be told from it
-
-
 def notices_of_doubt(dwells: Sequence[Record]) -> list[Notice]:
     """Of dwells that are no steady sines: channels that clip in so few periods that nothing tells of what."""
     brief = {
         record.channels[c].name: None
         for record in dwells
-        if record.status is not None and periods_of(record) < FEW
+        if record.status is not None and periods_of(record) < FEW_PERIODS
         for c in np.flatnonzero(np.any(np.abs(record.status) == 1, axis=0))
     }
     return [

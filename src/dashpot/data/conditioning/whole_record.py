@@ -46,16 +46,12 @@ SHORTEST = 64  # samples of a piece between gaps
 SLIP = 0.1  # of a step: where the next sample is early or late by more, the clock has slipped
 UNEVEN = 0.02  # share of gaps from which on they are the clock's
 HIGHEST = 0.9  # of half the sampling rate: above it the input between the samples is not known well enough
-BINS = 200  # at most
 POLYNOMIAL = 4  # columns 1, jω, (jω)², … of each output channel: the fourth takes the error down by twenty
 AT_REST = "rest"  # kind of noise: as a record with nothing driven shows it
 FLOOR = "floor"  # kind of noise: white, as the top of the spectrum shows it, until residuals show more
-LOWEST = 10  # line up to which a linear drift is felt
-MANY = 200  # lines from which on a column for it costs nothing to speak of: few cannot spare one
 HIGHEST_LINES = 0.96  # of half the sampling rate: a recorder's filter leaves nothing above
 FOLDED = 0.01  # of a channel's largest lines: what moves there that is said
 MANY_LINES = 300_000  # from which on a narrower band is worth stating
-BYTES = 650  # of memory that an identification takes for each line of a channel
 CHANCE = 1e-3  # that the loudest line of noise counts as motion
 
 
@@ -188,7 +184,8 @@ def whole_record(
                 samples,
                 loads,
                 polynomial,
-                ramp and first <= LOWEST and lines >= MANY,
+                # A drift is felt in the ten lowest lines, and 200 can spare a column for it
+                ramp and first <= 10 and lines >= 200,
                 unmeasured=_unmeasured(record, known, remaining, last),
             ),
         ),
@@ -351,7 +348,7 @@ def whole_records(
     )
     notes.append(Notice("whole_records", text))
     if band_hz is None and every.lines > MANY_LINES:
-        gib = every.lines * len(every.channels) * BYTES / 2**30
+        gib = every.lines * len(every.channels) * 650 / 2**30  # 650 bytes for each line of a channel
         text = (
             f"the record rises above its noise up to {high:.4g} Hz: its {every.lines} lines take some {gib:.2g} GiB "
             "to identify; a band that ends just above the rig's highest mode gives the same result for less"
@@ -414,7 +411,7 @@ def _moving(X: Complex, source: str, highest_hz: float) -> int:
     Raises DataError where none does in any part of the band up to `highest_hz`.
     """
     lines = len(X)
-    each = max(BIN, -(-lines // BINS))
+    each = max(BIN, -(-lines // 200))  # 200 bins at most
     if lines < 3 * each:
         return lines
     mean = _bins(np.abs(X) ** 2, each)
