@@ -112,13 +112,13 @@ def test_the_covariance_adds_that_of_all_fits_and_their_distance_from_the_values
     plain = dashpot.identify(stated, spectrum)
     found = explained(stated, spectrum, plain)
     assert found is not None
-    odds = [cause.odds for cause in found.weighed]
+    odds = [cause.odds + cause.near for cause in found.weighed]
     assert found.as_stated + sum(odds) == pytest.approx(1)
     slow = np.array(plain.covariance)
     fits = [(found.as_stated, None, found.as_is)]
-    for cause in found.weighed:  # of a rig that changed each part counts alike
-        parts = cause.fit.parts or (cause.fit,)
-        fits += [(cause.odds / len(parts), cause.effect, part) for part in parts]
+    for cause, chance in zip(found.weighed, odds, strict=True):
+        parts = cause.fit.parts or (cause.fit,)  # of a rig that changed each part counts alike
+        fits += [(chance / len(parts), cause.effect, part) for part in parts]
     total = 0.0
     for chance, effect, fit in sorted(fits, key=lambda each: -each[0]):
         if total >= 0.95:

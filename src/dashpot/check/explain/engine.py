@@ -3,7 +3,8 @@
 The evidence of a supposition is the probability of the data under it, its unknowns weighed by their priors: the
 likelihood at the best fit with noise and discrepancy averaged over, the part of its prior that a size leaves (Occam's
 factor, Laplace), what left-out amplitudes might have been, and the prior of its kind.  Among them stands always that
-nothing of the list is the matter: the rig as it is, with the discrepancy that it then has.
+something else is the matter, which leaves a discrepancy of any size from the rig as it is, or from what a cause makes
+of it; a rig with its mistake mended leaves little of the motion.
 """
 
 from __future__ import annotations
@@ -64,7 +65,9 @@ FAR = ("swap", "sign", "conjugate", "quantity")  # kinds to whose rigs the way m
 AFRESH = 6  # of them that are searched from drawn rigs
 NEGATIVE = 1e-3  # that a spring of a sound rig is negative, as one that represents bending
 IMPOSSIBLE = -100.0  # ln of the probability of a rig with negative masses or dampers, however negative
-UNLISTED = 0.05  # that it is something else
+UNLISTED = (
+    0.05  # that it is something else, seen from the rig as it is; and the same, seen from all that is listed
+)
 LISTED = 0.95  # odds that the causes named sum to
 MOST = 5  # causes that are named
 LIKELY = 0.5  # of the misfit that a cause explains at the least to be named
@@ -79,6 +82,9 @@ IMPROBABLE = 1e-4  # p-value of what the best cause leaves, below which a second
 ENOUGH = 2.0  # χ² over its degrees of freedom that leaves nothing to explain
 NEXT_TO_NOTHING = 0.003  # of a gross misfit, beside which nothing finer is looked for: a rig is rarely better
 SIZES = np.concatenate([[0.0], np.geomspace(1e-5, 3.0, 30)])  # of a discrepancy, relative to the motion
+MENDED = 0.01  # of the motion: within that a rig is mostly right whose mistake is mended
+APPROXIMATE = 0.05  # of the misfit, as an amplitude: within that an effect describes its cause
+NOISE_KNOWN = 0.2  # of the standard deviation of noise: within that it is mostly known
 EXCESSES = np.concatenate(
     [[1.0], np.geomspace(1.05, 1e24, 120)]
 )  # of the noise's variance over what is known of it
@@ -129,8 +135,10 @@ class Cause:
     """A supposition fitted: its size, where the fit ended, and what speaks for it.
 
     likelihood, evidence  logarithms, without and with priors
+    instead   that of the evidence that it is something else, of which this fit comes near
     possible  that of the probability that the parts of the rig are those of one that can be built
     odds      among all that were tried, and what was not
+    near      odds that it is something else of which this fit comes near
     explains  share of the misfit
     group     a number that causes share which the data cannot tell apart; None for one that stands alone
     """
@@ -140,8 +148,10 @@ class Cause:
     fit: FittedProblem
     likelihood: float
     evidence: float
+    instead: float = -np.inf
     possible: float = 0.0
     odds: float = np.nan
+    near: float = 0.0
     explains: float = 0.0
     group: int | None = None
 
@@ -157,7 +167,8 @@ class Explanation:
 
     unlisted  odds that it is nothing of the list, or what explains less than half
     nearest   the likeliest of what explains less than half, where that is likelier than any cause; else None
-    weighed   all causes that were fitted closely, whatever they explain; their odds and `as_stated` sum to 1
+    weighed   all causes that were fitted closely, whatever they explain; what their fits stand for (odds, and `near`)
+              and `as_stated` sum to 1
     """
 
     as_is: FittedProblem
@@ -169,14 +180,16 @@ class Explanation:
     @property
     def as_stated(self) -> float:
         """Odds that nothing which was fitted is the matter."""
-        return max(1 - sum(cause.odds for cause in self.weighed), 0.0)
+        return max(1 - sum(cause.odds + cause.near for cause in self.weighed), 0.0)
 
     def findings(self) -> tuple[Finding, ...]:
-        """The causes as an assessment has them; where none explains enough, that none does."""
-        if self.causes:
-            return tuple(cause.finding(self.as_is.problem.noise_known) for cause in self.causes)
+        """The causes as an assessment has them; before them, where that is likelier, that it is something else."""
+        named = tuple(cause.finding(self.as_is.problem.noise_known) for cause in self.causes)
+        if named and self.unlisted <= self.causes[0].odds:
+            return named
         said = unexplained(self)
-        return (Finding("unexplained", (), said.text, said.change, None, odds=self.unlisted, explains=0.0),)
+        none = Finding("unexplained", (), said.text, said.change, None, odds=self.unlisted, explains=0.0)
+        return (none, *named)
 
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
@@ -211,7 +224,9 @@ def explain_in_steps(baseline: Baseline, kinds: Kinds, *, laws: bool = False) ->
     if not more:
         return first
     both = replace(more[0], odds=best.odds * more[0].odds)
-    beside = tuple(replace(each, odds=best.odds * each.odds) for each in second.weighed)
+    beside = tuple(
+        replace(each, odds=best.odds * each.odds, near=best.odds * each.near) for each in second.weighed
+    )
     alone = replace(best, odds=best.odds * second.as_stated)
     weighed = (*(each for each in first.weighed if each.effect is not best.effect), alone, *beside)
     if first.causes:
@@ -411,7 +426,8 @@ def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter) -> Exp
     hopeful = sorted(tried, key=lambda each: -each.roughly)[:CLOSELY]
     _closely(baseline.problem, hopeful, fit)
     block = baseline.problem.blocks(baseline.as_is.psi)
-    weighed = [_weighed(each, block) for each in hopeful if np.isfinite(each.fit.chi2)]
+    stated = LeftOver.of(baseline.as_is, block)
+    weighed = [_weighed(each, block, stated.largest) for each in hopeful if np.isfinite(each.fit.chi2)]
     causes: list[Cause] = []
     for cause in sorted((each for each in weighed if each is not None), key=lambda each: -each.evidence):
         if not any(
@@ -419,12 +435,14 @@ def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter) -> Exp
         ):  # else a fit that began elsewhere has come to the same
             causes.append(cause)
     possible = log_possible(baseline.as_is)
-    as_is = log_likelihood(baseline.as_is, block) + possible
-    weights = np.array([*(cause.evidence for cause in causes), as_is + log(UNLISTED)])
-    odds = np.exp(weights - logsumexp(weights))
+    as_is = stated.unlike(stated.largest) + possible
+    all_listed = sum(each.prior * each.effect.share for each in tried)
+    instead = [cause.instead + log(UNLISTED / all_listed) for cause in causes]
+    weights = np.array([*(cause.evidence for cause in causes), *instead, as_is + log(UNLISTED)])
+    odds = np.exp(weights - logsumexp(weights)).tolist()
     causes = [
-        replace(cause, odds=float(chance), explains=_explained(baseline.as_is, possible, cause))
-        for cause, chance in zip(causes, odds[:-1], strict=True)
+        replace(cause, odds=chance, near=near, explains=_explained(baseline.as_is, possible, cause))
+        for cause, chance, near in zip(causes, odds, odds[len(causes) :], strict=False)
     ]
     every = tuple(causes)
     nearest = causes[0] if causes and causes[0].explains < LIKELY and causes[0].odds > odds[-1] else None
@@ -552,27 +570,31 @@ def _closely(problem: FitProblem, every: Sequence[Trial], refit: Fitter) -> None
                 each.step = 0.0
 
 
-def _weighed(trial: Trial, block: Ints) -> Cause | None:
-    """The cause with its evidence; None for a rig that cannot be built."""
+def _weighed(trial: Trial, block: Ints, largest: tuple[float, float]) -> Cause | None:
+    """The cause with its evidence, and that of something else, where the rig as it is leaves `largest` (`LeftOver`);
+    None for a rig that cannot be built."""
     effect, size, fit = trial.effect, trial.size, trial.fit
-    likelihood = log_likelihood(fit, block)
+    over = LeftOver.of(fit, block)
+    likelihood = over.mended(largest)
     possible = log_possible(fit, effect.unknown)
-    evidence = likelihood + possible + log(trial.prior * effect.share)
+    left = 0.0
     scale = max(fit.reduced, 1.0) if np.isfinite(fit.reduced) else 1.0
     if effect.more:
-        evidence -= 0.5 * effect.more * log(max(fit.dof, 2))
+        left = -0.5 * effect.more * log(max(fit.dof, 2))
     elif effect.unknown:
-        size, left = _of_unknowns(effect, fit, scale)
-        if left is None:
+        size, of_priors = _of_unknowns(effect, fit, scale)
+        if of_priors is None:
             return None
-        evidence += left
+        left = of_priors
     elif effect.width is None:
-        evidence -= log(len(effect.values))
+        left = -log(len(effect.values))
     else:
         # No vaguer than the prior itself, where χ² bends too little to tell.
         sharpness = max(trial.bend / scale, 1 / effect.width**2)
-        evidence += effect.log_prior(size) + 0.5 * log(2 * np.pi / sharpness)
-    return Cause(effect, size, fit, likelihood, evidence, possible)
+        left = effect.log_prior(size) + 0.5 * log(2 * np.pi / sharpness)
+    left += possible
+    left += log(trial.prior * effect.share)
+    return Cause(effect, size, fit, likelihood, likelihood + left, over.unlike(largest) + left, possible)
 
 
 def _brought(effect: Effect, fit: FittedProblem) -> tuple[list[int], Real, Real]:
@@ -667,26 +689,67 @@ def count_listed(odds: Sequence[float]) -> int:
     return min(int(np.searchsorted(np.cumsum(odds), LISTED)) + 1, MOST, len(odds))
 
 
-def log_likelihood(fit: FittedProblem, block: Ints) -> float:
-    """ln p(data | fit), relative to the noise alone: noise larger than known, and discrepancy, averaged over.
+@dataclass(frozen=True)
+class LeftOver:
+    """ln p(data | fit), relative to the noise alone, by what is left over of the motion and how large the noise is.
 
     Of each channel a part ŷ a of its motion is left, a one complex number for each block of lines with a variance of
-    s², in noise whose variance is v times what is known of it.  s and v are the same in all channels, and unknown: half
-    of the probability is for none, and for the noise that is known.
+    s², in noise whose variance is v times what is known of it.  s and v are the same in all channels.
+
+    table     (len(log_v), len(SIZES)); what numbers that were given up add is not in it
     """
-    problem = fit.problem
-    total = max(int(np.sum(problem.counted * problem.numbers)), 1)
-    used = min(max(fit.dof, 1) / total, 1.0)  # of each square: unknowns and inputs have taken up the rest
-    log_v = np.log(EXCESSES if problem.noise_known else np.concatenate([1 / EXCESSES[:0:-1], EXCESSES]))
-    prior_v = _half_for(log_v, int(np.argmin(np.abs(log_v))))
-    prior_s = _half_for(SIZES, 0)
-    with np.errstate(over="ignore", invalid="ignore"):
-        value = problem.given_up + _of_lost(fit, log_v, prior_v)
-        table = prior_v[:, None] + prior_s[None, :]
-        for c, number in enumerate(problem.numbers):
-            table = table + _of_channel(fit, c, block, used * number / 2, log_v)
-        value += float(logsumexp(table))
-    return value if np.isfinite(value) else -np.inf
+
+    fit: FittedProblem
+    log_v: Real
+    table: Real
+
+    @staticmethod
+    def of(fit: FittedProblem, block: Ints) -> LeftOver:
+        """Of a fit, at lines (rows,) of these blocks."""
+        problem = fit.problem
+        total = max(int(np.sum(problem.counted * problem.numbers)), 1)
+        used = min(max(fit.dof, 1) / total, 1.0)  # of each square: unknowns and inputs have taken up the rest
+        log_v = np.log(EXCESSES if problem.noise_known else np.concatenate([1 / EXCESSES[:0:-1], EXCESSES]))
+        table = np.zeros((len(log_v), len(SIZES)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            for c, number in enumerate(problem.numbers):
+                table += _of_channel(fit, c, block, used * number / 2, log_v)
+        return LeftOver(fit, log_v, table)
+
+    @property
+    def largest(self) -> tuple[float, float]:
+        """What is left at the most: s where noise is as known, and √v − 1 where there is no s."""
+        likeliest = self.table[int(np.argmin(np.abs(self.log_v)))]
+        by_noise = np.sqrt(max(self.fit.reduced, 1.0)) - 1 if np.isfinite(self.fit.reduced) else 0.0
+        return float(SIZES[int(np.argmax(np.nan_to_num(likeliest, nan=-np.inf)))]), float(by_noise)
+
+    def mended(self, largest: tuple[float, float]) -> float:
+        """ln p for a rig that is right: half of the probability for no s and for the noise that is known, the rest
+        falling off, as Cauchy's do, beyond what such a rig leaves (MENDED, NOISE_KNOWN) and what an effect may leave of
+        the `largest` s and √v − 1 that it is to explain (APPROXIMATE)."""
+        s, excess = largest
+        sizes = 1 / (1 + SIZES / (MENDED + APPROXIMATE * s))
+        noise = 1 / (1 + (np.expm1(self.log_v / 2) / (NOISE_KNOWN + APPROXIMATE * excess)) ** 2)
+        return self._summed(noise, _half_for(sizes, 0))
+
+    def unlike(self, largest: tuple[float, float]) -> float:
+        """ln p for a rig that is not: of the `largest` s and √v − 1 some part is left, one as likely as another."""
+        s, excess = largest
+        sizes = np.where(s >= SIZES, np.maximum(SIZES, SIZES[1]), 0.0)
+        with np.errstate(divide="ignore"):
+            log_of_size = np.log(sizes / np.sum(sizes))
+        return self._summed(
+            np.where(np.expm1(self.log_v / 2) <= excess, np.exp(self.log_v / 2), 0.0), log_of_size
+        )
+
+    def _summed(self, of_noise: Real, log_of_size: Real) -> float:
+        even = np.ones(len(self.log_v))
+        none = int(np.argmin(np.abs(self.log_v)))
+        of_v = _half_for(of_noise if self.fit.problem.noise_known else even, none)
+        with np.errstate(over="ignore", invalid="ignore"):
+            value = float(logsumexp(self.table + of_v[:, None] + log_of_size[None, :]))
+            value += self.fit.problem.given_up + _of_lost(self.fit, self.log_v, _half_for(even, none))
+        return value if np.isfinite(value) else -np.inf
 
 
 def _of_channel(fit: FittedProblem, c: int, block: Ints, used: float, log_v: Real) -> Real:
@@ -724,21 +787,27 @@ def _of_lost(fit: FittedProblem, log_v: Real, prior_v: Real) -> float:
     return float(logsumexp(-_numbers_lost(problem) / 2 * log_v - square / np.exp(log_v) + prior_v))
 
 
-def _half_for(values: Real, k: int) -> Real:
-    """Logarithms of probabilities: one half for the value at k, the rest alike for the others."""
-    weights = np.full(len(values), 0.5 / max(len(values) - 1, 1))
-    weights[k] = 0.5
-    return np.log(weights)
+def _half_for(shares: Real, k: int) -> Real:
+    """Logarithms of probabilities: one half for the value at k, the rest shared by the others."""
+    others = np.where(np.arange(len(shares)) == k, 0.0, shares)
+    weights = 0.5 * others / max(float(np.sum(others)), np.finfo(float).tiny)
+    weights[k] = 1 - np.sum(weights)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(weights))
 
 
 def unexplained(found: Explanation) -> Phrase:
-    """That none of the list is the matter, with what comes nearest and where most of the misfit is."""
-    as_is, nearest = found.as_is, found.nearest
-    power = np.abs(as_is.residual / as_is.problem.sd) ** 2
-    line, c = np.unravel_index(int(np.argmax(power)), power.shape)
-    name = [*(channel.name for channel in as_is.problem.channels), "frequency", "damping ratio"][int(c)]
-    hertz = as_is.problem.frequency_hz[int(line)]
-    text = f"no listed cause explains half of the misfit, which is largest in {name} near {hertz:.4g} Hz"
+    """That none of the list is the matter, with what comes nearest and where most of what that leaves is."""
+    nearest = found.causes[0] if found.causes else found.nearest
+    left = found.causes[0].fit if found.causes else found.as_is
+    power = np.abs(left.residual / left.problem.sd) ** 2
+    line, c = np.unravel_index(int(np.argmax(np.nan_to_num(power))), power.shape)
+    name = [*(channel.name for channel in left.problem.channels), "frequency", "damping ratio"][int(c)]
+    largest = f"largest in {name} near {left.problem.frequency_hz[int(line)]:.4g} Hz"
+    if found.causes:
+        text = f"every listed cause leaves more than a rig that is right does; what the nearest leaves is {largest}"
+    else:
+        text = f"no listed cause explains half of the misfit, which is {largest}"
     if nearest is not None:
         text += (
             f". Nearest, with {100 * nearest.explains:.0f} % of it: {nearest.effect.words(nearest.size).text}"
@@ -765,7 +834,7 @@ def allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) ->
     rig as it is, which weighs the lines otherwise than the estimate does, stands for what is not listed.
     """
     fits: list[tuple[float, Effect | None, tuple[FittedProblem, ...]]] = [
-        (cause.odds, cause.effect, cause.fit.parts or (cause.fit,)) for cause in found.weighed
+        (cause.odds + cause.near, cause.effect, cause.fit.parts or (cause.fit,)) for cause in found.weighed
     ]
     fits.append((found.as_stated, None, (found.as_is,)))
     fits.sort(key=lambda each: -each[0])

@@ -559,7 +559,9 @@ def counted_in_time(
         uneven[k] = noise = NoiseInTime(*(np.concatenate(part) for part in zip(*blocks, strict=True)))
         lines = EvenNoise(sums.symmetric[k], sums.gradient[k], covariance[k], dof[k])
         best, of_samples = noise.of_lines(lines), noise.of_samples(lines)
-        louder[k] = max(float(np.max(np.linalg.eigvals(lines.information @ best.covariance).real)), 1.0)
+        widened = lines.information @ best.covariance
+        if np.all(np.isfinite(widened)):  # not so of unknowns without an interval, which the estimate refuses
+            louder[k] = max(float(np.max(np.linalg.eigvals(widened).real)), 1.0)
         # A step that noise does not explain, by the estimate's own covariance: the model does not fit, and has no
         # better end.
         away = of_samples.step @ scaled_inverse(best.covariance) @ of_samples.step
