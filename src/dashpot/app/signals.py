@@ -19,7 +19,6 @@ from dashpot.io.atomic import clear_away, postponed
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 ANSWERED = (*ENDING, signal.SIGINT)
 
-PAUSE = 0.01  # s, after which a request that was lost comes again
 _asked: set[int] = set()  # signals that were raised as exceptions and have had no answer yet
 _latest: weakref.ref[Ended] | None = None
 
@@ -176,10 +175,11 @@ def _come_again() -> None:
 
     By an alarm, where there is one.  A thread cannot be begun safely here: a second signal may come meanwhile.
     """
+    moment_s = 0.01
     if _has_alarm():
-        signal.setitimer(signal.ITIMER_REAL, PAUSE)
+        signal.setitimer(signal.ITIMER_REAL, moment_s)
         return
-    again = Timer(PAUSE, _again)
+    again = Timer(moment_s, _again)
     again.daemon = True
     with suppress(RuntimeError):  # no thread can be begun any more
         again.start()

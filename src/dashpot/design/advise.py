@@ -49,8 +49,6 @@ from dashpot.model.observation import calibration_names, measures_input, noise_s
 from dashpot.model.rigfile.rig import ShakerLimits, usual_limits
 from dashpot.numerics.small_systems import scaled_inverse
 
-FIRST_SAMPLES, FIRST_TIME = 1000.0, 60.0  # where the search for the shortest test starts
-
 
 def drives_that_show(setup: TestSetup, schedule: Schedule) -> list[str]:
     """A sentence for each nonlinear element: from which share of the planned drive its parameter is clear of zero."""
@@ -334,7 +332,7 @@ def answer(question: Question, *, mapper: Map = map) -> Answer:
     choice = None
     if question.pick is not None:
         count, among = question.pick
-        samples = FIRST_SAMPLES if question.samples is None else question.samples
+        samples = 1000.0 if question.samples is None else question.samples
         if question.time is not None and rate is not None:
             samples = question.time * rate
         grid = band_grid(setup, low, high, question.step)
@@ -476,7 +474,8 @@ def _budget(
                 "there is neither a budget nor a target",
                 cure="state a number of samples, a time, or the precision to reach",
             )
-        samples, time = (FIRST_SAMPLES, None) if rate is None else (None, FIRST_TIME)
+        # Samples or s from which the search for the shortest test starts
+        samples, time = (1000.0, None) if rate is None else (None, 60.0)
     if settle is None and samples is not None and rate is None:
         settle = 0.0
     if settle is None:

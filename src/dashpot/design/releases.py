@@ -26,8 +26,6 @@ from dashpot.model.observation import ObservationModel, noise_sd, observation_mo
 from dashpot.numerics.small_systems import scaled_inverse
 
 DEFLECTION = 0.01  # m or rad, of the point that moves most, where nothing is said
-SAMPLES_A_PERIOD = 20  # of the fastest mode, where no sampling rate is said
-MOST_SAMPLES = 40_000  # of one release
 MOST_TOGETHER = 3  # releases that are planned together
 ENOUGH = 1.02  # times the least uncertainty: a longer record, or one more release, is not worth less
 
@@ -119,10 +117,8 @@ def plan_releases(
     rates = [channel.rate for channel in channels if channel.rate is not None]
     rate = rate_hz or min(rates, default=0.0)
     if not rate:
-        rate = float(f"{SAMPLES_A_PERIOD * fastest:.2g}")
-        notes.append(
-            f"no sampling rate is stated: {rate:g} Hz is assumed, {SAMPLES_A_PERIOD} samples a period"
-        )
+        rate = float(f"{20 * fastest:.2g}")  # of the fastest mode
+        notes.append(f"no sampling rate is stated: {rate:g} Hz is assumed, 20 samples a period")
     unit = "rad" if set(model.coordinates) <= model.angles else "m"
     if deflection is None and target is None:
         notes.append(
@@ -130,7 +126,7 @@ def plan_releases(
         )
     slowest = float(np.min(np.abs(found[np.abs(found) > 0]), initial=np.inf))
     decay = float(np.min(-found.real[found.real < -1e-9 * np.abs(found)], initial=np.inf))
-    samples = max(int(min(_longest(slowest, decay) * rate, MOST_SAMPLES)), 4 * model.n + 4)
+    samples = max(int(min(_longest(slowest, decay) * rate, 40_000)), 4 * model.n + 4)
     ends = np.geomspace(min(4 * model.n + 4, samples), samples, 24).astype(int)
     if time_s is not None:
         shared = (rate * time_s / np.arange(1, MOST_TOGETHER + 1)).astype(int)

@@ -21,8 +21,6 @@ from dashpot.design.test_setup import NO_TEST, FrequencyGrid, Schedule, TestSetu
 from dashpot.errors import UsageError
 from dashpot.model.network import Model
 
-CLOSE = 2e-3  # a scenario worse by less than this part of the variance ends the search
-ROUNDS = 14  # of the search: scenarios that it may add
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
 
@@ -136,7 +134,9 @@ def best_test(
         value = criterion.at(replace(wide, over="worst"), lines.information(wide))
         return BestTest(advised, wide, criterion.figure(value.F))
     wide, aim, worst = replace(setup, theta=setup.theta[:1]), target, 0.0
-    for turn in range(ROUNDS):
+    rounds = 14  # scenarios that the search may add
+    close = 1 + 2e-3  # times the variance: a scenario that is worse by less ends it
+    for turn in range(rounds):
         if aim is None:
             # Which scenarios matter is found on a grid of fixed frequencies: no need to place them finely yet.
             samples = max(budget.measured(setup.theta.shape[1]), budget.measured(1) / 2)
@@ -148,14 +148,14 @@ def best_test(
             lines = NO_TEST if advised is None else advised.schedule
         worst, at = worst_scenario(wide, criterion, lines, uncertainty, seed=seed + turn, mapper=mapper)
         if aim is None or target is None:
-            if worst**2 <= reached**2 * (1 + CLOSE):
+            if worst**2 <= reached**2 * close:
                 break
         elif worst <= target:
             return BestTest(advised, wide, worst)
         elif advised is not None:
             amount = advised.samples if budget.samples is not None else advised.time_s or 0.0
             budget = budget.of(amount * (worst / target) ** 2)
-            if worst <= target * (1 + CLOSE):
+            if worst <= target * close:
                 aim *= 0.999 * target / worst  # a scenario hardly worse than those that count already
                 continue
         wide = replace(wide, theta=np.concatenate([wide.theta, at[None]]))
@@ -165,7 +165,7 @@ def best_test(
             cure="assume a smaller uncertainty, or state a number of samples or a time",
         )
     final = plan(wide, criterion, budget, grid_of(wide))  # the last scenario may be new: it counts too
-    worst, _ = worst_scenario(wide, criterion, final.schedule, uncertainty, seed=seed + ROUNDS, mapper=mapper)
+    worst, _ = worst_scenario(wide, criterion, final.schedule, uncertainty, seed=seed + rounds, mapper=mapper)
     return BestTest(final, wide, worst)
 
 

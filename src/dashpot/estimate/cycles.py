@@ -27,15 +27,6 @@ from dashpot.model.nonlinear.alternating import alternate
 from dashpot.model.nonlinear.harmonics import complex_of, real_of
 from dashpot.model.observation import calibration_factors, observation_model
 
-INSTANTS = 1024  # of a cycle: kinks of laws show in their first harmonic by 1e-5
-MOST_CYCLES = 400  # that an estimate carries: more dwells are a map, which `Estimate.cycles_at` draws
-SHARES_OF_AMPLITUDE = (0.25, 0.5, 1.0)  # of the largest elongation of continuous records
-SHARES_OF_POWER = (
-    0.1,
-    0.5,
-    0.9,
-)  # of the rate's power, up to which the frequencies of continuous records reach
-
 
 @dataclass(frozen=True)
 class Specimen:
@@ -72,7 +63,8 @@ def cycles_of(
     for i, sign in zip(specimen.members, specimen.signs, strict=True):
         if i in curved:
             q[:, curved.index(i)] = real_of(sign * d)
-    at = alternate(model, np.tile(constants, (len(d), 1)), omega, q, INSTANTS)
+    # 1024 instants of a cycle: kinks of laws show in their first harmonic by 1e-5
+    at = alternate(model, np.tile(constants, (len(d), 1)), omega, q, 1024)
     force, slope = np.zeros_like(d), np.zeros((*d.shape, len(theta)), dtype=np.complex128)
     for i, sign in zip(specimen.members, specimen.signs, strict=True):
         unit = factors[:, :, i] * d
@@ -160,7 +152,7 @@ def cycles_of_spectrum(model: Model, estimate: Estimate, spectrum: Spectrum) -> 
             at = spectrum.in_time(int(k)).for_squares
             motions.append((spectrum.omega[at.lines], U[at.lines], at.history(U)))
         cycles += _usual(model, estimate, motions)
-    return tuple(cycles[:MOST_CYCLES])
+    return tuple(cycles[:400])  # more dwells are a map, which `Estimate.cycles_at` draws
 
 
 def cycles_of_records(model: Model, estimate: Estimate, records: Iterable[Record]) -> tuple[Cycle, ...]:
@@ -203,7 +195,11 @@ def _each(model: Model, estimate: Estimate, omega: Real, points: Complex) -> Ite
 def _usual(
     model: Model, estimate: Estimate, motions: Sequence[tuple[Real, Complex, Real]]
 ) -> tuple[Cycle, ...]:
-    """The cycles of sines as large and as fast as the motion of records: ω, lines (lines, r), history (samples, r)."""
+    """The cycles of sines as large and as fast as the motion of records: ω, lines (lines, r), history (samples, r).
+
+    A quarter, half and all of the largest elongation, at frequencies below which 10, 50 and 90 % of the power of its
+    rate lie.
+    """
     theta, covariance = _of_theta(model, estimate)
     cycles: list[Cycle] = []
     for each in specimens(model):
@@ -215,9 +211,9 @@ def _usual(
         power = np.concatenate([np.abs(omega * (lines @ row)) ** 2 for omega, lines, _ in motions])
         order = np.argsort(omega)
         reached = np.cumsum(power[order])
-        at = np.searchsorted(reached, np.array(SHARES_OF_POWER) * reached[-1])
+        at = np.searchsorted(reached, np.array([0.1, 0.5, 0.9]) * reached[-1])
         frequencies = [float(f"{f:.3g}") for f in omega[order][at] / (2 * np.pi)]
         apart = [f for k, f in enumerate(frequencies) if k == 0 or f > 1.05 * frequencies[k - 1]]
-        sizes = [float(f"{share * A:.3g}") for share in SHARES_OF_AMPLITUDE]
+        sizes = [float(f"{share * A:.3g}") for share in (0.25, 0.5, 1.0)]
         cycles += cycles_of(model, each, theta, covariance, *_sines(sizes, apart))
     return tuple(cycles)

@@ -21,8 +21,6 @@ from dashpot.io.atomic import write_text
 from dashpot.model.dynamics import matrices
 from dashpot.model.modes import modes
 
-STEP = 0.002  # s, the longest
-
 
 def write_mujoco(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
     """Write the MJCF file.  Raises ModelError as `mujoco_model`, DataError where it cannot be written."""
@@ -64,7 +62,8 @@ def mujoco_model(rig: IdentifiedRig) -> str:
     rows: list[tuple[dict[str, object], Real]] = [(law, row) for _, law, row in elements]
     rows += [({}, row) for row in loads.values()]
     fastest = float(np.max(np.abs(modes(model, rig.p).eigenvalues), initial=0.0))
-    step = min(STEP, float(f"{2 * np.pi / fastest / 200:.1g}")) if fastest > 0 else STEP  # 200 in a period
+    period = 2 * np.pi / fastest if fastest > 0 else np.inf
+    step = min(0.002, float(f"{period / 200:.1g}"))  # s; 200 in a period, at most MuJoCo's own
     lines = [
         xml_tag("mujoco", {"model": printable(model.name or "rig")}, "").removesuffix("</mujoco>"),
         '  <compiler angle="radian" autolimits="true"/>',

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.special import chdtri, stdtr, stdtrit
+from scipy.special import chdtri, ndtri, stdtr, stdtrit
 
 from dashpot.arrays import Bools, Real, freeze
 
@@ -124,11 +124,6 @@ def _trend(place: Real, y: Real, scale: Real, used: Bools) -> tuple[float, float
     return slope, sd, float(2 * stdtr(dof, -abs(slope) / sd))
 
 
-STEPS = 80  # of the grid over τ
-LIKELY = 9.0  # nepers below the maximum at which the grid ends
-QUANTILE = 1.959963984540054
-
-
 @dataclass(frozen=True)
 class Population:
     """One parameter of a fleet as a population.
@@ -193,8 +188,8 @@ def pooled(name: str, unit: str, values: Real, sd: Real, used: Bools | None = No
         spread_interval=(unit_size * ends[0], unit_size * ends[1]),
         values=each,
         sd=each_sd,
-        lower=each - QUANTILE * each_sd,
-        upper=each + QUANTILE * each_sd,
+        lower=each - ndtri(0.975) * each_sd,
+        upper=each + ndtri(0.975) * each_sd,
     )
 
 
@@ -251,8 +246,9 @@ def _grid(y: Real, s: Real, tau: float) -> tuple[Real, Real]:
     Flat in τ², as Morris (1983) chose so that intervals cover: flat in τ they held 93 % where τ is of the noise's size.
     """
     most = _most(y, s)
-    low, high = _end(y, s, tau, LIKELY, 0.0), _end(y, s, tau, LIKELY, most)
-    grid = low + (np.arange(STEPS) + 0.5) / STEPS * (high - low)
+    # 80 steps, to where the likelihood is 9 nepers below its maximum
+    low, high = _end(y, s, tau, 9.0, 0.0), _end(y, s, tau, 9.0, most)
+    grid = low + (np.arange(80) + 0.5) / 80 * (high - low)
     logs = restricted_likelihood(y, s, grid)
     weight = grid * np.exp(logs - np.max(logs))
     return grid, weight / np.sum(weight)

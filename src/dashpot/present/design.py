@@ -29,7 +29,6 @@ from dashpot.present.words import alike, capitalised, names_of, percent, sentenc
 
 WASTE = 0.05  # of the information: what waiting for the steady state may cost
 NOTHING = "–"
-NORMAL_95 = 1.96
 NO_TEST = "No test is needed: what is already known reaches the target."
 _SCENARIOS = {"worst": "worst of", "average": "average over"}
 
@@ -283,7 +282,7 @@ def expected_columns(answer: Answer) -> list[TableColumn]:
     for name, value, sd, unit in zip(
         expected.names, expected.values.tolist(), expected.sd.tolist(), expected.units, strict=True
     ):
-        ends = alike([value - NORMAL_95 * sd, value + NORMAL_95 * sd], sd)
+        ends = alike([value - 1.96 * sd, value + 1.96 * sd], sd)
         share = relative.get(name, NOTHING)
         rows.append((name, *value_and_sd(value, sd), "" if unit == "1" else unit, share, " … ".join(ends)))
     columns = columns_of(["parameter", "value>", "expected ±>", "unit", "± %>", "95 % interval>"], rows)

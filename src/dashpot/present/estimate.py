@@ -63,9 +63,7 @@ def estimate_document(
         ),
         section("Signs", signs_in_words(estimate)),
         section("Modes", mode_columns(estimate.modes) if has_modes(estimate) else None),
-        section(
-            CYCLES, *((CYCLES_TEXT, cycle_columns(estimate.cycles[:MOST_CYCLES])) if estimate.cycles else ())
-        ),
+        section(CYCLES, *((CYCLES_TEXT, cycle_columns(estimate.cycles)) if estimate.cycles else ())),
         section(
             "Fit",
             *fit_paragraphs(estimate),
@@ -283,11 +281,11 @@ CYCLES_TEXT = (
     "Energy per cycle, equivalent stiffness and equivalent viscous damping in the motion of these data "
     "(of continuous records: in sines as large and as fast)."
 )
-MOST_CYCLES = 30  # rows of a table; the JSON has all
 
 
 def cycle_columns(cycles: Sequence[Cycle]) -> list[TableColumn]:
-    """A row for each cycle, SI units but mm; of several specimens their elements first."""
+    """A row for each of the first 30 cycles, SI units but mm; of several specimens their elements first."""
+    cycles = cycles[:30]
     angular = cycles[0].unit == "rad"
     units = ("N·m/rad", "N·m·s/rad") if angular else ("N/m", "N·s/m")
     rows = []

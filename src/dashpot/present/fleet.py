@@ -12,7 +12,6 @@ from dashpot.io.words import counted, shown
 from dashpot.present.document import Document, Paragraph, TableColumn, columns_of, section
 from dashpot.present.words import short
 
-MOST = 10  # rigs that are named one by one
 PATH = 200  # characters of the name of a data set, which may be a path: its end says which it is
 NOTHING = "–"
 LEGEND = (
@@ -107,8 +106,9 @@ def fleet_remarks(outcome: FleetOutcome) -> list[str]:
 
 
 def _first(texts: Sequence[str], between: str) -> str:
-    more = len(texts) - MOST
-    return between.join(texts[:MOST]) + (f" and {more} more" if more > 0 else "")
+    """The first ten, and how many there are more."""
+    more = len(texts) - 10
+    return between.join(texts[:10]) + (f" and {more} more" if more > 0 else "")
 
 
 def _drift(one: Usual) -> str:

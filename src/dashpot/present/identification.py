@@ -22,7 +22,6 @@ from dashpot.present.document import Document, Items, Picture, Provenance, Secti
 from dashpot.present.estimate import (
     CYCLES,
     CYCLES_TEXT,
-    MOST_CYCLES,
     STATED,
     STATED_TEXT,
     convergence_in_words,
@@ -52,7 +51,6 @@ from dashpot.present.verdict import (
 from dashpot.present.words import capitalised, names_of, percent, sentence, short
 
 MOST_PANELS = 16  # channels drawn with amplitude and phase
-MOST_IN_FILE = 6  # channels of a figure that stands alone
 MOST_NAMED = 4  # unknowns named one by one
 TERMS = ("±", "interval", "bound", "χ²", "residual", "difference of the motion", "correlation")
 
@@ -163,18 +161,18 @@ def _statements(estimate: Estimate, names: Collection[str]) -> list[str]:
 
 
 def fit_figure(model: Model, spectrum: Spectrum, estimate: Estimate) -> Figure:
-    """Measured and fitted: the first responses, or the first channels where no response can be formed.
+    """Measured and fitted: the first six responses, or the first six channels where no response can be formed.
 
     No batch axes.  Raises UsageError where the data drive no output.
     """
     found = residuals_of(model, spectrum, estimate)
     responses = responses_of_channels(model, estimate, spectrum, found)
     if responses:
-        return figures.response_figure(responses[:MOST_IN_FILE])
+        return figures.response_figure(responses[:6])
     driven = found.compared()
     if not driven:
         raise UsageError("no channel of these data depends on the estimate", "a figure of the fit")
-    return figures.residual_channels_figure(found, driven[:MOST_IN_FILE])
+    return figures.residual_channels_figure(found, driven[:6])
 
 
 # The evidence.
@@ -201,9 +199,7 @@ def _evidence(
             figure = cycle_figure([cycle for cycle in estimate.cycles if cycle.elements == elements])
             said = f"Equivalent stiffness and damping of {joined(elements)} over the amplitude"
             pictures.append(figure_picture(figure, said))
-        sections.append(
-            section(CYCLES, CYCLES_TEXT, *pictures, cycle_columns(estimate.cycles[:MOST_CYCLES]), whole=True)
-        )
+        sections.append(section(CYCLES, CYCLES_TEXT, *pictures, cycle_columns(estimate.cycles), whole=True))
     if spectrum is not None and found.residuals is not None:
         sections += _responses(found, found.residuals, spectrum.carries_loads)
         if found.records:

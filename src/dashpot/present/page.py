@@ -29,7 +29,6 @@ TEMPLATES = Path(__file__).with_name("templates")
 _COMMAND = r"\bdashpot [a-z]+ [^()]*?(?=\.(?:\s|$)| writes |$)"
 _CODE = re.compile(rf"{_COMMAND}|\[\w+\] [\w-]+ = \{{.*\}}")  # commands, and lines of a rig file
 LIBRARIES = ("numpy", "scipy")  # whose versions a report states
-MOST_SOURCES = 4  # files that the first lines of a page name
 
 # Short explanations of the figures of merit.
 EXPLANATIONS: Mapping[str, str] = MappingProxyType(
@@ -137,10 +136,10 @@ def with_code(text: str) -> Markup:
 
 
 def _sources(files: Sequence[SourceFile]) -> str:
-    """The files that were read, in a few words: their names without folders."""
+    """The files that were read, in a few words: their names without folders, those of the first four."""
     names = [Path(file.name).name for file in files]
-    rest = len(names) - MOST_SOURCES
-    return joined(names if rest <= 0 else [*names[:MOST_SOURCES], counted(rest, "other file")])
+    rest = len(names) - 4
+    return joined(names if rest <= 0 else [*names[:4], counted(rest, "other file")])
 
 
 def _rows(columns: Sequence[TableColumn]) -> list[list[tuple[str, str]]]:

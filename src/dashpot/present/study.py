@@ -23,7 +23,6 @@ from dashpot.study.montecarlo import LEVELS, StudyOutcome, Summary, SummaryRow
 NOTHING = "–"
 COUNTED_FACTORS = {"noise": "noise level", "samples": "samples per frequency", "in_all": "samples in total"}
 RESULTS = ("bias>", "spread>", "bound>", "ratio>", "coverage>", "failed>")
-LABEL = 21  # characters of several factors in one column on a line: 80 columns hold the rest beside it
 LEGEND = (
     "bias, spread and bound: rms over the parameters, % of their true values (bound: Cramér-Rao at the truth).",
     "ratio: spread / bound.",
@@ -88,18 +87,19 @@ def study_columns(rows: Sequence[SummaryRow]) -> list[TableColumn]:
     Factors stand where the scenario changes.  The method comes first: it names the rows where columns are stacked.
     """
     varied = varied_factors(rows)
-    together = len(varied) > 3  # more columns of factors are put into one
+    # More columns of factors are put into one of 21 characters: 80 columns hold the rest beside it
+    together, width = len(varied) > 3, 21
     heads = [
         f"{name.replace('_', ' ')}{'>' if name in COUNTED_FACTORS and not together else ''}"
         for name in varied
     ]
     if together:
-        heads = [fill(", ".join(varied), LABEL)]
+        heads = [fill(", ".join(varied), width)]
     cells = []
     for k, row in enumerate(rows):
         factors = [factor_text(row.scenario.factors.get(name)) for name in varied]
         if together:
-            factors = [fill(", ".join(text for text in factors if text != NOTHING), LABEL)]
+            factors = [fill(", ".join(text for text in factors if text != NOTHING), width)]
         if k and rows[k - 1].scenario is row.scenario:
             factors = [""] * len(factors)
         summary = row.summary
@@ -184,7 +184,6 @@ def _span(values: Sequence[float], decimals: int) -> str:
 
 # Pictures: scenarios that differ in one factor alone, as curves over a number or as bars.
 
-MOST_BARS = 8
 MOST_ALIKE = 12  # groups of one factor that are drawn: bars at each of 200 noise levels are 200 figures
 
 Rest = tuple[tuple[str, str | float | int], ...]
@@ -324,11 +323,12 @@ def _limits(bands: Sequence[draw.Band]) -> tuple[float, float]:
 
 
 def _bars(group: FactorGroup, title: str) -> Figure:
-    places = [factor_text(value) for value in group.values[:MOST_BARS]]
+    """The first eight values, side by side."""
+    places = [factor_text(value) for value in group.values[:8]]
     series = []
     for k, (method, summaries) in enumerate(group.summaries.items()):
-        spread = np.array([s.rms_spread for s in summaries[:MOST_BARS]])
-        kept = np.array([max(s.draws - s.failed, 1) for s in summaries[:MOST_BARS]])
+        spread = np.array([s.rms_spread for s in summaries[:8]])
+        kept = np.array([max(s.draws - s.failed, 1) for s in summaries[:8]])
         series.append(draw.Series(method, method_colour(method, k), spread, spread / np.sqrt(2 * kept)))
-    bound = np.array([s.rms_bound for s in next(iter(group.summaries.values()))[:MOST_BARS]])
+    bound = np.array([s.rms_bound for s in next(iter(group.summaries.values()))[:8]])
     return draw.bar_panels([title], places, [series], [bound])

@@ -15,9 +15,6 @@ from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.notices import Notice
 
-DIGITS = 2  # of a standard deviation that are shown
-PLAIN = 7  # digits before the point from which powers of ten are used
-
 
 def value_and_sd(value: float, sd: float) -> tuple[str, str]:
     """Value and standard deviation, both to two digits of the latter: ("2.998", "0.021"), ("1.2346e8", "0.0021e8").
@@ -35,12 +32,12 @@ def alike(values: Sequence[float], sd: float) -> list[str]:
     if not (math.isfinite(sd) and sd > rounding):
         settled = [0.0 if abs(value) < rounding else value for value in values]
         return [plain(value) if math.isfinite(value) else "–" for value in settled]
-    last = math.floor(math.log10(sd)) - DIGITS + 1
-    if round(sd / 10.0**last) >= 10**DIGITS:  # 0.0996 → 0.10
+    last = math.floor(math.log10(sd)) - 1  # two digits of a standard deviation are shown
+    if round(sd / 10.0**last) >= 100:  # 0.0996 → 0.10
         last += 1
     largest = max(finite, default=0.0)
     top = max(math.floor(math.log10(largest)) if largest > 0 else last, last)
-    if top >= PLAIN or (last <= -PLAIN and top < 0):
+    if top >= 7 or (last <= -7 and top < 0):  # digits before the point, or zeros behind it
         power = top
         return [
             _fixed(v / 10.0**power, power - last) + f"e{power}" if math.isfinite(v) else "–" for v in values

@@ -190,9 +190,6 @@ def _nonlinear(view: ObservationModel, theta: Real, source: str, step: float, sh
 # The response to a record of the inputs that an estimate predicts, with what its uncertainty makes of it.
 
 
-STEP = 0.1  # standard deviations of an unknown, of the central differences
-
-
 def response_band(
     model: Model, estimate: Estimate, channels: Sequence[Channel], drive: Record
 ) -> tuple[Record, Real]:
@@ -219,8 +216,9 @@ def response_band(
     sd = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     slopes = np.zeros((*predicted.values.shape, len(psi)))
     for j in np.flatnonzero(sd > 0):
-        away = STEP * sd[j] * np.eye(len(psi))[j]
-        slopes[..., j] = (shown(psi + away).values - shown(psi - away).values) / (2 * STEP * sd[j])
+        step = 0.1 * sd[j]  # of the central differences
+        away = step * np.eye(len(psi))[j]
+        slopes[..., j] = (shown(psi + away).values - shown(psi - away).values) / (2 * step)
     band = np.sqrt(np.maximum(np.einsum("sci,ij,scj->sc", slopes, covariance, slopes, optimize=True), 0.0))
     return predicted, band
 

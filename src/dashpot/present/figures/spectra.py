@@ -253,7 +253,6 @@ def prediction_figure(part: RecordPrediction, rows: Sequence[int] | None = None)
     return figure
 
 
-POINTS = 400  # of a curve
 USED = "#d7e8f0"
 
 
@@ -284,9 +283,10 @@ def beginnings(dwells: Sequence[DwellHistory]) -> Figure:
         first = max(dwell.begin - period, 0.0)
         last = min(dwell.begin + 4.0 * period, float(dwell.time[-1]))
         kept = (dwell.time >= first) & (dwell.time <= last)
-        every = max(int(np.sum(kept)) // POINTS, 1)
+        points = 400  # of a curve
+        every = max(int(np.sum(kept)) // points, 1)
         samples, measured = dwell.time[kept][::every], dwell.measured[kept][::every]
-        time = np.linspace(first, last, POINTS)
+        time = np.linspace(first, last, points)
         curve = dwell.predicted(time)
         for row, axes in enumerate(grid[:, column]):
             _used(axes, dwell.begin, min(dwell.end, last))

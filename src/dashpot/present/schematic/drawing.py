@@ -40,8 +40,6 @@ from dashpot.present.schematic.symbols import (
 )
 from dashpot.present.words import sentence, short, value_and_sd
 
-MOST_ELEMENTS, MOST_BODIES = 60, 40
-
 
 @dataclass(frozen=True)
 class Drawing:
@@ -91,12 +89,12 @@ def schematic(
 ) -> Drawing:
     """The rig in the field's symbols; with values and intervals of an estimate where there is one.
 
-    `doubtful` names parameters that are marked as such.  Of more than MOST_ELEMENTS elements only the kinds and names
+    `doubtful` names parameters that are marked as such.  Of more than 60 elements only the kinds and names
     are drawn.  Raises UsageError where there are too many bodies for a drawing.
     """
     model, channels = model.alone, [channel for channel in channels if channel.only is None]
     parts = _few_bodies(model, channels)
-    small = len(model.elements) <= MOST_ELEMENTS
+    small = len(model.elements) <= 60
     between = [link.item for link in parts.links if link.kind == "sensor"]
     said = labels(model, channels if small else (), estimate, doubtful, between, level, numbers=small)
     placed = Placer(model, forest(model, parts), parts.pushes, said).placed()
@@ -111,9 +109,9 @@ def schematic(
 def _few_bodies(model: Model, channels: Sequence[Channel] = ()) -> Connections:
     """What a rig consists of.  Raises UsageError where there are too many bodies for a drawing."""
     found = connections(model, channels)
-    if len(found.bodies) > MOST_BODIES:
+    if len(found.bodies) > 40:
         raise UsageError(
-            f"{len(found.bodies)} bodies are too many for a drawing (at most {MOST_BODIES})",
+            f"{len(found.bodies)} bodies are too many for a drawing (at most 40)",
             cure="draw a part of the rig",
         )
     return found
@@ -148,9 +146,6 @@ def true_rig_picture(model: Model, theta: Real, channels: Sequence[Channel]) -> 
 
 
 # Modes on the drawing of a rig: bodies move sideways as the mode has them.
-
-
-FRAMES = 16
 
 
 @dataclass(frozen=True)
@@ -263,8 +258,9 @@ def mode_drawing(model: Model, shape: Complex, title: str) -> ModeDrawing:
     ]
     drawn = [_plain(part) for part in placed.parts]
     frames = []
-    for k in range(FRAMES):
-        turn = complex(math.cos(2 * math.pi * k / FRAMES), math.sin(2 * math.pi * k / FRAMES))
+    count = 16  # frames of a period
+    for k in range(count):
+        turn = complex(math.cos(2 * math.pi * k / count), math.sin(2 * math.pi * k / count))
         shifts = {body: (z * turn).real for body, z in motion.items()}
         moved = [Part("at rest", tuple(outlines)), *(part.moved(shifts) for part in drawn)]
         parts, width, head = titled(moved, title, placed.width)
@@ -286,9 +282,6 @@ def _plain(part: Part) -> Part:
 
 
 WIDEST = 960.0  # px of a row: on a page of A4 its texts have six points
-BETWEEN = 26.0  # px from one row to the next
-CLEAR = 3.0  # px around whatever is not cut
-MARK = 5.0  # half the height of the stroke that marks a cut line
 
 
 def folded(drawn: Sequence[Part], width: float, height: float) -> tuple[list[Part], float, float]:
@@ -302,16 +295,16 @@ def folded(drawn: Sequence[Part], width: float, height: float) -> tuple[list[Par
         return list(drawn), width, height
     ends = [0.0, *cuts, width]
     parts: list[Part] = []
-    below = 0.0
+    below, between = 0.0, 26.0  # px from one row to the next
     for row, (left, right) in enumerate(pairwise(ends)):
         content = [_within(part, left, right) for part in drawn]
         heights = [y for part in content for y in _heights(part)]
         top, bottom = min(heights, default=0.0) if row else 0.0, max(heights, default=0.0)
         dx = MARGIN - left if row else 0.0
         parts += [part.shifted(dx, below - top) for part in content if part.shapes or part.texts]
-        below += bottom - top + BETWEEN
+        below += bottom - top + between
     wide = max(right - left for left, right in pairwise(ends))
-    return parts, wide + 2 * MARGIN, below - BETWEEN + MARGIN
+    return parts, wide + 2 * MARGIN, below - between + MARGIN
 
 
 def _cuts(uncut: Sequence[tuple[float, float]], width: float) -> list[float]:
@@ -350,7 +343,7 @@ def _uncut(drawn: Sequence[Part]) -> list[tuple[float, float]]:
         if part.title and upright:
             spans.append((min(upright), max(upright)))
         spans += [(x, x) for x in upright]
-    return [(left - CLEAR, right + CLEAR) for left, right in spans]
+    return [(left - 3.0, right + 3.0) for left, right in spans]  # px of room on either side
 
 
 def _within(part: Part, left: float, right: float) -> Part:
@@ -377,7 +370,7 @@ def _pieces(shape: Shape, left: float, right: float) -> Iterator[Shape]:
         run.append(end)
         for whole, cut in ((a, start), (b, end)):
             if whole.x != cut.x:
-                mark = (cut.shifted(-2, MARK), cut.shifted(2, -MARK))
+                mark = (cut.shifted(-2, 5.0), cut.shifted(2, -5.0))  # an upright stroke of 10 px
                 yield replace(shape, points=mark, weight=1.0, dashed=False)
     if run:
         yield replace(shape, points=tuple(run))
@@ -391,8 +384,6 @@ def _heights(part: Part) -> list[float]:
 # Title and legend around a drawing.
 
 
-SAMPLE = 26.0  # length of a sample of a line in the legend
-LEAST_WIDTH = 320.0
 WORDS = {
     "unknown": "to be found",
     "estimated": "found, with {level:g} % interval",
@@ -418,10 +409,10 @@ def framed(
 
 def titled(drawn: Sequence[Part], title: str, width: float) -> tuple[list[Part], float, float]:
     """The parts of a drawing of that width below a title; width of it all, and how far they are moved down."""
-    line = Line(title, "ink", TITLE, True)
-    lines = _wrapped(line, max(width, LEAST_WIDTH) - 2 * MARGIN) if title else []
+    line, least = Line(title, "ink", TITLE, True), max(width, 320.0)
+    lines = _wrapped(line, least - 2 * MARGIN) if title else []
     head = 30.0 + (len(lines) - 1) * 1.3 * TITLE if lines else 0.0
-    wide = max([width, LEAST_WIDTH, *(line.width + 2 * MARGIN for line in lines)])
+    wide = max([least, *(line.width + 2 * MARGIN for line in lines)])
     texts = [Text(line, Point(MARGIN, MARGIN + TITLE * (0.9 + 1.3 * k))) for k, line in enumerate(lines)]
     parts = [Part("", (), tuple(texts))] if texts else []
     return [*parts, *(part.shifted((wide - width) / 2, head) for part in drawn)], wide, head
@@ -457,15 +448,16 @@ def _legend(
             entries.append((None, Line(f"{quantity} sensor", "muted", SMALL, badge=badge)))
     if note:
         entries.append((None, Line(note, "muted", SMALL)))
+    length = 26.0  # of a sample of a line
     for sample, line in entries:
-        need = (SAMPLE + 6 if sample else 0.0) + block_width([line])
+        need = (length + 6 if sample else 0.0) + block_width([line])
         if x > MARGIN and x + need > width - MARGIN:
             x, y = MARGIN, y + 17.0
         if sample is not None:
             weight = 1.2 if sample == "known" else 2.0
-            ends = (x, y - 3.5), (x + SAMPLE, y - 3.5)
+            ends = (x, y - 3.5), (x + length, y - 3.5)
             shapes.append(stroke(ends, sample, weight, dashed=sample == "doubtful"))
-            texts.append(Text(line, Point(x + SAMPLE + 6, y)))
+            texts.append(Text(line, Point(x + length + 6, y)))
         else:
             texts.append(Text(line, Point(x, y)))
         x += need + 18.0

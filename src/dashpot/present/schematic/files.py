@@ -30,8 +30,6 @@ COLOURS: Mapping[str, str] = {
 }
 FILLS: Mapping[str, str] = {"body": "#eef3f7", "bar": "#52606d"}
 FONT = "DejaVu Sans, Verdana, Segoe UI, Helvetica, Arial, sans-serif"
-PX = 72.0  # px of the drawing in an inch: a px is a point
-SECONDS = 2.0  # of one period of a mode
 # SMIL knows neither print nor readers who want no motion: what moves is there a second time, at its largest.
 STILL = (
     "<style>.still{display:none}@media print,(prefers-reduced-motion:reduce)"
@@ -93,7 +91,7 @@ def _animation(attribute: str, values: Sequence[str]) -> str:
     if len(set(values)) == 1:
         return ""
     through = ";".join([*values, values[0]])
-    return f'<animate attributeName="{attribute}" values="{through}" dur="{SECONDS:g}s" repeatCount="indefinite"/>'
+    return f'<animate attributeName="{attribute}" values="{through}" dur="2s" repeatCount="indefinite"/>'
 
 
 def _path(frames: Sequence[Shape]) -> str:
@@ -138,7 +136,7 @@ def raster(
     parts: Sequence[Part], width: float, height: float, title: str, kind: Literal["png", "pdf"]
 ) -> bytes:
     """The parts as a PNG or PDF file, the same bytes for the same drawing."""
-    figure = Figure(figsize=(width / PX, height / PX))
+    figure = Figure(figsize=(width / 72, height / 72))  # a px of the drawing is a point
     figure.set_layout_engine("none")
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_xlim(0, width)

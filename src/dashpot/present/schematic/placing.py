@@ -40,7 +40,6 @@ SYMBOL, HALF = 58.0, 11.0  # length of a symbol, half its width
 SEPARATION = 16.0  # between branches
 WALL = 12.0  # width of a wall
 ARROW_ROOM = 14.0  # above the name of a base, for its arrow
-HOP = 3.5  # radius of a bump over a line
 WEIGHTS: dict[Tone, float] = {"unknown": 2.0, "doubtful": 2.0, "ink": 2.4, "sensor": 1.0, "known": 1.2}
 
 
@@ -83,9 +82,9 @@ class Placed:
                 ]
                 down = 1.0 if b.y > a.y else -1.0
                 for y in sorted(crossed, reverse=down < 0):
-                    turns = [math.pi * n / 8 for n in range(9)]
+                    turns, radius = [math.pi * n / 8 for n in range(9)], 3.5  # of a bump over the line
                     points += [
-                        b._replace(x=b.x + HOP * math.sin(turn), y=y - down * HOP * math.cos(turn))
+                        b._replace(x=b.x + radius * math.sin(turn), y=y - down * radius * math.cos(turn))
                         for turn in turns
                     ]
                 points.append(b)
