@@ -10,7 +10,7 @@ from dashpot.channel import Channel
 from dashpot.data.conditioning.lines import spectrum as conditioned
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.allocation import Criterion
-from dashpot.design.plan import Budget, plan
+from dashpot.design.plan import Budget, plan, sample_noise, unsettled_dwells
 from dashpot.design.test_setup import (
     Schedule,
     ShakerLimits,
@@ -18,7 +18,6 @@ from dashpot.design.test_setup import (
     band_grid,
     nominal_setup,
 )
-from dashpot.design.transients import sample_noise, unsettled_dwells
 from dashpot.estimate.identify import identify
 from dashpot.estimate.method import Method
 from dashpot.study.simulate import dwells, simulate_spectrum

@@ -13,7 +13,7 @@ import numpy as np
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.allocation import Criterion, ExpectedPrecision, expected_precision, optimise
-from dashpot.design.plan import NYQUIST, Budget, Dwell, Plan
+from dashpot.design.plan import NYQUIST, Budget, Dwell, Plan, UnsettledTest, unsettled_test
 from dashpot.design.robust import Map, Uncertainty, best_test, slowest_settling, uniform_box_of
 from dashpot.design.stopping import (
     SequentialEstimates,
@@ -38,7 +38,6 @@ from dashpot.design.test_setup import (
     natural_band,
     nominal_setup,
 )
-from dashpot.design.transients import UnsettledTest, unsettled_test
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 
 from dashpot.design.advise import Answer, phase_deg
 from dashpot.design.allocation import Criterion, ExpectedPrecision
-from dashpot.design.plan import Plan
+from dashpot.design.plan import Plan, UnsettledTest
 from dashpot.design.releases import ReleasePlan
 from dashpot.design.test_setup import drive_units
-from dashpot.design.transients import UnsettledTest
 from dashpot.io.words import counted, joined
 from dashpot.present.document import (
     Document,

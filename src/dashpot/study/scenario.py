@@ -16,7 +16,7 @@ import numpy as np
 from dashpot.arrays import Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.spectrum import Spectrum
-from dashpot.design.transients import lines_of_dwells, unsettled_dwells
+from dashpot.design.plan import lines_of_dwells, unsettled_dwells
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood

@@ -8,8 +8,8 @@ import pytest
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.design.advise import Answer, Question, answer
 from dashpot.design.allocation import Criterion
+from dashpot.design.plan import lines_of_dwells, unsettled_dwells
 from dashpot.design.test_setup import Schedule
-from dashpot.design.transients import lines_of_dwells, unsettled_dwells
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.present.design import plan_in_words
