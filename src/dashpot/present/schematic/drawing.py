@@ -148,6 +148,9 @@ def true_rig_picture(model: Model, theta: Real, channels: Sequence[Channel]) -> 
 # Modes on the drawing of a rig: bodies move sideways as the mode has them.
 
 
+FRAMES = 16  # of one period of a mode
+
+
 @dataclass(frozen=True)
 class ModeDrawing:
     """Frames of one period of a mode, the first at its largest, with the bodies at rest behind."""
@@ -258,9 +261,8 @@ def mode_drawing(model: Model, shape: Complex, title: str) -> ModeDrawing:
     ]
     drawn = [_plain(part) for part in placed.parts]
     frames = []
-    count = 16  # frames of a period
-    for k in range(count):
-        turn = complex(math.cos(2 * math.pi * k / count), math.sin(2 * math.pi * k / count))
+    for k in range(FRAMES):
+        turn = complex(math.cos(2 * math.pi * k / FRAMES), math.sin(2 * math.pi * k / FRAMES))
         shifts = {body: (z * turn).real for body, z in motion.items()}
         moved = [Part("at rest", tuple(outlines)), *(part.moved(shifts) for part in drawn)]
         parts, width, head = titled(moved, title, placed.width)
