@@ -290,13 +290,14 @@ FOR_A_SLOPE = (
 LEAST = 4.0  # degrees of freedom beyond the channels: below, a weight has no mean
 
 
-def moderated(spectrum: Spectrum, told: Real | None = None) -> Spectrum:
+def moderated(spectrum: Spectrum, told: Real | None = None, *, kind: str = "white") -> Spectrum:
     """The same lines with the noise of those that have few samples moderated, and a note.
 
     told (lines, channels): share of an amplitude's information that the samples measured have.  It is unchanged where
-    all have many samples.  Lines of white noise estimated from samples are moderated; repeats share d₀.
+    all have many samples.  Lines whose noise is of one `kind` are moderated, white noise estimated from samples or the
+    scatter of periods; repeats share d₀.
     """
-    chosen = np.array([kind == "white" for kind in spectrum.noise]) & np.isfinite(spectrum.dof)
+    chosen = np.array([each == kind for each in spectrum.noise]) & np.isfinite(spectrum.dof)
     short = chosen & (spectrum.dof < FEW)
     if not np.any(short) or np.sum(chosen) < FEWEST_LINES_MODERATED or np.any(np.isnan(spectrum.amplitudes)):
         return spectrum

@@ -23,7 +23,7 @@ from dashpot.data.conditioning.clock import even_step
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.whole_record import without_gaps
-from dashpot.data.noise import with_local_noise
+from dashpot.data.noise import moderated, with_local_noise
 from dashpot.data.periods import ROUNDING, averaged_periods
 from dashpot.data.readers import Reading
 from dashpot.data.readers.text import write_rows
@@ -207,6 +207,7 @@ def response_of(data: Parted, band_hz: Band | None = None) -> MeasuredResponse:
         found = local_response(data.records, data.inputs, band_hz)
     else:
         lines = concatenate(data.spectra) if len(data.spectra) > 1 else data.spectra[0]
+        lines = replace(moderated(lines, kind="periods"), notes=lines.notes)
         found = _of_lines(lines, data.inputs, band_hz, "periods" if data.distortion else "dwells")
     notes = tuple(dict.fromkeys((*data.notes, *found.notes)))
     return replace(found, distortion=data.distortion, notes=notes)

@@ -221,6 +221,30 @@ def test_a_line_at_which_the_force_drops_is_driven(periods: int) -> None:
     assert abs(found.values[35, 0, 0] - 50**0.5) < 4 * found.sd[35, 0, 0]
 
 
+def test_three_taps_of_a_hammer_tell_their_noise_together() -> None:
+    """Of each line alone the scatter of three is known to a factor of two: intervals held the truth in 85 %, and modes
+    were found that are none."""
+    rng, f = np.random.default_rng(1), np.arange(2.0, 12.0, 0.05)
+    H = TWO.accelerance(f, 1)[:, :, 0]
+    taps = H + 0.02 * (rng.standard_normal((3, *H.shape)) + 1j * rng.standard_normal((3, *H.shape)))
+    mean, V = np.mean(taps, axis=0), np.zeros((len(f), 3, 3), dtype=np.complex128)
+    V[:, [1, 2], [1, 2]] = np.var(taps, axis=0, ddof=1) / 3
+    channels = tuple(Channel(name, {name: 1.0}) for name in ("f", "a", "b"))
+    lines = Spectrum(
+        channels,
+        f,
+        np.column_stack([np.ones(len(f)), mean]),
+        V,
+        np.ones(len(f), dtype=np.int64),
+        np.full(len(f), 4.0),
+        ("periods",) * len(f),
+        np.zeros(len(f), dtype=np.int64),
+    )
+    z = z_scores(dashpot.frf(lines, "f"), H[:, :, None])
+    assert abs(np.mean(np.abs(z) < 1.96) - 0.95) < 0.03  # 4 standard errors of 800 numbers
+    assert dashpot.modes(lines, "f").frequency_hz == pytest.approx(TWO.frequency_hz, rel=0.01)
+
+
 def test_no_period_is_left_out_for_rounding() -> None:
     """A drive without noise differs between periods by the rounding of its time."""
     rng, time, odd = np.random.default_rng(0), np.arange(8000) / 1000, np.arange(3, 200, 4)
