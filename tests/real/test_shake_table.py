@@ -14,8 +14,7 @@ from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
 from dashpot.estimate.result import Estimate
 from dashpot.model.rigfile import read_rig
-from dashpot.present.estimate import parameter_columns
-from dashpot.present.verdict import fit_in_words
+from dashpot.present.estimate import fit_in_words, parameter_columns
 from tests.real.recordings import EXAMPLES, RAW, needs_recordings, tables
 
 EXAMPLE = EXAMPLES / "02_shake_table"

@@ -9,7 +9,7 @@ from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.noise import with_local_noise
 from dashpot.data.periods import average_periods
 from dashpot.estimate.identify import identify
-from dashpot.present.verdict import verdict_in_words
+from dashpot.present.estimate import verdict_in_words
 from tests.two_masses import PUSHED
 from tests.unit.data.test_local_noise import RIG, functions
 from tests.whole_rigs import chain, record_of

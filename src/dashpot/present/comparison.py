@@ -14,10 +14,10 @@ from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 from dashpot.model.rigfile import element_line, element_section
 from dashpot.present.document import Document, Provenance, Table, TableColumn, columns_of, section
+from dashpot.present.estimate import fit_in_words
 from dashpot.present.figures.comparison import comparison_figure
 from dashpot.present.page import figure_picture, page_html
 from dashpot.present.schematic.drawing import rig_picture
-from dashpot.present.verdict import fit_in_words
 from dashpot.present.words import flush, percent, plain, sentence, short, value_and_sd
 
 MISSES = "*"

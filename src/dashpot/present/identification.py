@@ -24,11 +24,17 @@ from dashpot.present.estimate import (
     CYCLES_TEXT,
     STATED,
     STATED_TEXT,
+    VERDICTS,
     convergence_in_words,
     cycle_columns,
+    diagnosis_in_words,
+    fit_paragraphs,
     has_modes,
+    headline,
     mode_columns,
+    page_verdict,
     parameter_columns,
+    remaining_in_words,
     remarks,
     signs_in_words,
     stated_columns,
@@ -40,14 +46,6 @@ from dashpot.present.figures.spectra import rows_of_pictures
 from dashpot.present.page import figure_picture, page_html
 from dashpot.present.schematic.drawing import mode_drawing, numbered_mode, rig_picture
 from dashpot.present.validation import fits_in_words, prediction_section
-from dashpot.present.verdict import (
-    VERDICTS,
-    diagnosis_in_words,
-    fit_paragraphs,
-    headline,
-    page_verdict,
-    remaining_in_words,
-)
 from dashpot.present.words import capitalised, names_of, percent, sentence, short
 
 MOST_PANELS = 16  # channels drawn with amplitude and phase

@@ -14,10 +14,10 @@ from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.present.document import Document, Provenance, Section, TableColumn, columns_of, section
+from dashpot.present.estimate import diagnosis_in_words
 from dashpot.present.figures.spectra import drawn_of, prediction_figure, rows_of_pictures
 from dashpot.present.page import figure_picture, page_html
 from dashpot.present.schematic.drawing import rig_picture
-from dashpot.present.verdict import diagnosis_in_words
 from dashpot.present.words import capitalised, short
 
 POOR = 0.5  # FIT below which a prediction is of no use

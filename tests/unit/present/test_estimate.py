@@ -15,11 +15,11 @@ from dashpot.present.document import html_of, show
 from dashpot.present.estimate import (
     basis_in_words,
     estimate_document,
+    fit_in_words,
     parameter_columns,
     parameter_rows,
     warnings_in_words,
 )
-from dashpot.present.verdict import fit_in_words
 from tests.unit.present.conftest import RIG, measured
 
 
