@@ -313,7 +313,7 @@ def start(
 ) -> Rig:
     """A rig to begin with, suggested by what is in data: a channel for each column, everything unknown.
 
-    data        files by name, a data frame or a mapping of columns
+    data        files by name, a manifest of them, a data frame or a mapping of columns
     driven_by   what drives the rig; without it what the columns suggest
     units       of columns that state none, by name; otherwise numbers count as SI
     first_mass  kg, where it was weighed; 1 where nothing else gives the scale
@@ -324,17 +324,20 @@ def start(
     tells what one measures or where a force acts.
     """
     from dashpot.check.first_rig import first_rig, seen_data
-    from dashpot.data.inspection import inspect_columns, inspect_file
+    from dashpot.data.inspection import inspect_columns, inspect_named
     from dashpot.io.toml_document import PLACEHOLDER
     from dashpot.model.rigfile.starter import starter_text
 
     several = _several(data)
     seen = seen_data(
         [
-            inspect_file(each)
-            if isinstance(each, str | os.PathLike)
-            else inspect_columns(columns_in_memory(each, type(each).__name__))
+            inspection
             for each in several
+            for inspection in (
+                inspect_named(each)
+                if isinstance(each, str | os.PathLike)
+                else [inspect_columns(columns_in_memory(each, type(each).__name__))]
+            )
         ]
     )
     stated = units or {}

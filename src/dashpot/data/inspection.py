@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from typing import TypeVar
@@ -25,7 +25,7 @@ from dashpot.data.readers.columns import (
     time_column,
 )
 from dashpot.data.readers.datafile import open_file
-from dashpot.data.readers.manifest import columns_meant
+from dashpot.data.readers.manifest import columns_meant, files_named, is_manifest
 from dashpot.data.readers.registry import reader_of
 from dashpot.data.readers.responses import is_response, response_named
 from dashpot.data.record import samples_at_limit
@@ -157,6 +157,26 @@ def inspect_file(path: str | os.PathLike[str]) -> Inspection:
                 raise part.damaged[0]
         raise DataError("no column holds numbers", file.name, "name a data file")
     return Inspection(file.name, reader.format, tuple(parts), more)
+
+
+def inspect_named(path: str | os.PathLike[str]) -> list[Inspection]:
+    """The files that a name stands for; those of a manifest with the columns that it chooses, by its names and units.
+
+    Raises DataError where one cannot be read.
+    """
+    if not is_manifest(path):
+        return [inspect_file(each) for each in files_named(path)]
+    found = []
+    for columns, chosen in columns_meant(path):
+        part = _part(columns)
+        if chosen:
+            part = replace(
+                part,
+                columns=tuple(column for column in part.columns if column.name in chosen),
+                complexes=tuple(channel for channel in part.complexes if channel.name in chosen),
+            )
+        found.append(Inspection(columns.source, f"as {os.path.basename(path)} names it", (part,), 0))
+    return found
 
 
 def inspect_columns(columns: Columns) -> Inspection:

@@ -64,7 +64,7 @@ def command(
     at it.
     """
     from dashpot.check.first_rig import first_rig, seen_data
-    from dashpot.data.inspection import inspect_file
+    from dashpot.data.inspection import inspect_named
     from dashpot.data.readers.manifest import files_named, is_manifest
     from dashpot.data.readers.modes import holds_modes
     from dashpot.errors import UsageError
@@ -81,13 +81,15 @@ def command(
         )
     paths = [path for name in files for path in files_named(name)]
     inspections: list[Inspection] = []
-    for path in paths:
-        if holds_modes(path):
-            cure = "write a rig file by hand or with dashpot new; identify takes the modes"
-            raise UsageError("this file holds modes, and no channels", str(path), cure)
-        with progress(reading_of([str(path)])):
-            inspections.append(inspect_file(path))
-        say(inspection_document(inspections[-1]))
+    for path in filter(holds_modes, paths):
+        cure = "write a rig file by hand or with dashpot new; identify takes the modes"
+        raise UsageError("this file holds modes, and no channels", str(path), cure)
+    for name in files:
+        with progress(reading_of([name])):
+            found = inspect_named(name)
+        for inspection in found:
+            say(inspection_document(inspection))
+        inspections += found
     seen, ask = seen_data(inspections), ask_for()
     columns = []
     for column in seen.columns:

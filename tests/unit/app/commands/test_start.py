@@ -170,6 +170,23 @@ def test_the_response_of_an_analysers_file_is_of_two_channels(tmp_path: Path) ->
     assert found.values[:, 0, 0] == pytest.approx(H)
 
 
+def test_a_manifest_names_the_channels() -> None:
+    data("t,Channel_1,Channel_2", STEADY, 2 * STEADY)
+    columns = 'columns = { acc = "Channel_1", table = "Channel_2" }'
+    units = 'units = { acc = "g", table = "mm" }'
+    Path("test.toml").write_text(f'[[files]]\nname = "data.csv"\n{columns}\n{units}\n', encoding="utf-8")
+    done = CliRunner().invoke(cli, ["start", "test.toml"], catch_exceptions=False)
+    assert done.exit_code == 0
+    channels = written()["channels"]
+    assert {name: (entry["of"], entry["unit"]) for name, entry in channels.items()} == {
+        "acc": ("x1", "g"),
+        "table": ("u", "mm"),
+    }
+    rig = dashpot.start("test.toml")
+    assert [channel.name for channel in rig.channels] == ["acc", "table"]
+    assert len(dashpot.read("test.toml", rig.channels).records) == 1
+
+
 def test_a_column_that_ends_early_is_told_without_a_warning() -> None:
     x = np.where(T < 2.8, DECAY, np.nan)
     rig = dashpot.start({"time_s": T, "x1": x, "x2": DECAY})
