@@ -126,7 +126,9 @@ def plan_releases(
         )
     slowest = float(np.min(np.abs(found[np.abs(found) > 0]), initial=np.inf))
     decay = float(np.min(-found.real[found.real < -1e-9 * np.abs(found)], initial=np.inf))
-    samples = max(int(min(_longest(slowest, decay) * rate, 40_000)), 4 * model.n + 4)
+    # Until the slowest decay is at 1e-4, two hundred periods where it hardly decays, or not at all
+    longest = min(np.log(1e4) / decay if np.isfinite(decay) else np.inf, 200 * 2 * np.pi / slowest)
+    samples = max(int(min(longest * rate, 40_000)), 4 * model.n + 4)
     ends = np.geomspace(min(4 * model.n + 4, samples), samples, 24).astype(int)
     if time_s is not None:
         shared = (rate * time_s / np.arange(1, MOST_TOGETHER + 1)).astype(int)
@@ -299,12 +301,6 @@ def _require_plannable(model: Model, names: Sequence[str]) -> None:
         raise UsageError(
             f"{wrong[0]} is no unknown", cure=f"the unknowns are {', '.join(model.unknown_names)}"
         )
-
-
-def _longest(slowest: float, decay: float) -> float:
-    """s that are looked at: until the slowest decay is at 1e-4, two hundred periods where it hardly decays."""
-    periods = 200 * 2 * np.pi / slowest
-    return float(min(np.log(1e4) / decay, periods) if np.isfinite(decay) else periods)
 
 
 def _shapes(model: Model, p: Real) -> list[Real]:

@@ -167,7 +167,9 @@ def pooled(name: str, unit: str, values: Real, sd: Real, used: Bools | None = No
     y, s = (y - middle) / unit_size, s / unit_size
     tau, ends = _spread(y, s)
     grid, weight = _grid(y, s, tau)
-    mu, mu_variance = _mean(y, s, grid)
+    precision = 1 / (s**2 + grid[:, None] ** 2)
+    mu_variance = 1 / np.sum(precision, axis=-1)  # of μ at each τ
+    mu = mu_variance * np.sum(precision * y, axis=-1)
     mean = float(np.sum(weight * mu))
     mean_variance = float(np.sum(weight * (mu_variance + (mu - mean) ** 2)))
     centre, variance = _shrunk(y, s, grid, weight, mu, mu_variance)
@@ -252,13 +254,6 @@ def _grid(y: Real, s: Real, tau: float) -> tuple[Real, Real]:
     logs = restricted_likelihood(y, s, grid)
     weight = grid * np.exp(logs - np.max(logs))
     return grid, weight / np.sum(weight)
-
-
-def _mean(y: Real, s: Real, grid: Real) -> tuple[Real, Real]:
-    """μ and its variance at each τ, (steps,)."""
-    weight = 1 / (s**2 + grid[:, None] ** 2)
-    total = np.sum(weight, axis=-1)
-    return np.sum(weight * y, axis=-1) / total, 1 / total
 
 
 def _shrunk(y: Real, s: Real, grid: Real, weight: Real, mu: Real, mu_variance: Real) -> tuple[Real, Real]:
