@@ -52,7 +52,7 @@ from dashpot.experiment import RUNS, kind_of
 from dashpot.free import MOST_MODES
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
-from dashpot.io.words import counted, listed, names_in
+from dashpot.io.words import listed, names_in
 from dashpot.model.modes import Modes
 from dashpot.model.modes import modes as modes_of_model
 from dashpot.model.network import Model
@@ -352,10 +352,12 @@ def start(
     seen = replace(seen, columns=tuple(columns))
     drive = driven_by or ("base" if base else "force" if force_at else seen.drive)
     chain = first_rig(seen, name, drive, first_mass, force_at, base)
-    if chain.at == PLACEHOLDER or (chain.drive == "force" and chain.forces > 1):
-        places = f"x1 to x{chain.masses}"
-        cure = f"give force_at=, one of {places}" if chain.forces == 1 else "leave out the column of one"
-        raise UsageError(f"nothing tells where {counted(chain.forces, 'force')} may act", cure=cure)
+    if chain.drive == "force" and chain.forces > 1:
+        cure = "leave out the columns of the others, or complete the file that `dashpot start` writes"
+        raise UsageError(f"{chain.forces} columns are forces, and nothing tells where each acts", cure=cure)
+    if chain.at == PLACEHOLDER:
+        cure = f"give force_at=, one of x1 to x{chain.masses}"
+        raise UsageError("nothing tells which mass the force acts on", cure=cure)
     for sensor in chain.sensors:
         if sensor.of == PLACEHOLDER:
             cure = "give base=, the column of the base, or another driven_by="
