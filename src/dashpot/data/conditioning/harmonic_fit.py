@@ -107,60 +107,6 @@ def _neighbours(f: float, orders: Sequence[int], step: float, samples: int) -> t
     return np.concatenate(offset).astype(np.int64), np.concatenate(owner).astype(np.int64)
 
 
-@dataclass(frozen=True)
-class NoiseLevel:
-    """The noise that the harmonics are seen through.
-
-    level      (batch, orders, channels, channels)  covariance of one sample that counts at each harmonic
-    dof        (orders,)  real degrees of freedom behind it
-    whiteness  (batch,)  p-value of a white residual; NaN where not tested
-    """
-
-    kind: Literal["white", "blocks"]
-    level: Complex
-    dof: Real
-    whiteness: Real
-    notes: tuple[Notice, ...] = ()
-
-
-def _noise_level(record: Record, f: float, solution: HarmonicSolution, noise: Noise) -> NoiseLevel:
-    """The white noise of the residual at every harmonic alike, or that on the lines beside each, which is chosen where
-    it is another.  Raises DataError where it is asked for and the record is too short."""
-    sigma, exact, orders = solution.covariance, solution.exact(), len(solution.terms.orders)
-    sigma = np.where(exact[:, :, None] | exact[:, None, :], 0.0, sigma)
-    level = np.broadcast_to(sigma[:, None].astype(complex), (len(sigma), orders, *sigma.shape[1:]))
-    dof = np.full(orders, float(np.min(solution.free)))
-    white = NoiseLevel("white", level, dof, np.full(len(sigma), np.nan))
-    if noise == "white":
-        return white
-    sums, samples = ResidualSums.of(record, f, solution), len(record.time)
-    local, counts = _local_level(sums, orders, samples, sigma, exact)
-    # What rounding leaves over in cells is no noise, nor are the digits of the numbers, which repeat with the drive
-    quiet = exact | solution.exact(DIGITS) | solution.in_cells
-    p = _whiteness(sums.products, sigma, quiet, local, counts, samples, samples - solution.terms.count)
-    enough, coloured, periods = (
-        bool(np.all(counts >= FEWEST_LINES)),
-        is_coloured(p),
-        f * duration(record.time),
-    )
-    if noise == "blocks" and not enough:
-        raise DataError(
-            f"{periods:.3g} periods are too few to see the colour of the noise at {f:g} Hz",
-            record.source,
-            'record at least eight periods, or take the noise as "white"',
-        )
-    if noise == "blocks" or (coloured and enough):
-        apart = solution.in_cells[:, None] | solution.in_cells
-        return NoiseLevel("blocks", np.where(apart, level, local), 2.0 * counts, p)
-    if not coloured:
-        return replace(white, whiteness=p)
-    text = (
-        f"{record.source}: the residual at {f:g} Hz is not white, but {periods:.3g} periods "
-        "are too few to measure its colour; the intervals treat it as white"
-    )
-    return replace(white, whiteness=p, notes=(Notice("colour_unresolved", text, (record.source,)),))
-
-
 def _local_level(
     of: ResidualSums, orders: int, samples: int, sigma: Real, exact: Bools
 ) -> tuple[Complex, Real]:
@@ -418,38 +364,71 @@ def fit_harmonics(
 
 
 def _fit(record: Record, f: float, terms: Terms, noise: Noise) -> HarmonicFit:
+    """With the white noise of the residual at every harmonic alike, or that on the lines beside each, which is chosen
+    where it is another.  Raises DataError where it is asked for and the record is too short."""
+    solution, samples = solve_harmonics(record, f, terms), len(record.time)
+    sigma, exact, orders = solution.covariance, solution.exact(), len(terms.orders)
+    sigma = np.where(exact[:, :, None] | exact[:, None, :], 0.0, sigma)
+    level = np.broadcast_to(sigma[:, None].astype(complex), (len(sigma), orders, *sigma.shape[1:]))
+    white = _seen_through(record, f, solution, level)
+    if noise == "white":
+        return white
+    sums = ResidualSums.of(record, f, solution)
+    local, counts = _local_level(sums, orders, samples, sigma, exact)
+    # What rounding leaves over in cells is no noise, nor are the digits of the numbers, which repeat with the drive
+    quiet = exact | solution.exact(DIGITS) | solution.in_cells
+    p = _whiteness(sums.products, sigma, quiet, local, counts, samples, samples - terms.count)
+    white = replace(white, whiteness=p.reshape(white.whiteness.shape))
+    enough, coloured = bool(np.all(counts >= FEWEST_LINES)), is_coloured(p)
+    if noise == "blocks" and not enough:
+        raise DataError(
+            f"{white.periods:.3g} periods are too few to see the colour of the noise at {f:g} Hz",
+            record.source,
+            'record at least eight periods, or take the noise as "white"',
+        )
+    if noise == "blocks" or (coloured and enough):
+        apart = solution.in_cells[:, None] | solution.in_cells
+        blocks = _seen_through(record, f, solution, np.where(apart, level, local))
+        return replace(blocks, dof=2.0 * counts, noise="blocks", whiteness=white.whiteness)
+    if not coloured:
+        return white
+    text = (
+        f"{record.source}: the residual at {f:g} Hz is not white, but {white.periods:.3g} periods "
+        "are too few to measure its colour; the intervals treat it as white"
+    )
+    return replace(white, notes=(Notice("colour_unresolved", text, (record.source,)),))
+
+
+def _seen_through(record: Record, f: float, solution: HarmonicSolution, level: Complex) -> HarmonicFit:
+    """The harmonics with the covariance of one sample, (batch, orders, channels, channels), that counts at each."""
     samples, channels = record.values.shape[-2:]
-    leading, orders = record.values.shape[:-2], len(terms.orders)
-    solution = solve_harmonics(record, f, terms)
-    level, exact = _noise_level(record, f, solution, noise), solution.exact()
-    P = _real_and_imaginary(solution.P, terms)
+    leading, terms, orders = record.values.shape[:-2], solution.terms, len(solution.terms.orders)
+    P, exact = _real_and_imaginary(solution.P, terms), solution.exact()
     spread = P[..., 0, 0] + P[..., 1, 1]  # (orders, channels)
-    real = P * np.diagonal(level.level.real, axis1=-2, axis2=-1)[..., None, None]
+    real = P * np.diagonal(level.real, axis1=-2, axis2=-1)[..., None, None]
     told = np.ones(spread.shape)
     if not np.all(record.whole_channels & ~solution.in_cells):
         of_all = _real_and_imaginary(solution.of_all[None], terms)
         told = np.minimum((of_all[..., 0, 0] + of_all[..., 1, 1]) / spread, 1.0)
     both = np.sqrt(spread[:, :, None] * spread[:, None, :])
+    of_samples = np.where(exact[:, :, None] | exact[:, None, :], 0.0, solution.covariance)
     return HarmonicFit(
         record.channels,
         float(f),
         terms.orders,
         solution.amplitudes.reshape(*leading, orders, channels),
-        (both * level.level).reshape(*leading, orders, channels, channels),
+        (both * level).reshape(*leading, orders, channels, channels),
         real.reshape(*leading, orders, channels, 2, 2),
         solution.trend.reshape(*leading, terms.degree + 1, channels),
         *window(record.time),
-        np.where(exact[:, :, None] | exact[:, None, :], 0.0, solution.covariance).reshape(
-            *leading, channels, channels
-        ),
+        of_samples.reshape(*leading, channels, channels),
         samples,
         float(f * duration(record.time)),
-        level.dof,
-        level.kind,
-        level.whiteness.reshape(leading),
-        level.notes,
-        told,
-        solution.in_cells,
+        np.full(orders, float(np.min(solution.free))),
+        "white",
+        np.full(leading, np.nan),
+        told=told,
+        in_cells=solution.in_cells,
     )
 
 
@@ -479,10 +458,8 @@ def _with_significant(record: Record, f: float, terms: Terms) -> Terms:
     size, exact = np.abs(solution.amplitudes), solution.exact()
     strongest = np.maximum(np.max(size, axis=1), 1e-5 * solution.largest)
     level = SIGNIFICANT / (len(candidates) * exact.size)
-    significant = list(terms.orders)
+    sizes = np.stack([size[:, every.orders.index(order)] for order in candidates], axis=-1)
     p = solution.tails([every.wave(order) for order in candidates])
-    for k, order in enumerate(candidates):
-        beyond_rounding = size[:, every.orders.index(order)] > 1e-9 * strongest
-        if np.any(np.where(exact, beyond_rounding, p[..., k] < level)):
-            significant.append(order)
-    return replace(terms, orders=tuple(sorted(significant)))
+    there = np.where(exact[..., None], sizes > 1e-9 * strongest[..., None], p < level)
+    significant = np.array(candidates)[np.any(there, axis=(0, 1))].tolist()
+    return replace(terms, orders=tuple(sorted([*terms.orders, *significant])))
