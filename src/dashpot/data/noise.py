@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy import fft
@@ -23,15 +24,16 @@ from dashpot.notices import Notice
 from dashpot.numerics.variance_tests import equal_variances
 
 HALF_WINDOW = 30  # lines on either side over which noise is smoothed
+Values = TypeVar("Values", Real, Complex)
 
 
-def smoothed(values: Complex, half_window: int) -> Complex:
+def smoothed(values: Values, half_window: int = HALF_WINDOW) -> Values:
     """Mean over the nearest 2·half_window + 1 lines (axis 0), fewer lines on one side taken from the other."""
     lines = len(values)
     width = min(2 * half_window + 1, lines)
-    sums = np.concatenate([np.zeros((1, *values.shape[1:]), dtype=values.dtype), np.cumsum(values, axis=0)])
+    sums = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
     first = np.clip(np.arange(lines) - width // 2, 0, lines - width)
-    return (sums[first + width] - sums[first]) / width
+    return np.asarray((sums[first + width] - sums[first]) / width, dtype=values.dtype)
 
 
 def sizes_of_parts(power: Real, parts: Real, left: Real | float, sizes: Real, steps: int = 200) -> Real:

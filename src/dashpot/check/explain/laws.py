@@ -22,7 +22,7 @@ from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is
 from dashpot.check.explain.problem import FittedProblem, LineProblem, descended
 from dashpot.check.explain.rigs import points_of
 from dashpot.check.explain.score import score_tests, steadiness
-from dashpot.data.noise import HALF_WINDOW, smoothed
+from dashpot.data.noise import smoothed
 from dashpot.data.spectrum import LinesInTime, Spectrum, WholeRecord
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
@@ -781,7 +781,7 @@ def _beyond_noise(spectrum: Spectrum, residual: Complex) -> Real:
     power = np.empty(residual.shape)
     for number in spectrum.records:
         lines = np.flatnonzero(spectrum.stretch == number)
-        power[lines] = smoothed((np.abs(residual[lines]) ** 2).astype(np.complex128), HALF_WINDOW).real
+        power[lines] = smoothed(np.abs(residual[lines]) ** 2)
     noise = np.quantile(power, QUIET, axis=0)
     return np.maximum(1 - noise / np.maximum(power, np.finfo(float).tiny), 0.0)
 

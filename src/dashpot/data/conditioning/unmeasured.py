@@ -21,7 +21,7 @@ from dashpot.data.conditioning.drive_frequency import at_frequencies, drive_freq
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
 from dashpot.data.conditioning.regression import Terms, in_between, solve_harmonics, window
 from dashpot.data.conditioning.steadiness import FEW_PERIODS, LEVEL, periods_of
-from dashpot.data.noise import HALF_WINDOW, smoothed
+from dashpot.data.noise import smoothed
 from dashpot.data.record import ABOVE, BELOW, MISSING, Record, limits, runs_of_one_value
 from dashpot.errors import DataError
 from dashpot.io.words import counted, joined
@@ -478,7 +478,7 @@ def told_by_lines(column: Real, at: Ints, last: int, known: tuple[Real, Real]) -
     for _ in range(3):
         Y = fft.rfft(filled - filled.mean())[last + 1 :]
         power = np.abs(Y - ends @ leaked) ** 2 / (1 - len(at) / (2 * lines))
-        loudness = smoothed(power.astype(np.complex128), HALF_WINDOW).real
+        loudness = smoothed(power)
         weight = 1 / np.maximum(loudness, 1e-20 * np.max(np.abs(Y)) ** 2)
         # Products of errors of single samples with lines whose real and imaginary parts have half of the power each
         padded[last + 1 :] = weight[:, None] * np.column_stack([Y, np.ones(lines), ends])

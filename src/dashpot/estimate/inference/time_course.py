@@ -589,7 +589,7 @@ def _uneven_blocks(
             if blocks < 6:  # that can be compared
                 continue
             # Where inputs are noisy, too, residuals are louder at some lines, which then tell more than others.
-            loud = smoothed(np.abs(residual[at.lines, channel]) ** 2 + 0j, EACH_POWER // 2).real
+            loud = smoothed(np.abs(residual[at.lines, channel]) ** 2, EACH_POWER // 2)
             dof = float(2 * np.sum(loud) ** 2 / np.sum(loud**2) / blocks)
             parts = _in_blocks(residual[:, channel], at, blocks)
             p_even = equal_variances(np.array([np.mean(part**2) for part in parts]), dof)

@@ -78,7 +78,7 @@ class InputNoise:
             its = np.flatnonzero((spectrum.stretch == number) & lines)
             if len(its):
                 power = np.nan_to_num(np.abs(spectrum.amplitudes[0, its])) ** 2
-                around = smoothed(power.astype(np.complex128), HALF_WINDOW).real
+                around = smoothed(power)
                 most = np.minimum(most, ROOM * np.min(around, axis=0) * spectrum.samples[its[0]])
         sought = view.inputs_alone & (most > ROOM**2 * least)
         return InputNoise(sought, least, least, most)
@@ -415,7 +415,7 @@ def _first(spectrum: Spectrum, sought: Bools, outputs: Bools) -> Complex:
     for number, value in enumerate(spectrum.stretches):
         lines = np.flatnonzero((spectrum.stretch == number) & sought)
         if isinstance(value, WholeRecord) and len(lines):
-            around = smoothed(size[lines].astype(np.complex128), HALF_WINDOW).real
+            around = smoothed(size[lines])
             variance[lines] += np.where(outputs, FIRST**2 * around, 0.0)
     return diagonal_matrices(variance)[None]
 
@@ -493,6 +493,5 @@ def _course(power: Real, told: bool = True) -> tuple[Real, Real]:
     if told and groups > 1:
         of_groups = np.mean(power[: groups * width].reshape(groups, width), axis=1)
         if equal_variances(of_groups, 2.0 * width) < 0.01:
-            around = smoothed(power[:, None].astype(np.complex128), HALF_WINDOW)[:, 0].real
-            return around, np.full(len(power), 2.0 * width)
+            return smoothed(power), np.full(len(power), 2.0 * width)
     return np.full(len(power), np.mean(power)), np.full(len(power), 2.0 * len(power))

@@ -17,7 +17,6 @@ import numpy as np
 from dashpot.arrays import Bools, Real
 from dashpot.data.noise import (
     ALIKE,
-    HALF_WINDOW,
     QUIETEST,
     TOP,
     smoothed,
@@ -149,7 +148,7 @@ def own_noise(records: Sequence[RecordData]) -> OwnNoise:
         lines = np.fft.rfft(record.inputs - np.mean(record.inputs, axis=0), axis=0) * (2 / N)
         power = without_leakage(lines) * N / 4
         rounding = np.finfo(float).eps * np.sum(power, axis=0)  # of running sums
-        quietest = np.min(smoothed(power.astype(np.complex128), HALF_WINDOW).real, axis=0)
+        quietest = np.min(smoothed(power), axis=0)
         most = np.minimum(most, ROOM * np.maximum(quietest, rounding))
         at_rest = np.array([variance_at_rest(column) for column in record.inputs.T])
         at_top = np.array([white_floor(column) for column in power.T])

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from dashpot.arrays import Real
+from dashpot.data.noise import smoothed
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.estimate.inference.diagnostics import held as of_bounds
@@ -23,7 +24,7 @@ from dashpot.estimate.nonlinear.input_levels import (
     moves_with_sizes,
     unknowns_matrix,
 )
-from dashpot.estimate.nonlinear.record_problem import HALF_WINDOW, RecordProblem, around, begun_problem
+from dashpot.estimate.nonlinear.record_problem import HALF_WINDOW, RecordProblem, begun_problem
 from dashpot.estimate.nonlinear.records import RecordData, arranged, total_samples
 from dashpot.estimate.result import RESIDUALS, Estimate, Fit, estimate_of
 from dashpot.model.network import Model
@@ -267,10 +268,10 @@ def record_covariances(
         scores = np.zeros((len(record.chosen), len(record.chosen)))
         for c in range(record.residual.shape[1]):
             power = _smoothed_power(drawn.data[k][:, c])
-            usual = np.mean([_smoothed_power(each) for each in drawn.draws[k][:, c].T], axis=0)
+            usual = np.mean(_smoothed_power(drawn.draws[k][:, c]), axis=1)
             scores += _meat(record.weighed_slopes[:, c], power / np.maximum(usual, tiny))
-        usual = around(np.mean(drawn.drawn_errors[k] ** 2, axis=-1), HALF_WINDOW)
-        colour = around(drawn.errors[k] ** 2, HALF_WINDOW) / np.maximum(usual, tiny)
+        usual = smoothed(np.mean(drawn.drawn_errors[k] ** 2, axis=-1), HALF_WINDOW)
+        colour = smoothed(drawn.errors[k] ** 2, HALF_WINDOW) / np.maximum(usual, tiny)
         along = record.errors_along()
         scores += np.einsum("nq,nqp,nqr->pr", colour, along, along)
         meat[np.ix_(record.chosen, record.chosen)] += scores
@@ -279,11 +280,8 @@ def record_covariances(
 
 
 def _smoothed_power(residual: Real) -> Real:
-    """The power of a residual (samples,) at its lines, smoothed over 61; its variance where it is white."""
-    spectrum = np.abs(np.fft.rfft(residual)) ** 2 / len(residual)
-    width = min(61, len(spectrum))
-    padded = np.pad(spectrum, width // 2, mode="reflect") if len(spectrum) > width // 2 else spectrum
-    return np.convolve(padded, np.ones(width) / width, mode="valid")[: len(spectrum)]
+    """The power of residuals (samples, ...) at their lines, smoothed; their variance where they are white."""
+    return smoothed(np.abs(np.fft.rfft(residual, axis=0)) ** 2 / len(residual))
 
 
 def _meat(J: Real, power: Real) -> Real:

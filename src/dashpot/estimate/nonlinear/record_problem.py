@@ -15,6 +15,7 @@ import numpy as np
 from scipy.fft import dct, idct
 
 from dashpot.arrays import Ints, Real
+from dashpot.data.noise import smoothed
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.nonlinear.objective import must_be_positive
 from dashpot.estimate.nonlinear.records import (
@@ -153,19 +154,10 @@ def known_inputs(measured: Real, sd: Real) -> KnownInputs:
     t = np.arange(N)[:, None]
     smooth = first * t + (last - first) * t**2 / (2 * max(N - 1, 1))
     lines: Real = dct(measured - smooth, axis=0, norm="ortho")
-    moving = np.maximum(around(lines**2, HALF_WINDOW) - sd**2, 0.0)
+    moving = np.maximum(smoothed(lines**2, HALF_WINDOW) - sd**2, 0.0)
     total = moving + sd**2
     share = np.where(total > 0, moving / np.where(total > 0, total, 1.0), 1.0)
     return KnownInputs(smooth + idct(share * lines, axis=0, norm="ortho"), np.sqrt(share) * sd, sd)
-
-
-def around(power: Real, half_window: int) -> Real:
-    """Mean over the nearest 2·half_window + 1 lines (axis 0), fewer at the ends."""
-    N = len(power)
-    total = np.concatenate([np.zeros((1, *power.shape[1:])), np.cumsum(power, axis=0)])
-    first = np.maximum(np.arange(N) - half_window, 0)
-    last = np.minimum(np.arange(N) + half_window + 1, N)
-    return (total[last] - total[first]) / (last - first).reshape(-1, *[1] * (power.ndim - 1))
 
 
 class NotSolvedError(Exception):
