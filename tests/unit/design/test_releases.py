@@ -132,6 +132,17 @@ def test_releases_that_tell_little_alone_are_put_together(noise: str) -> None:
     assert all(each.figure == np.inf for each in plan.releases)
 
 
+def test_a_rig_that_never_comes_to_rest_is_recorded_for_two_hundred_periods_at_most() -> None:
+    rig = dashpot.parse_rig("""
+    coordinates = ["x"]
+    masses = { m = { at = "x", value = 2 } }
+    springs = { k = { between = ["x", "ground"], guess = 8000 } }
+    channels = { x = { of = "x", noise = 1e-5 } }
+    """)
+    (release,) = plan_releases(rig.model, rig.channels, {}, rate_hz=RATE).together
+    assert release.record_s == pytest.approx(200 * 2 * np.pi / np.sqrt(8000 / 2), rel=0.01)
+
+
 def test_a_rig_without_unknowns_is_refused_in_one_line() -> None:
     rig = dashpot.parse_rig(RIG.replace("guess", "value"))
     with pytest.raises(dashpot.UsageError) as refused:
