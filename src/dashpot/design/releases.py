@@ -137,29 +137,29 @@ def plan_releases(
     bench = Bench(
         model, theta, tuple(_with_noise(channels, notes)), rate, np.unique(ends), time_s, asked, worst
     )
-    told = bench.told(DEFLECTION if deflection is None else deflection)
-    if not np.isfinite(told.best.figure):
+    info = bench.at_size(DEFLECTION if deflection is None else deflection)
+    if not np.isfinite(info.best.figure):
         raise IdentifiabilityError(
             "no release determines the unknowns", cure="state one value (weigh a mass), or add channels"
         )
     if target is not None and deflection is None:
-        told = _reaching(bench, told, target)
+        info = _reaching(bench, info, target)
         notes.append(
-            f"a deflection of {told.size:.3g} {unit} reaches the target of {100 * target:.3g} %"
-            if told.best.figure <= target
-            else f"the target of {100 * target:.3g} % is not reached: a deflection of {told.size:.3g} {unit} leaves "
-            f"{100 * told.best.figure:.3g} %, as noise that is a share of the motion grows with it"
+            f"a deflection of {info.size:.3g} {unit} reaches the target of {100 * target:.3g} %"
+            if info.best.figure <= target
+            else f"the target of {100 * target:.3g} % is not reached: a deflection of {info.size:.3g} {unit} leaves "
+            f"{100 * info.best.figure:.3g} %, as noise that is a share of the motion grows with it"
         )
-    best = told.best
-    alone = sorted((told.recorded((k,)) for k in range(model.n)), key=lambda each: each.figure)
+    best = info.best
+    alone = sorted((info.recorded((k,)) for k in range(model.n)), key=lambda each: each.figure)
     return ReleasePlan(
         model,
-        tuple(told.release(each.group[0], each) for each in alone),
-        tuple(told.release(k, best) for k in best.group),
+        tuple(info.release(each.group[0], each) for each in alone),
+        tuple(info.release(k, best) for k in best.group),
         model.unknown_names,
         model.unknown_units,
         theta,
-        np.sqrt(np.diagonal(_covariance(told.information(best.group, best.seconds)))),
+        np.sqrt(np.diagonal(_covariance(info.total(best.group, best.seconds)))),
         best.figure,
         rate,
         tuple(notes),
@@ -189,8 +189,8 @@ class Bench:
         """Static shapes from which the rig is let go, (n,) each, the largest entry 1 in size."""
         return _shapes(self.model, self.model.parameters(self.theta))
 
-    def told(self, size: float) -> Told:
-        """What releases tell whose largest deflection is `size`, m or rad."""
+    def at_size(self, size: float) -> ReleaseInformation:
+        """The information of releases whose largest deflection is `size`, m or rad."""
         p, starts = self.model.parameters(self.theta), [shape * size for shape in self.held]
         view = observation_model(self.model, self.channels, np.ones(1))
         each_sd = _noise(self.model, p, self.channels, view, starts, self.rate)
@@ -198,7 +198,7 @@ class Bench:
             _information(self.model, self.theta, view, start, sd, self.rate, self.ends)
             for start, sd in zip(starts, each_sd, strict=True)
         ]
-        return Told(self, size, np.array(infos))
+        return ReleaseInformation(self, size, np.array(infos))
 
 
 class Recorded(NamedTuple):
@@ -210,23 +210,24 @@ class Recorded(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Told:
-    """What releases of one size (m or rad) tell: the information of each after each recording, (n, ends, m, m)."""
+class ReleaseInformation:
+    """Of releases of one size (m or rad): the information of each after each recording, (n, ends, m, m)."""
 
     bench: Bench
     size: float
     infos: Real
 
-    def information(self, group: Sequence[int], seconds: float) -> Real:
+    def total(self, group: Sequence[int], seconds: float) -> Real:
         """Of releases from these coordinates, `seconds` each, and of what is known beforehand, (m, m)."""
         samples = self.bench.rate * seconds * (1 + 1e-9)
         at = max(int(np.searchsorted(self.bench.ends, samples, side="right")) - 1, 0)
-        told = np.sum(self.infos[list(group), at], axis=0)
-        return np.asarray(told + np.diag(self.bench.model.prior_precision))
+        return np.asarray(
+            np.sum(self.infos[list(group), at], axis=0) + np.diag(self.bench.model.prior_precision)
+        )
 
     def figure(self, group: Sequence[int], seconds: float) -> float:
         """Rms (or largest) relative standard deviation of what is asked for, inf where it is not determined."""
-        sd = np.sqrt(np.diagonal(_covariance(self.information(group, seconds))))
+        sd = np.sqrt(np.diagonal(_covariance(self.total(group, seconds))))
         relative = (sd / np.abs(self.bench.theta))[self.bench.asked]
         return float(np.max(relative) if self.bench.worst else np.sqrt(np.mean(relative**2)))
 
@@ -264,25 +265,25 @@ class Told:
         return Release(self.bench.model.coordinates[k], deflection, self.size, seconds, recorded.figure)
 
 
-def _reaching(bench: Bench, told: Told, target: float) -> Told:
-    """What releases of a size tell that reaches a target, in three digits; as `told` where none does.
+def _reaching(bench: Bench, info: ReleaseInformation, target: float) -> ReleaseInformation:
+    """Releases of a size that reaches a target, in three digits; as `info` where none does.
 
     figure² = a²/size² + b² of noise of its own size and of noise that is a share of the motion, by the last two sizes.
     """
-    first, share = told, 0.0
+    first, share = info, 0.0
     for _ in range(8):
-        part = told.best.figure**2 - share
-        if not part > 0 or not share < target**2:
+        part = info.best.figure**2 - share
+        if not 0 < part < np.inf or not share < target**2:
             break
-        exact = told.size * float(np.sqrt(part / (target**2 - share)))
+        exact = info.size * float(np.sqrt(part / (target**2 - share)))
         digit = 10 ** (np.floor(np.log10(exact)) - 2)
-        before, told = told, bench.told(float(f"{np.ceil(exact / digit * (1 - 1e-9)) * digit:.3g}"))
-        if told.best.figure <= target:
-            return told
-        if told.size == before.size:
+        before, info = info, bench.at_size(float(f"{np.ceil(exact / digit * (1 - 1e-9)) * digit:.3g}"))
+        if info.best.figure <= target:
+            return info
+        if info.size == before.size:
             break
-        inverse = np.array([before.size, told.size]) ** -2.0
-        square = np.array([before.best.figure, told.best.figure]) ** 2
+        inverse = np.array([before.size, info.size]) ** -2.0
+        square = np.array([before.best.figure, info.best.figure]) ** 2
         share = float(square[1] - inverse[1] * np.diff(square)[0] / np.diff(inverse)[0])
     return first
 
