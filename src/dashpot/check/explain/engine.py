@@ -733,14 +733,13 @@ class LeftOver:
         return self._summed(noise, _half_for(sizes, 0))
 
     def unlike(self, largest: tuple[float, float]) -> float:
-        """ln p for a rig that is not: of the `largest` s and √v − 1 some part is left, one as likely as another."""
+        """ln p for a rig that is not: of the `largest` s and √v − 1 some part is left, one as likely as another, and
+        hardly more."""
         s, excess = largest
-        sizes = np.where(s >= SIZES, np.maximum(SIZES, SIZES[1]), 0.0)
-        with np.errstate(divide="ignore"):
-            log_of_size = np.log(sizes / np.sum(sizes))
-        return self._summed(
-            np.where(np.expm1(self.log_v / 2) <= excess, np.exp(self.log_v / 2), 0.0), log_of_size
-        )
+        root = np.exp(self.log_v / 2)
+        noise = root / (1 + ((root - 1) / max(excess, NOISE_KNOWN)) ** 3)
+        sizes = np.maximum(SIZES, SIZES[1]) / (1 + (SIZES / max(s, SIZES[1])) ** 3)
+        return self._summed(noise, np.log(sizes / np.sum(sizes)))
 
     def _summed(self, of_noise: Real, log_of_size: Real) -> float:
         even = np.ones(len(self.log_v))
