@@ -734,7 +734,7 @@ def _from_afar(
         psi = np.concatenate([starts[t] for t in group])
         origin = np.repeat(np.arange(len(group)), [len(starts[t]) for t in group])
         signs = np.broadcast_to(sign, (len(psi), len(sign)))
-        past, _, rows = through(stages, psi, signs, origin, past=len(psi) if shown else 0)
+        past, _, rows = through(stages, psi, signs, origin, past=len(psi) if shown else 0, limit=LONG)
         for k, t in enumerate(group):
             ends[t] = past[rows == k]
     return ends

@@ -663,18 +663,19 @@ def through(
     past: int = 0,
     lower: Real | float = -np.inf,
     upper: Real | float = np.inf,
+    limit: int = ROUGH,
 ) -> tuple[Real, Real, Ints]:
     """Where starts (k, M) end that go through all stages, and the first `past` of them without the first stage.
 
-    Each in its repeat of `rows` (k,); ends, signs and repeats of all.  Logarithms lead nearly all to one minimum,
-    and that may be the wrong one.
+    Each in its repeat of `rows` (k,), `limit` iterations a stage; ends, signs and repeats of all.  Logarithms lead
+    nearly all to one minimum, and that may be the wrong one.
     """
     rows = stages[0].data.rows_of(len(psi)) if rows is None else rows
     ended, others = psi, psi[:past]
     for stage in stages:
-        ended = descend_all(stage, ended, sign, rows, lower=lower, upper=upper)
+        ended = descend_all(stage, ended, sign, rows, lower=lower, upper=upper, limit=limit)
     for stage in stages[1:] if past else ():
-        others = descend_all(stage, others, sign[:past], rows[:past], lower=lower, upper=upper)
+        others = descend_all(stage, others, sign[:past], rows[:past], lower=lower, upper=upper, limit=limit)
     return (
         np.concatenate([ended, others]),
         np.concatenate([sign, sign[:past]]),
