@@ -208,7 +208,7 @@ class HarmonicSolution:
 def columns_of(record: Record, f: float, terms: Terms) -> Iterator[tuple[slice, Real]]:
     """Some samples after others, and their columns (rows, terms)."""
     samples = len(record.time)
-    step = max(16, min(CHUNK, TILE * samples // record.values.size))
+    step = max(16, min(CHUNK, TILE * samples // max(record.values.size, 1)))
     for start in range(0, samples, step):
         rows = slice(start, min(samples, start + step))
         yield rows, terms.columns(record.time[rows], f, *window(record.time))
@@ -223,9 +223,9 @@ def solve_harmonics(record: Record, f: float, terms: Terms) -> HarmonicSolution:
     """
     if record.values.ndim > 2:
         return _of_repeats(record, f, terms)
-    every, R, largest = _factored(record)
-    columns = terms.within(every) if f == record.frequency_hz else None
-    if columns is None:
+    every, R = _factored(record) if f == record.frequency_hz else (terms, None)
+    columns = terms.within(every)
+    if R is None or columns is None:
         R = triangle(
             np.concatenate([A, record.values[rows]], axis=1) for rows, A in columns_of(record, f, terms)
         )
@@ -237,7 +237,7 @@ def solve_harmonics(record: Record, f: float, terms: Terms) -> HarmonicSolution:
     free, in_cells = np.full(channels, float(len(record.time) - k)), np.zeros(channels, dtype=bool)
     each = np.broadcast_to(P, (channels, k, k))
     whole = HarmonicSolution(
-        terms, P, each, coefficients[None], (left.T @ left)[None], free, largest, in_cells
+        terms, P, each, coefficients[None], (left.T @ left)[None], free, _largest(record), in_cells
     )
     rounded = False if record.cell is None else record.cell > 0
     some = np.flatnonzero(~record.whole_channels | rounded).tolist()
@@ -274,20 +274,23 @@ def solved(R: Real, k: int, record: Record, f: float) -> tuple[Real, Real]:
 
 
 @kept
-def _factored(record: Record) -> tuple[Terms, Real, Real]:
-    """The usual terms of a dwell at its frequency, R of the QR factors of their columns and channels, and |y| at most.
+def _factored(record: Record) -> tuple[Terms, Real]:
+    """The usual terms of a dwell at its frequency, and R of the QR factors of their columns and channels.
 
     Whatever is solved for among them follows from R, without the samples and as accurately as from these.
     """
-    largest = np.maximum(np.max(record.values, axis=0), -np.min(record.values, axis=0))[None]
-    f = record.frequency_hz
-    if f is None:
-        return Terms(-1, ()), np.zeros((0, 0)), largest
+    f = record.frequency_hz or 0.0
     rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
     highest = max(1, min(HIGHEST_HARMONIC, int(BELOW_HALF_RATE * rate / 2 / f)))
     every = Terms(3, tuple(range(1, highest + 1)), 1)
     both = (np.concatenate([A, record.values[rows]], axis=1) for rows, A in columns_of(record, f, every))
-    return every, triangle(both), largest
+    return every, triangle(both)
+
+
+@kept
+def _largest(record: Record) -> Real:
+    """|y| of each channel at most, (1, channels)."""
+    return np.maximum(np.max(record.values, axis=0), -np.min(record.values, axis=0))[None]
 
 
 def _of_repeats(record: Record, f: float, terms: Terms) -> HarmonicSolution:
