@@ -103,6 +103,11 @@ class Assessment:
         for name in ("relative_residual", "relative_noise", "discrepancy"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
+    @property
+    def cause(self) -> Finding | None:
+        """The likeliest cause; None where there is none, or something that is not listed is likelier."""
+        return self.findings[0] if self.findings and self.findings[0].kind != "unexplained" else None
+
     def __reduce__(self) -> tuple[object, ...]:
         values = (getattr(self, each.name) for each in fields(self))
         return Assessment, tuple(

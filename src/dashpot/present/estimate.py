@@ -422,8 +422,7 @@ def headline(estimate: Estimate, unsure: Sequence[str]) -> str:
     if assessment is None:
         return fit_in_words(estimate.fit) + rest
     if assessment.verdict == "does not fit":
-        cause = assessment.findings[0].text if assessment.findings else ""
-        why = f" Likely cause: {sentence(cause)}" if cause else ""
+        why = f" Likely cause: {sentence(assessment.cause.text)}" if assessment.cause else ""
         return f"The model does not fit the data: do not sign these values as they are.{why}{rest}"
     return sentence(VERDICTS[assessment.verdict][0]) + rest
 
@@ -471,7 +470,7 @@ def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
         lead = "Likely cause" if rank == 0 else "Or, which these data cannot tell from it" if group else "Or"
         odds = "" if finding.odds is None else f" ({_percent(finding.odds)})"
         if finding.kind == "unexplained":
-            lead, odds = "No cause found", ""
+            lead, odds = ("Something not listed", odds) if len(findings) > 1 else ("No cause found", "")
         stop = "" if finding.change.endswith("}") else "."  # a line of a rig file is to be copied as it is
         outlook = remaining_in_words(finding)
         parts = (

@@ -405,8 +405,8 @@ def _on_fit(estimate: Estimate) -> list[str]:
         ]
     if assessment.verdict == "cannot tell":
         return ["Measure where the rig moves more, or longer: these data cannot confirm the model."]
-    if assessment.findings:
-        best = assessment.findings[0]
+    if assessment.cause is not None:
+        best = assessment.cause
         outlook = remaining_in_words(best)
         step = f"Try the most likely cause: {best.change}."
         if outlook:

@@ -349,3 +349,27 @@ def test_what_drives_a_nonlinear_rig_must_be_said_once(
     result = dashpot(*arguments)
     assert result.code == 2
     assert named in str(result.err)
+
+
+def test_apply_edits_the_text_of_the_rig_file_and_replaces_no_other(dashpot: Command, data: Path) -> None:
+    """One entry changes; comments, units and order stay.  A file that is there is replaced with --force alone."""
+    head, *rows = data.read_text(encoding="utf-8").splitlines()
+    at = head.split(",").index("x2")
+    cells = [row.split(",") for row in rows]
+    turned = [",".join([*row[:at], repr(-float(row[at])), *row[at + 1 :]]) for row in cells]
+    Path("turned.csv").write_text("\n".join([head, *turned]) + "\n", encoding="utf-8")
+    told = dashpot("identify rig.toml turned.csv --apply new.toml")
+    assert told.code == 0
+    assert "new.toml: the rig file with [channels] x2 = " in " ".join(told.out.split())
+    new = Path("new.toml").read_text(encoding="utf-8")
+    assert sum(a != b for a, b in zip(RIG.splitlines(), new.splitlines(), strict=True)) == 1
+    assert dashpot("identify new.toml turned.csv --json again.json -q").code == 0
+    assert json.loads(Path("again.json").read_text(encoding="utf-8"))["fit"]["verdict"] == "fits"
+    refused = dashpot("identify rig.toml data.csv --apply new.toml --json e.json -q")
+    assert refused.code == 2
+    assert "new.toml: a file of this name exists" in refused.err[0]
+    assert not Path("e.json").exists()
+    assert dashpot("identify rig.toml turned.csv --apply new.toml --force -q").code == 0
+    fits = dashpot("identify rig.toml data.csv --apply other.toml --json e.json")
+    assert (fits.code, Path("other.toml").exists(), Path("e.json").exists()) == (0, False, True)
+    assert "no change to the rig file to apply" in fits.out

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import click
@@ -62,7 +64,10 @@ def command(
     apply: Annotated[
         str | None,
         opt.Option("--apply NEW.toml", opt.OutputFile(), opt.OUTPUT),
-        "Write the rig file with the most likely cause of a misfit corrected.",
+        "Write the rig file with the most likely cause of a misfit corrected; else it stays as it is written.",
+    ],
+    force: Annotated[
+        bool, opt.Option("--force", None, opt.OUTPUT), "Let --apply replace a file that exists."
     ],
     figure: Annotated[
         str | None,
@@ -88,6 +93,8 @@ def command(
     from dashpot.data.readers.modes import holds_modes
     from dashpot.model.rigfile import read_rig
 
+    if apply is not None and not force and os.path.exists(apply):
+        raise UsageError("a file of this name exists", apply, "name another file, or give --force")
     whole = {"--hold-out": hold_out is not None, "--figure": figure is not None}
     if in_parts:
         what = "{} needs all data at once, and --in-parts never has them"
@@ -135,13 +142,18 @@ def command(
         )
         report.write(page)
     opt.write_result(json_out, estimate.to_json())
-    if apply is not None:
-        useful = _with_a_line(() if estimate.assessment is None else estimate.assessment.findings)
-        if not useful:
-            raise UsageError("there is no change to the rig file to apply", "--apply", "leave the option out")
+    useful = _with_a_line(() if estimate.assessment is None else estimate.assessment.findings)
+    if apply is not None and useful:
         _write_applied(read, useful[0], apply)
     if not quiet and json_out != opt.STDOUT:
         _show(read, found, level, matrices)
+    if apply is not None:
+        done = (
+            f"{apply}: the rig file with {useful[0].change}"
+            if useful
+            else f"no change to the rig file to apply: {apply} is not written"
+        )
+        click.echo(done, err=json_out == opt.STDOUT)
     return _ending(estimate, strict)
 
 
@@ -299,7 +311,7 @@ def _write_applied(rig: Rig, finding: Finding, path: str) -> None:
     """Write the rig file with the remedy of a finding taken."""
     from dashpot.estimate.assessment import applied
     from dashpot.io.atomic import write_text
-    from dashpot.model.rigfile import write_rig
+    from dashpot.model.rigfile import edited
 
     model, channels = applied(rig.model, rig.all_channels, finding)
     usual = tuple(channel for channel in channels if channel.only is None)
@@ -307,7 +319,8 @@ def _write_applied(rig: Rig, finding: Finding, path: str) -> None:
         replace(each, channels=tuple(channel for channel in channels if channel.only == each.name))
         for each in rig.experiments
     )
-    write_text(path, write_rig(replace(rig, model=model, channels=usual, experiments=experiments)))
+    after = replace(rig, model=model, channels=usual, experiments=experiments)
+    write_text(path, edited(Path(rig.path).read_text(encoding="utf-8"), rig, after))
 
 
 def _draw(path: str, rig: Rig, found: Identified) -> None:
@@ -356,8 +369,8 @@ def _ending(estimate: Estimate, strict: bool) -> int:
         'check signs and units of the channels (gain = "unknown" for all but one shows a wrong one), '
         "give the unknowns a guess, or try another --method"
     )
-    if estimate.assessment is not None and estimate.assessment.findings:
-        best = estimate.assessment.findings[0]
+    if estimate.assessment is not None and estimate.assessment.cause is not None:
+        best = estimate.assessment.cause
         cure = f"a likely cause: {sentence(best.text)} To change: {best.change}"
     if any(notice.code == "modes_outside" for notice in estimate.warnings):
         cure = "the band shows too few of the rig's modes: widen --band, or give values to the unknowns named above"

@@ -797,17 +797,17 @@ def _half_for(shares: Real, k: int) -> Real:
 
 def unexplained(found: Explanation) -> Phrase:
     """That none of the list is the matter, with what comes nearest and where most of what that leaves is."""
-    nearest = found.causes[0] if found.causes else found.nearest
+    nearest = found.nearest
     left = found.causes[0].fit if found.causes else found.as_is
     power = np.abs(left.residual / left.problem.sd) ** 2
     line, c = np.unravel_index(int(np.argmax(np.nan_to_num(power))), power.shape)
     name = [*(channel.name for channel in left.problem.channels), "frequency", "damping ratio"][int(c)]
     largest = f"largest in {name} near {left.problem.frequency_hz[int(line)]:.4g} Hz"
     if found.causes:
-        text = f"every listed cause leaves more than a rig that is right does; what the nearest leaves is {largest}"
+        text = f"each listed cause leaves too much of the misfit; what the nearest leaves is {largest}"
     else:
         text = f"no listed cause explains half of the misfit, which is {largest}"
-    if nearest is not None:
+    if not found.causes and nearest is not None:
         text += (
             f". Nearest, with {100 * nearest.explains:.0f} % of it: {nearest.effect.words(nearest.size).text}"
         )

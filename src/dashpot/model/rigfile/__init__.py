@@ -12,6 +12,7 @@ from dashpot.model.rigfile.schema import SECTIONS
 from dashpot.model.rigfile.writer import (
     channel_line,
     channel_section,
+    edited,
     element_line,
     element_section,
     write_rig,
@@ -23,6 +24,7 @@ __all__ = [
     "channel_line",
     "channel_section",
     "default_channels",
+    "edited",
     "element_line",
     "element_section",
     "parse_rig",

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, MutableMapping, Sequence
+from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -67,6 +71,101 @@ def write_rig(rig: Rig) -> str:
     if rig.shaker is not None:
         lines += ["", f"[{SHAKER}]", *(f"{key} = {value!r}" for key, value in rig.shaker.given.items())]
     return "\n".join(lines) + "\n"
+
+
+def edited(text: str, before: Rig, after: Rig) -> str:
+    """A rig file's text, which reads as `before`, edited to read as `after`: its comments, order and units stay.
+
+    What cannot be edited in place, since the file says it by other words, is written anew.  Raises as `write_rig`.
+    """
+    import tomlkit
+
+    from dashpot.model.rigfile.reader import parse_rig
+
+    def written(rig: Rig) -> str:
+        elements = tuple(element for element in rig.model.elements if element.block is None)
+        return write_rig(replace(rig, model=replace(rig.model, elements=elements)))
+
+    document = tomlkit.parse(text)
+    old, new = (tomllib.loads(written(rig)) for rig in (before, after))
+    added = _edit(document, old, new)
+    lines = tomlkit.dumps(document).splitlines(keepends=True)
+    for section, line in added:
+        _add_line(lines, section, line)
+    changed = "".join(lines)
+    try:
+        again = written(replace(parse_rig(changed, before.path), within=after.within))
+    except ModelError:
+        return write_rig(after)
+    return changed if _rounded(tomllib.loads(again)) == _rounded(new) else write_rig(after)
+
+
+def _rounded(value: Any) -> Any:
+    """A TOML value whose numbers have the digits that `_edit` writes."""
+    if isinstance(value, dict):
+        return {key: _rounded(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_rounded(each) for each in value]
+    return f"{value:.5g}" if isinstance(value, float) else value
+
+
+def _edit(
+    place: MutableMapping[str, Any], before: Mapping[str, Any], after: Mapping[str, Any], section: str = ""
+) -> list[tuple[str, str]]:
+    """Change what differs in the entries of a TOML table; sections, and lines for their entries that are new."""
+    import tomlkit
+    from tomlkit.items import InlineTable
+
+    added: list[tuple[str, str]] = []
+    for key in before.keys() - after.keys():
+        place.pop(key, None)
+    for key, value in after.items():
+        old, there, inner = before.get(key), place.get(key), f"{section}.{toml_key(key)}".lstrip(".")
+        if old == value:
+            continue
+        if isinstance(value, dict) and isinstance(there, MutableMapping):
+            added += _edit(there, old or {}, value, inner)
+        elif isinstance(value, dict) and not section:
+            added += [(inner, f"{toml_key(name)} = {_value(each)}") for name, each in value.items()]
+        elif isinstance(value, dict) and there is None:
+            added.append((section, f"{toml_key(key)} = {_value(value)}"))
+        else:
+            with_unit = re.fullmatch(r"\s*([-+.\deE]+)\s*(\D.*)", there) if isinstance(there, str) else None
+            if with_unit and old and isinstance(old, float) and isinstance(value, float):
+                value = f"{float(with_unit[1]) * value / old:.6g} {with_unit[2]}"
+            item = tomlkit.item(value)
+            spaced = isinstance(place, InlineTable) and place.as_string().endswith(" }")
+            if there is None and spaced:
+                list(place.values())[-1].trivia.trail = ""
+                item.trivia.trail = " "
+            place[key] = item
+    return added
+
+
+def _value(value: Any) -> str:
+    """A value as a person writes it in one line."""
+    import tomlkit
+
+    if isinstance(value, Mapping):
+        return _inline({key: _value(each) for key, each in value.items()})
+    return str(tomlkit.item(value).as_string())
+
+
+def _add_line(lines: list[str], section: str, line: str) -> None:
+    """Put a line behind the last entry of a section, which is made at the end where it is missing."""
+    header = re.compile(rf"\s*\[\s*{re.escape(section)}\s*\]")
+    begins = [at for at, each in enumerate(lines) if header.match(each)]
+    if not begins:
+        lines += ["" if not lines or lines[-1].endswith("\n") else "\n", f"\n[{section}]\n", f"{line}\n"]
+        return
+    last = begins[0]
+    for at in range(begins[0] + 1, len(lines)):
+        if re.match(r"\[", lines[at]):
+            break
+        if lines[at].strip() and not lines[at].lstrip().startswith("#"):
+            last = at
+    lines[last] = lines[last].rstrip("\n") + "\n"
+    lines.insert(last + 1, f"{line}\n")
 
 
 def _differences(rig: Rig, experiment: Experiment) -> list[str]:

@@ -1,6 +1,7 @@
 """Rig files: what they say, and that whatever is wrong with one is told in one clear line each."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.errors import ModelError
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Input, Model
-from dashpot.model.rigfile import Rig, default_channels, parse_rig, read_rig, write_rig
+from dashpot.model.rigfile import Rig, default_channels, edited, parse_rig, read_rig, write_rig
 
 PAPER = """\
 name = "Two masses on a shaken base"
@@ -581,3 +582,58 @@ def test_columns_of_every_data_file_are_no_channels(name: str) -> None:
         with pytest.raises(ModelError, match=rf"{place}: \"{name}\" is reserved for a column of data files"):
             parse_rig(text)
     parse_rig(head + f'[channels]\nu = {{ of = "u" }}\nx = {{ of = "{name}" }}\n')
+
+
+OF_A_PERSON = """\
+# rig 7
+coordinates = ["x1", "x2"]
+
+[masses]
+m1 = { at = "x1", guess = 3.0 }  # with bolts
+m2 = {at = "x2", value = "2700 g"}
+
+[springs]
+k1 = { between = ["x1", "ground"], value = "4.6 N/mm" }
+k2 = { between = ["x1", "x2"] }
+
+# sensors
+[channels]
+x1 = { of = "x1", unit = "mm" }  # laser
+[channels.x2]
+of = "x2"
+unit = "mm"
+"""
+
+
+def test_a_rig_file_is_edited_as_a_person_would() -> None:
+    before = parse_rig(OF_A_PERSON)
+    elements = {element.name: element for element in before.model.elements}
+    elements["k1"] = replace(elements["k1"], value=4800.0)
+    elements["k3"] = replace(elements["k2"], name="k3")
+    elements["c1"] = replace(elements["k2"], name="c1", kind=Kind.DAMPER)
+    after = replace(
+        before,
+        model=replace(before.model, elements=tuple(elements.values())),
+        channels=tuple(replace(channel, gain=1.02) for channel in before.channels),
+    )
+    text = edited(OF_A_PERSON, before, after)
+    assert write_rig(parse_rig(text)) == write_rig(after)
+    expected = (
+        OF_A_PERSON.replace("4.6 N/mm", "4.8 N/mm")
+        .replace(
+            'k2 = { between = ["x1", "x2"] }',
+            'k2 = { between = ["x1", "x2"] }\nk3 = { between = ["x1", "x2"] }',
+        )
+        .replace('"mm" }  # laser', '"mm", gain = 1.02 }  # laser')
+        .replace('of = "x2"\nunit = "mm"\n', 'of = "x2"\nunit = "mm"\ngain = 1.02\n')
+    )
+    assert text == expected + '\n[dampers]\nc1 = { between = ["x1", "x2"] }\n'
+
+
+def test_channels_that_a_rig_file_leaves_unsaid_are_added_where_one_changes() -> None:
+    text = OF_A_PERSON[: OF_A_PERSON.index("# sensors")]
+    before = parse_rig(text)
+    turned = tuple(replace(each, gain=-1.0) if each.name == "x1" else each for each in before.channels)
+    changed = edited(text, before, replace(before, channels=turned))
+    assert changed.startswith(text)
+    assert parse_rig(changed).channels == turned
