@@ -685,8 +685,12 @@ def judge(case: Case, name: str, status: str, answer: dict[str, Any]) -> Outcome
     right = tuple(is_right(finding, case.truth) for finding in findings)
     groups = [finding.get("group") for finding in findings]
     first = [i for i, group in enumerate(groups) if i == 0 or (group is not None and group == groups[0])]
-    said = [finding.get("odds") for finding in findings]
-    odds = tuple((float(p), r) for p, r in zip(said, right, strict=True) if p is not None)
+    causes = zip(findings, right, strict=True)
+    odds = tuple(
+        (float(each["odds"]), r)
+        for each, r in causes
+        if each.get("odds") is not None and each.get("kind") != "unexplained"
+    )
     z, held = [], []
     points = case.truth.points
     for part in case.stated.parts:
