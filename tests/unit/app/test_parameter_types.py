@@ -126,7 +126,7 @@ def test_every_quantity_of_every_command_takes_units_or_per_cent() -> None:
     assert texts == {
         "--methods", "--profile", "--for",  # names of methods, parameters and criteria
         "--name", "--unit", "--rig-column", "--dask", "--drive", "--label", "--experiment",
-        "--force-at", "--input", "--output",
+        "--force-at", "--base", "--input", "--output",
     }  # fmt: skip
 
 

@@ -311,6 +311,7 @@ def _write_applied(rig: Rig, finding: Finding, path: str) -> None:
     """Write the rig file with the remedy of a finding taken."""
     from dashpot.estimate.assessment import applied
     from dashpot.io.atomic import write_text
+    from dashpot.io.ledger import noted
     from dashpot.model.rigfile import edited
 
     model, channels = applied(rig.model, rig.all_channels, finding)
@@ -320,7 +321,7 @@ def _write_applied(rig: Rig, finding: Finding, path: str) -> None:
         for each in rig.experiments
     )
     after = replace(rig, model=model, channels=usual, experiments=experiments)
-    write_text(path, edited(Path(rig.path).read_text(encoding="utf-8"), rig, after))
+    write_text(path, edited(Path(noted(rig.path)).read_text(encoding="utf-8"), rig, after))
 
 
 def _draw(path: str, rig: Rig, found: Identified) -> None:

@@ -747,6 +747,7 @@ class LeftOver:
         of_v = _half_for(of_noise if self.fit.problem.noise_known else even, none)
         with np.errstate(over="ignore", invalid="ignore"):
             value = float(logsumexp(self.table + of_v[:, None] + log_of_size[None, :]))
+            value += sum(part.problem.by_priors(part.psi) for part in self.fit.parts or (self.fit,))
             value += self.fit.problem.given_up + _of_lost(self.fit, self.log_v, _half_for(even, none))
         return value if np.isfinite(value) else -np.inf
 

@@ -246,6 +246,10 @@ class LineProblem:
             at = local(self.view, self.arranged(softness), psi[None], self.sign[None])
         return at.symmetric[0], at.gradient[0], float(at.cost[0])
 
+    def by_priors(self, psi: Real) -> float:
+        """ln of the probability of ψ (M,) by what is stated of the unknowns, 0 at the stated values."""
+        return -0.5 * float(np.sum(self.view.prior_precision * (psi - self.view.prior_mean) ** 2))
+
     def chi2_of_lines(self, psi: Real) -> Real:
         """χ² of each line at ψ (M,), (lines,)."""
         with np.errstate(all="ignore"):
@@ -429,6 +433,10 @@ class ModalProblem:
         """Of another rig with the same coordinates; new unknowns begin at their guesses, or at 0."""
         usual = [unknown.guess or 0.0 for unknown in model.unknowns]
         return replace(self, model=model, starts=_lifted(self, model.unknown_names, usual))
+
+    def by_priors(self, psi: Real) -> float:
+        """ln of the probability of ψ (M,) by what is stated of the unknowns, 0 at the stated values."""
+        return -0.5 * float(np.sum(self.model.prior_precision * (psi - self.model.prior_mean) ** 2))
 
     def shows(self, element: Element) -> bool:
         """Whether an element more may leave a trace: inputs stand still, so that what leads to one leads to ground."""
