@@ -29,9 +29,9 @@ from dashpot.estimate.inference.uncertainty import (
     linear_modes,
     with_noise_of_residuals,
 )
+from dashpot.estimate.likelihood.heavy_tails import with_heavy_tails
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.settling import with_settling_decided
-from dashpot.estimate.likelihood.table_noise import with_residual_noise
 from dashpot.estimate.method import Method, Traits, require_suited
 from dashpot.estimate.preparation import prepare, unseen
 from dashpot.estimate.registry import AUTOMATIC, method_class
@@ -142,7 +142,7 @@ def estimation_plan(
             f"the method {method.name} works on settled lines; whole records carry transients",
             cure="use the method ml, or give settled dwells with their frequencies",
         )
-    return with_residual_noise(model, spectrum, method)
+    return with_heavy_tails(model, spectrum, method)
 
 
 def estimate_by_plan(

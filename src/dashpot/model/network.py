@@ -40,6 +40,7 @@ class Tie:
 
 
 InputKind = Literal["displacement", "force"]
+Distribution = Literal["normal", "student", "auto"]
 
 
 @dataclass(frozen=True)
@@ -324,7 +325,8 @@ class Model:
     parameters in kg·m², N·m·s/rad and N·m/rad.  `name` is kept on one line, control characters escaped.
     `experiments` names those in which the rig is otherwise: some elements belong to one of them only.  A Model is the
     rig as it stands in one of them, number `standing`, 0 of none; `standing_in` gives the others, with all the same
-    elements and unknowns.
+    elements and unknowns.  `distribution` is that of its sensors' noise: "normal", "student" (heavy tails), or "auto",
+    heavy tails where the data show them.
 
     Raises ModelError with every problem found, each placed at the name of what is wrong.
     """
@@ -336,6 +338,7 @@ class Model:
     angles: frozenset[str] = frozenset()
     experiments: tuple[str, ...] = ()
     standing: int = 0
+    distribution: Distribution = "normal"
 
     def __post_init__(self) -> None:
         for name in ("coordinates", "inputs", "elements", "experiments"):

@@ -29,6 +29,7 @@ from dashpot.model.rigfile.schema import (
     EXPERIMENTS,
     FREE_EXAMPLE,
     GROUND,
+    NOISE,
     NUMBERS,
     SECTIONS,
     BlockEntry,
@@ -76,9 +77,21 @@ def _rig(document: TomlDocument) -> Rig:
             if name in RESERVED_NAMES:
                 reading.report.add(place, *reserved(name))
     within, experiments = reading.within(), experiments_of(reading, tables)
-    shaker = reading.shaker()
+    shaker, distribution = reading.shaker(), reading.distribution()
+    if distribution == "student" and any(element.force_law is not None for element in whole):
+        reading.report.add(
+            (NOISE, "distribution"), "heavy tails are for linear rigs", 'write "auto", or leave it out'
+        )
     reading.report.raise_any()
-    model = Model(tuple(head.coordinates), inputs, tuple(elements), head.name, reading.angles, tuple(tables))
+    model = Model(
+        tuple(head.coordinates),
+        inputs,
+        tuple(elements),
+        head.name,
+        reading.angles,
+        tuple(tables),
+        distribution=distribution,
+    )
     used = default_channels(model) if channels is None else tuple(channels)
     return Rig(model, used, document.path, within, experiments, shaker)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal, TypeGuard
+from typing import Annotated, Any, ClassVar, Literal, TypeGuard, get_args
 
 from pydantic import BeforeValidator, Field
 
@@ -34,7 +34,7 @@ from dashpot.io.toml_document import (
 )
 from dashpot.io.words import did_you_mean, listed, quoted, written
 from dashpot.model.elements import Element, Kind
-from dashpot.model.network import Input, number_problems
+from dashpot.model.network import Distribution, Input, number_problems
 from dashpot.model.rigfile.rig import ShakerLimits, limit_is_angular
 from dashpot.quantities import Amount
 from dashpot.units import scale
@@ -44,7 +44,7 @@ SECTIONS: Mapping[str, Kind] = {kind.section: kind for kind in Kind}
 HEAD_KEYS = ("name", "coordinates", "angles")
 EXPERIMENTS = "experiments"
 TABLES = ("inputs", "free", "blocks", *SECTIONS, "calibrations", "channels", EXPERIMENTS)
-VERDICT, SHAKER = "verdict", "shaker"
+VERDICT, SHAKER, NOISE = "verdict", "shaker", "noise"
 
 FREE_EXAMPLE = 'free = "MCK", or [free] and below it K = "full", M = "diagonal"'
 EXAMPLES: Mapping[str, str] = {
@@ -174,6 +174,10 @@ class VerdictEntry(RigFileEntry):
     within: Annotated[float, BeforeValidator(_part)]
 
 
+class NoiseEntry(RigFileEntry):
+    distribution: Annotated[Distribution, one_of(*get_args(Distribution))] = "normal"
+
+
 class ShakerEntry(RigFileEntry):
     stroke: GivenAmount | None = None
     velocity: GivenAmount | None = None
@@ -274,7 +278,7 @@ class RigReading:
 
     def _head(self) -> Head:
         """Name, coordinates and angles; what is usable of the coordinates where they are faulty."""
-        known = (*HEAD_KEYS, *TABLES, VERDICT, SHAKER)
+        known = (*HEAD_KEYS, *TABLES, VERDICT, SHAKER, NOISE)
         for key in self.table:
             if key not in known:
                 cure = f"{did_you_mean(key, known)}a rig file has {listed(known)}"
@@ -292,25 +296,30 @@ class RigReading:
         usable = [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
         return Head(coordinates=usable)
 
+    def _settings(self, name: str, of: type[AnyEntry], example: str) -> AnyEntry | None:
+        """A section of settings; None where there is none."""
+        raw = self.table.get(name, {})
+        if not isinstance(raw, dict):
+            self.report.add(
+                (name,), f"{written(raw)} is not a section", f"write [{name}] and below it {example}"
+            )
+            return None
+        return validated(of, raw, (name,), self.report) if raw else None
+
     def within(self) -> float | None:
         """The share of the motion in [verdict]; None where there is none."""
-        raw = self.table.get(VERDICT, {})
-        if not isinstance(raw, dict):
-            cure = 'write [verdict] and below it within = "2 %"'
-            self.report.add((VERDICT,), f"{written(raw)} is not a section", cure)
-            return None
-        verdict = validated(VerdictEntry, raw, (VERDICT,), self.report) if raw else None
+        verdict = self._settings(VERDICT, VerdictEntry, 'within = "2 %"')
         return None if verdict is None else verdict.within
+
+    def distribution(self) -> Distribution:
+        """That of the noise, in [noise]."""
+        noise = self._settings(NOISE, NoiseEntry, 'distribution = "auto"')
+        return "normal" if noise is None else noise.distribution
 
     def shaker(self) -> ShakerLimits | None:
         """The limits of [shaker]; None where there are none."""
-        raw = self.table.get(SHAKER, {})
-        if not isinstance(raw, dict):
-            cure = 'write [shaker] and below it stroke = "5 mm"'
-            self.report.add((SHAKER,), f"{written(raw)} is not a section", cure)
-            return None
-        entry, limits = validated(ShakerEntry, raw, (SHAKER,), self.report), dict[str, Any]()
-        if not raw or entry is None:
+        entry, limits = self._settings(SHAKER, ShakerEntry, 'stroke = "5 mm"'), dict[str, Any]()
+        if entry is None:
             return None
         moved = [name for name, each in self.inputs.items() if each.kind == "displacement"]
         forced = [p for each in self.inputs.values() if each.kind == "force" for p in each.at]

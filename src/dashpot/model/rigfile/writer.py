@@ -22,7 +22,7 @@ from dashpot.model.network import Input, Model
 from dashpot.model.observation import unknown_calibrations
 from dashpot.model.rigfile.force_laws import law_fields
 from dashpot.model.rigfile.rig import Rig, is_electrical
-from dashpot.model.rigfile.schema import EXPERIMENTS, GROUND, NUMBERS, SHAKER, VERDICT
+from dashpot.model.rigfile.schema import EXPERIMENTS, GROUND, NOISE, NUMBERS, SHAKER, VERDICT
 from dashpot.unknowns import Unknown
 
 OWN = "own"  # an unknown of an experiment's own
@@ -68,6 +68,8 @@ def write_rig(rig: Rig) -> str:
         lines += ["", f"[{EXPERIMENTS}.{toml_key(experiment.name)}]", *_differences(rig, experiment)]
     if rig.within is not None:
         lines += ["", f"[{VERDICT}]", f"within = {rig.within!r}"]
+    if model.distribution != "normal":
+        lines += ["", f"[{NOISE}]", f"distribution = {quoted(model.distribution)}"]
     if rig.shaker is not None:
         lines += ["", f"[{SHAKER}]", *(f"{key} = {value!r}" for key, value in rig.shaker.given.items())]
     return "\n".join(lines) + "\n"
