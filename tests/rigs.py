@@ -20,7 +20,7 @@ from dashpot.estimate.linear.gram import regressors
 from dashpot.estimate.preparation import States, states_if_seen
 from dashpot.model.dynamics import response, unit_forces
 from dashpot.model.elements import Element, Kind, between, mass
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model
 from tests.networks import network
@@ -216,7 +216,7 @@ def _throw(
         return None
     truth = dict(zip((e.name for e in elements), values, strict=True))
     theta = np.array([truth[unknown.name] for unknown in model.unknowns])
-    own = modes(model, model.parameters(theta)).frequency_hz
+    own = eigenmodes(model, model.parameters(theta)).frequency_hz
     count = max(6, int(np.ceil(2 * len(theta) / n)) + 2) if lines is None else lines
     grid = np.geomspace(0.4 * max(own.min(), 0.05 * own.max()), 1.3 * own.max(), count)
     frequency = grid * np.exp(rng.uniform(-0.05, 0.05, count))

@@ -16,7 +16,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Kind, between, mass
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import ObservationModel, observation_model
@@ -142,7 +142,7 @@ def record_of(
     """
     rng = np.random.default_rng(seed)
     p = model.parameters(theta)
-    of = modes(model, p)
+    of = eigenmodes(model, p)
     low, high = float(np.min(of.frequency_hz)), float(np.max(of.frequency_hz))
     rate = samples_per_cycle * high
     slowest = 1 / np.min(np.abs(of.eigenvalues.real))

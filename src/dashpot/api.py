@@ -53,8 +53,7 @@ from dashpot.free import MOST_MODES
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
 from dashpot.io.words import listed, names_in
-from dashpot.model.modes import Modes
-from dashpot.model.modes import modes as modes_of_model
+from dashpot.model.modes import Modes, eigenmodes
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
 from dashpot.model.rigfile import Rig, default_channels, parse_rig, read_rig
@@ -729,7 +728,7 @@ def modes(
     if model is not None:
         if p is None:
             raise UsageError("the parameters of the model are missing", cure="call modes(model, p)")
-        return modes_of_model(model, p)
+        return eigenmodes(model, p)
     from dashpot.free.modes import measured_modes
     from dashpot.free.response import MeasuredResponse
 

@@ -338,9 +338,9 @@ def test_lines_at_an_undamped_resonance() -> None:
 
 
 def _undamped(rig: Rig) -> float:
-    from dashpot.model.modes import modes
+    from dashpot.model.modes import eigenmodes
 
-    found: np.ndarray = modes(rig.model, rig.model.parameters(rig.theta)).frequency_hz
+    found: np.ndarray = eigenmodes(rig.model, rig.model.parameters(rig.theta)).frequency_hz
     return float(found[0])
 
 

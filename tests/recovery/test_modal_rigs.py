@@ -5,7 +5,7 @@ import pytest
 
 from dashpot.data.modal_data import ModalData
 from dashpot.estimate.modal import identify_modal
-from dashpot.model.modes import mode_sensitivities, modes
+from dashpot.model.modes import eigenmodes, mode_sensitivities
 from tests.rigs import PAPER_KINDS, Rig, random_rig
 
 LEVEL = 3e-4  # of frequencies; damping ratios and shapes ten times that
@@ -13,7 +13,7 @@ LEVEL = 3e-4  # of frequencies; damping ratios and shapes ten times that
 
 def modal_test(rig: Rig, points: int, rng: np.random.Generator) -> ModalData | None:
     """A noisy modal test at the first `points` coordinates; None where it does not hold the unknowns."""
-    found = modes(rig.model, rig.p)
+    found = eigenmodes(rig.model, rig.p)
     if len(found.eigenvalues) > rig.model.n or np.any(
         found.eigenvalues.imag <= 1e-6 * np.abs(found.eigenvalues)
     ):

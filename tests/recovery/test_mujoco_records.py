@@ -8,7 +8,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.estimate.identify import identify
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.network import Model
 from tests.whole_rigs import chain
 
@@ -26,7 +26,7 @@ def simulated(model: Model, theta: Real, rng: np.random.Generator, *, periods: f
     p = dict(
         zip([element.name for element in model.elements], map(float, model.parameters(theta)), strict=True)
     )
-    hz = modes(model, model.parameters(theta)).frequency_hz
+    hz = eigenmodes(model, model.parameters(theta)).frequency_hz
     step = 1 / (PER_CYCLE * FINER * float(np.max(hz)))
     count = int(periods / float(np.min(hz)) / step) // FINER
     opened, closed = "", ""

@@ -22,7 +22,6 @@ from dashpot.check.structure import (
     Draw,
     LinePattern,
     LinesAtHand,
-    apart,
     enough_lines,
     exact,
     floating,
@@ -31,6 +30,7 @@ from dashpot.check.structure import (
     loads_at_ends,
     nominal,
     right_vectors,
+    spaced,
     view_of,
 )
 from dashpot.data.record import Record
@@ -401,7 +401,7 @@ def _nominal(model: Model, elongation: float) -> Real:
             values.append(np.nan)
         else:
             values.append(sizes[kinds[unknown.name].kind])
-    theta = np.array(values) * apart(len(values), 0.9, 1.1)
+    theta = np.array(values) * spaced(len(values), 0.9, 1.1)
     # 0.2 of a nonlinear force over the linear one, where nothing tells
     return _with_strengths(model, theta, elongation, rate, 0.2 * stiffness * elongation)
 
@@ -431,7 +431,7 @@ def _slopes_let_go(model: Model, channels: Sequence[Channel], psi: Real) -> Real
     data = arranged(model, Record(tuple(channels), time, measured))
     problem, _ = begun_problem(model, (data,), psi[: len(model.unknowns)], np.ones(len(channels)))
     start = problem.begun[0].copy()
-    start[: model.n] = NOMINAL * apart(model.n, 0.7, 1.3)
+    start[: model.n] = NOMINAL * spaced(model.n, 0.7, 1.3)
     at = np.concatenate([psi, start[problem.constants.starts]])
     _, J = replace(problem, begun=(start,)).residual(0, at)
     if J is None:

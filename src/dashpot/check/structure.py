@@ -153,7 +153,7 @@ def _ends(model: Model, name: str) -> list[Node]:
     return [("element", element) for element in touching]
 
 
-def apart(count: int, least: float, most: float) -> Real:
+def spaced(count: int, least: float, most: float) -> Real:
     """Numbers (count,) between two, no two alike however many there are: steps of the golden section."""
     return least + (most - least) * np.modf(np.arange(1, count + 1) * (np.sqrt(5) - 1) / 2)[0]
 
@@ -493,7 +493,7 @@ def nominal(model: Model, channels: Sequence[Channel]) -> tuple[Real, float]:
         values.append(unknown.nominal or size[kinds[unknown.name]])
     calibrations = view.nominal_calibrations.tolist()
     values += calibrations[: view.gains]
-    return np.array([*(np.array(values) * apart(len(values), 0.8, 1.25)), *calibrations[view.gains :]]), rate
+    return np.array([*(np.array(values) * spaced(len(values), 0.8, 1.25)), *calibrations[view.gains :]]), rate
 
 
 def floating(

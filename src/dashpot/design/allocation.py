@@ -62,7 +62,7 @@ class Criterion:
         """What it is called."""
         return NAMES[self.kind] if self.targets is None else "worst error in parts of the targets (minimax)"
 
-    def terms(self, setup: TestSetup) -> Terms:
+    def terms(self, setup: TestSetup) -> InformationTerms:
         """The criterion over the scenarios of a setup.  UsageError for unknown names."""
         i = self._chosen(setup.model)
         rows, block = np.ones((1, 1)), i if self.kind == "D" else None
@@ -74,9 +74,9 @@ class Criterion:
             rows[range(len(i)), i] = [target**-2 for target in self.targets_for(setup.model, 1.0).values()]
         count = len(setup.theta)
         if setup.over == "average":
-            return Terms(rows[:, None, :] * np.full((count, 1), 1 / count), block)
+            return InformationTerms(rows[:, None, :] * np.full((count, 1), 1 / count), block)
         each = np.einsum("kq,ts->tksq", rows, np.eye(count)).reshape(-1, count, rows.shape[1])
-        return Terms(each, block)
+        return InformationTerms(each, block)
 
     def at(self, setup: TestSetup, information: Real | float = 0.0) -> CriterionValue:
         """Its value with a test's information (scenarios, q, q), in parts of the sizes, beside what is known before."""
@@ -107,7 +107,7 @@ class Criterion:
 
 
 @dataclass(frozen=True)
-class Terms:
+class InformationTerms:
     """A criterion over the scenarios of a setup.
 
     weights  (K, scenarios, q): a_ksj; for a determinant (K, scenarios, 1): a_ks
@@ -162,7 +162,7 @@ class Terms:
 class CriterionValue:
     """F at one M, its parts Φ_k (K,), the covariances C (scenarios, q, q) and, for determinants, those of the rest."""
 
-    terms: Terms
+    terms: InformationTerms
     F: float
     parts: Real
     C: Real
@@ -236,7 +236,7 @@ def _reach(x: Real, dx: Real) -> float:
     return float(np.min(-x[down] / dx[down], initial=np.inf))
 
 
-def optimal_shares(terms: Terms, M0: Real, Mi: Real) -> Shares:
+def optimal_shares(terms: InformationTerms, M0: Real, Mi: Real) -> Shares:
     """Near-optimal shares of candidates with information Mi (scenarios, lines, q, q) beside M0 (scenarios, q, q).
 
     By slacks t − Φ_k of the parts of F (Boyd and Vandenberghe 2004, §11.7).  Where the iteration stalls it returns the
@@ -330,7 +330,7 @@ class Allocation:
         return Schedule(self.frequency_hz[kept], self.pattern[kept], samples * self.share[kept])
 
 
-def optimise(setup: TestSetup, terms: Terms, samples: float, grid: FrequencyGrid) -> Allocation:
+def optimise(setup: TestSetup, terms: InformationTerms, samples: float, grid: FrequencyGrid) -> Allocation:
     """The shares of `samples` over the frequencies of a band that make F smallest, beside what is known before.
 
     Raises IdentifiabilityError where no test in the band determines the unknowns.
@@ -350,7 +350,7 @@ class _Columns:
     tolerance = 1e-7  # of the gap
 
     def __init__(
-        self, setup: TestSetup, terms: Terms, samples: float, grid: FrequencyGrid, on_grid: Real
+        self, setup: TestSetup, terms: InformationTerms, samples: float, grid: FrequencyGrid, on_grid: Real
     ) -> None:
         self.setup, self.terms, self.samples, self.grid, self.on_grid = setup, terms, samples, grid, on_grid
         some = np.arange(0, len(grid.frequency_hz), max(1, len(grid.frequency_hz) // 60))

@@ -21,7 +21,7 @@ from dashpot.design.allocation import (
     Allocation,
     Criterion,
     ExpectedPrecision,
-    Terms,
+    InformationTerms,
     clusters,
     expected_precision,
     information_gain,
@@ -158,7 +158,7 @@ def plan(setup: TestSetup, criterion: Criterion, budget: Budget, grid: Frequency
     if problem.terms.block is None and not np.isfinite(problem.F(ideal.schedule(budget.measured(1)))):
         # One parameter's best test may leave the others open; a test that identifies must not.
         every = np.mean(Criterion("A").terms(setup).weights, axis=0)
-        problem = replace(problem, terms=Terms(problem.terms.weights + 1e-3 * every))
+        problem = replace(problem, terms=InformationTerms(problem.terms.weights + 1e-3 * every))
         ideal = problem.ideal()
     schedule = _rounded(problem, ideal)
     samples = budget.measured(len(schedule.frequency_hz))
@@ -246,7 +246,7 @@ class DesignProblem:
     """What a test is to be good for, on what setup, within which budget and band."""
 
     setup: TestSetup
-    terms: Terms
+    terms: InformationTerms
     budget: Budget
     grid: FrequencyGrid
 

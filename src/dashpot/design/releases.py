@@ -19,7 +19,7 @@ from dashpot.arrays import Bools, Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.model.dynamics import matrices
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, noise_sd, observation_model
@@ -112,7 +112,7 @@ def plan_releases(
     notes: list[str] = []
     theta = model.theta(values)
     p = model.parameters(theta)
-    found = modes(model, p).eigenvalues
+    found = eigenmodes(model, p).eigenvalues
     fastest = float(np.max(np.abs(found))) / (2 * np.pi)
     rates = [channel.rate for channel in channels if channel.rate is not None]
     rate = rate_hz or min(rates, default=0.0)

@@ -20,7 +20,7 @@ from dashpot.arrays import Complex, Ints, Real, freeze, frozen, hermitian
 from dashpot.channel import Channel
 from dashpot.errors import DataError, ModelError, UsageError
 from dashpot.estimate.nonlinear.objective import FEWEST, DwellLines, NonlinearPart, WarmStart, evaluate
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.network import Model
 from dashpot.model.observation import (
     calibration_factors,
@@ -436,7 +436,7 @@ class TestSetup:
         """
         every: list[tuple[float, float]] = []
         for p in self.p:
-            rig = modes(self.model, p)
+            rig = eigenmodes(self.model, p)
             swinging = rig.eigenvalues.imag > 0
             every += zip(
                 rig.frequency_hz[swinging].tolist(), rig.damping_ratio[swinging].tolist(), strict=True
@@ -452,7 +452,7 @@ class TestSetup:
         """
         slowest = np.inf
         for p in self.p:
-            values = modes(self.model, p).eigenvalues
+            values = eigenmodes(self.model, p).eigenvalues
             moving = values[np.abs(values) > 0]
             decay = -moving.real
             if np.any(decay <= 1e-12 * np.abs(moving)):

@@ -19,7 +19,7 @@ from dashpot.export.identified_rig import INSTEAD, IdentifiedRig
 from dashpot.export.state_space import SUFFIXES
 from dashpot.io.atomic import write_text
 from dashpot.model.dynamics import matrices
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 
 
 def write_mujoco(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
@@ -61,7 +61,7 @@ def mujoco_model(rig: IdentifiedRig) -> str:
     tendons = distinct(map(printable, names), " ", joints)
     rows: list[tuple[dict[str, object], Real]] = [(law, row) for _, law, row in elements]
     rows += [({}, row) for row in loads.values()]
-    fastest = float(np.max(np.abs(modes(model, rig.p).eigenvalues), initial=0.0))
+    fastest = float(np.max(np.abs(eigenmodes(model, rig.p).eigenvalues), initial=0.0))
     period = 2 * np.pi / fastest if fastest > 0 else np.inf
     step = min(0.002, float(f"{period / 200:.1g}"))  # s; 200 in a period, at most MuJoCo's own
     lines = [

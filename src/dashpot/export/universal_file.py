@@ -14,7 +14,7 @@ from dashpot.errors import DataError
 from dashpot.export.formats import ExportOptions, Written
 from dashpot.export.identified_rig import IdentifiedRig
 from dashpot.export.transfer_functions import frequency_responses, input_units, unit_of_channel
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.observation import input_channels
 
 
@@ -41,7 +41,7 @@ def write_rig_universal_file(rig: IdentifiedRig, path: str, options: ExportOptio
     # Modes at the coordinates' nodes: X, Y, Z (and rotations about them); eigenvalues in rad/s
     rig.require_linear("a mode")
     model = rig.model
-    of_rig = modes(model, rig.p)
+    of_rig = eigenmodes(model, rig.p)
     swinging = of_rig.eigenvalues.imag > 0
     width = 6 if model.angles else 3
     nodes = tuple(range(1, model.n + 1))

@@ -41,7 +41,7 @@ class Modes:
             return np.where(magnitude > 0, -self.eigenvalues.real / magnitude, 0.0) + 0.0  # no −0
 
 
-def modes(model: Model, p: Real) -> Modes:
+def eigenmodes(model: Model, p: Real) -> Modes:
     """Modes of one rig, p of shape (elements,).  (λ² M + λ C + K + jH) φ = 0.
 
     Massless coordinates give infinite eigenvalues, which are left out; with hysteretic dampers only Im λ > 0 has a
@@ -178,7 +178,7 @@ def eigenpairs(model: Model, p: Real) -> tuple[Complex, Complex]:
         values[regular] = np.where(whole[:, None], poles, np.nan)
         shapes[regular] = np.swapaxes(vectors[:, :n], -1, -2) / size[regular][:, None, :]
     for k in np.flatnonzero(finite & ~regular):  # massless coordinates: fewer modes, found one rig at a time
-        single = modes(model, p[k])
+        single = eigenmodes(model, p[k])
         values[k, : len(single.eigenvalues)] = single.eigenvalues
         shapes[k, : len(single.eigenvalues)] = single.shapes
     return values, shapes

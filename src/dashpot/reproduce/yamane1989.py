@@ -16,7 +16,7 @@ from dashpot.arrays import Complex, Real, frozen
 from dashpot.channel import Quantity
 from dashpot.errors import UsageError
 from dashpot.model.elements import Element, Kind, between, mass
-from dashpot.model.modes import eigenpairs, modes
+from dashpot.model.modes import eigenmodes, eigenpairs
 from dashpot.model.network import Input, Model
 from dashpot.study.blocks import Map
 from dashpot.study.montecarlo import LEVELS, Results, Summary, run_scenarios
@@ -321,7 +321,7 @@ def eigenvalues(rig: Model, theta: Real) -> Complex:
 def table_1() -> tuple[EigenvalueEntry, ...]:
     """Eigenvalues of the rig as modelled here beside the printed ones."""
     paper, rig = paper_prints(), paper_model()
-    modelled = modes(rig, rig.parameters(rig.theta(dict(paper.values)))).eigenvalues
+    modelled = eigenmodes(rig, rig.parameters(rig.theta(dict(paper.values)))).eigenvalues
     return tuple(
         EigenvalueEntry("Table 1", "model", "–", complex(value), complex(ours), 0j)
         for value, ours in zip(paper.eigenvalues, modelled, strict=True)

@@ -19,7 +19,7 @@ from dashpot.export.mujoco import mujoco_model
 from dashpot.export.parameter_tables import matlab_names, matrix_texts
 from dashpot.export.transfer_functions import frequency_responses
 from dashpot.model.dynamics import matrices
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.rigfile import parse_rig
 from tests.unit.export.exported import TWO_MASSES, hysteretic, lever, nonlinear, two_masses
 
@@ -63,7 +63,7 @@ def test_universal_file(tmp_path):
         assert measured.ordinate == pytest.approx(response, rel=1e-9)  # no noise
         assert (fitted.unit, fitted.reference_unit) == ("mm", "mm")
     read = list(modes_of(open_file(path)))
-    expected = modes(found.model, found.p)
+    expected = eigenmodes(found.model, found.p)
     assert [mode.eigenvalue for mode in read] == pytest.approx(expected.eigenvalues, rel=1e-5)
     assert [mode.shapes[:, 0] for mode in read] == pytest.approx(expected.shapes, abs=1e-5)
     by_pyuff = pyuff.UFF(str(path)).read_sets()

@@ -16,7 +16,7 @@ from dashpot.model.dynamics import (
     unit_forces,
 )
 from dashpot.model.elements import Element, Kind, between, mass
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.network import Input, Model
 from dashpot.numerics.small_systems import solve_small
 from tests.networks import network
@@ -139,16 +139,16 @@ class TestLaws:
             np.testing.assert_allclose(S[..., i], slope, atol=2e-8 * np.max(np.abs(slope)))
 
     def test_sensitivities_of_the_eigenvalues(self, model: Model, p: np.ndarray) -> None:
-        S = modes(model, p).sensitivity
+        S = eigenmodes(model, p).sensitivity
         for i, step in enumerate(1e-5 * p):
             more, less = p.copy(), p.copy()
             more[i] += step
             less[i] -= step
-            slope = (modes(model, more).eigenvalues - modes(model, less).eigenvalues) / (2 * step)
+            slope = (eigenmodes(model, more).eigenvalues - eigenmodes(model, less).eigenvalues) / (2 * step)
             np.testing.assert_allclose(S[:, i], slope, atol=1e-6 * np.max(np.abs(S[:, i])) + 1e-12)
 
     def test_modes_solve_the_eigenvalue_problem(self, model: Model, p: np.ndarray) -> None:
-        parts, found = matrices(model, p), modes(model, p)
+        parts, found = matrices(model, p), eigenmodes(model, p)
         for value, shape in zip(found.eigenvalues, found.shapes, strict=True):
             terms = [value**2 * parts.M @ shape, value * parts.C @ shape, (parts.K + 1j * parts.H) @ shape]
             np.testing.assert_allclose(sum(terms), 0, atol=1e-9 * np.max(np.abs(terms)))
@@ -159,13 +159,13 @@ class TestKnownRigs:
     def one(self, *elements: Element) -> np.ndarray:
         points = dict.fromkeys(point for element in elements for point in element.along)
         model = Model(tuple(points), (), elements)
-        found = modes(model, model.p0)
+        found = eigenmodes(model, model.p0)
         with np.errstate(all="raise"):
             assert np.all(np.isfinite(found.damping_ratio))
         return np.asarray(found.eigenvalues)
 
     def test_the_rig_of_the_paper(self) -> None:
-        found = modes(PAPER, PAPER_P)
+        found = eigenmodes(PAPER, PAPER_P)
         np.testing.assert_allclose(found.eigenvalues, [-16.0460 + 18.6229j, -26.1762 + 60.3144j], atol=5e-5)
         magnitude = np.hypot([16.0460, 26.1762], [18.6229, 60.3144])
         np.testing.assert_allclose(found.frequency_hz, magnitude / (2 * np.pi), rtol=1e-5)

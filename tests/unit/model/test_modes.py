@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from dashpot.model.elements import Kind
-from dashpot.model.modes import eigenpairs, mode_sensitivities, modes
+from dashpot.model.modes import eigenmodes, eigenpairs, mode_sensitivities
 from tests.rigs import Rig, random_rig
 
 
 def swinging(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues and shapes of the modes that swing, by frequency."""
-    found = modes(rig.model, rig.p)
+    found = eigenmodes(rig.model, rig.p)
     there = found.eigenvalues.imag > 1e-6 * np.abs(found.eigenvalues)
     return found.eigenvalues[there], found.shapes[there]
 
@@ -51,7 +51,7 @@ def test_eigenpairs_are_those_of_one_rig_at_a_time() -> None:
         p = rig.p * np.exp(0.1 * rng.standard_normal((4, len(rig.p))))
         values, shapes = eigenpairs(rig.model, p)
         for k in range(4):
-            own = modes(rig.model, p[k])
+            own = eigenmodes(rig.model, p[k])
             for value, shape in zip(own.eigenvalues, own.shapes, strict=True):
                 if value.imag <= 1e-6 * abs(value):
                     continue
@@ -85,7 +85,9 @@ def test_a_rig_without_dampers_has_no_damping_but_for_negative_springs() -> None
     for _ in range(20):
         rig = random_rig(rng, 4, displacements=1)
         springs = np.array([kind in (Kind.MASS, Kind.SPRING) for kind in rig.model.kinds])
-        found = modes(rig.model, np.where(springs, rig.p, 0.0))
+        found = eigenmodes(rig.model, np.where(springs, rig.p, 0.0))
         assert not np.any(found.damping_ratio)
-    falling = modes(rig.model, np.where(np.array(rig.model.kinds) == Kind.SPRING, -rig.p, rig.p * springs))
+    falling = eigenmodes(
+        rig.model, np.where(np.array(rig.model.kinds) == Kind.SPRING, -rig.p, rig.p * springs)
+    )
     assert np.all(falling.eigenvalues.imag == 0)

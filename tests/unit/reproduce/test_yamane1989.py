@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dashpot.errors import UsageError
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.reproduce.yamane1989 import (
     eigenvalues,
     farther,
@@ -30,7 +30,7 @@ def found():
 def test_table_1():
     """Printed to four decimals, but for its last digit."""
     rig, paper = paper_model(), paper_prints()
-    values = modes(rig, rig.parameters(rig.theta(dict(paper.values)))).eigenvalues
+    values = eigenmodes(rig, rig.parameters(rig.theta(dict(paper.values)))).eigenvalues
     assert np.allclose(values, paper.eigenvalues, rtol=0, atol=6e-5)
     assert np.allclose(np.abs(values.imag) / (2 * np.pi), [2.96, 9.60], atol=5e-3)
 
@@ -76,7 +76,7 @@ def test_eigenvalues_of_many_rigs_are_those_of_each():
     theta = rig.theta(dict(paper.values)) * np.random.default_rng(2).uniform(0.8, 1.2, (5, 6))
     many = eigenvalues(rig, theta)
     for own, row in zip(theta, many, strict=True):
-        assert np.allclose(row, modes(rig, rig.parameters(own)).eigenvalues, rtol=1e-9)
+        assert np.allclose(row, eigenmodes(rig, rig.parameters(own)).eigenvalues, rtol=1e-9)
     stiff = theta[:1] * np.array([1, 1, 100, 100, 100, 100])
     assert np.all(np.isnan(eigenvalues(rig, stiff)) | (eigenvalues(rig, stiff).imag > 0))
 

@@ -26,7 +26,7 @@ from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.modal import ModeProblem, check_suited, linear_start
 from dashpot.estimate.preparation import Prepared, states_if_seen
 from dashpot.model.elements import Element
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, calibration_factors, observation_model, transfer
 
@@ -274,7 +274,7 @@ class LineProblem:
         """Lines that one discrepancy makes alike, (lines,)."""
         spectrum, model = self.data.spectrum, self.model
         try:
-            poles = modes(model, model.parameters(psi[: len(model.unknowns)])).eigenvalues
+            poles = eigenmodes(model, model.parameters(psi[: len(model.unknowns)])).eigenvalues
             found = blocks_of(spectrum.frequency_hz, spectrum.experiment, poles) if len(poles) else None
         except (ModelError, ValueError, np.linalg.LinAlgError):
             found = None

@@ -200,12 +200,12 @@ class HarmonicSolution:
         samples, channels = record.values.shape[-2:]
         Y = record.values.reshape(-1, samples, channels)
         shown = np.where(self.in_cells, 0.0, np.sqrt(samples / (self.free + self.terms.count)))
-        for rows, A in columns_of(record, f, self.terms):
+        for rows, A in dwell_columns(record, f, self.terms):
             e = Y[:, rows] - A @ self.coefficients
             yield rows, A, e if record.status is None else e * (record.status[rows] == 0) * shown
 
 
-def columns_of(record: Record, f: float, terms: Terms) -> Iterator[tuple[slice, Real]]:
+def dwell_columns(record: Record, f: float, terms: Terms) -> Iterator[tuple[slice, Real]]:
     """Some samples after others, and their columns (rows, terms)."""
     samples = len(record.time)
     step = max(16, min(CHUNK, TILE * samples // max(record.values.size, 1)))
@@ -227,12 +227,12 @@ def solve_harmonics(record: Record, f: float, terms: Terms) -> HarmonicSolution:
     columns = terms.within(every)
     if R is None or columns is None:
         R = triangle(
-            np.concatenate([A, record.values[rows]], axis=1) for rows, A in columns_of(record, f, terms)
+            np.concatenate([A, record.values[rows]], axis=1) for rows, A in dwell_columns(record, f, terms)
         )
     else:
         R = triangle([R[:, [*columns, *range(every.count, R.shape[1])]]])
     k, channels = terms.count, len(record.channels)
-    P, coefficients = solved(R, k, record, f)
+    P, coefficients = from_triangle(R, k, record, f)
     left = R[k:, k:]
     free, in_cells = np.full(channels, float(len(record.time) - k)), np.zeros(channels, dtype=bool)
     each = np.broadcast_to(P, (channels, k, k))
@@ -253,7 +253,7 @@ def triangle(pieces: Iterable[Real]) -> Real:
     return R
 
 
-def solved(R: Real, k: int, record: Record, f: float) -> tuple[Real, Real]:
+def from_triangle(R: Real, k: int, record: Record, f: float) -> tuple[Real, Real]:
     """Inverse Gram (k, k) of the first k columns, and their coefficients (k, others) in the others, by `triangle`.
 
     Raises DataError where the samples do not tell the columns apart.
@@ -283,7 +283,7 @@ def _factored(record: Record) -> tuple[Terms, Real]:
     rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
     highest = max(1, min(HIGHEST_HARMONIC, int(BELOW_HALF_RATE * rate / 2 / f)))
     every = Terms(3, tuple(range(1, highest + 1)), 1)
-    both = (np.concatenate([A, record.values[rows]], axis=1) for rows, A in columns_of(record, f, every))
+    both = (np.concatenate([A, record.values[rows]], axis=1) for rows, A in dwell_columns(record, f, every))
     return every, triangle(both)
 
 
@@ -297,9 +297,9 @@ def _of_repeats(record: Record, f: float, terms: Terms) -> HarmonicSolution:
     """Of records with leading axes: normal equations, then the residual and one refinement, some repeats at a time."""
     samples, channels = record.values.shape[-2:]
     Y = record.values.reshape(-1, samples, channels)
-    P, _ = solved(triangle(A for _, A in columns_of(record, f, terms)), terms.count, record, f)
+    P, _ = from_triangle(triangle(A for _, A in dwell_columns(record, f, terms)), terms.count, record, f)
     right, largest = np.zeros((len(Y), terms.count, channels)), np.zeros((len(Y), channels))
-    for rows, A in columns_of(record, f, terms):
+    for rows, A in dwell_columns(record, f, terms):
         right += A.T @ Y[:, rows]
         largest = np.maximum(largest, np.max(np.abs(Y[:, rows]), axis=1))
     free, squares = np.full(channels, float(samples - terms.count)), np.zeros((len(Y), channels, channels))
@@ -363,14 +363,14 @@ def _partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMe
     status = np.zeros(len(y)) if record.status is None else record.status[:, c]
     cell = 0.0 if record.cell is None else float(record.cell[c])
     seen = status == 0
-    pieces = list(columns_of(record, f, terms)) if len(y) <= CHUNK else None
+    pieces = list(dwell_columns(record, f, terms)) if len(y) <= CHUNK else None
 
     def columns() -> Iterable[tuple[slice, Real]]:
-        return columns_of(record, f, terms) if pieces is None else pieces
+        return dwell_columns(record, f, terms) if pieces is None else pieces
 
     k, count = terms.count, int(np.count_nonzero(seen))
     R = triangle(np.column_stack([A, y[rows]])[seen[rows]] for rows, A in columns())
-    beta = solved(R, k, record, f)[1][:, 0]
+    beta = from_triangle(R, k, record, f)[1][:, 0]
     variance = float(np.sum(R[k:, k] ** 2)) / max(count - k, 1)
     if np.sqrt(variance) > DITHERED * cell:
         cell = 0.0

@@ -26,7 +26,7 @@ from dashpot.io.words import joined, with_values
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Kind
 from dashpot.model.matrix_elements import free_entries, free_names
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.network import Model
 from dashpot.model.observation import is_direct, measures_input
 from dashpot.notices import Notice
@@ -48,7 +48,7 @@ def of_records(model: Model, theta: Real, covariance: Real, spectrum: Spectrum) 
     if not spectrum.records:
         return []
     notices = []
-    frequency = modes(model, model.parameters(theta[: len(model.unknowns)])).frequency_hz
+    frequency = eigenmodes(model, model.parameters(theta[: len(model.unknowns)])).frequency_hz
     records = [value for value in spectrum.stretches if isinstance(value, WholeRecord)]
     longest, slowest = (
         max(value.duration_s for value in records),
@@ -236,7 +236,7 @@ def modes_unseen(data: Prepared, solution: Solution) -> tuple[Notice, ...]:
 def _free_modes(pieces: RecordPieces, fit: EndsFitted, theta: Real) -> list[_FreeMode]:
     """All modes of a rig with the values θ but those that only drift."""
     model, n = pieces.ends.rig.model, pieces.ends.n
-    of_rig = modes(model, model.parameters(theta[: len(model.unknowns)]))
+    of_rig = eigenmodes(model, model.parameters(theta[: len(model.unknowns)]))
     by_columns = np.zeros((*fit.z.shape[1:2], 2, fit.z.shape[-1]))
     free_modes = []
     for eigenvalue, shape, hz in zip(of_rig.eigenvalues, of_rig.shapes, of_rig.frequency_hz, strict=True):

@@ -39,7 +39,7 @@ from dashpot.estimate.preparation import (
     noise_quality,
 )
 from dashpot.estimate.result import ModeValues
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.network import Model
 from dashpot.numerics.kernel import kernel, kernel_function, threads
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
@@ -79,7 +79,7 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
         table = compiled(model.B, model.letters, model.T, model.p0, theta, covariance)
         if table is not None:
             return ModeValues(*table)
-    of_rig = modes(model, p)
+    of_rig = eigenmodes(model, p)
     slope = of_rig.sensitivity @ model.T
     values = of_rig.eigenvalues
     size = np.abs(values)[:, None]

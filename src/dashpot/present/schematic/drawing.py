@@ -24,7 +24,7 @@ from dashpot.estimate.result import Estimate
 from dashpot.free.modes import MeasuredModes
 from dashpot.io.atomic import write_bytes
 from dashpot.io.words import PICTURES, chosen_format
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.network import Model
 from dashpot.present.document import Picture
 from dashpot.present.estimate import aperiodic_in_words
@@ -186,7 +186,7 @@ def numbered_mode(model: Model, estimate: Estimate | None, number: int) -> tuple
     Raises ModelError where the rig states no value, UsageError where there is no such mode.
     """
     if estimate is None:
-        stated = modes(model, model.parameters(model.theta({})))
+        stated = eigenmodes(model, model.parameters(model.theta({})))
         eigenvalues, shapes = stated.eigenvalues, stated.shapes
         frequencies, ratios = stated.frequency_hz, stated.damping_ratio
     else:

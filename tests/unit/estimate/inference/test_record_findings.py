@@ -10,7 +10,7 @@ from dashpot.data.spectrum import WholeRecord
 from dashpot.errors import DataError, IdentifiabilityError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.diagnostics import modes_outside, unrelated_inputs
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.notices import Notice
 from tests.whole_rigs import chain, record_of
 
@@ -78,7 +78,7 @@ def test_narrow_bands_are_named() -> None:
 def test_a_band_without_some_modes_is_named_where_that_leaves_unknowns_open() -> None:
     model, theta = chain(3, 0.02)
     record = record_of(model, theta, "random", decay_times=3).record
-    frequency = modes(model, model.parameters(theta)).frequency_hz
+    frequency = eigenmodes(model, model.parameters(theta)).frequency_hz
     sd = np.array([0.2 if name == "k3" else 0.01 for name in model.unknown_names]) * theta
 
     def named(band: tuple[float, float], covariance: np.ndarray) -> list[Notice]:
@@ -92,7 +92,7 @@ def test_a_band_without_some_modes_is_named_where_that_leaves_unknowns_open() ->
 
 @pytest.mark.parametrize(("periods", "named"), [(0.8, True), (1.5, False)])
 def test_a_record_shorter_than_a_period_is_named(periods: float, named: bool) -> None:
-    slowest = float(modes(MODEL, MODEL.parameters(THETA)).frequency_hz[0])
+    slowest = float(eigenmodes(MODEL, MODEL.parameters(THETA)).frequency_hz[0])
     samples = int(periods / slowest / TEST.record.time[1])
     record = TEST.noisy(np.random.default_rng(4), 1e-4 * TEST.size)
     short = replace(record, time=record.time[:samples], values=record.values[:samples])

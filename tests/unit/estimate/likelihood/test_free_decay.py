@@ -16,7 +16,7 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.preparation import prepare
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Kind, between, mass
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.network import Input, Model
 
 
@@ -60,7 +60,7 @@ def test_modes_of_a_decay_without_noise_are_those_of_the_rig(quantity: Quantity)
     model, theta = chain(3, rng)
     records = [decay(model, theta, [0, 2], quantity, 0.0, rng) for _ in range(2)]
     poles, _ = free_modes(prepare(model, spectrum(records), states=False))
-    true = modes(model, model.parameters(theta)).eigenvalues
+    true = eigenmodes(model, model.parameters(theta)).eigenvalues
     np.testing.assert_allclose(poles, true[np.argsort(np.abs(true))], rtol=1e-6)
 
 

@@ -8,7 +8,7 @@ import pytest
 from dashpot.channel import Channel, Quantity
 from dashpot.estimate.likelihood.boundary_loads import sampled_loads, shows_sampled_loads
 from dashpot.model.elements import Kind, between, mass
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.network import Model
 from dashpot.model.observation import calibrated_transfer, observation_model
 from tests.whole_rigs import chain, sampled_free_motion
@@ -23,7 +23,7 @@ CHANNELS = tuple(
 def test_terms_are_what_sums_exceed_integrals_by(per_cycle: float, most: float) -> None:
     model, theta = chain(2, 0.1, base=False, seed=5)
     p = model.parameters(theta)
-    highest = float(np.max(modes(model, p).frequency_hz))
+    highest = float(np.max(eigenmodes(model, p).frequency_hz))
     step = 1 / (per_cycle * highest)
     omega = 2 * np.pi * highest * np.array([0.1, 0.5, 1.0, 1.5])
     view = observation_model(model, CHANNELS, omega)

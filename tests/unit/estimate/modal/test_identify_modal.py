@@ -11,7 +11,7 @@ from dashpot.data.modal_data import ModalData, of_eigenvalues
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.modal import identify_modal, like_parts
 from dashpot.model.elements import Kind, between, mass
-from dashpot.model.modes import mode_sensitivities, modes
+from dashpot.model.modes import eigenmodes, mode_sensitivities
 from dashpot.model.network import Input, Model
 from tests.rigs import PAPER_KINDS, Rig, random_rig
 
@@ -20,7 +20,7 @@ LEVEL = 1e-3  # of frequencies and shapes; damping ratios a hundredth of themsel
 
 def swinging(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues and shapes of the modes that swing, by frequency."""
-    found = modes(rig.model, rig.p)
+    found = eigenmodes(rig.model, rig.p)
     there = found.eigenvalues.imag > 1e-6 * np.abs(found.eigenvalues)
     return found.eigenvalues[there], found.shapes[there]
 
@@ -204,7 +204,7 @@ def test_the_answer_is_that_of_least_squares_written_out() -> None:
     sd = np.sqrt(np.diagonal(data.shape_covariance, axis1=1, axis2=2).real / 2)
 
     def residuals(psi: np.ndarray) -> np.ndarray:
-        own = modes(rig.model, rig.model.parameters(psi[:8] * rig.theta))
+        own = eigenmodes(rig.model, rig.model.parameters(psi[:8] * rig.theta))
         scale = psi[8:].reshape(2, 3)
         rows = []
         for k in range(3):
@@ -298,7 +298,7 @@ def test_other_rigs_with_the_same_frequencies_are_named() -> None:
     assert len(named) == 3
     theta = np.array([float(named[name]) for name in found[0].names])
     assert np.max(np.abs(theta / found[0].values - 1)) > 0.1
-    f = modes(rig.model, rig.model.parameters(theta)).frequency_hz
+    f = eigenmodes(rig.model, rig.model.parameters(theta)).frequency_hz
     assert np.allclose(f, data.frequency_hz, rtol=1e-3)  # four digits are printed
     sets = [found[0].values, theta]
     truth_is_one = any(np.allclose(one, rig.theta, rtol=1e-3) for one in sets)
@@ -472,7 +472,7 @@ def test_like_parts_have_the_first_frequency_of_the_data() -> None:
     data = ModalData(("x9",), np.array([1.3]), np.array([0.01]), flat, np.ones((1, 1)), np.ones((1, 1, 1)))
     theta = like_parts(model, data)
     assert np.ptp(theta) < 1e-9 * theta[0]
-    assert np.min(np.abs(modes(model, model.parameters(theta)).eigenvalues)) == pytest.approx(
+    assert np.min(np.abs(eigenmodes(model, model.parameters(theta)).eigenvalues)) == pytest.approx(
         2 * np.pi * 1.3, rel=1e-6
     )
 

@@ -10,7 +10,7 @@ from scipy.special import ellipk
 from dashpot.channel import Channel
 from dashpot.errors import ConvergenceError, UsageError
 from dashpot.model.elements import Kind, between
-from dashpot.model.modes import modes
+from dashpot.model.modes import eigenmodes
 from dashpot.model.nonlinear import continuation
 from dashpot.model.nonlinear import continuation as stability
 from dashpot.model.nonlinear.continuation import (
@@ -81,7 +81,7 @@ def test_multipliers_are_those_of_the_modes_where_the_nonlinear_force_is_nothing
     at = periodic_response(model, model.parameters(theta)[None], np.zeros((1, 0)), drive)
     found = floquet_multipliers(model, theta, drive, at)[0]
     linear = replace(model, elements=model.elements[:-1])
-    poles = modes(linear, linear.parameters(theta[:5])).eigenvalues
+    poles = eigenmodes(linear, linear.parameters(theta[:5])).eigenvalues
     expected = np.exp(np.concatenate([poles, np.conj(poles)]) / 3.0)
     assert np.allclose(np.sort(np.abs(found)), np.sort(np.abs(expected)), rtol=1e-9)
 
