@@ -174,9 +174,16 @@ def assessment_from(fit: Mapping[str, Any], diagnosis: Sequence[Mapping[str, Any
 
 
 def applied(model: Model, channels: Sequence[Channel], finding: Finding) -> tuple[Model, tuple[Channel, ...]]:
-    """Model and channels with a finding's remedy taken: entries of the same names replaced, new elements added."""
+    """Model and channels with a finding's remedy taken: entries of the same names replaced, new elements added.
+
+    Points of new elements that the rig has not are coordinates of a body that it lacks.
+    """
     changed = {channel.name: channel for channel in finding.channels}
     elements = {element.name: element for element in finding.elements}
     kept = tuple(elements.pop(element.name, element) for element in model.elements)
-    new_model = replace(model, elements=(*kept, *elements.values())) if finding.elements else model
+    there = {*model.coordinates, *model.displacement_inputs}
+    bodies = dict.fromkeys(point for each in elements.values() for point in each.along if point not in there)
+    new_model = replace(
+        model, coordinates=(*model.coordinates, *bodies), elements=(*kept, *elements.values())
+    )
     return new_model, tuple(changed.get(channel.name, channel) for channel in channels)

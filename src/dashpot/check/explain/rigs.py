@@ -266,7 +266,7 @@ def _beside_body(
 def _body(model: Model, parts: tuple[Element, ...], x: str, stiffness: float) -> Phrase:
     lines = "; ".join(f"{element_section(each)} {element_line(each)}" for each in parts)
     text = f"a body on a spring at {x} is missing from the rig ({rounded(stiffness, '.3g')} N/m)"
-    return Phrase(text, f'add a coordinate "{parts[0].name.removeprefix("m_")}"; {lines}')
+    return Phrase(text, f'add a coordinate "{parts[0].name.removeprefix("m_")}"; {lines}', elements=parts)
 
 
 def unmeasured(baseline: Baseline) -> Iterator[Effect]:

@@ -70,8 +70,7 @@ def test_the_true_cause_is_named_first(mistake):
     assert rank_of_the_truth("paper", mistake, 100) == 0
 
 
-@pytest.mark.parametrize("turns", [1.0, 1.5])
-def test_no_listed_cause_is_certain_that_leaves_a_good_part_of_the_misfit(turns: float) -> None:
+def test_no_listed_cause_is_certain_that_leaves_a_good_part_of_the_misfit() -> None:
     """A gain that runs between 1.2 and 1.6 over the band is not on the list; a gain of 1.4 is near it, as others are.
 
     That something is the matter with the channel, whatever it is, explains all and may be certain.
@@ -79,7 +78,7 @@ def test_no_listed_cause_is_certain_that_leaves_a_good_part_of_the_misfit(turns:
     model, spectrum = clean("paper", np.random.default_rng(5))
     across = np.linspace(0, 1, spectrum.lines)
     gains = np.ones((spectrum.lines, len(spectrum.channels)))
-    gains[:, 0] = 1.4 + 0.2 * np.cos(2 * np.pi * turns * across)
+    gains[:, 0] = 1.4 + 0.2 * np.cos(3 * np.pi * across)
     findings = diagnose(model, replace(spectrum, amplitudes=spectrum.amplitudes * gains))
     assert all(each.odds < 0.9 for each in findings if each.explains < 0.95 and each.kind != "unexplained")
 

@@ -9,7 +9,8 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import ModelError
-from dashpot.model.elements import Element, Kind
+from dashpot.estimate.assessment import Finding, applied
+from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.rigfile import Rig, default_channels, edited, parse_rig, read_rig, write_rig
 
@@ -628,6 +629,18 @@ def test_a_rig_file_is_edited_as_a_person_would() -> None:
         .replace('of = "x2"\nunit = "mm"\n', 'of = "x2"\nunit = "mm"\ngain = 1.02\n')
     )
     assert text == expected + '\n[dampers]\nc1 = { between = ["x1", "x2"] }\n'
+
+
+def test_a_body_that_a_rig_lacks_is_added_with_its_coordinate() -> None:
+    before = parse_rig(OF_A_PERSON)
+    parts = (mass("m_body", "body"), between("k_body", Kind.SPRING, "body", "x2"))
+    model, _ = applied(
+        before.model, before.channels, Finding("oscillator", ("x2",), "", "", None, elements=parts)
+    )
+    text = edited(OF_A_PERSON, before, replace(before, model=model))
+    assert 'coordinates = ["x1", "x2", "body"]' in text
+    assert '{at = "x2", value = "2700 g"}\nm_body = { at = "body" }\n' in text
+    assert write_rig(parse_rig(text)) == write_rig(replace(before, model=model))
 
 
 def test_channels_that_a_rig_file_leaves_unsaid_are_added_where_one_changes() -> None:
