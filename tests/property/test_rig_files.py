@@ -16,7 +16,7 @@ from dashpot.units import scale
 NAMES = st.one_of(
     st.from_regex(r"[a-zA-Z_][a-zA-Z0-9_]{0,6}", fullmatch=True),
     st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_size=6),
-).filter(lambda name: name.isprintable() and name == name.strip() and name != "ground")
+).filter(lambda name: name.isprintable() and name == name.strip() and name not in ("ground", "?"))
 FACTORS = st.floats(-1e6, 1e6).filter(lambda x: abs(x) >= 1e-30) | st.sampled_from([1.0, -1.0])
 SIZES = st.floats(1e-12, 1e15)
 UNITS = {

@@ -27,6 +27,7 @@ def part(rig, samples, first, last):
     return Record(rig.channels, STEP * np.arange(last - first), samples[first:last])
 
 
+@pytest.mark.long
 def test_five_parameters_predict_what_was_not_used(samples):
     rig = read_rig(EXAMPLES / "12_duffing" / "rig.toml")
     estimate = fit_records(rig.model, [part(rig, samples, 45_000, 50_000)]).estimate()

@@ -65,6 +65,7 @@ def test_the_table_is_what_the_raw_file_gives(tmp_path: Path) -> None:
     )  # both angles drift together: the covariance between channels matters
 
 
+@pytest.mark.long
 def test_the_bench_without_sign_and_delay_is_told_both_one_after_the_other(tmp_path: Path) -> None:
     """It once ended as converged with J1 0 ± 130 and exit 0."""
     rig = (EXAMPLE / "rig.toml").read_text(encoding="utf-8")

@@ -86,7 +86,8 @@ def _coverage(estimate: Estimate, target: np.ndarray) -> np.ndarray:
     return np.asarray(100 * np.mean(np.abs(estimate.values - target) <= half, axis=0))
 
 
-@pytest.mark.parametrize("extra", [0.0, pytest.param(40.0, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("extra", [0.0, 40.0])
 def test_block_intervals_cover_where_plain_ones_do_not(extra: float) -> None:
     Y = _clean(_rig(extra))
     records = _records(Y, CORNER, REPEATS)

@@ -24,6 +24,7 @@ def drawn(test: DrivenTest, drive: float, draws: int, seed: int) -> tuple[np.nda
     return np.array(error), np.array(held), np.array(bound)
 
 
+@pytest.mark.long
 def test_noise_of_a_base_is_taken_out_of_the_values() -> None:
     """Four draws of 3 % at seed 5; with exact inputs k is 2.5 standard deviations off on average."""
     error, _, bound = drawn(cubic(400), 0.03, 4, 5)

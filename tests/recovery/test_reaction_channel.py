@@ -30,6 +30,7 @@ def identified(of: dict[str, float], draws: int, seed: int) -> tuple[Real, Real]
     return estimate.values, np.mean((low < THETA) & (high > THETA), axis=0)
 
 
+@pytest.mark.long
 def test_intervals_cover_with_a_reaction_channel_and_unknown_noise() -> None:
     """400 tests: the coverage is known to 1.1 % (one sd).  Taken for an input, F gave 78, 84 and 98 %."""
     _, coverage = identified(REACTION, 400, 11)

@@ -81,6 +81,7 @@ def test_a_noisy_base_that_moves_at_all_frequencies() -> None:
     assert np.mean(held) == pytest.approx(0.95, abs=0.07)
 
 
+@pytest.mark.long
 def test_a_twentieth_of_the_samples_missing_in_ten_gaps() -> None:
     """Rows lost, noise on all channels unknown, 16 draws of five values: the record stays whole, intervals hold.
 

@@ -322,7 +322,7 @@ def _placeholders(value: object, place: Place) -> Iterator[Place]:
     if isinstance(value, dict | list):
         for key, each in value.items() if isinstance(value, dict) else enumerate(value):
             yield from _placeholders(each, (*place, key))
-    elif value == PLACEHOLDER:
+    elif value == PLACEHOLDER and place != ("name",):  # a rig may be called so
         yield place
 
 

@@ -154,11 +154,11 @@ def _name_problems(
     for name, count in Counter(names).items():
         if name == "ground":
             yield Problem("the name ground is taken: it is the inertial ground", name, "choose another name")
-        elif not name.isprintable() or name != name.strip() or not name:
+        elif not name.isprintable() or name != name.strip() or name in ("", "?"):
             yield Problem(
                 f"{name!r} is not a usable name",
                 name,
-                "use a name without line breaks, tabs or spaces at its ends",
+                "use a name without line breaks, tabs or spaces at its ends; ? stands for one to be written",
             )
         elif count > 1:
             yield Problem(

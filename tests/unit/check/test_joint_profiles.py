@@ -43,6 +43,7 @@ def rise_at_the_truth(model: Model, spectrum: Spectrum, estimate: Estimate, thet
     return min(float(end.fit.chi2) for end in ends) - float(estimate.fit.chi2)
 
 
+@pytest.mark.long
 def test_what_the_likelihood_allows_is_in_the_intervals() -> None:
     """Three draws (seed 105) whose profiles, each by itself, had left out allowed values of seven unknowns."""
     model, theta, data = seen_at_two_of_four(7)

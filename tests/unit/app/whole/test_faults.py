@@ -135,6 +135,7 @@ def _killed_at_random(tmp_path: Path, count: int, seed: int, draws: int = 4000) 
     assert _files(tmp_path / "killed") == _files(tmp_path / "peace")
 
 
+@pytest.mark.long
 def test_a_study_killed_at_random_ends_the_same(tmp_path: Path) -> None:
     _killed_at_random(tmp_path, 2, 1, draws=2000)
 

@@ -56,7 +56,8 @@ def _wait(condition: object, seconds: float) -> bool:
 
 
 @pytest.mark.parametrize(
-    "name", ["SIGTERM", "SIGKILL", "SIGINT", pytest.param("SIGHUP", marks=pytest.mark.long)]
+    "name",
+    ["SIGTERM", *(pytest.param(each, marks=pytest.mark.long) for each in ("SIGKILL", "SIGINT", "SIGHUP"))],
 )
 def test_workers_end_with_their_study(tmp_path: Path, name: str) -> None:
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")

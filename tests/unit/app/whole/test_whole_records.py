@@ -70,6 +70,7 @@ def test_a_record_is_used_whole(dashpot: Command, rig: str) -> None:
     assert said in " ".join(Path("e.html").read_text(encoding="utf-8").split())
 
 
+@pytest.mark.long
 def test_several_records_and_one_with_a_gap(dashpot: Command, rig: str) -> None:
     recorded("a.csv", seed=2, seconds=10)
     recorded("b.csv", seed=3, seconds=20, skip=slice(900, 950))

@@ -445,6 +445,7 @@ def test_examples_that_do_not_fit_say_what_their_pages_say(
     assert kind != "element" or (best.number or 0.0) < 0
 
 
+@pytest.mark.long
 def test_friction_that_a_linear_rig_lacks_is_found_whatever_the_speed_at_which_it_turns(
     tmp_path: Path,
 ) -> None:

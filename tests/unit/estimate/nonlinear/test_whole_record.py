@@ -149,7 +149,7 @@ def exact_record(law, count):
     return model, theta, Record(channels, time, np.hstack([motion.state[:, :count], u]))
 
 
-FEW_MASSES = [("cubic", 3), ("coulomb", 4), ("stribeck", 5), ("one-sided", 1), ("backlash", 2)]
+FEW_MASSES = [("cubic", 3), ("coulomb", 4), ("stribeck", 5), ("one-sided", 1)]
 
 
 @pytest.mark.parametrize(
