@@ -728,27 +728,32 @@ class LeftOver:
         falling off, as Cauchy's do, beyond what such a rig leaves (MENDED, NOISE_KNOWN) and what an effect may leave of
         the `largest` s and √v − 1 that it is to explain (APPROXIMATE)."""
         s, excess = largest
-        sizes = 1 / (1 + SIZES / (MENDED + APPROXIMATE * s))
-        noise = 1 / (1 + (np.expm1(self.log_v / 2) / (NOISE_KNOWN + APPROXIMATE * excess)) ** 2)
-        return self._summed(noise, _half_for(sizes, 0))
+        return self._summed(self._known(excess), _half_for(1 / (1 + SIZES / (MENDED + APPROXIMATE * s)), 0))
 
     def unlike(self, largest: tuple[float, float]) -> float:
-        """ln p for a rig that is not: of the `largest` s and √v − 1 some part is left, one as likely as another, and
-        hardly more."""
+        """ln p for a rig that is not: of the `largest` s, or else of the `largest` √v − 1, some part is left, one as
+        likely as another, and hardly more."""
         s, excess = largest
         root = np.exp(self.log_v / 2)
         noise = root / (1 + ((root - 1) / max(excess, NOISE_KNOWN)) ** 3)
         sizes = np.maximum(SIZES, SIZES[1]) / (1 + (SIZES / max(s, SIZES[1])) ** 3)
-        return self._summed(noise, np.log(sizes / np.sum(sizes)))
+        with np.errstate(divide="ignore"):
+            none = np.log(SIZES == 0)
+        by_s = self._summed(self._known(excess), np.log(sizes / np.sum(sizes)))
+        by_v = self._summed(np.log(noise / np.sum(noise)), none)
+        return float(np.logaddexp(by_s, by_v)) - log(2)
 
-    def _summed(self, of_noise: Real, log_of_size: Real) -> float:
-        even = np.ones(len(self.log_v))
-        none = int(np.argmin(np.abs(self.log_v)))
-        of_v = _half_for(of_noise if self.fit.problem.noise_known else even, none)
+    def _known(self, excess: float) -> Real:
+        fall = 1 / (1 + (np.expm1(self.log_v / 2) / (NOISE_KNOWN + APPROXIMATE * excess)) ** 2)
+        return _half_for(fall, int(np.argmin(np.abs(self.log_v))))
+
+    def _summed(self, log_of_v: Real, log_of_size: Real) -> float:
+        even = _half_for(np.ones(len(self.log_v)), int(np.argmin(np.abs(self.log_v))))
+        log_of_v = log_of_v if self.fit.problem.noise_known else even
         with np.errstate(over="ignore", invalid="ignore"):
-            value = float(logsumexp(self.table + of_v[:, None] + log_of_size[None, :]))
+            value = float(logsumexp(self.table + log_of_v[:, None] + log_of_size[None, :]))
             value += sum(part.problem.by_priors(part.psi) for part in self.fit.parts or (self.fit,))
-            value += self.fit.problem.given_up + _of_lost(self.fit, self.log_v, _half_for(even, none))
+            value += self.fit.problem.given_up + _of_lost(self.fit, self.log_v, even)
         return value if np.isfinite(value) else -np.inf
 
 
