@@ -94,7 +94,9 @@ def test_the_bench_without_sign_and_delay_is_told_both_one_after_the_other(tmp_p
         )
         == 4
     )
-    first = json.loads((tmp_path / "b.json").read_text())["diagnosis"][0]
+    # It explains 57 % of the misfit only, so that something that is not listed is likelier to be the whole of it.
+    named = json.loads((tmp_path / "b.json").read_text())["diagnosis"]
+    first = next(each for each in named if each["kind"] != "unexplained")
     # A drive that is held for a step is late by half of it: the channel is early.
     assert first["of"] == ["current"]
     early = {"delay": -first["number"], "hold": first["number"] / 2}[first["kind"]]
