@@ -18,6 +18,7 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel, Quantity
 from dashpot.data.modal_data import ModalData, of_eigenvalues
+from dashpot.data.noise import smoothed
 from dashpot.data.readers import Reading
 from dashpot.data.record import Record
 from dashpot.errors import DataError
@@ -650,10 +651,7 @@ def _with_noise_of(sets: Sequence[_Set], fit: _Fit) -> list[_Set]:
         free = max(0.1, fit.dof / fit.data)
         outer = np.einsum("li,lj->lij", e, np.conj(e)) / free
         if one.step and lines > 122:
-            half = 30
-            sums = np.concatenate([np.zeros((1, *outer.shape[1:])), np.cumsum(outer, axis=0)])
-            start = np.clip(np.arange(lines) - half, 0, lines - 2 * half - 1)
-            out.append(replace(one, noise=(sums[start + 2 * half + 1] - sums[start]) / (2 * half + 1)))
+            out.append(replace(one, noise=smoothed(outer)))
         elif not one.known or one.step:
             level = np.diag(np.mean(np.diagonal(outer, axis1=1, axis2=2).real, axis=0)).astype(np.complex128)
             out.append(replace(one, noise=np.broadcast_to(level, outer.shape)))
