@@ -16,9 +16,8 @@ import numpy as np
 from scipy.special import gammaln
 
 from dashpot.arrays import Complex, Ints, Real
-from dashpot.data.spectrum import LinesInTime, Spectrum, flattened, in_chunks
-from dashpot.estimate.likelihood.measured import Measured
-from dashpot.estimate.likelihood.objective import measured, predict
+from dashpot.data.spectrum import LinesInTime, Spectrum, flattened
+from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_noise import residuals_of_records
 from dashpot.estimate.likelihood.table_noise import with_residual_noise
 from dashpot.estimate.method import Method
@@ -30,9 +29,7 @@ from dashpot.notices import Notice
 FREEDOMS = np.geomspace(1.2, 60.0, 40)  # degrees of freedom that are tried
 FINITE = 2.1  # of them at the least where the variance is stated, which fewer than two have not
 FEWEST = 30  # errors of a channel that show its tails
-ASKED_FOR = (
-    10.8  # of twice the log likelihood, that "auto" asks for: χ² with one degree of freedom, p = 0.001
-)
+ASKED_FOR = 10.8  # of twice the log likelihood, by "auto": χ² with one degree of freedom, p = 0.001
 TURNS = 6  # fits to pseudo-data at most
 SETTLED = 1e-3  # of the noise: pseudo-data that move no further
 
@@ -100,11 +97,10 @@ def with_heavy_tails(model: Model, spectrum: Spectrum, method: Method) -> tuple[
     known, begun = plain
     sizes, tails = _sizes(known), dict[tuple[int, int], Tails]()
     for turn in range(TURNS):
-        (flat,) = in_chunks(flattened(known), 1)
-        data = prepare(model, flat)
+        data = prepare(model, flattened(known))
         solution = begun.solve(data)
-        exact = measured(data)
-        left = _residuals(data.view, exact, solution.theta, data.spectrum.signs(solution.signs))
+        sign = data.spectrum.signs(solution.signs)
+        left, _ = residuals_of_records(data.view, measured(data), solution.theta, sign)
         predicted = known.amplitudes - left
         error = spectrum.amplitudes - predicted
         if turn == 0:
@@ -116,14 +112,14 @@ def with_heavy_tails(model: Model, spectrum: Spectrum, method: Method) -> tuple[
             tails = {key: each for key, each in tails.items() if each.gain > least}
             if not tails:
                 return plain
-        pseudo, variance = predicted + error, np.ones(error.shape)
+        pseudo, root = predicted + error, np.ones(error.shape)
         for each in _errors(spectrum, error, sizes, data.view):
             if each.key in tails:
                 at = each.lines, each.channel
                 pseudo[at] = predicted[at] + each.amplitudes(tails[each.key])
-                variance[at] = tails[each.key].variance
+                if spectrum.noise_known:  # else the scatter of the pseudo-data tells it
+                    root[at] = np.sqrt(tails[each.key].variance)
         moved = np.abs(pseudo - known.amplitudes) / sizes
-        root = np.sqrt(variance if spectrum.noise_known else np.ones(variance.shape))
         V = spectrum.covariance * root[:, :, None] * root[:, None, :]
         known, begun = with_residual_noise(model, replace(spectrum, amplitudes=pseudo, covariance=V), method)
         if np.nanmax(moved) < SETTLED:
@@ -139,13 +135,6 @@ def with_heavy_tails(model: Model, spectrum: Spectrum, method: Method) -> tuple[
         for name, freedom in names.items()
     ]
     return replace(known, notes=(*known.notes, *notes)), begun
-
-
-def _residuals(view: ObservationModel, data: Measured, psi: Real, sign: Real) -> Complex:
-    """What the fit ψ (1, M) leaves of one repeat, (lines, channels)."""
-    if data.ends is not None:
-        return residuals_of_records(view, data, psi, sign)[0]
-    return predict(view, data, psi, sign).r[0]
 
 
 def _sizes(spectrum: Spectrum) -> Real:

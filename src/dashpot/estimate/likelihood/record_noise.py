@@ -396,8 +396,8 @@ def _left(residual: Complex, data: Measured) -> Real:
 def residuals_of_records(
     view: ObservationModel, data: Measured, psi: Real, sign: Real
 ) -> tuple[Complex, int]:
-    """Residuals of one repeat, (lines, channels), and how many columns the ends of its records take out."""
-    if not small(view.model):
+    """Residuals of one repeat, (lines, channels), and how many columns the ends of its records, if any, take out."""
+    if data.ends is None or not small(view.model):
         at = predict(view, data, psi, sign)
         return at.r[0], at.columns
     white, rank = record_residuals(data.record_pieces, psi, sign)
