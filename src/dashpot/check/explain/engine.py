@@ -66,7 +66,7 @@ AFRESH = 6  # of them that are searched from drawn rigs
 NEGATIVE = 1e-3  # that a spring of a sound rig is negative, as one that represents bending
 IMPOSSIBLE = -100.0  # ln of the probability of a rig with negative masses or dampers, however negative
 UNLISTED = (
-    0.05  # that it is something else, seen from the rig as it is; and the same, seen from all that is listed
+    0.05  # that it is something else, seen from the rig as it is; so much again, from all that is listed
 )
 LISTED = 0.95  # odds that the causes named sum to
 MOST = 5  # causes that are named
@@ -717,9 +717,14 @@ class LeftOver:
         return LeftOver(fit, log_v, table)
 
     @property
+    def as_known(self) -> int:
+        """Row of the table of noise that is as known."""
+        return int(np.argmin(np.abs(self.log_v)))
+
+    @property
     def largest(self) -> tuple[float, float]:
         """What is left at the most: s where noise is as known, and √v − 1 where there is no s."""
-        likeliest = self.table[int(np.argmin(np.abs(self.log_v)))]
+        likeliest = self.table[self.as_known]
         by_noise = np.sqrt(max(self.fit.reduced, 1.0)) - 1 if np.isfinite(self.fit.reduced) else 0.0
         return float(SIZES[int(np.argmax(np.nan_to_num(likeliest, nan=-np.inf)))]), float(by_noise)
 
@@ -745,10 +750,10 @@ class LeftOver:
 
     def _known(self, excess: float) -> Real:
         fall = 1 / (1 + (np.expm1(self.log_v / 2) / (NOISE_KNOWN + APPROXIMATE * excess)) ** 2)
-        return _half_for(fall, int(np.argmin(np.abs(self.log_v))))
+        return _half_for(fall, self.as_known)
 
     def _summed(self, log_of_v: Real, log_of_size: Real) -> float:
-        even = _half_for(np.ones(len(self.log_v)), int(np.argmin(np.abs(self.log_v))))
+        even = _half_for(np.ones(len(self.log_v)), self.as_known)
         log_of_v = log_of_v if self.fit.problem.noise_known else even
         with np.errstate(over="ignore", invalid="ignore"):
             value = float(logsumexp(self.table + log_of_v[:, None] + log_of_size[None, :]))
@@ -795,10 +800,9 @@ def _of_lost(fit: FittedProblem, log_v: Real, prior_v: Real) -> float:
 def _half_for(shares: Real, k: int) -> Real:
     """Logarithms of probabilities: one half for the value at k, the rest shared by the others."""
     others = np.where(np.arange(len(shares)) == k, 0.0, shares)
-    weights = 0.5 * others / max(float(np.sum(others)), np.finfo(float).tiny)
-    weights[k] = 1 - np.sum(weights)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(weights))
+    weights = 0.5 * others / np.sum(others)
+    weights[k] = 0.5
+    return np.log(weights)
 
 
 def unexplained(found: Explanation) -> Phrase:

@@ -200,12 +200,12 @@ class HarmonicSolution:
         samples, channels = record.values.shape[-2:]
         Y = record.values.reshape(-1, samples, channels)
         shown = np.where(self.in_cells, 0.0, np.sqrt(samples / (self.free + self.terms.count)))
-        for rows, A in dwell_columns(record, f, self.terms):
+        for rows, A in blocks_of_regressors(record, f, self.terms):
             e = Y[:, rows] - A @ self.coefficients
             yield rows, A, e if record.status is None else e * (record.status[rows] == 0) * shown
 
 
-def dwell_columns(record: Record, f: float, terms: Terms) -> Iterator[tuple[slice, Real]]:
+def blocks_of_regressors(record: Record, f: float, terms: Terms) -> Iterator[tuple[slice, Real]]:
     """Some samples after others, and their columns (rows, terms)."""
     samples = len(record.time)
     step = max(16, min(CHUNK, TILE * samples // max(record.values.size, 1)))
@@ -227,7 +227,8 @@ def solve_harmonics(record: Record, f: float, terms: Terms) -> HarmonicSolution:
     columns = terms.within(every)
     if R is None or columns is None:
         R = triangle(
-            np.concatenate([A, record.values[rows]], axis=1) for rows, A in dwell_columns(record, f, terms)
+            np.concatenate([A, record.values[rows]], axis=1)
+            for rows, A in blocks_of_regressors(record, f, terms)
         )
     else:
         R = triangle([R[:, [*columns, *range(every.count, R.shape[1])]]])
@@ -283,7 +284,9 @@ def _factored(record: Record) -> tuple[Terms, Real]:
     rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
     highest = max(1, min(HIGHEST_HARMONIC, int(BELOW_HALF_RATE * rate / 2 / f)))
     every = Terms(3, tuple(range(1, highest + 1)), 1)
-    both = (np.concatenate([A, record.values[rows]], axis=1) for rows, A in dwell_columns(record, f, every))
+    both = (
+        np.concatenate([A, record.values[rows]], axis=1) for rows, A in blocks_of_regressors(record, f, every)
+    )
     return every, triangle(both)
 
 
@@ -297,9 +300,11 @@ def _of_repeats(record: Record, f: float, terms: Terms) -> HarmonicSolution:
     """Of records with leading axes: normal equations, then the residual and one refinement, some repeats at a time."""
     samples, channels = record.values.shape[-2:]
     Y = record.values.reshape(-1, samples, channels)
-    P, _ = from_triangle(triangle(A for _, A in dwell_columns(record, f, terms)), terms.count, record, f)
+    P, _ = from_triangle(
+        triangle(A for _, A in blocks_of_regressors(record, f, terms)), terms.count, record, f
+    )
     right, largest = np.zeros((len(Y), terms.count, channels)), np.zeros((len(Y), channels))
-    for rows, A in dwell_columns(record, f, terms):
+    for rows, A in blocks_of_regressors(record, f, terms):
         right += A.T @ Y[:, rows]
         largest = np.maximum(largest, np.max(np.abs(Y[:, rows]), axis=1))
     free, squares = np.full(channels, float(samples - terms.count)), np.zeros((len(Y), channels, channels))
@@ -363,10 +368,10 @@ def _partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMe
     status = np.zeros(len(y)) if record.status is None else record.status[:, c]
     cell = 0.0 if record.cell is None else float(record.cell[c])
     seen = status == 0
-    pieces = list(dwell_columns(record, f, terms)) if len(y) <= CHUNK else None
+    pieces = list(blocks_of_regressors(record, f, terms)) if len(y) <= CHUNK else None
 
     def columns() -> Iterable[tuple[slice, Real]]:
-        return dwell_columns(record, f, terms) if pieces is None else pieces
+        return blocks_of_regressors(record, f, terms) if pieces is None else pieces
 
     k, count = terms.count, int(np.count_nonzero(seen))
     R = triangle(np.column_stack([A, y[rows]])[seen[rows]] for rows, A in columns())
