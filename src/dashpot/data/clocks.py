@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Bools, Real
+from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.drive_frequency import OWN, refine_frequency
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
@@ -357,7 +357,13 @@ def aligned_sensors(
     moved, clocks, notes = [sensors[0]], [Clock()], []
     for sensor in sensors[1:]:
         whole = estimated_clock(_part(sensors[0], align_s, source), sensor, source)
-        used = _outside(sensors[0], whole.on_reference(sensor.time), align_s)
+        # Samples outside that part, all where that leaves none: the clock is carried on to them
+        time = whole.on_reference(sensor.time)
+        since = time - sensors[0].time[0]
+        outside = (
+            np.ones(len(time), dtype=bool) if align_s is None else (since < align_s[0]) | (since > align_s[1])
+        )
+        used = outside if np.any(outside) else ~outside
         clock = replace(whole, offset_sd=whole.sd_over(sensor.time[used]))
         phase = 0.0 if frequency_hz is None else 360 * frequency_hz * clock.offset_sd
         if phase > 10:  # degrees of the drive that a clock may leave open
@@ -396,15 +402,6 @@ def _part(reference: Sensor, align_s: tuple[float, float] | None, source: str) -
             what, source, "name the part in which all sensors were shaken together, s from the start"
         )
     return replace(reference, time=reference.time[inside], values=reference.values[inside])
-
-
-def _outside(reference: Sensor, time: Real, align_s: tuple[float, float] | None) -> Bools:
-    """Which samples are not in that part, all where that leaves none: the clock is carried on to them."""
-    since = time - reference.time[0]
-    outside = (
-        np.ones(len(time), dtype=bool) if align_s is None else (since < align_s[0]) | (since > align_s[1])
-    )
-    return outside if np.any(outside) else ~outside
 
 
 def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
@@ -448,21 +445,17 @@ def _treated(parts: Sequence[Record], settings: Conditioning) -> list[Record]:
         cure = "give it; a record without one needs sensors on one clock"
         raise DataError("the drive frequency is not known", parts[0].source, cure)
     if settings.settle == "auto":
-        parts = _settled_together(parts)
+        # From where the last of them has settled to where the first of them ends
+        kept = [settled(part).record for part in parts]
+        start, end = max(part.time[0] for part in kept), min(part.time[-1] for part in kept)
+        parts = [
+            replace(part, time=part.time[inside], values=part.values[inside])
+            for part in parts
+            if np.any(inside := (part.time >= start) & (part.time <= end))
+        ]
     elif settings.settle != "none":
         parts = [without_start(part, float(settings.settle)) for part in parts]
     return list(parts) if settings.refine == "none" else _at_one_frequency(parts, settings)
-
-
-def _settled_together(parts: Sequence[Record]) -> list[Record]:
-    """From where the last of them has settled to where the first of them ends."""
-    kept = [settled(part).record for part in parts]
-    start, end = max(part.time[0] for part in kept), min(part.time[-1] for part in kept)
-    return [
-        replace(part, time=part.time[inside], values=part.values[inside])
-        for part in parts
-        if np.any(inside := (part.time >= start) & (part.time <= end))
-    ]
 
 
 def _at_one_frequency(parts: Sequence[Record], settings: Conditioning) -> list[Record]:

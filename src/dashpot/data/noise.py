@@ -135,7 +135,14 @@ def variance_at_rest(values: Real) -> float:
     quietest = max(IN_A_ROW, int(QUIETEST * count))
     level, still = float(np.median(np.sort(variance)[:quietest])), np.zeros(count, dtype=bool)
     for _ in range(count):
-        before, still = still, _in_rows(variance < level * (1 + BEYOND * (2 / dof) ** 0.5))
+        # Those among IN_A_ROW quiet neighbours, the first and last of which may still move
+        still = variance < level * (1 + BEYOND * (2 / dof) ** 0.5)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+        inner = np.zeros(len(still), dtype=bool)
+        for first, end in edges.reshape(-1, 2).tolist():
+            if end - first >= IN_A_ROW:
+                inner[first + 1 : end - 1] = True
+        before, still = still, inner
         if not np.any(still) or np.array_equal(before, still):
             break
         level = float(np.mean(variance[still]))
@@ -144,16 +151,6 @@ def variance_at_rest(values: Real) -> float:
     steps = float(np.sum(np.diff(parts[still], axis=1) ** 2) / np.sum(parts[still] ** 2))
     white = abs(steps / 2 - 1) < BEYOND / (np.sum(still) * dof) ** 0.5 + 2 / size
     return level if white and equal_variances(variance[still], float(dof)) > BY_CHANCE else 0.0
-
-
-def _in_rows(still: Bools) -> Bools:
-    """Those of the parts (parts,) that are among IN_A_ROW neighbours, the first and last of which may still move."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
-    inner = np.zeros(len(still), dtype=bool)
-    for first, end in edges.reshape(-1, 2).tolist():
-        if end - first >= IN_A_ROW:
-            inner[first + 1 : end - 1] = True
-    return inner
 
 
 # As the lines of a record show it near half the sampling rate, where nothing moves.

@@ -231,7 +231,10 @@ def spectrum(
     joined = continuous(records) if settings.dwells_may_be_whole else list(records)
     parts, rest = [], []
     for record in joined:
-        mean = averaged_periods(record) if _may_repeat(settings) else None
+        # Periods may be averaged where nothing is asked for that needs the whole record or its fundamental
+        chosen = settings.orders != "auto" or settings.transients != "auto" or settings.band is not None
+        may_repeat = not chosen and settings.still is None and settings.dwells_may_be_whole
+        mean = averaged_periods(record) if may_repeat else None
         if mean is None:
             rest.append(record)
         else:
@@ -257,12 +260,6 @@ def spectrum(
     return replace(lines, notes=(*lines.notes, Notice("noise_at_rest", text)))
 
 
-def _may_repeat(settings: Conditioning) -> bool:
-    """Whether periods may be averaged: nothing is asked for that needs the whole record or its fundamental."""
-    chosen = settings.orders != "auto" or settings.transients != "auto" or settings.band is not None
-    return not chosen and settings.still is None and settings.dwells_may_be_whole
-
-
 def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     """The lines of dwells, treated as all of them together ask for."""
     uncut, settings, of_samples = _treated(OF_SAMPLES, dwells, settings)
@@ -277,8 +274,13 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
         lines = _as_whole(dwells, at_hz, settings, why)
         return replace(lines, notes=(*notes, *notices_of_doubt(dwells), *lines.notes))
     if settings.drift == "auto" and any(periods_of(record) < CHEAP for record in dwells):
-        settings, evidence = _with_drift(dwells, settings)
-        notes.append(evidence)
+        # The drift that all dwells together call for
+        p = slopes_show(dwells, settings.wanted)
+        what = "only an offset is" if p > SLOPE_LEVEL else "an offset and a slope are"
+        chance = f"p = {p:.2g}" if p >= 1e-6 else "p < 1e-6"
+        text = f"{what} removed from each dwell (drift over all dwells: {chance})"
+        settings = settings.changed(drift=0 if p > SLOPE_LEVEL else 1)
+        notes.append(Notice("drift_by_evidence", text))
     lines = _of_settled(dwells, uncut, settings)
     notes += _taken_as_steady(dwells, settings, found)
     return replace(lines, notes=(*notes, *lines.notes), unsettled=_as_unsettled(dwells, settings))
@@ -397,15 +399,6 @@ def _as_unsettled(dwells: Sequence[Record], settings: Conditioning) -> Spectrum 
         return None
     rest = [record for record in dwells if shows_settling(record)]
     return concatenate([_of_settled(rest, rest, settings), whole]) if rest else whole
-
-
-def _with_drift(dwells: Sequence[Record], settings: Conditioning) -> tuple[Conditioning, Notice]:
-    """The settings with the drift that all dwells together call for."""
-    p = slopes_show(dwells, settings.wanted)
-    what = "only an offset is" if p > SLOPE_LEVEL else "an offset and a slope are"
-    chance = f"p = {p:.2g}" if p >= 1e-6 else "p < 1e-6"
-    text = f"{what} removed from each dwell (drift over all dwells: {chance})"
-    return settings.changed(drift=0 if p > SLOPE_LEVEL else 1), Notice("drift_by_evidence", text)
 
 
 def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Conditioning) -> Spectrum:

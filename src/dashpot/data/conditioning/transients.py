@@ -66,7 +66,17 @@ def settled(record: Record) -> Settled:
     starts, Z, rms = blocks.starts, blocks.amplitudes, blocks.rms
     begin, end = _driven(Z)
     if end - begin >= 8:
-        begin += _truncation(_features(Z[begin:end], rms[begin:end], float(np.max(np.abs(record.values)))))
+        # Features of blocks, in units of their scatter over the last half: amplitudes turned by the phase of the
+        # steadiest channel, which makes them blind to a small error of the frequency, and residual rms
+        Z = Z[begin:end]
+        tail = len(Z) // 2
+        size = np.median(np.abs(Z), axis=0)
+        floor = np.maximum(1e-9 * size, 1e-13 * float(np.max(np.abs(record.values)))) + np.finfo(float).tiny
+        steady = int(np.argmax(size / np.maximum(np.std(np.abs(Z[tail:]), axis=0), floor)))
+        turned = Z * np.exp(-1j * np.angle(Z[:, steady]))[:, None]
+        values = np.concatenate([turned.real, turned.imag, rms[begin:end]], axis=1)
+        scatter = np.maximum(np.std(values[tail:], axis=0, ddof=1), np.tile(floor, 3))
+        begin += _truncation((values - np.mean(values[tail:], axis=0)) / scatter)
     first = 0 if begin == 0 else int(starts[begin])
     last = len(time) if end == len(starts) else int(starts[end])
     dropped = len(time) - (last - first)
@@ -130,19 +140,6 @@ def _level(size: Real) -> Real:
     return np.max(np.min(np.lib.stride_tricks.sliding_window_view(size, 4, axis=0), axis=-1), axis=0)
 
 
-def _features(Z: Complex, rms: Real, largest: float) -> Real:
-    """(blocks, features) in units of their scatter over the last half: amplitudes turned by the phase of the steadiest
-    channel, which makes them blind to a small error of the frequency, and residual rms."""
-    tail = len(Z) // 2
-    size = np.median(np.abs(Z), axis=0)
-    floor = np.maximum(1e-9 * size, 1e-13 * largest) + np.finfo(float).tiny
-    steady = int(np.argmax(size / np.maximum(np.std(np.abs(Z[tail:]), axis=0), floor)))
-    turned = Z * np.exp(-1j * np.angle(Z[:, steady]))[:, None]
-    values = np.concatenate([turned.real, turned.imag, rms], axis=1)
-    scatter = np.maximum(np.std(values[tail:], axis=0, ddof=1), np.tile(floor, 3))
-    return (values - np.mean(values[tail:], axis=0)) / scatter
-
-
 def _truncation(features: Real) -> int:
     """Number of blocks to drop."""
     blocks, width = features.shape
@@ -174,7 +171,17 @@ def continuous(records: Sequence[Record]) -> list[Record]:
             groups[-1].append(record)
         else:
             groups.append([record])
-    return [group[0] if len(group) == 1 else _joined(group) for group in groups]
+    return [
+        group[0]
+        if len(group) == 1
+        else replace(
+            group[0],
+            time=np.concatenate([record.time for record in group]),
+            values=np.concatenate([record.values for record in group], axis=-2),
+            frequency_hz=None,
+        )
+        for group in groups
+    ]
 
 
 def _follows(first: Record, second: Record) -> bool:
@@ -187,15 +194,6 @@ def _follows(first: Record, second: Record) -> bool:
     after = float(second.time[0] - first.time[-1])
     alike = abs(float(np.median(np.diff(second.time))) - step) <= 0.01 * step
     return alike and abs(after - step) <= WITHIN * step
-
-
-def _joined(group: list[Record]) -> Record:
-    return replace(
-        group[0],
-        time=np.concatenate([record.time for record in group]),
-        values=np.concatenate([record.values for record in group], axis=-2),
-        frequency_hz=None,
-    )
 
 
 def dwells_with_transients(

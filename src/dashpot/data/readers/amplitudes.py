@@ -367,7 +367,17 @@ def read_amplitudes(
     if DOF in layout.more:
         dof = values[layout.more[DOF]]
         columns.refuse(layout.more[DOF], ~(dof > 0), "{:g}", "it must be positive", dof)
-    noise = _kinds_of_noise(columns, layout, lines)
+    # How the noise of each line was found
+    given = any(at is not None for at in layout.sd)
+    if NOISE not in layout.more:
+        noise = ("given" if given else "unknown",) * lines
+    else:
+        kinds = columns.texts(layout.more[NOISE])
+        for i, kind in enumerate(kinds):
+            if kind not in KINDS:
+                what = f'"{kind[:40]}" is not known'
+                raise columns.error(i, layout.more[NOISE], what, f"it may be {', '.join(KINDS)}")
+        noise = tuple(kinds) if given else ("unknown",) * lines
     unknown = np.array([kind == "unknown" for kind in noise], dtype=bool)
     X = np.stack([pair.of(values) for pair in layout.amplitudes], axis=-1) * layout.scales
     absent = _absent(columns, experiments, layout.amplitudes, values)
@@ -425,19 +435,6 @@ def _layout(
     return _Layout(frequency_at, amplitudes, sd, np.array(scales), pairs, more, bool(named))
 
 
-def _kinds_of_noise(columns: Columns, layout: _Layout, lines: int) -> tuple[str, ...]:
-    """How the noise of each line was found.  Raises DataError for a word that is not known."""
-    given = any(at is not None for at in layout.sd)
-    if NOISE not in layout.more:
-        return ("given" if given else "unknown",) * lines
-    kinds = columns.texts(layout.more[NOISE])
-    for i, kind in enumerate(kinds):
-        if kind not in KINDS:
-            what = f'"{kind[:40]}" is not known'
-            raise columns.error(i, layout.more[NOISE], what, f"it may be {', '.join(KINDS)}")
-    return tuple(kinds) if given else ("unknown",) * lines
-
-
 def _covariance(
     columns: Columns, layout: _Layout, values: dict[int, Real], absent: Bools, unknown: Bools
 ) -> Complex:
@@ -459,7 +456,12 @@ def _covariance(
         product = np.where(np.isnan(product), 0, product) * layout.scales[i] * layout.scales[j]
         V[:, i, j], V[:, j, i] = product, np.conj(product)
     if layout.pairs:
-        _check_definite(columns, V, min(pair.first for pair in layout.pairs.values()))
+        size = np.sqrt(np.diagonal(V, axis1=1, axis2=2).real)
+        size = np.where(size > 0, size, 1.0)
+        if V.size:
+            wrong = np.linalg.eigvalsh(V / size[:, :, None] / size[:, None, :])[:, 0] < -1e-9
+            what = "the covariances are larger than the sd of the channels allow"
+            columns.refuse(min(pair.first for pair in layout.pairs.values()), wrong, what, "correct either")
     V[unknown] = np.nan
     return V
 
@@ -502,16 +504,6 @@ def _stretches(
             what = error.problems[0]
             raise columns.error(int(rows[0]), more[RECORD], what.what, what.cure or "") from error
     return stretch, tuple(stretches)
-
-
-def _check_definite(columns: Columns, V: Complex, column: int) -> None:
-    """Raises DataError where variances and covariances do not fit together."""
-    size = np.sqrt(np.diagonal(V, axis1=1, axis2=2).real)
-    size = np.where(size > 0, size, 1.0)
-    if V.size:
-        wrong = np.linalg.eigvalsh(V / size[:, :, None] / size[:, None, :])[:, 0] < -1e-9
-        what = "the covariances are larger than the sd of the channels allow"
-        columns.refuse(column, wrong, what, "correct either")
 
 
 def _absent(

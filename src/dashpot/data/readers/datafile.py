@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import io
 import itertools
 import mmap
 import os
@@ -134,24 +133,21 @@ def open_file(path: str | os.PathLike[str]) -> DataFile:
         if not (stat.S_ISREG(kind) or stat.S_ISFIFO(kind) or os.path.realpath(path) == os.devnull):
             raise DataError("is a device, not a file", name, "give a file")
         with Path(noted(path)).open("rb") as raw:
-            file = _opened(Path(path), raw, stat.S_ISFIFO(kind))
+            path = Path(path)
+            packed = raw.peek(2)[:2] == b"\x1f\x8b"
+            if not packed and not stat.S_ISFIFO(kind):
+                file = DataFile(path, path, raw.read(HEAD))
+            else:
+                source: BinaryIO = cast(BinaryIO, gzip.GzipFile(fileobj=raw)) if packed else raw
+                head = source.read(HEAD)
+                scratch = lasting_scratch()
+                pieces: Iterator[bytes] = itertools.chain([head], iter(lambda: source.read(PIECE), b""))
+                if packed:
+                    pieces = _counted(pieces, path)
+                file = DataFile(path, scratch.write("data", pieces), head, scratch)
     if not file.head.strip():
         raise DataError("the file is empty", name, "give a file with a header row and data")
     return file
-
-
-def _opened(path: Path, raw: io.BufferedReader, pipe: bool) -> DataFile:
-    """The file whose bytes come from a stream."""
-    packed = raw.peek(2)[:2] == b"\x1f\x8b"
-    if not packed and not pipe:
-        return DataFile(path, path, raw.read(HEAD))
-    source: BinaryIO = cast(BinaryIO, gzip.GzipFile(fileobj=raw)) if packed else raw
-    head = source.read(HEAD)
-    scratch = lasting_scratch()
-    pieces: Iterator[bytes] = itertools.chain([head], iter(lambda: source.read(PIECE), b""))
-    if packed:
-        pieces = _counted(pieces, path)
-    return DataFile(path, scratch.write("data", pieces), head, scratch)
 
 
 def _counted(pieces: Iterable[bytes], path: Path) -> Iterator[bytes]:

@@ -45,27 +45,24 @@ def _sheets(file: DataFile, fastexcel: Any) -> Generator[tuple[str, bytes]]:
     book = fastexcel.read_excel(bytes(file.contents))
     names = list(book.sheet_names)
     for name in names:
-        text = _text(book, name)
+        # Tab-separated, numbers with all their digits: as text they come rounded to nine decimals
+        table, numbers = (
+            book.load_sheet(name, header_row=None, dtypes=kind).to_arrow() for kind in ("string", "float")
+        )
+        if table.num_rows == 0 or table.num_columns == 0 or table.num_columns > MOST_COLUMNS:
+            text = b""
+        else:
+            columns = [
+                [_cell(*cell) for cell in zip(texts.to_pylist(), values.to_pylist(), strict=True)]
+                for texts, values in zip(table.columns, numbers.columns, strict=True)
+            ]
+            rows = (
+                "\t".join(row).rstrip("\t") if i == 0 else "\t".join(row)
+                for i, row in enumerate(zip(*columns, strict=True))
+            )
+            text = ("\n".join(rows) + "\n").encode()
         if text.count(b"\n") > 1 or (text and len(names) == 1):
             yield f"{file.name} ({name})" if len(names) > 1 else file.name, text
-
-
-def _text(book: Any, name: str) -> bytes:
-    """A sheet as tab-separated text, numbers with all their digits: as text they come rounded to nine decimals."""
-    table, numbers = (
-        book.load_sheet(name, header_row=None, dtypes=kind).to_arrow() for kind in ("string", "float")
-    )
-    if table.num_rows == 0 or table.num_columns == 0 or table.num_columns > MOST_COLUMNS:
-        return b""
-    columns = [
-        [_cell(*cell) for cell in zip(texts.to_pylist(), values.to_pylist(), strict=True)]
-        for texts, values in zip(table.columns, numbers.columns, strict=True)
-    ]
-    rows = (
-        "\t".join(row).rstrip("\t") if i == 0 else "\t".join(row)
-        for i, row in enumerate(zip(*columns, strict=True))
-    )
-    return ("\n".join(rows) + "\n").encode()
 
 
 def _cell(text: str | None, number: float | None) -> str:

@@ -178,15 +178,12 @@ def _values(component: _Component, data: Content, blocks: dict[int, tuple[int, i
     def pieces() -> Iterator[Any]:
         for start, stop in ranges:
             for at in range(start, stop, PIECE * width):
-                yield _numbers(component, data[at : min(at + PIECE * width, stop)])
+                raw = data[at : min(at + PIECE * width, stop)]
+                if component.kind == 13:
+                    words = np.frombuffer(raw, dtype="<u2").reshape(-1, 3).astype(float)
+                    numbers = words[:, 0] + 65536.0 * words[:, 1] + 65536.0**2 * words[:, 2]
+                else:
+                    numbers = np.frombuffer(raw, dtype=f"<{NUMBERS[component.kind]}").astype(float)
+                yield numbers * component.factor + component.offset
 
     return Streamed(rows, pieces)
-
-
-def _numbers(component: _Component, raw: bytes) -> Any:
-    if component.kind == 13:
-        words = np.frombuffer(raw, dtype="<u2").reshape(-1, 3).astype(float)
-        numbers = words[:, 0] + 65536.0 * words[:, 1] + 65536.0**2 * words[:, 2]
-    else:
-        numbers = np.frombuffer(raw, dtype=f"<{NUMBERS[component.kind]}").astype(float)
-    return numbers * component.factor + component.offset

@@ -122,7 +122,15 @@ class _Parts:
                     if not isinstance(part, ArrayColumns):
                         return part, {}
                     self.held = {k: held for k, held in self.held.items() if k == 0} | {number: part}
-                    return replace(part, columns=()), _small(part)
+                    # Columns of a small part come with it, but those that cannot be read: nobody may ask for them
+                    columns: dict[int, Any] = {}
+                    small = part.rows * len(part.columns) <= SMALL
+                    for i, column in enumerate(part.columns if small else ()):
+                        with suppress(Exception):
+                            values = np.concatenate(list(pieces_of(column)))
+                            if values.shape == (part.rows,):
+                                columns[i] = values
+                    return replace(part, columns=()), columns
                 case "close", stream:
                     self.streams.pop(stream, None)
                 case stream, number, column:
@@ -130,14 +138,3 @@ class _Parts:
                         self.streams[stream] = pieces_of(self.held[number].columns[column])
                     return next(self.streams[stream], None)
         return None
-
-
-def _small(part: ArrayColumns) -> dict[int, Any]:
-    """The columns of a small part; those that cannot be read are left out, for nobody may ask for them."""
-    columns: dict[int, Any] = {}
-    for i, column in enumerate(part.columns if part.rows * len(part.columns) <= SMALL else ()):
-        with suppress(Exception):
-            values = np.concatenate(list(pieces_of(column)))
-            if values.shape == (part.rows,):
-                columns[i] = values
-    return columns

@@ -89,7 +89,11 @@ def records_of(
 
     Raises DataError as `record`.
     """
-    named = _named(channels, source)
+    named = channels.channels if hasattr(channels, "channels") else channels
+    if not named or not all(isinstance(channel, Channel) for channel in named):
+        cure = 'give a rig, or Channels such as Channel("x1", {"x1": 1})'
+        what = "the channels are no Channels" if named else "the channels are not said"
+        raise DataError(what, source, cure)
     for what, number in (("frequency_hz", frequency_hz), ("rate_hz", rate_hz)):
         if number is not None and not 0 < number < 1e12:
             raise DataError(f"{what} is {number:g}", source, "give a positive number")
@@ -124,16 +128,6 @@ def columns_in_memory(data: Any, source: str) -> ArrayColumns:
     values, units = _variables(data, source)
     variables = {name: _array(name, value, source) for name, value in values.items()}
     return next(parts_of_variables(source, variables, units))
-
-
-def _named(channels: Sequence[Channel] | HasChannels, source: str) -> Sequence[Channel]:
-    """The channels, of a rig or by themselves.  Raises DataError where there are none."""
-    named = channels.channels if hasattr(channels, "channels") else channels
-    if not named or not all(isinstance(channel, Channel) for channel in named):
-        cure = 'give a rig, or Channels such as Channel("x1", {"x1": 1})'
-        what = "the channels are no Channels" if named else "the channels are not said"
-        raise DataError(what, source, cure)
-    return named
 
 
 def _array(name: str, values: Any, source: str) -> Any:
@@ -184,7 +178,18 @@ def _variables(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | 
         }
         return variables, units
     if module == "pandas" and frame:
-        return _of_pandas(data, source)
+        # An index that has a name or holds moments is a column, too, moments the time
+        columns = data.columns[data.columns.duplicated()]
+        if len(columns):
+            raise DataError(f"column {shown(str(columns[0]))}: named twice", source, "rename one of them")
+        variables = {str(name): _naive(data[name]) for name in data.columns}
+        index = data.index
+        moments = type(index).__name__ in ("DatetimeIndex", "TimedeltaIndex")
+        timed = any(bare(name)[0].lower() in TIME_NAMES for name in variables)
+        name = TIME if moments and not timed else index.name
+        if name is not None and str(name) not in variables:
+            variables[str(name)] = _naive(index.to_series())
+        return variables, dict(getattr(data, "attrs", {}).get("units") or {})
     if module == "polars" and frame:
         return {name: data[name].to_numpy() for name in data.columns}, {}
     if isinstance(data, Mapping):
@@ -196,21 +201,6 @@ def _variables(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | 
         source,
         "give a mapping of names to arrays, a data frame, an xarray Dataset or a structured array",
     )
-
-
-def _of_pandas(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | None]]:
-    """Columns of a data frame, and its index where that has a name or holds moments, which then are the time."""
-    columns = data.columns[data.columns.duplicated()]
-    if len(columns):
-        raise DataError(f"column {shown(str(columns[0]))}: named twice", source, "rename one of them")
-    variables = {str(name): _naive(data[name]) for name in data.columns}
-    index = data.index
-    moments = type(index).__name__ in ("DatetimeIndex", "TimedeltaIndex")
-    timed = any(bare(name)[0].lower() in TIME_NAMES for name in variables)
-    name = TIME if moments and not timed else index.name
-    if name is not None and str(name) not in variables:
-        variables[str(name)] = _naive(index.to_series())
-    return variables, dict(getattr(data, "attrs", {}).get("units") or {})
 
 
 def _naive(series: Any) -> Any:

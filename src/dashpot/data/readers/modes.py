@@ -78,7 +78,18 @@ def modes_and_notes(
         source, rows = shown(os.fspath(path), 200), []
         for number, mode in enumerate(_modes_of_json(path, source), start=1):
             where = f"{source}: mode {number}"
-            mode = _flat(mode)
+            # The mode with a number or a list for each key, where values stand with their standard deviations
+            flat = {key: value for key, value in mode.items() if key != "participation"}
+            for key, sd_key in ((FREQUENCY, FREQUENCY_SD), (DAMPING, DAMPING_SD)):
+                if isinstance(value := flat.get(key), dict):
+                    flat |= {key: value.get("value"), sd_key: value.get("sd")}
+            shape = flat.get("shape")
+            if isinstance(shape, dict) and shape and all(isinstance(point, dict) for point in shape.values()):
+                flat["shape"] = {
+                    name: [point.get("re"), point.get("im", 0.0)] for name, point in shape.items()
+                }
+                flat["shape_sd"] = {name: point.get("sd") for name, point in shape.items()}
+            mode = flat
             for key in mode:
                 if key not in (*PLAIN, "shape", "shape_sd"):
                     known = f"there are {', '.join(PLAIN)}, shape, shape_sd"
@@ -200,7 +211,17 @@ def _modes_of(table: Columns, names: Sequence[str]) -> ModalData:
     zeta = absent if layout.damping is None else values[layout.damping]
     zeta_sd = absent if layout.damping_sd is None else values[layout.damping_sd]
     shapes, sd = _shapes(table, layout, values)
-    _check_modes(table, layout, values, zeta, zeta_sd)
+    f, f_sd = values[layout.frequency], values[layout.frequency_sd]
+    not_positive, above = "a standard deviation that is not positive", "give one above 0"
+    unseen = "give it as a fraction; such a mode does not oscillate"
+    for wrong, at, cause, cure in (
+        (~(f > 0), layout.frequency, "a frequency that is not positive", "give it in Hz"),
+        (~(f_sd > 0), layout.frequency_sd, not_positive, above),
+        (np.abs(zeta) >= 1, layout.damping, "a damping ratio of 1 or more", unseen),
+        (~np.isnan(zeta) & ~(zeta_sd > 0), layout.damping_sd, not_positive, above),
+    ):
+        if at is not None:
+            table.refuse(at, wrong, cause, cure)
     _check_shapes(table, layout, sd)
     frequency = values[layout.frequency], values[layout.frequency_sd]
     return independent_modes(tuple(layout.points), frequency, (zeta, zeta_sd), (shapes, sd))
@@ -218,23 +239,6 @@ def _shapes(table: Columns, layout: _Layout, values: Mapping[int, Real]) -> tupl
             table.refuse(at, wrong, "the cell is empty", "fill the gap")
         shape[:, c], sd[:, c] = values[re] + 1j * imaginary, values[sd_at]
     return shape, sd
-
-
-def _check_modes(
-    table: Columns, layout: _Layout, values: Mapping[int, Real], zeta: Real, zeta_sd: Real
-) -> None:
-    """Raises DataError at the first frequency, damping ratio or sd that is out of range."""
-    f, f_sd = values[layout.frequency], values[layout.frequency_sd]
-    not_positive, above = "a standard deviation that is not positive", "give one above 0"
-    unseen = "give it as a fraction; such a mode does not oscillate"
-    for wrong, at, cause, cure in (
-        (~(f > 0), layout.frequency, "a frequency that is not positive", "give it in Hz"),
-        (~(f_sd > 0), layout.frequency_sd, not_positive, above),
-        (np.abs(zeta) >= 1, layout.damping, "a damping ratio of 1 or more", unseen),
-        (~np.isnan(zeta) & ~(zeta_sd > 0), layout.damping_sd, not_positive, above),
-    ):
-        if at is not None:
-            table.refuse(at, wrong, cause, cure)
 
 
 def _check_shapes(table: Columns, layout: _Layout, sd: Real) -> None:
@@ -265,19 +269,6 @@ def _modes_of_json(path: AnyPath, source: str) -> list[dict[str, Any]]:
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise DataError('there is no list "modes"', source, 'write {"modes": [{"frequency_hz": …}, …]}')
     return rows
-
-
-def _flat(mode: Mapping[str, Any]) -> dict[str, Any]:
-    """The mode with a number or a list for each key, where values stand with their standard deviations."""
-    flat = {key: value for key, value in mode.items() if key != "participation"}
-    for key, sd_key in ((FREQUENCY, FREQUENCY_SD), (DAMPING, DAMPING_SD)):
-        if isinstance(value := flat.get(key), dict):
-            flat |= {key: value.get("value"), sd_key: value.get("sd")}
-    shape = flat.get("shape")
-    if isinstance(shape, dict) and shape and all(isinstance(point, dict) for point in shape.values()):
-        flat["shape"] = {name: [point.get("re"), point.get("im", 0.0)] for name, point in shape.items()}
-        flat["shape_sd"] = {name: point.get("sd") for name, point in shape.items()}
-    return flat
 
 
 def _shape(row: Mapping[str, Any], key: str, where: str) -> dict[str, complex]:

@@ -106,9 +106,12 @@ def _drive(
         return frequency, None, []
     if circumstances.frequency_hz is not None:
         return None, circumstances.frequency_hz, []
-    frequency_hz = _frequency_in_name(columns.source)
-    if frequency_hz is None:
+    # 12.5 of …/sweep_12.5Hz.csv or 12p5Hz, where it is the only one
+    named = {float(re.sub("[,pP]", ".", text)) for text in _IN_NAME.findall(Path(columns.source).name)}
+    named = {f for f in named if 0 < f < 1e12}
+    if len(named) != 1:
         return None, None, []
+    frequency_hz = named.pop()
     text = f"{columns.source}: the drive frequency {frequency_hz:g} Hz is taken from the file's name"
     return None, frequency_hz, [Notice("frequency_from_name", text, (columns.source,))]
 
@@ -207,13 +210,6 @@ def _clipped(record: Record) -> list[Notice]:
     return notes
 
 
-def _frequency_in_name(source: str) -> float | None:
-    """12.5 of …/sweep_12.5Hz.csv or 12p5Hz, where it is the only one."""
-    numbers = {float(re.sub("[,pP]", ".", text)) for text in _IN_NAME.findall(Path(source).name)}
-    numbers = {f for f in numbers if 0 < f < 1e12}
-    return numbers.pop() if len(numbers) == 1 else None
-
-
 def write_records(
     records: Sequence[Record], path: str | os.PathLike[str], sd: Sequence[Real] | None = None
 ) -> None:
@@ -222,8 +218,24 @@ def write_records(
     `sd` of each record, (samples, channels), adds a column NAME_sd for every channel that has some.
     Raises DataError for repeats (leading axes), records of different channels, and records that would run together.
     """
-    _check_writable(records)
+    if not records:
+        raise DataError("there are no records", cure="give at least one record")
     channels = records[0].channels
+    for record in records:
+        if record.channels != channels or record.values.ndim != 2:
+            raise DataError(
+                "records of different channels, or repeats, do not fit in one file",
+                record.source,
+                "write one file each",
+            )
+    for before, after in itertools.pairwise(records):
+        same = before.frequency_hz == after.frequency_hz and before.experiment == after.experiment
+        if same and after.time[0] > before.time[0] + 0.02 * (before.time[-1] - before.time[0]):
+            raise DataError(
+                f"two records at {after.frequency_hz} Hz would run together",
+                after.source,
+                "give them experiment numbers",
+            )
     header, columns = [TIME], [np.concatenate([record.time for record in records])]
     lengths = [len(record.time) for record in records]
     driven = [record.frequency_hz for record in records if record.frequency_hz is not None]
@@ -244,25 +256,3 @@ def write_records(
             header.append(f"{channels[i].name}_sd")
             columns.append(spread[:, i] / abs(channels[i].scale))
     write_rows(path, [shown(name, 1000) for name in header], columns)
-
-
-def _check_writable(records: Sequence[Record]) -> None:
-    """Raises DataError for what does not fit into one file of stepped sine."""
-    if not records:
-        raise DataError("there are no records", cure="give at least one record")
-    channels = records[0].channels
-    for record in records:
-        if record.channels != channels or record.values.ndim != 2:
-            raise DataError(
-                "records of different channels, or repeats, do not fit in one file",
-                record.source,
-                "write one file each",
-            )
-    for before, after in itertools.pairwise(records):
-        same = before.frequency_hz == after.frequency_hz and before.experiment == after.experiment
-        if same and after.time[0] > before.time[0] + 0.02 * (before.time[-1] - before.time[0]):
-            raise DataError(
-                f"two records at {after.frequency_hz} Hz would run together",
-                after.source,
-                "give them experiment numbers",
-            )

@@ -128,32 +128,26 @@ def read_tdms(file: DataFile, nptdms: Any) -> Iterator[ArrayColumns]:
             for channels in lengths.values():
                 count += 1
                 place = f"{file.name} ({group.name})" if len(groups) > 1 else file.name
-                yield _part(place, file, content, channels, scalars)
+                # Channels of one length
+                rows = len(channels[0])
+                columns: dict[str, Any] = {}
+                units: dict[str, str | None] = {}
+                for channel in channels:
+                    columns[channel.name] = Streamed(rows, partial(_samples, file, content, channel))
+                    said = (channel.properties.get(key) for key in ("unit_string", "NI_UnitDescription"))
+                    units[channel.name] = next(filter(None, said), None)
+                    scalars = {**channel.properties, **scalars}
+                for name in OF_ALL:
+                    if name in scalars and name not in columns:
+                        columns[name] = np.broadcast_to(float(scalars[name]), rows)
+                if not any(name.lower() in TIME_NAMES for name in columns):
+                    waveform = channels[0].properties
+                    step = float(waveform.get("wf_increment", 0)) or step_of(scalars)
+                    if step:
+                        columns[TIME] = steps(float(waveform.get("wf_start_offset", 0)), step, rows)
+                yield array_columns(place, columns, units)
         if not count:
             raise DataError("there are no channels with samples", file.name, "record something")
-
-
-def _part(
-    source: str, file: DataFile, content: Any, channels: list[Any], scalars: dict[str, Any]
-) -> ArrayColumns:
-    """Channels of one length."""
-    rows = len(channels[0])
-    columns: dict[str, Any] = {}
-    units: dict[str, str | None] = {}
-    for channel in channels:
-        columns[channel.name] = Streamed(rows, partial(_samples, file, content, channel))
-        said = (channel.properties.get(key) for key in ("unit_string", "NI_UnitDescription"))
-        units[channel.name] = next(filter(None, said), None)
-        scalars = {**channel.properties, **scalars}
-    for name in OF_ALL:
-        if name in scalars and name not in columns:
-            columns[name] = np.broadcast_to(float(scalars[name]), rows)
-    if not any(name.lower() in TIME_NAMES for name in columns):
-        waveform = channels[0].properties
-        step = float(waveform.get("wf_increment", 0)) or step_of(scalars)
-        if step:
-            columns[TIME] = steps(float(waveform.get("wf_start_offset", 0)), step, rows)
-    return array_columns(source, columns, units)
 
 
 def _samples(file: DataFile, content: Any, channel: Any) -> Iterator[Any]:

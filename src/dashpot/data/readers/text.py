@@ -13,13 +13,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
-from dashpot.arrays import Bools, Real
+from dashpot.arrays import Real
 from dashpot.data.readers.columns import (
     LARGEST,
     MOST_COLUMNS,
@@ -230,7 +229,12 @@ class TextTable(Columns):
                 room = max(more, 2 * room)
                 arrays = {column: np.resize(array[:rows], room) for column, array in arrays.items()}
             for column, array in zip(columns, batch.columns, strict=True):
-                numbers, empty = _numbers_of(array)
+                # Arrow's own conversion to NumPy would load pandas.
+                empty = np.zeros(len(array), dtype=bool)
+                if array.null_count:
+                    empty = np.from_dlpack(array.is_null().cast(pa.uint8())).astype(bool)
+                    array = array.fill_null(np.nan)
+                numbers = np.array(np.from_dlpack(array))
                 wrong = ~(np.abs(numbers) <= LARGEST) & ~empty
                 if column in infinite:
                     wrong &= numbers != np.inf
@@ -367,15 +371,6 @@ def _cure_of(cell: str) -> str:
     return "correct it, or cut the rows out"
 
 
-def _numbers_of(array: Any) -> tuple[Real, Bools]:
-    """A column of float64 and where it is empty.  Arrow's own conversion to NumPy would load pandas."""
-    empty = np.zeros(len(array), dtype=bool)
-    if array.null_count:
-        empty = np.from_dlpack(array.is_null().cast(pa.uint8())).astype(bool)
-        array = array.fill_null(np.nan)
-    return np.array(np.from_dlpack(array)), empty
-
-
 def _looks_cut(last: str, before: list[str]) -> bool:
     """Shorter than numbers of one width, or by four digits than any; or without the exponent of the others."""
     shortest = min(len(cell) for cell in before)
@@ -420,7 +415,15 @@ def open_table(
     """
     file = _as_utf8(path if isinstance(path, DataFile) else open_file(path))
     source = file.name if source is None else source
-    header, delimiter = _header(file.contents, source, first_column)
+    # The header row, and what parts its cells
+    header, commented, delimiter = _leading_rows(file.contents, source, first_column)
+    if first_column is None:
+        if commented is not None and _is_heading(commented, header, delimiter):
+            header = commented
+        else:
+            header = _in_front_of_numbers(file.contents, header, delimiter)
+    if delimiter is None:
+        delimiter = _delimiter(header.text)
     place, text = f"{source}:{header.number}", header.text
     if delimiter == _BLANKS:
         text = "\t".join(text.split())
@@ -446,7 +449,12 @@ def open_table(
     first = _next_row(data, start, first_row - 1)
     if first is None:
         raise DataError("the file has a header and no rows", place, "give a file with data")
-    names, units = _of_width(names, units, _cells(first.text, delimiter))
+    # A delimiter may end the header alone, or the rows alone
+    cells = _cells(first.text, delimiter)
+    if len(cells) == len(names) - 1 and not names[-1]:
+        names, units = names[:-1], units[: len(cells)]
+    elif len(cells) == len(names) + 1 and not cells[-1]:
+        names, units = (*names, ""), (*units, None) if units else ()
     sample = data[start : start + 4096].decode("utf-8", errors="replace")
     decimal, thousands = _decimal(sample, delimiter, source)
     notes = (*unnamed, *thousands, *notes)
@@ -492,28 +500,6 @@ def _without_header(
     shown_names = listed([name or f"{UNNAMED}{i + 1}" for i, name in enumerate(names)])
     text = f"{source}: no header row; its columns are called {shown_names}"
     return names, (Notice("no_header", text, (source,)),)
-
-
-def _header(data: Text, source: str, first_column: str | None) -> tuple[_Row, str]:
-    """The header row of a table, and what parts its cells."""
-    candidate, commented, delimiter = _leading_rows(data, source, first_column)
-    if first_column is None:
-        if commented is not None and _is_heading(commented, candidate, delimiter):
-            candidate = commented
-        else:
-            candidate = _in_front_of_numbers(data, candidate, delimiter)
-    return candidate, _delimiter(candidate.text) if delimiter is None else delimiter
-
-
-def _of_width(
-    names: tuple[str, ...], units: tuple[str | None, ...], cells: Sequence[str]
-) -> tuple[tuple[str, ...], tuple[str | None, ...]]:
-    """Names and units where a delimiter ends the header alone, or the rows alone."""
-    if len(cells) == len(names) - 1 and not names[-1]:
-        return names[:-1], units[: len(cells)]
-    if len(cells) == len(names) + 1 and not cells[-1]:
-        return (*names, ""), (*units, None) if units else ()
-    return names, units
 
 
 def _is_heading(commented: _Row, below: _Row, delimiter: str | None) -> bool:

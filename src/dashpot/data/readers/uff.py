@@ -249,7 +249,11 @@ def read_function(stream: UffStream, start: DatasetStart) -> NodalFunction:
     lines = [stream.line() for _ in range(LINES)]
     ids = tuple(_words(line, 0, 80) for line in lines[:5])
     try:
-        kind, response, reference = _points(lines[5])
+        # Kind of the function, response and reference
+        line = lines[5]
+        kind = int(line[0:5])
+        response = NodePoint(_words(line, 30, 41), int(line[41:51]), int(line[51:55]))
+        reference = NodePoint(_words(line, 55, 66), int(line[66:76] or b"0"), int(line[76:80] or b"0"))
         shape = _shape(lines[6], ids[4])
         kinds = [int(line[:10]) for line in lines[7:]]
         z_value = float(lines[6][56:69] or b"0")
@@ -300,14 +304,6 @@ def _text_of(line: bytes) -> str:
     return _words(line, 46, 67)
 
 
-def _points(line: bytes) -> tuple[int, NodePoint, NodePoint]:
-    """Kind of the function, response and reference."""
-    kind = int(line[0:5])
-    response = NodePoint(_words(line, 30, 41), int(line[41:51]), int(line[51:55]))
-    reference = NodePoint(_words(line, 55, 66), int(line[66:76] or b"0"), int(line[76:80] or b"0"))
-    return kind, response, reference
-
-
 def _shape(line: bytes, exact: str) -> _Shape:
     data_type, count, spacing = int(line[0:10]), int(line[10:20]), int(line[20:30])
     if data_type not in (2, 4, 5, 6):
@@ -336,7 +332,11 @@ def _text_blocks(stream: UffStream, shape: _Shape) -> Iterator[Block]:
     cells: list[bytes] = []
     read = 0
     while read < needed:
-        fields = _fields(stream.line(), ends, at_most)
+        # Numbers of a line by the blanks between them, by columns where some touch each other
+        line = stream.line()
+        fields = line.split()
+        touching = not fields or len(fields) > at_most or any(field.count(b".") != 1 for field in fields)
+        fields = _fixed(line, ends) if touching else fields
         if not fields or fields == [MARK]:
             raise stream.wrong(f"the dataset holds {read} of {needed} numbers")
         cells += fields
@@ -353,13 +353,6 @@ def _text_blocks(stream: UffStream, shape: _Shape) -> Iterator[Block]:
             yield (None, table) if shape.even else (table[:, 0], table[:, 1:])
             del cells[:whole]
     expect_end(stream)
-
-
-def _fields(line: bytes, ends: list[int], at_most: int) -> list[bytes]:
-    """Numbers of a line by the blanks between them, by columns where some touch each other."""
-    fields = line.split()
-    touching = not fields or len(fields) > at_most or any(field.count(b".") != 1 for field in fields)
-    return _fixed(line, ends) if touching else fields
 
 
 def _fixed(line: bytes, ends: list[int]) -> list[bytes]:
@@ -498,26 +491,18 @@ def _mode(stream: UffStream, start: DatasetStart) -> NodalMode | None:
         skip_dataset(stream)
         return None
     stream.line()
-    eigenvalue = _eigenvalue(stream, analysis)
-    nodes, table = _at_nodes(stream, per_node * (2 if data_type == COMPLEX else 1))
-    shape = table[:, 0::2] + 1j * table[:, 1::2] if data_type == COMPLEX else table.astype(complex)
-    return NodalMode(eigenvalue, nodes, shape, tuple("" if i == "NONE" else i for i in ids))
-
-
-def _eigenvalue(stream: UffStream, analysis: int) -> complex:
-    """The eigenvalue in rad/s; of a normal mode from its frequency in Hz and its damping ratio."""
+    # The eigenvalue in rad/s; of a normal mode from its frequency in Hz and its damping ratio
     values = _numbers(stream, stream.line())
     if len(values) < 2:
         raise stream.wrong("the eigenvalue is missing")
     if analysis != NORMAL:
-        return complex(values[0], values[1])
-    damping = values[2] if len(values) > 2 else 0.0
-    omega = 2 * np.pi * values[0]
-    return complex(-damping * omega, omega * np.sqrt(max(0.0, 1 - damping**2)))
-
-
-def _at_nodes(stream: UffStream, size: int) -> tuple[tuple[int, ...], Real]:
-    """Nodes and the numbers at each, (nodes, size), to the end of the dataset."""
+        eigenvalue = complex(values[0], values[1])
+    else:
+        damping = values[2] if len(values) > 2 else 0.0
+        omega = 2 * np.pi * values[0]
+        eigenvalue = complex(-damping * omega, omega * np.sqrt(max(0.0, 1 - damping**2)))
+    # Nodes and the numbers at each, (nodes, size), to the end of the dataset
+    size = per_node * (2 if data_type == COMPLEX else 1)
     nodes, rows = [], []
     while (line := stream.line()).strip() != MARK:
         try:
@@ -533,7 +518,9 @@ def _at_nodes(stream: UffStream, size: int) -> tuple[tuple[int, ...], Real]:
         if len(numbers) != size:
             raise stream.wrong(f"{size} numbers should stand here, not {len(numbers)}")
         rows.append(numbers)
-    return tuple(nodes), np.array(rows, dtype=float).reshape(len(nodes), size)
+    table = np.array(rows, dtype=float).reshape(len(nodes), size)
+    shape = table[:, 0::2] + 1j * table[:, 1::2] if data_type == COMPLEX else table.astype(complex)
+    return NodalMode(eigenvalue, tuple(nodes), shape, tuple("" if i == "NONE" else i for i in ids))
 
 
 def _cut(line: bytes, width: int) -> list[bytes]:
@@ -575,7 +562,13 @@ def read_uff_modes(
         f"the file has no standard deviations: assumed are {shares.format(*(100 * x for x in relative_sd))}"
     )
     notes = [Notice("modes_without_sd", text, ())]
-    places = _places(measured)
+    # Nodes and directions that move in some mode, in order
+    moved: set[Place] = set()
+    for mode in measured:
+        size = np.abs(mode.shapes)
+        moving = size > 1e-9 * np.max(size, initial=0.0)  # else the direction was not measured
+        moved.update((mode.nodes[row], column + 1) for row, column in np.argwhere(moving).tolist())
+    places = sorted(moved)
     matched = _matched(measured, places, coordinates, channels)
     if not matched:
         if len(places) != len(coordinates):
@@ -601,16 +594,6 @@ def read_uff_modes(
     spread = relative_sd[2] * np.broadcast_to(largest[:, None], shapes.shape)
     of_frequency, of_damping = (frequency, relative_sd[0] * frequency), (damping, relative_sd[1] * damping)
     return independent_modes(points, of_frequency, of_damping, (shapes, spread)), notes
-
-
-def _places(found: Sequence[NodalMode]) -> list[Place]:
-    """Nodes and directions that move in some mode, in order."""
-    places: set[Place] = set()
-    for mode in found:
-        size = np.abs(mode.shapes)
-        moving = size > 1e-9 * np.max(size, initial=0.0)  # else the direction was not measured
-        places.update((mode.nodes[row], column + 1) for row, column in np.argwhere(moving).tolist())
-    return sorted(places)
 
 
 def _label(place: Place) -> str:
