@@ -280,7 +280,19 @@ def simulate(
     """
     from dashpot.study import simulate as simulation
 
-    rig, theta = _with_stated(rig.in_experiment(experiment), values)
+    # The rig with known values as stated, and its unknowns, (unknowns,); what is tied follows them
+    rig = rig.in_experiment(experiment)
+    numbers = {
+        name: float(_numbers(value.value if isinstance(value, Value) else value, name))
+        for name, value in values.items()
+    }
+    rig = _with_known(rig, numbers)
+    elsewhere = {name for name, value in values.items() if isinstance(value, Value)}
+    elsewhere |= {element.name for element in rig.model.elements if element.value is not None}
+    unknown = set(rig.model.unknown_names)
+    theta = rig.model.theta(
+        {name: value for name, value in numbers.items() if name in unknown or name not in elsewhere}
+    )
     model = rig.model
     if isinstance(frequencies, Record | Reading) or _has_columns(frequencies):  # what inputs do
         rng = random_generator(seed)
@@ -853,21 +865,6 @@ def _with_known(rig: Rig, values: Mapping[str, float]) -> Rig:
     )
     return (
         rig if elements == rig.model.elements else replace(rig, model=replace(rig.model, elements=elements))
-    )
-
-
-def _with_stated(rig: Rig, values: Mapping[str, float | Value]) -> tuple[Rig, Real]:
-    """The rig with known values as stated, and its unknowns, (unknowns,); what is tied follows them."""
-    numbers = {
-        name: float(_numbers(value.value if isinstance(value, Value) else value, name))
-        for name, value in values.items()
-    }
-    rig = _with_known(rig, numbers)
-    elsewhere = {name for name, value in values.items() if isinstance(value, Value)}
-    elsewhere |= {element.name for element in rig.model.elements if element.value is not None}
-    unknown = set(rig.model.unknown_names)
-    return rig, rig.model.theta(
-        {name: value for name, value in numbers.items() if name in unknown or name not in elsewhere}
     )
 
 

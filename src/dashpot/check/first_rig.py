@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.channel import RESERVED_NAMES, Quantity
-from dashpot.data.inspection import Inspection, NamedChannel, guessed_quantity
+from dashpot.data.inspection import Inspection, guessed_quantity
 from dashpot.data.readers.columns import factors, is_unit
 from dashpot.errors import UsageError
 from dashpot.io.toml_document import PLACEHOLDER
@@ -76,7 +76,15 @@ def seen_data(inspections: Sequence[Inspection]) -> SeenData:
     parts = [part for inspection in inspections for part in inspection.parts]
     for channel in (each for part in parts for each in part.channels):
         if channel.name.lower() not in RESERVED_NAMES:
-            by_name.setdefault(channel.name, _seen(channel))
+            name, unit = channel.name, channel.unit if channel.unit and is_unit(channel.unit) else None
+            quantity = (
+                guessed_quantity(name, unit) if unit or not re.fullmatch(r"[A-Za-z]\d*", name) else None
+            )
+            if quantity is None and (letter := re.fullmatch(r"([A-Za-z])[\d_xyz]*", name)):
+                quantity = _LETTERS.get(letter[1].lower())
+            of_base = bool(_BASE.search(name) or _BASE_LETTERS.fullmatch(name))
+            of_base |= channel.of_input and quantity != "force"
+            by_name.setdefault(channel.name, SeenColumn(name, unit, quantity, of_base, channel.decay))
     columns = tuple(by_name.values())
     if not columns or len(columns) > MOST_MASSES:
         what = f"{len(columns)} channels" if columns else "no channel in these data"
@@ -95,16 +103,6 @@ def seen_data(inspections: Sequence[Inspection]) -> SeenData:
     decays = [c.decay for c in columns if np.isfinite(c.decay)]
     let_go = bool(decays) and max(decays) < DECAYED
     return SeenData(columns, "release" if let_go else "base", let_go, timed)
-
-
-def _seen(channel: NamedChannel) -> SeenColumn:
-    name, unit = channel.name, channel.unit if channel.unit and is_unit(channel.unit) else None
-    quantity = guessed_quantity(name, unit) if unit or not re.fullmatch(r"[A-Za-z]\d*", name) else None
-    if quantity is None and (letter := re.fullmatch(r"([A-Za-z])[\d_xyz]*", name)):
-        quantity = _LETTERS.get(letter[1].lower())
-    of_base = bool(_BASE.search(name) or _BASE_LETTERS.fullmatch(name))
-    of_base |= channel.of_input and quantity != "force"
-    return SeenColumn(name, unit, quantity, of_base, channel.decay)
 
 
 def _same_point(column: SeenColumn, columns: Sequence[SeenColumn], points: Mapping[str, str]) -> str | None:

@@ -402,12 +402,7 @@ def _nominal(model: Model, elongation: float) -> Real:
         else:
             values.append(sizes[kinds[unknown.name].kind])
     theta = np.array(values) * spaced(len(values), 0.9, 1.1)
-    # 0.2 of a nonlinear force over the linear one, where nothing tells
-    return _with_strengths(model, theta, elongation, rate, 0.2 * stiffness * elongation)
-
-
-def _with_strengths(model: Model, theta: Real, elongation: float, rate: float, force: float) -> Real:
-    """Open parameters of nonlinear elements such that they pull with `force` at that elongation."""
+    # Open parameters of nonlinear elements such that they pull with 0.2 of the linear force, where nothing tells
     filled = np.where(np.isfinite(theta), theta, 1.0)
     q = np.zeros((1, len(model.nonlinear), 3))
     q[0, :, 1] = elongation
@@ -416,7 +411,7 @@ def _with_strengths(model: Model, theta: Real, elongation: float, rate: float, f
     for row, index in enumerate(model.nonlinear):
         for j in np.flatnonzero(model.T[index]):
             if not np.isfinite(theta[j]):
-                filled[j] = force / (unit[row] if unit[row] > 0 else 1.0)
+                filled[j] = 0.2 * stiffness * elongation / (unit[row] if unit[row] > 0 else 1.0)
     return filled
 
 

@@ -393,8 +393,23 @@ def responses_of_channels(
             chosen.append((c, inputs[0]))
     if not chosen:
         return ()
-    grid = _grid(estimate, found.frequency_hz)
-    steady = _steady(model, estimate, spectrum, found)
+    # Frequencies of the curve, Hz: evenly on a logarithmic scale, and closely about every mode
+    low, high = float(np.min(found.frequency_hz)) / 1.15, float(np.max(found.frequency_hz)) * 1.15
+    pieces = [np.geomspace(low, high, POINTS)]
+    if estimate.modes is not None:
+        for f, zeta in zip(estimate.modes.frequency_hz, estimate.modes.damping_ratio, strict=True):
+            if low < f < high:
+                pieces.append(f * (1 + min(max(abs(float(zeta)), 1e-4), 0.05) * NEAR))
+    together = np.unique(np.concatenate(pieces))
+    grid = together[(together >= low) & (together <= high)]
+    # What was measured without the transients of whole records, (lines, channels)
+    if not spectrum.carries_loads:
+        steady = found.measured
+    else:
+        p = model.parameters(estimate.values[: len(model.unknowns)])
+        calibrations = calibrations_of(model, estimate)
+        G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations, spectrum.experiment)
+        steady = found.measured - found.predicted + np.einsum("lci,li->lc", G, found.inputs)
     responses: list[FrequencyResponse] = []
     for rig, lines in model.by_experiment(spectrum.experiment):
         of = np.zeros(spectrum.lines, dtype=bool)
@@ -416,18 +431,6 @@ def _shows_input(model: Model, channel: Channel) -> str | None:
     names = model.force_inputs if channel.quantity is Quantity.FORCE else model.displacement_inputs
     points = tuple(channel.of)
     return points[0] if len(points) == 1 and points[0] in names else None
-
-
-def _grid(estimate: Estimate, lines_hz: Real) -> Real:
-    """Frequencies of the curve, Hz: evenly on a logarithmic scale, and closely about every mode."""
-    low, high = float(np.min(lines_hz)) / 1.15, float(np.max(lines_hz)) * 1.15
-    grid = [np.geomspace(low, high, POINTS)]
-    if estimate.modes is not None:
-        for f, zeta in zip(estimate.modes.frequency_hz, estimate.modes.damping_ratio, strict=True):
-            if low < f < high:
-                grid.append(f * (1 + min(max(abs(float(zeta)), 1e-4), 0.05) * NEAR))
-    together = np.unique(np.concatenate(grid))
-    return together[(together >= low) & (together <= high)]
 
 
 def _responses(
@@ -455,16 +458,6 @@ def _responses(
                     2 * STEP * width * G
                 )
     return G, slopes
-
-
-def _steady(model: Model, estimate: Estimate, spectrum: Spectrum, found: Residuals) -> Complex:
-    """What was measured without the transients of whole records, (lines, channels)."""
-    if not spectrum.carries_loads:
-        return found.measured
-    p = model.parameters(estimate.values[: len(model.unknowns)])
-    calibrations = calibrations_of(model, estimate)
-    G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations, spectrum.experiment)
-    return found.measured - found.predicted + np.einsum("lci,li->lc", G, found.inputs)
 
 
 def _response(

@@ -311,29 +311,25 @@ def exact(model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np
     by_theta = np.zeros((*y.shape, m), dtype=np.int64)
     for e in np.flatnonzero(column >= 0):
         by_theta[..., column[e]] = (by_theta[..., column[e]] + J[..., e] * times[e]) % PRIME
-    slopes = np.concatenate([by_theta, _calibration_slopes(view, psi, s, y)], axis=-1) * present[..., None]
+    # ∂y/∂gain = y / gain and ∂y/∂τ = −s y
+    by_calibration = np.zeros((*y.shape, view.gains + view.delays), dtype=np.int64)
+    per_gain = field.inverse(psi[view.m : view.m + view.gains])
+    for k in range(view.gains):
+        by_calibration[..., k] = y * (view.gain == k) * int(per_gain[k]) % PRIME
+    for k in range(view.delays):
+        by_calibration[..., view.gains + k] = (PRIME - s)[:, None] * y % PRIME * (view.delay == k)
+    slopes = np.concatenate([by_theta, by_calibration], axis=-1) * present[..., None]
     whole = np.concatenate([G * present[..., None], slopes], axis=-1)
     if free:
         loads = whole[..., : model.n]
         whole = np.concatenate([loads, loads * s[:, None, None] % PRIME, whole[..., model.n :]], axis=-1)
         whole = whole.reshape(1, -1, whole.shape[-1])
     inputs = whole.shape[-1] - M
-    rows = [_priors(view)]
+    rows = [np.eye(len(view.names), dtype=np.int64)[view.prior_precision > 0]]
     for line in whole:
         reduced, pivots = field.echelon(line, inputs)
         rows.append(reduced[len(pivots) :, inputs:])
     return Draw(np.concatenate(rows), psi)
-
-
-def _calibration_slopes(view: ObservationModel, psi: Ints, s: Ints, y: Ints) -> Ints:
-    """∂y/∂gain = y / gain and ∂y/∂τ = −s y, (lines, channels, gains + delays)."""
-    slopes = np.zeros((*y.shape, view.gains + view.delays), dtype=np.int64)
-    per_gain = field.inverse(psi[view.m : view.m + view.gains])
-    for k in range(view.gains):
-        slopes[..., k] = y * (view.gain == k) * int(per_gain[k]) % PRIME
-    for k in range(view.delays):
-        slopes[..., view.gains + k] = (PRIME - s)[:, None] * y % PRIME * (view.delay == k)
-    return slopes
 
 
 def _law_in_field(law: Law, s: Ints, j: Ints) -> Ints:
@@ -355,7 +351,12 @@ def _channels(
     C, G = rig.channels(view, s)
     solved, regular = field.solve_modulo(D, np.concatenate([R, np.swapaxes(C, 1, 2)], axis=-1))
     if not np.any(regular):
-        raise _unheld(model, D[0])
+        loose = np.flatnonzero(np.any(field.null_space(D[0]) != 0, axis=0))
+        names = listed(model.coordinates[i] for i in loose)
+        raise IdentifiabilityError(
+            f"the rig has no steady response: {names} can move with no force at all, whatever the parameters",
+            cure="attach another mass, spring or damper there, or remove a coordinate",
+        )
     solved = solved * regular[:, None, None]
     X, adjoint = solved[..., : R.shape[-1]], solved[..., R.shape[-1] :]
     for i in range(model.n):
@@ -462,19 +463,6 @@ def _proportions(along: Mapping[str, float]) -> dict[str, int]:
         point: lead * field.residue(float(f"{factor / along[first]:.12g}")) % PRIME
         for point, factor in along.items()
     }
-
-
-def _priors(view: ObservationModel) -> Ints:
-    return np.eye(len(view.names), dtype=np.int64)[view.prior_precision > 0]
-
-
-def _unheld(model: Model, D: Ints) -> IdentifiabilityError:
-    loose = np.flatnonzero(np.any(field.null_space(D) != 0, axis=0))
-    names = listed(model.coordinates[i] for i in loose)
-    return IdentifiabilityError(
-        f"the rig has no steady response: {names} can move with no force at all, whatever the parameters",
-        cure="attach another mass, spring or damper there, or remove a coordinate",
-    )
 
 
 # The same in floating point
@@ -704,7 +692,18 @@ class Deficient:
         elements = {element.name for element in self.model.elements}
         sensors: list[list[Channel]] = [[] for _ in found]
         scale = np.where(self.psi == 0, 1.0, self.psi)
-        for channel in _candidates(self.model, self.channels)[:40]:  # further sensors tried as a cure
+        # Sensors that might be added: motions, applied forces, reaction forces
+        motion = {
+            next(iter(c.of)) for c in self.channels if c.quantity is not Quantity.FORCE and len(c.of) == 1
+        }
+        force = {next(iter(c.of)) for c in self.channels if c.quantity is Quantity.FORCE and len(c.of) == 1}
+        points = (*self.model.displacement_inputs, *self.model.coordinates)
+        forces = (*self.model.force_inputs, *self.model.displacement_inputs)
+        candidates = [
+            *(Channel("…", {name: 1.0}) for name in points if name not in motion),
+            *(Channel("…", {name: 1.0}, Quantity.FORCE) for name in forces if name not in force),
+        ]
+        for channel in candidates[:40]:  # further sensors tried as a cure
             more = (*self.channels, channel)
             lines = enough_lines(self.model, more, len(self.names))
             slopes = floating(self.model, more, lines, self.psi, self.rate, self.rng)
@@ -765,15 +764,3 @@ def _complement(vectors: Real) -> Real:
         rows[others] -= rows[others, column][:, None] * rows[done]
     small = np.abs(rows * size) < 1e-6 * np.max(np.abs(rows * size), axis=1, initial=1e-300, keepdims=True)
     return np.where(small, 0.0, rows)
-
-
-def _candidates(model: Model, channels: Sequence[Channel]) -> list[Channel]:
-    """Sensors that might be added: motions, applied forces, reaction forces."""
-    motion = {next(iter(c.of)) for c in channels if c.quantity is not Quantity.FORCE and len(c.of) == 1}
-    force = {next(iter(c.of)) for c in channels if c.quantity is Quantity.FORCE and len(c.of) == 1}
-    points = (*model.displacement_inputs, *model.coordinates)
-    forces = (*model.force_inputs, *model.displacement_inputs)
-    return [
-        *(Channel("…", {name: 1.0}) for name in points if name not in motion),
-        *(Channel("…", {name: 1.0}, Quantity.FORCE) for name in forces if name not in force),
-    ]

@@ -119,7 +119,15 @@ def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Reco
     view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
     estimate.require_unknowns(view.names, ())
     outputs = ~view.inputs_alone
-    V, known = _weights(spectrum, outputs)
+    # Variances with the inputs taken as exact, (lines, channels, channels), and whether they are the sensors'
+    variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
+    usable = np.isfinite(variance) & (variance > 0)
+    # The quiet end of a band is no measure of the noise elsewhere.
+    known = bool(np.all(usable[:, outputs])) and FLOOR not in spectrum.noise
+    size = np.nanmean(np.abs(spectrum.amplitudes) ** 2, axis=0)
+    # 1e-2 of a channel's size: its weight in the fit of the transients where its noise is not known
+    chosen = np.where(usable & known, variance, 1e-2**2 * size) * outputs
+    V: Complex = (chosen[..., None] * np.eye(len(spectrum.channels))).astype(np.complex128)
     predicted = _predicted(model, estimate, view, spectrum, V)
     variance = np.diagonal(V, axis1=-2, axis2=-1).real
     if known:
@@ -150,19 +158,6 @@ def _predicted(
             cure="record the inputs as well",
         )
     return spectrum.amplitudes - predict(view, data, psi[None], sign[None]).r[0]
-
-
-def _weights(spectrum: Spectrum, outputs: Bools) -> tuple[Complex, bool]:
-    """Variances with the inputs taken as exact, (lines, channels, channels), and whether they are the sensors'."""
-    variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
-    usable = np.isfinite(variance) & (variance > 0)
-    # The quiet end of a band is no measure of the noise elsewhere.
-    known = bool(np.all(usable[:, outputs])) and FLOOR not in spectrum.noise
-    size = np.nanmean(np.abs(spectrum.amplitudes) ** 2, axis=0)
-    # 1e-2 of a channel's size: its weight in the fit of the transients where its noise is not known
-    chosen = np.where(usable & known, variance, 1e-2**2 * size) * outputs
-    V: Complex = (chosen[..., None] * np.eye(len(spectrum.channels))).astype(np.complex128)
-    return V, known
 
 
 def _noise_of_inputs(

@@ -465,17 +465,14 @@ def unphysical(model: Model, estimate: Estimate) -> list[Notice]:
     names = tuple(name for name, held, value, sd in rows if held and value < -BEYOND * sd)
     if not names:
         return []
-    why = ", as springs are that stand for parts which bend" if _stand_beside(model, names) else ""
-    return [Notice("negative", f"{joined(names)} {'is' if len(names) == 1 else 'are'} negative{why}", names)]
-
-
-def _stand_beside(model: Model, names: Sequence[str]) -> bool:
-    """Whether all of these are springs whose elongation follows from those of the other springs."""
+    # Whether all of these are springs whose elongation follows from those of the other springs
     springs = np.array([each.kind is Kind.SPRING for each in model.elements])
     named = np.array([each.name in names for each in model.elements])
     points = np.concatenate([model.B, model.D], axis=1)
     others, every = (np.linalg.matrix_rank(points[chosen]) for chosen in (springs & ~named, springs))
-    return not np.any(named & ~springs) and bool(others == every)
+    bending = not np.any(named & ~springs) and others == every
+    why = ", as springs are that stand for parts which bend" if bending else ""
+    return [Notice("negative", f"{joined(names)} {'is' if len(names) == 1 else 'are'} negative{why}", names)]
 
 
 def unstable(estimate: Estimate) -> list[Notice]:
@@ -665,7 +662,17 @@ def assess_records(
     motions = [motion.compared() for motion in trails]
     doubts = [] if against else powerless(estimate)
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
-    return Assessment(verdict, (*against, *doubts), _relative(motions), _worst(motions), findings)
+    # The lines of the residuals' spectra that stand out most, against the rms of all lines of their channel
+    misfits = []
+    for motion in motions:
+        residual = motion.measured - motion.predicted
+        lines = np.abs(np.fft.rfft(residual - np.mean(residual, axis=0), axis=0))[1:]
+        duration = len(motion.time) * float(motion.time[1] - motion.time[0])
+        size = lines / np.maximum(np.sqrt(np.mean(lines**2, axis=0)), 1e-300)
+        for name, column in zip(motion.names, size.T, strict=True):
+            line = int(np.argmax(column))
+            misfits.append(Misfit(name, (line + 1) / duration, float(column[line])))
+    return Assessment(verdict, (*against, *doubts), _relative(motions), worst_of(misfits), findings)
 
 
 def with_causes(error: IdentifiabilityError, model: Model, records: Sequence[Record]) -> IdentifiabilityError:
@@ -715,17 +722,3 @@ def _relative(motions: Sequence[PredictedMotion]) -> dict[str, float]:
     size = np.sum([len(motion.time) * np.var(motion.measured, axis=0) for motion in motions], axis=0)
     parts = np.sqrt(away / np.where(size > 0, size, np.inf))
     return dict(zip(motions[0].names, parts.tolist(), strict=True))
-
-
-def _worst(motions: Sequence[PredictedMotion]) -> tuple[Misfit, ...]:
-    """The lines of the residuals' spectra that stand out most, against the rms of all lines of their channel."""
-    misfits = []
-    for motion in motions:
-        residual = motion.measured - motion.predicted
-        lines = np.abs(np.fft.rfft(residual - np.mean(residual, axis=0), axis=0))[1:]
-        duration = len(motion.time) * float(motion.time[1] - motion.time[0])
-        size = lines / np.maximum(np.sqrt(np.mean(lines**2, axis=0)), 1e-300)
-        for name, column in zip(motion.names, size.T, strict=True):
-            line = int(np.argmax(column))
-            misfits.append(Misfit(name, (line + 1) / duration, float(column[line])))
-    return worst_of(misfits)

@@ -353,7 +353,13 @@ def answer(question: Question, *, mapper: Map = map) -> Answer:
     comparison = unsettled = None
     if advised is not None and question.against is not None:
         try:
-            other = _other(question.against, advised.samples)
+            # The test to compare with, of as many samples as the plan
+            if isinstance(question.against, Spectrum):
+                other = even_schedule(
+                    question.against.frequency_hz.tolist(), advised.samples, question.against.samples.tolist()
+                )
+            else:
+                other = even_schedule(question.against, advised.samples)
             comparison = compare_tests(setup, criterion, advised, other)
         except IdentifiabilityError:
             notes.append("the other test does not determine the unknowns, however many samples it takes")
@@ -485,13 +491,6 @@ def _budget(
                 raise
             settle = 0.0  # of a test that is counted in samples it is told alone
     return Budget(samples, time, rate, settle, question.min_dwell, question.most)
-
-
-def _other(against: tuple[float, ...] | Spectrum, samples: int) -> Schedule:
-    """The test to compare with, of as many samples as the plan."""
-    if isinstance(against, Spectrum):
-        return even_schedule(against.frequency_hz.tolist(), samples, against.samples.tolist())
-    return even_schedule(against, samples)
 
 
 def _stopping(

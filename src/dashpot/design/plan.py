@@ -175,9 +175,28 @@ def plan(setup: TestSetup, criterion: Criterion, budget: Budget, grid: Frequency
     predicted = expected_precision(setup, criterion, schedule.information(setup))
     bound = criterion.figure(ideal.F)
     loss = predicted.figure / bound - 1
-    dwells = _dwells(setup, budget, schedule)
+    names = [*setup.model.displacement_inputs, *setup.model.force_inputs]
+    drive = setup.drive(schedule.frequency_hz, schedule.pattern)
+    dwells = []
+    for f, count, q in zip(schedule.frequency_hz.tolist(), schedule.samples, drive, strict=True):
+        amplitudes = {name: complex(z) for name, z in zip(names, q, strict=True)}
+        periods = time = None
+        if budget.rate is not None:
+            exact = count * f / budget.rate
+            periods = round((count + 0.5) * f / budget.rate) if exact >= 1 else 1
+            periods = max(periods, math.ceil(exact - 1e-9))
+            time = periods / f
+        dwells.append(Dwell(f, amplitudes, int(count), periods, time, budget.settle))
     return Plan(
-        criterion, dwells, schedule, predicted, bound, ideal.gap, loss, ideal, _remarks(setup, schedule)
+        criterion,
+        tuple(dwells),
+        schedule,
+        predicted,
+        bound,
+        ideal.gap,
+        loss,
+        ideal,
+        _remarks(setup, schedule),
     )
 
 
@@ -460,22 +479,6 @@ class DwellShares:
             gain = [(now - F[j]) / unit[i] if np.isfinite(now) else -F[j] for j, i in enumerate(fits)]
             units[fits[int(np.argmax(gain))]] += 1
         return units
-
-
-def _dwells(setup: TestSetup, budget: Budget, schedule: Schedule) -> tuple[Dwell, ...]:
-    names = [*setup.model.displacement_inputs, *setup.model.force_inputs]
-    drive = setup.drive(schedule.frequency_hz, schedule.pattern)
-    dwells = []
-    for f, count, q in zip(schedule.frequency_hz.tolist(), schedule.samples, drive, strict=True):
-        amplitudes = {name: complex(z) for name, z in zip(names, q, strict=True)}
-        periods = time = None
-        if budget.rate is not None:
-            exact = count * f / budget.rate
-            periods = round((count + 0.5) * f / budget.rate) if exact >= 1 else 1
-            periods = max(periods, math.ceil(exact - 1e-9))
-            time = periods / f
-        dwells.append(Dwell(f, amplitudes, int(count), periods, time, budget.settle))
-    return tuple(dwells)
 
 
 def _remarks(setup: TestSetup, schedule: Schedule) -> tuple[str, ...]:

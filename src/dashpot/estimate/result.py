@@ -738,7 +738,19 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         "tied": [list(tie) for tie in estimate.tied],
         **_statements(estimate),
         "signs": {name: float(sign) for name, sign in estimate.signs.items()},
-        "modes": [] if estimate.modes is None else _mode_rows(estimate.modes),
+        "modes": []
+        if estimate.modes is None
+        else [
+            {
+                "frequency_hz": float(estimate.modes.frequency_hz[k]),
+                "damping_ratio": float(estimate.modes.damping_ratio[k]),
+                "eigenvalue": [float(value.real), float(value.imag)],
+                "frequency_sd": float(estimate.modes.frequency_sd[k]),
+                "damping_sd": float(estimate.modes.damping_sd[k]),
+                "shape": [[float(z.real), float(z.imag)] for z in estimate.modes.shapes[k]],
+            }
+            for k, value in enumerate(estimate.modes.eigenvalues)
+        ],
         **({"cycles": [asdict(cycle) for cycle in estimate.cycles]} if estimate.cycles else {}),
         "fit": {
             "chi2": float(estimate.fit.chi2),
@@ -770,20 +782,6 @@ def _statements(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def _mode_rows(modes: ModeValues) -> list[dict[str, Any]]:
-    return [
-        {
-            "frequency_hz": float(modes.frequency_hz[k]),
-            "damping_ratio": float(modes.damping_ratio[k]),
-            "eigenvalue": [float(value.real), float(value.imag)],
-            "frequency_sd": float(modes.frequency_sd[k]),
-            "damping_sd": float(modes.damping_sd[k]),
-            "shape": [[float(z.real), float(z.imag)] for z in modes.shapes[k]],
-        }
-        for k, value in enumerate(modes.eigenvalues)
-    ]
-
-
 def estimate_from(content: Mapping[str, Any]) -> Estimate:
     """The Estimate of such a content.  Raises what Python raises where something is missing or of a wrong type."""
     names = tuple(content["order"])
@@ -796,6 +794,15 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
             both = zip(entry["profile"]["values"], roots, strict=True)
             at = tuple(nullable(value, math.copysign(math.inf, root)) for value, root in both)
             profiles[name] = at, roots
+    rows = content["modes"]
+    modes = ModeValues(
+        np.array([complex(*row["eigenvalue"]) for row in rows]),
+        np.array([row["frequency_hz"] for row in rows], dtype=float),
+        np.array([row["damping_ratio"] for row in rows], dtype=float),
+        _numbers([row["frequency_sd"] for row in rows]),
+        _numbers([row["damping_sd"] for row in rows]),
+        np.array([[complex(*z) for z in row["shape"]] for row in rows]),
+    )
     return Estimate(
         model=content["model"],
         method=content["method"],
@@ -822,7 +829,7 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         ),
         known=tuple((n, float(e["value"]), str(e["unit"])) for n, e in parameters.items() if e["known"]),
         tied=tuple((str(a), str(b), float(c), str(d)) for a, b, c, d in content["tied"]),
-        modes=_modes(content["modes"]),
+        modes=modes if rows else None,
         signs={name: np.asarray(float(sign)) for name, sign in content["signs"].items()},
         warnings=_notices(content, "warnings", "codes", "concerns"),
         notes=_notices(content, "notes", "note_codes", "note_concerns"),
@@ -857,18 +864,6 @@ def _covariance_rows(covariance: Real) -> list[list[float]] | None:
 def _covariance(rows: Sequence[Sequence[Any]] | None, sd: Sequence[Any]) -> Real:
     """A covariance of a file; where it was left out, the variances alone."""
     return np.diag(_numbers(sd) ** 2) if rows is None else _rows(rows)
-
-
-def _modes(rows: Sequence[Mapping[str, Any]]) -> ModeValues | None:
-    modes = ModeValues(
-        np.array([complex(*row["eigenvalue"]) for row in rows]),
-        np.array([row["frequency_hz"] for row in rows], dtype=float),
-        np.array([row["damping_ratio"] for row in rows], dtype=float),
-        _numbers([row["frequency_sd"] for row in rows]),
-        _numbers([row["damping_sd"] for row in rows]),
-        np.array([[complex(*z) for z in row["shape"]] for row in rows]),
-    )
-    return modes if rows else None
 
 
 def _notices(content: Mapping[str, Any], texts: str, codes: str, concerns: str) -> tuple[Notice, ...]:

@@ -296,7 +296,19 @@ def state_space_of(rig: IdentifiedRig, given: str | Mapping[str, str] | None = N
             cure="list channels of the coordinates",
         )
     view = observation_model(model, channels, np.zeros(1))
-    asked, measured = _asked(model, given), _measured_orders(rig)
+    asked = dict.fromkeys(model.displacement_inputs, given) if isinstance(given, str) else dict(given or {})
+    for name, quantity in asked.items():
+        if name not in model.displacement_inputs:
+            cure = f"there are {', '.join(model.displacement_inputs) or 'none'}"
+            raise UsageError(f"{name} is not a displacement input of the rig", cure=cure)
+        if quantity not in MOTIONS:
+            raise UsageError(f"an input cannot be given as {quantity}", cure=f"give {', '.join(MOTIONS)}")
+    # How often a point is differentiated in its own channel, by name, where it has one
+    measured: dict[str, int] = {}
+    for channel in rig.channels:
+        if channel.quantity is not Quantity.FORCE and len(channel.of) == 1:
+            (name,) = channel.of
+            measured[name] = min(channel.quantity.derivative, measured.get(name, 2))
     least = [
         MOTIONS.index(Quantity(asked[name])) if name in asked else measured.get(name, 0)
         for name in model.displacement_inputs
@@ -331,28 +343,6 @@ def state_space_of(rig: IdentifiedRig, given: str | Mapping[str, str] | None = N
         _slopes(rig, view, orders, parts),
         shifts,
     )
-
-
-def _asked(model: Model, given: str | Mapping[str, str] | None) -> Mapping[str, str]:
-    """The quantity that is asked for, by input.  Raises UsageError for what is none, or no displacement input."""
-    named = dict.fromkeys(model.displacement_inputs, given) if isinstance(given, str) else dict(given or {})
-    for name, quantity in named.items():
-        if name not in model.displacement_inputs:
-            cure = f"there are {', '.join(model.displacement_inputs) or 'none'}"
-            raise UsageError(f"{name} is not a displacement input of the rig", cure=cure)
-        if quantity not in MOTIONS:
-            raise UsageError(f"an input cannot be given as {quantity}", cure=f"give {', '.join(MOTIONS)}")
-    return named
-
-
-def _measured_orders(rig: IdentifiedRig) -> dict[str, int]:
-    """How often a point is differentiated in its own channel, by name, where it has one."""
-    orders: dict[str, int] = {}
-    for channel in rig.channels:
-        if channel.quantity is not Quantity.FORCE and len(channel.of) == 1:
-            (name,) = channel.of
-            orders[name] = min(channel.quantity.derivative, orders.get(name, 2))
-    return orders
 
 
 Parts = tuple[Matrix, Matrix, Matrix, Matrix]

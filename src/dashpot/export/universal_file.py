@@ -45,7 +45,17 @@ def write_rig_universal_file(rig: IdentifiedRig, path: str, options: ExportOptio
     swinging = of_rig.eigenvalues.imag > 0
     width = 6 if model.angles else 3
     nodes = tuple(range(1, model.n + 1))
-    names = _lines_of_names(model.coordinates)
+    # Names of the nodes on three ID lines, as many as there is room for
+    names = [""]
+    for k, name in enumerate(model.coordinates):
+        text = f"{k + 1} = {name}"
+        longer = f"{names[-1]}, {text}" if names[-1] else text
+        if len(longer) <= 80:
+            names[-1] = longer
+        elif len(names) < 3 and len(text) <= 80:
+            names.append(text)
+        else:
+            break
     out = []
     for eigenvalue, shape in zip(of_rig.eigenvalues[swinging], of_rig.shapes[swinging], strict=True):
         table = np.zeros((model.n, width), dtype=complex)
@@ -56,21 +66,6 @@ def write_rig_universal_file(rig: IdentifiedRig, path: str, options: ExportOptio
         out.append(NodalMode(complex(eigenvalue), nodes, table, ids))
     write_universal_file(path, functions, out)
     return Written((path,))
-
-
-def _lines_of_names(names: tuple[str, ...]) -> list[str]:
-    """Names of the nodes on three ID lines, as many as there is room for."""
-    lines = [""]
-    for k, name in enumerate(names):
-        text = f"{k + 1} = {name}"
-        longer = f"{lines[-1]}, {text}" if lines[-1] else text
-        if len(longer) <= 80:
-            lines[-1] = longer
-        elif len(lines) < 3 and len(text) <= 80:
-            lines.append(text)
-        else:
-            break
-    return lines
 
 
 def measured_responses(rig: IdentifiedRig, data: Spectrum) -> list[NodalFunction]:

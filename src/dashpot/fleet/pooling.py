@@ -166,7 +166,14 @@ def pooled(name: str, unit: str, values: Real, sd: Real, used: Bools | None = No
     middle = float(np.median(y))
     y, s = (y - middle) / unit_size, s / unit_size
     tau, ends = _spread(y, s)
-    grid, weight = _grid(y, s, tau)
+    # Values of τ that the data allow, (steps,), and their weights by the restricted likelihood
+    most = _most(y, s)
+    # 80 steps, to where the likelihood is 9 nepers below its maximum
+    low, high = _end(y, s, tau, 9.0, 0.0), _end(y, s, tau, 9.0, most)
+    grid = low + (np.arange(80) + 0.5) / 80 * (high - low)
+    logs = restricted_likelihood(y, s, grid)
+    weight = grid * np.exp(logs - np.max(logs))
+    weight = weight / np.sum(weight)
     precision = 1 / (s**2 + grid[:, None] ** 2)
     mu_variance = 1 / np.sum(precision, axis=-1)  # of μ at each τ
     mu = mu_variance * np.sum(precision * y, axis=-1)
@@ -240,20 +247,6 @@ def _end(y: Real, s: Real, tau: float, fall: float, far: float) -> float:
         half = 0.5 * (near + far)
         near, far = (near, half) if below(half) else (half, far)
     return 0.5 * (near + far)
-
-
-def _grid(y: Real, s: Real, tau: float) -> tuple[Real, Real]:
-    """Values of τ that the data allow, (steps,), and their weights by the restricted likelihood.
-
-    Flat in τ², as Morris (1983) chose so that intervals cover: flat in τ they held 93 % where τ is of the noise's size.
-    """
-    most = _most(y, s)
-    # 80 steps, to where the likelihood is 9 nepers below its maximum
-    low, high = _end(y, s, tau, 9.0, 0.0), _end(y, s, tau, 9.0, most)
-    grid = low + (np.arange(80) + 0.5) / 80 * (high - low)
-    logs = restricted_likelihood(y, s, grid)
-    weight = grid * np.exp(logs - np.max(logs))
-    return grid, weight / np.sum(weight)
 
 
 def _shrunk(y: Real, s: Real, grid: Real, weight: Real, mu: Real, mu_variance: Real) -> tuple[Real, Real]:

@@ -196,14 +196,14 @@ def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) 
         _findings(assessed) if against else (),
         _over_parts([each.relative_noise for each in assessed]),
     )
-    return replace(together.estimate, assessment=assessment, notes=(_how(together), *together.estimate.notes))
-
-
-def _how(together: Merged) -> Notice:
-    parts = counted(len(together.away), "part")
+    count = counted(len(together.away), "part")
     scatter = f"χ² {together.chi2:.4g} with {together.dof} degrees of freedom (p = {together.p:.2g})"
-    text = f"{parts} of the data, each identified by itself, and merged; their scatter has {scatter}"
-    return Notice("parts_merged", text)
+    text = f"{count} of the data, each identified by itself, and merged; their scatter has {scatter}"
+    return replace(
+        together.estimate,
+        assessment=assessment,
+        notes=(Notice("parts_merged", text), *together.estimate.notes),
+    )
 
 
 def _disagreement(together: Merged, names: Sequence[str]) -> list[Notice]:

@@ -163,7 +163,12 @@ def _of_record(whitened: Whitened, spectrum: Spectrum, number: int, outputs: Int
         steps += _steps(of)
         jumps += _jump(of)
         if blocks:
-            by_block += _of_blocks(of, blocks)
+            # Mean squares of a channel in blocks of time, (3, blocks): residual, the same over what is usual, motion
+            edges = np.linspace(0, len(of.residual), blocks, endpoint=False).astype(np.int64)
+            square = np.minimum(of.residual**2, 16.0 * of.typical)  # what is beyond shows at its moment
+            squares = square, square / of.usual(), (of.prediction + of.residual) ** 2
+            samples = np.diff(np.append(edges, len(square)))
+            by_block += np.stack([np.add.reduceat(values, edges) for values in squares]) / samples
     if len(steps) == 1:
         # What the step leaves at its edge jumps, too.
         return [*steps, *(jump for jump in jumps if jump.channels != steps[0].channels)]
@@ -365,15 +370,6 @@ def _lag(
     bend = first - 2 * middle + last
     between = 0.5 * (first - last) / bend if bend > 0 else 0.0
     return best - reach + float(between), float(left[reach]), float(middle)
-
-
-def _of_blocks(of: _Histories, blocks: int) -> Real:
-    """Mean squares of a channel in blocks of time, (3, blocks): residual, the same over what is usual, motion."""
-    edges = np.linspace(0, len(of.residual), blocks, endpoint=False).astype(np.int64)
-    square = np.minimum(of.residual**2, 16.0 * of.typical)  # what is beyond shows at its moment
-    squares = square, square / of.usual(), (of.prediction + of.residual) ** 2
-    count = np.diff(np.append(edges, len(square)))
-    return np.stack([np.add.reduceat(values, edges) for values in squares]) / count
 
 
 def _loud_block(by_block: Real, dof: float) -> int | None:

@@ -95,7 +95,9 @@ def with_heavy_tails(model: Model, spectrum: Spectrum, method: Method) -> tuple[
     if model.distribution == "normal" or spectrum.batch or len(model.nonlinear) or not weighed:
         return plain
     known, begun = plain
-    sizes, tails = _sizes(known), dict[tuple[int, int], Tails]()
+    # Standard deviation of each part of the noise, (lines, channels); inf where there is none
+    variance = np.diagonal(known.covariance, axis1=-2, axis2=-1).real / 2
+    sizes, tails = np.sqrt(np.where(variance > 0, variance, np.inf)), dict[tuple[int, int], Tails]()
     for turn in range(TURNS):
         data = prepare(model, flattened(known))
         solution = begun.solve(data)
@@ -135,12 +137,6 @@ def with_heavy_tails(model: Model, spectrum: Spectrum, method: Method) -> tuple[
         for name, freedom in names.items()
     ]
     return replace(known, notes=(*known.notes, *notes)), begun
-
-
-def _sizes(spectrum: Spectrum) -> Real:
-    """Standard deviation of each part of the noise, (lines, channels); inf where there is none."""
-    variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real / 2
-    return np.sqrt(np.where(variance > 0, variance, np.inf))
 
 
 @dataclass(frozen=True)

@@ -128,27 +128,25 @@ def _measured(data: Prepared, softness: float) -> Measured:
     size = np.where(size > 0, size, 1.0)
     extra = (FLOOR**2 + softness**2) * size**2
     kept = np.where(diagonal > FLOOR**2 * size**2, softness**2 * size**2, extra)
-    W = _weights(V, diagonal + kept, kept, size, present)
+    # (V + kept)⁻¹ (K or 1, lines, channels, channels), 0 where not measured; `variance` is the diagonal of the sum
+    variance = diagonal + kept
+    C = V.shape[-1]
+    if is_diagonal(V):
+        # What is too large for numbers has no weight, not the weight 0.
+        finite = np.where(np.isfinite(variance), variance, np.nan)
+        W = diagonal_matrices(np.where(present, 1 / np.where(present, finite, 1.0), 0.0))
+    else:
+        both = present[:, :, None] & present[:, None, :]
+        scaled = (V + kept[..., None] * np.eye(C)) / (size[:, :, None] * size[:, None, :])
+        scaled = np.where(both, scaled, np.eye(C))
+        # The weight is used as such, over and over.
+        W = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])
+        W = np.where(both, (W + hermitian(W)) / 2, 0.0)
     count = int(np.sum(present)) - (0 if q is not None else int(np.sum(inputs_seen(view, present))))
     ends = record_ends(view, spectrum, by_channel)
     part = nonlinear_part(data, y, q) if len(view.model.nonlinear) else None
     root = None if ends is None or is_diagonal(W) else whitener(W)
     return Measured(y * present, W, q, 2 * count, ends, root, part)
-
-
-def _weights(V: Complex, variance: Real, kept: Real, size: Real, present: Bools) -> Complex:
-    """(V + kept)⁻¹ (K or 1, lines, channels, channels), 0 where not measured; `variance` is the diagonal of the sum."""
-    C = V.shape[-1]
-    if is_diagonal(V):
-        # What is too large for numbers has no weight, not the weight 0.
-        finite = np.where(np.isfinite(variance), variance, np.nan)
-        return diagonal_matrices(np.where(present, 1 / np.where(present, finite, 1.0), 0.0))
-    both = present[:, :, None] & present[:, None, :]
-    scaled = (V + kept[..., None] * np.eye(C)) / (size[:, :, None] * size[:, None, :])
-    scaled = np.where(both, scaled, np.eye(C))
-    # The weight is used as such, over and over.
-    W = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])
-    return np.where(both, (W + hermitian(W)) / 2, 0.0)
 
 
 def directly_driven(view: ObservationModel, data: Measured) -> Measured | None:

@@ -97,7 +97,24 @@ class InputNoise:
         lines (lines,): of the records whose noise is to be found; residual (lines, channels); G (lines, channels,
         inputs) calibrated.
         """
-        score, scale = _slopes(view, data, residual, G)
+        # |tᴴ Σ⁻¹ e|² and tᴴ Σ⁻¹ t of an error in each channel, both (lines, channels); some lines at a time
+        score, scale = np.zeros(residual.shape), np.zeros(residual.shape)
+        alone = view.inputs_alone & view.is_direct
+        for first in range(0, len(residual), PIECE):
+            some = slice(first, first + PIECE)
+            W, G_some = data.W[0, some], G[some]
+            weighted = (W @ residual[some, :, None])[..., 0]
+            if data.q is None:
+                _, half = estimated_inputs(G_some, W, residual[some])
+                taken = np.einsum("lcq,lqc->lc", half, hermitian(G_some) @ W)
+                score[some] = np.abs(weighted) ** 2
+                scale[some] = (np.diagonal(W, axis1=-2, axis2=-1) - taken).real
+                continue
+            by_channel = inputs_by_channel(view.at(some), alone)
+            if by_channel is not None:
+                t = G_some @ by_channel[..., alone]
+                score[some, alone] = np.abs((hermitian(t) @ weighted[..., None])[..., 0]) ** 2
+                scale[some, alone] = np.sum(np.conj(t) * (W @ t), axis=-2).real
         each = (lines / spectrum.samples)[:, None]
         information = np.sum((each * scale) ** 2, axis=0)
         usable = self.sought & view.is_direct & (information > 0)
@@ -173,28 +190,6 @@ def without_moved(power: Real, moved: Real, smooth: Callable[[Real], Real]) -> R
         if np.all(np.abs(noise - before) <= 0.01 * before):
             break
     return alone
-
-
-def _slopes(view: ObservationModel, data: Measured, residual: Complex, G: Complex) -> tuple[Real, Real]:
-    """|tᴴ Σ⁻¹ e|² and tᴴ Σ⁻¹ t of an error in each channel, both (lines, channels); some lines at a time."""
-    score, scale = np.zeros(residual.shape), np.zeros(residual.shape)
-    alone = view.inputs_alone & view.is_direct
-    for first in range(0, len(residual), PIECE):
-        some = slice(first, first + PIECE)
-        W, G_some = data.W[0, some], G[some]
-        weighted = (W @ residual[some, :, None])[..., 0]
-        if data.q is None:
-            _, half = estimated_inputs(G_some, W, residual[some])
-            taken = np.einsum("lcq,lqc->lc", half, hermitian(G_some) @ W)
-            score[some] = np.abs(weighted) ** 2
-            scale[some] = (np.diagonal(W, axis1=-2, axis2=-1) - taken).real
-            continue
-        by_channel = inputs_by_channel(view.at(some), alone)
-        if by_channel is not None:
-            t = G_some @ by_channel[..., alone]
-            score[some, alone] = np.abs((hermitian(t) @ weighted[..., None])[..., 0]) ** 2
-            scale[some, alone] = np.sum(np.conj(t) * (W @ t), axis=-2).real
-    return score, scale
 
 
 RESIDUAL = "residual"

@@ -89,20 +89,12 @@ def followed_record(model: Model, estimate: Estimate, record: Record) -> Followe
     gains = [values[gain.name] for gain in data.gains]
     problem, own = begun_problem(model, (data,), theta, np.ones(len(data.names)))
     offset = [values.get(f"{model.force_inputs[j]}.offset", 0.0) for j in problem.constants.offsets]
-    psi = _likeliest_start(problem, np.concatenate([theta, gains, offset, own]))
-    return FollowedRecord(problem, psi, problem.residual(0, psi, slopes=False)[0])
-
-
-def _likeliest_start(problem: RecordProblem, psi: Real) -> Real:
-    """ψ (M,) whose motion is nearest to the one record, its own unknowns being free; states of laws stay.
-
-    Raises DataError where no motion follows from the first.
-    """
+    # ψ (M,) whose motion is nearest to the one record, its own unknowns being free; states of laws stay
     free = problem.constants
     seen = [j for j, state in enumerate(free.starts) if state < 2 * problem.model.n]
     seen += range(len(free.starts), problem.states)
     columns = problem.inner + np.array(seen, dtype=np.int64)
-    best, least, step = psi, np.inf, np.zeros(len(columns))
+    best, least, step = np.concatenate([theta, gains, offset, own]), np.inf, np.zeros(len(columns))
     for _ in range(24):  # steps of Gauss and Newton
         tried = best.copy()
         tried[columns] += step
@@ -122,7 +114,7 @@ def _likeliest_start(problem: RecordProblem, psi: Real) -> Real:
             break
         along = J[..., columns].reshape(residual.size, len(columns))
         step = np.linalg.lstsq(along, residual.ravel(), rcond=1e-8)[0].astype(np.float64)
-    return best
+    return FollowedRecord(problem, best, problem.residual(0, best, slopes=False)[0])
 
 
 def followed_records(problem: RecordProblem, psi: Real) -> list[FollowedRecord]:

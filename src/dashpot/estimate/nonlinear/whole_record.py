@@ -114,7 +114,16 @@ def _with_exact_inputs(problem: RecordProblem, psi: Real, progress: Progress | N
     if far:
         linear = mostly_linear_values(model, data)  # noise makes laws of what the motion hardly shows
         if linear is not None:
-            problem, psi = _from_linear(model, data, linear)
+            # A start at θ (unknowns,), whose linear elements are fitted without the nonlinear ones first
+            names = model.unknown_names
+            values = dict(zip(names, linear.tolist(), strict=True))
+            idle = replace(model, elements=tuple(_idle(element, values) for element in model.elements))
+            free = record_constants(moving_rig(model, data[0].bases), data[0])
+            problem, psi = _begun(idle, data, np.array([values[name] for name in idle.unknown_names]), free)
+            end = _searched(problem, psi, None)[1].x[0]
+            values |= dict(zip(idle.unknown_names, end.tolist(), strict=False))
+            problem, psi = _begun(model, data, np.array([values[name] for name in names]))
+            psi[len(names) :] = end[len(idle.unknowns) :]
             before, far = problem.afresh(), False
     if far:
         problem, psi = _released(problem, psi)
@@ -164,20 +173,6 @@ def _begun(
     gains = [1.0 if gain.nominal is None else gain.nominal for gain in records[0].gains]
     offsets = np.zeros(len(problem.constants.offsets))
     return problem, np.concatenate([theta, gains, offsets, own])
-
-
-def _from_linear(model: Model, records: tuple[RecordData, ...], theta: Real) -> tuple[RecordProblem, Real]:
-    """A start at θ (unknowns,), whose linear elements are fitted without the nonlinear ones first."""
-    names = model.unknown_names
-    values = dict(zip(names, theta.tolist(), strict=True))
-    idle = replace(model, elements=tuple(_idle(element, values) for element in model.elements))
-    free = record_constants(moving_rig(model, records[0].bases), records[0])
-    problem, psi = _begun(idle, records, np.array([values[name] for name in idle.unknown_names]), free)
-    end = _searched(problem, psi, None)[1].x[0]
-    values |= dict(zip(idle.unknown_names, end.tolist(), strict=False))
-    begun, start = _begun(model, records, np.array([values[name] for name in names]))
-    start[len(names) :] = end[len(idle.unknowns) :]
-    return begun, start
 
 
 def _idle(element: Element, values: Mapping[str, float]) -> Element:
