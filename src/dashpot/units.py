@@ -198,7 +198,13 @@ def scale(unit: str, quantity: str, angular: bool = False, uncalibrated: bool = 
         # A frequency in 1/s is in Hz: nothing has been turned into radians.
         per_turn = _PER_TURN.get(quantity, 1.0) if dimension[3] else 1.0
         return factor * per_turn
-    cure = _remedy(dimension, wanted)
+    if dimension[4] or dimension[5]:
+        if dimension in (VOLTAGE, COUNT):
+            cure = f'say gain = "unknown" to estimate it, or a sensitivity, or use {wanted.accepted}'
+        else:
+            cure = f'a sensitivity belongs in gain, with unit = "V"; or use {wanted.accepted}'
+    else:
+        cure = f"use {wanted.accepted}"
     if not angular and _fits(dimension, _quantity(quantity, True).dimension, quantity):
         cure += "; if it turns, list its point in angles"
     raise UsageError(f"{_quoted(unit)} is not a unit of {_described(quantity, angular)}", cure=cure)
@@ -295,14 +301,6 @@ def _fits(dimension: Dimension, wanted: Dimension, quantity: str) -> bool:
     if quantity == "mass" and wanted[0] == 2:
         return dimension in (plain, (*wanted[:3], -1, *wanted[4:]), squared)
     return quantity in _RADIAN_MAY_LACK and dimension == plain
-
-
-def _remedy(dimension: Dimension, wanted: _Quantity) -> str:
-    if dimension[4] or dimension[5]:
-        if dimension in (VOLTAGE, COUNT):
-            return f'say gain = "unknown" to estimate it, or a sensitivity, or use {wanted.accepted}'
-        return f'a sensitivity belongs in gain, with unit = "V"; or use {wanted.accepted}'
-    return f"use {wanted.accepted}"
 
 
 # Reading of products, quotients and powers

@@ -53,9 +53,11 @@ def eigenmodes(model: Model, p: Real) -> Modes:
         nothing = np.zeros((0, 0), dtype=np.complex128)
         return Modes(nothing.ravel(), nothing, np.zeros((0, len(model.elements)), dtype=np.complex128))
     parts = matrices(model, p)
-    sizes = _sizes(parts)
-    rate = _typical_rate(*sizes)
-    poles, shapes = _upper_half(parts, sizes, rate)
+    # The largest entries of M, C and K + jH
+    stiffness = np.hypot(parts.K, parts.H) if parts.H.any() else parts.K
+    inertia, damping, stiff = (float(np.abs(matrix).max()) for matrix in (parts.M, parts.C, stiffness))
+    rate = _typical_rate(inertia, damping, stiff)
+    poles, shapes = _upper_half(parts, (inertia, damping, stiff), rate)
     poles = poles * rate
     if not (parts.C.any() or parts.H.any()):  # λ² is real: what rounding leaves beside it is no damping
         poles = np.where(np.abs(poles.imag) >= np.abs(poles.real), 1j * poles.imag, poles.real)
@@ -129,13 +131,6 @@ def _floats(K: Complex | Real) -> bool:
         return True
     singular = np.linalg.svd(K / np.outer(size, size), compute_uv=False)
     return bool(singular[-1] < 1e-13 * len(K) * singular[0])
-
-
-def _sizes(parts: Matrices) -> tuple[float, float, float]:
-    """The largest entries of M, C and K + jH."""
-    stiffness = np.hypot(parts.K, parts.H) if parts.H.any() else parts.K
-    inertia, damping, stiff = (float(np.abs(matrix).max()) for matrix in (parts.M, parts.C, stiffness))
-    return inertia, damping, stiff
 
 
 def _typical_rate(M: float, C: float, K: float, damping: float = 0.5, otherwise: float = 1.0) -> float:

@@ -333,23 +333,18 @@ def observation_model(
     experiment = experiment if model.differs else None
     key = (*map(id, channels), omega.tobytes(), None if experiment is None else experiment.tobytes())
     if key not in model.views:
-        model.views[key] = _observation_model(model, tuple(channels), omega, experiment)
+        channels = tuple(channels)
+        on_x, on_q, force = channel_incidence(model, channels)
+        derivative = [0 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in channels]
+        gain, delay = calibration_indices(channels)
+        # A gain of which nothing is known holds the sign, too.
+        flips = [c.sign is None and (c.gain is not None or c.gain_prior is not None) for c in channels]
+        orders, signs = frozen(derivative, np.int64), frozen(flips, np.bool_)
+        at = frozen(omega, np.float64)
+        model.views[key] = ObservationModel(
+            model, channels, at, on_x, on_q, orders, force, gain, delay, signs, None, experiment
+        )
     return cast(ObservationModel, model.views[key])
-
-
-def _observation_model(
-    model: Model, channels: tuple[Channel, ...], omega: Real, experiment: Ints | None
-) -> ObservationModel:
-    on_x, on_q, force = channel_incidence(model, channels)
-    derivative = [0 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in channels]
-    gain, delay = calibration_indices(channels)
-    # A gain of which nothing is known holds the sign, too.
-    flips = [c.sign is None and (c.gain is not None or c.gain_prior is not None) for c in channels]
-    orders, signs = frozen(derivative, np.int64), frozen(flips, np.bool_)
-    at = frozen(omega, np.float64)
-    return ObservationModel(
-        model, channels, at, on_x, on_q, orders, force, gain, delay, signs, None, experiment
-    )
 
 
 # Calibrations

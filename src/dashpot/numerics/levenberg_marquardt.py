@@ -171,7 +171,10 @@ class _Search:
         usable = np.all(np.isfinite(step), axis=-1)
         with np.errstate(all="ignore"):  # steps from where there is no cost yet, or into the infinite
             # The cost is rounded by that much where the noise of stiff chains is ill-conditioned.
-            promised, blur = _promised(around, trial - x), 1e-10 * np.abs(around.cost)
+            # By how much a step would lower the cost were it the parabola that Gauss and Newton take it for
+            step = trial - x
+            bent = np.einsum("ki,kij,kj->k", step, around.symmetric, step)
+            promised, blur = 2 * np.sum(around.gradient * step, axis=-1) - bent, 1e-10 * np.abs(around.cost)
             # A step that promises less than the rounding of the cost is not refused for that rounding.
             allowed = np.where(promised <= blur, blur, 1e-12 * around.cost + 1e-12)
             better = usable & (there.cost <= around.cost + allowed)
@@ -238,12 +241,6 @@ def _curved(
         convex = np.linalg.eigvalsh(scaled)[:, 0] > 1e-6
     free = np.where(convex[:, None, None], curvature, around.free)
     return QuadraticModel(around.cost, around.gradient, around.symmetric, free), convex
-
-
-def _promised(around: QuadraticModel, step: Real) -> Real:
-    """By how much a step would lower the cost were it the parabola that Gauss and Newton take it for."""
-    bent = np.einsum("ki,kij,kj->k", step, around.symmetric, step)
-    return 2 * np.sum(around.gradient * step, axis=-1) - bent
 
 
 def _step(

@@ -82,7 +82,15 @@ def identification_report(
             short(float(end), 4) for end in (spectrum.frequency_hz.min(), spectrum.frequency_hz.max())
         )
         subtitle += f" {spectrum.lines} lines from {low} to {high} Hz."
-    statements = _statements(estimate, names)
+    # The verdict with its numbers and the motion that is left over; the headline has said the verdict itself
+    assessment = estimate.assessment
+    if assessment is None:
+        statements = []
+    else:
+        causes = set(diagnosis_in_words(assessment.findings))
+        said = f"{VERDICTS[assessment.verdict][0]}: "
+        texts = [part.text for part in fit_paragraphs(estimate) if part.text not in causes]
+        statements = [capitalised(text.removeprefix(said), names) for text in texts]
     statements += [f"Held out and predicted: {text}" for text in fits_in_words(held_out)]
     curved = [model.elements[i].name for i in model.nonlinear]
     if curved:
@@ -145,17 +153,6 @@ def failure_report(
             provenance=provenance,
         )
     )
-
-
-def _statements(estimate: Estimate, names: Collection[str]) -> list[str]:
-    """The verdict with its numbers and the motion that is left over; the headline has said the verdict itself."""
-    assessment = estimate.assessment
-    if assessment is None:
-        return []
-    causes = set(diagnosis_in_words(assessment.findings))
-    said = f"{VERDICTS[assessment.verdict][0]}: "
-    texts = [part.text for part in fit_paragraphs(estimate) if part.text not in causes]
-    return [capitalised(text.removeprefix(said), names) for text in texts]
 
 
 def fit_figure(model: Model, spectrum: Spectrum, estimate: Estimate) -> Figure:

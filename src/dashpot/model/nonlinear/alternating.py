@@ -14,7 +14,6 @@ import numpy as np
 from dashpot.arrays import Bools, Ints, Real, frozen
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.compiled import compiled_forces, compiled_rig
-from dashpot.model.nonlinear.expression import Dual
 from dashpot.model.nonlinear.force_law import ForceLaw
 
 
@@ -97,11 +96,21 @@ def alternate(
         at = law(d, v, d, g)
         a[:, row] = np.broadcast_to(at.value, d.shape) @ back.T
         if slopes:
-            by_d, by_v, inner = _partials(at, law.constant_names, d)
+            # ∂φ/∂d, ∂φ/∂v (N, times) and ∂φ/∂g (N, times, G) of a law without a state
+            zero = np.zeros_like(d)
+            by_d = np.broadcast_to(at.slopes.get("d", zero), d.shape)
+            by_v = np.broadcast_to(at.slopes.get("v", zero), d.shape)
+            columns = [np.broadcast_to(at.slopes.get(name, zero), d.shape) for name in law.constant_names]
+            by_g = np.stack(columns, -1) if columns else np.zeros((*d.shape, 0))
             slope[:, row] = modulated(by_d, (W - 1) // 2)
             if "v" in at.slopes:
-                slope[:, row] += _along_rates(modulated(by_v * omega[:, None], (W - 1) // 2))
-            by_constant.append(back @ inner)
+                # Along q for slopes along the harmonics of dδ/d(ωt): Re X_h goes with −h Im, Im with h Re
+                by_rate = modulated(by_v * omega[:, None], (W - 1) // 2)
+                h = np.arange(1, (W + 1) // 2)
+                turned = np.zeros_like(by_rate)
+                turned[..., 1::2], turned[..., 2::2] = h * by_rate[..., 2::2], -h * by_rate[..., 1::2]
+                slope[:, row] += turned
+            by_constant.append(back @ by_g)
     return Alternated(a, slope, tuple(by_constant), tuple(states))
 
 
@@ -122,23 +131,6 @@ def modulated(g: Real, orders: int) -> Real:
     both[:, 1::2, 1::2], both[:, 2::2, 2::2] = c[:, less] + c[:, more], c[:, less] - c[:, more]
     both[:, 1::2, 2::2], both[:, 2::2, 1::2] = s[:, less] - s[:, more], -s[:, less] - s[:, more]
     return both
-
-
-def _along_rates(by_rate: Real) -> Real:
-    """Slopes along q for slopes along the harmonics of dδ/d(ωt), (N, W, W): Re X_h goes with −h Im, Im with h Re."""
-    h = np.arange(1, (by_rate.shape[-1] + 1) // 2)
-    along = np.zeros_like(by_rate)
-    along[..., 1::2], along[..., 2::2] = h * by_rate[..., 2::2], -h * by_rate[..., 1::2]
-    return along
-
-
-def _partials(at: Dual, names: tuple[str, ...], d: Real) -> tuple[Real, Real, Real]:
-    """∂φ/∂d, ∂φ/∂v (N, times) and ∂φ/∂g (N, times, G) of a law without a state."""
-    nothing = np.zeros_like(d)
-    by_d = np.broadcast_to(at.slopes.get("d", nothing), d.shape)
-    by_v = np.broadcast_to(at.slopes.get("v", nothing), d.shape)
-    columns = [np.broadcast_to(at.slopes.get(name, nothing), d.shape) for name in names]
-    return by_d, by_v, np.stack(columns, -1) if columns else np.zeros((*d.shape, 0))
 
 
 def _with_state(

@@ -123,39 +123,31 @@ def stable_motions(model: Model, theta: Real, drive: Drive, at: Periodic) -> Boo
         return np.abs(multipliers[:, 0]) <= 1 + 1e-6  # rounding of what does not decay
 
 
-def _period(model: Model, theta: Real, drive: Drive, row: int, times: int) -> Integrator:
-    """The integrator of one dwell over a period; the spline of its inputs goes on beyond both ends."""
-    there, _, _ = period_basis(drive.orders, times)
-    inputs = np.concatenate([drive.U[row], drive.f[row]], axis=-1)
-    period = there @ real_of(inputs.T).T
-    lead = times // 4
-    longer = np.concatenate([period[-lead:], period, period[: lead + 1]])
-    step = 2 * np.pi / (drive.omega[row] * times)
-    whole = forcing(step, longer)
-    return Integrator(model, theta, Forcing(step, whole.coefficients[lead : lead + times]), 1)
-
-
-def _states(model: Model, drive: Drive, at: Periodic, row: int, times: int) -> Real:
-    """Coordinates, their rates and the states of laws at the instants of the period, (times, states)."""
-    there, rate, _ = period_basis(drive.orders, times)
-    q = real_of(at.X[row].T).T
-    parts = [there @ q, drive.omega[row] * (rate @ q)]
-    for state in at.forces.states:
-        if state.shape[1]:
-            instants = np.arange(times) * state.shape[1] / times
-            parts.append(
-                np.interp(instants, np.arange(state.shape[1]), state[row], period=state.shape[1])[:, None]
-            )
-    return np.concatenate(parts, axis=1)
-
-
 def _integrated(model: Model, theta: Real, drive: Drive, at: Periodic, times: int) -> Real:
     """Monodromy matrices by integration from the states of the harmonic balance, (N, states, states)."""
     first = np.arange(0, times, times // SEGMENTS)
     rows = []
     for row in range(len(drive.omega)):
-        machine = _period(model, theta, drive, row, times)
-        state = _states(model, drive, at, row, times)[first]
+        # The integrator of one dwell over a period; the spline of its inputs goes on beyond both ends
+        there, _, _ = period_basis(drive.orders, times)
+        inputs = np.concatenate([drive.U[row], drive.f[row]], axis=-1)
+        period = there @ real_of(inputs.T).T
+        lead = times // 4
+        longer = np.concatenate([period[-lead:], period, period[: lead + 1]])
+        step = 2 * np.pi / (drive.omega[row] * times)
+        whole = forcing(step, longer)
+        machine = Integrator(model, theta, Forcing(step, whole.coefficients[lead : lead + times]), 1)
+        # Coordinates, their rates and the states of laws at the instants of the period, (times, states)
+        there, rate, _ = period_basis(drive.orders, times)
+        q = real_of(at.X[row].T).T
+        parts = [there @ q, drive.omega[row] * (rate @ q)]
+        for state in at.forces.states:
+            if state.shape[1]:
+                instants = np.arange(times) * state.shape[1] / times
+                parts.append(
+                    np.interp(instants, np.arange(state.shape[1]), state[row], period=state.shape[1])[:, None]
+                )
+        state = np.concatenate(parts, axis=1)[first]
         slope = np.zeros((len(first), machine.states, machine.states))
         slope[:] = np.eye(machine.states)
         with np.errstate(all="ignore"):

@@ -88,7 +88,17 @@ def tangent(
     state = motion.state[:-1]
     slope = np.zeros((N - 1, machine.states, machine.states + 4 * q))
     slope[:, range(machine.states), range(machine.states)] = 1.0
-    known = _forces_of_intervals(machine, motion)
+    # The forces that a motion was found with, (samples − 1, substeps, …); None where it does not tell
+    steps = len(motion.forces)
+    if not steps or steps % machine.substeps:
+        known = None
+    else:
+        S = len(motion.starts)
+        parts = []
+        for part in range(2):
+            each = np.stack([motion.forces[k][part] for k in range(steps)], axis=1)
+            parts.append(each.reshape(S * steps // machine.substeps, machine.substeps, *each.shape[2:]))
+        known = parts[0][: machine.drive.intervals], parts[1][: machine.drive.intervals]
     for sub, moved in enumerate(machine.input_loads()):
         index = np.arange(N - 1) * machine.substeps + sub
         guess = None if known is None else (known[0][:, sub], known[1][:, sub])
@@ -162,19 +172,6 @@ class _Instants:
                 if power == 2:
                     by_input[:, i] += model.B[i] @ accelerations
         return by_state[..., : machine.states], machine.p[:, None] * by_input
-
-
-def _forces_of_intervals(machine: Integrator, motion: Motion) -> PointForces | None:
-    """The forces that a motion was found with, (samples − 1, substeps, …); None where it does not tell."""
-    steps = len(motion.forces)
-    if not steps or steps % machine.substeps:
-        return None
-    S = len(motion.starts)
-    parts = []
-    for part in range(2):
-        each = np.stack([motion.forces[k][part] for k in range(steps)], axis=1)
-        parts.append(each.reshape(S * steps // machine.substeps, machine.substeps, *each.shape[2:]))
-    return parts[0][: machine.drive.intervals], parts[1][: machine.drive.intervals]
 
 
 def spline_coefficients(values: Real) -> Real:

@@ -54,7 +54,24 @@ def full_scale_gain(
     """
     full_scale, gain = entry.full_scale, entry.gain
     assert full_scale is not None
-    codes = _codes(entry, unit)
+    # How many raw units the full scale is
+    bits = entry.bits
+    if unit == SHARE:
+        if bits is not None:
+            raise UsageError(
+                "bits of a channel in shares of the full scale", cure='leave bits out, or say unit = "counts"'
+            )
+        codes = 1.0
+    else:
+        if unit not in (COUNTS, "count"):
+            raise UsageError(
+                f"a full scale of a channel in {unit}", cure='say unit = "counts" or "FS", or leave it out'
+            )
+        if bits is None:
+            raise UsageError("the counts at full scale are not given", cure="add bits, such as bits = 16")
+        if bits != int(bits) or not 2 <= bits <= 64:
+            raise UsageError(f"a converter of {bits:g} bits", cure="give a whole number from 2 to 64")
+        codes = 2.0 ** (int(bits) - 1)
     size = number_of(full_scale)
     of_scale = full_scale.unit if isinstance(full_scale, Amount) else None
     if not size > 0:
@@ -77,26 +94,6 @@ def full_scale_gain(
             cure="leave the gain out, or give the full scale in V",
         )
     return codes / (size if of_scale is None else size * scale_of_points(of_scale, quantity, arms, angles))
-
-
-def _codes(entry: ChannelEntry, unit: str) -> float:
-    """How many raw units the full scale is."""
-    bits = entry.bits
-    if unit == SHARE:
-        if bits is not None:
-            raise UsageError(
-                "bits of a channel in shares of the full scale", cure='leave bits out, or say unit = "counts"'
-            )
-        return 1.0
-    if unit not in (COUNTS, "count"):
-        raise UsageError(
-            f"a full scale of a channel in {unit}", cure='say unit = "counts" or "FS", or leave it out'
-        )
-    if bits is None:
-        raise UsageError("the counts at full scale are not given", cure="add bits, such as bits = 16")
-    if bits != int(bits) or not 2 <= bits <= 64:
-        raise UsageError(f"a converter of {bits:g} bits", cure="give a whole number from 2 to 64")
-    return 2.0 ** (int(bits) - 1)
 
 
 def read_channels(reading: RigReading) -> list[Channel] | None:

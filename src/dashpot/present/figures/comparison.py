@@ -205,7 +205,20 @@ def _panel(
 ) -> bool:
     """Draws one unknown; whether some interval runs out of the picture."""
     place = np.arange(len(methods))
-    left, right = _view(value, low, high, truth)
+    # What part of the axis is shown: all of the intervals but those WIDE times wider than the narrowest
+    width = high - low
+    finite = np.isfinite(width) & (width > 0)
+    if not np.any(finite):
+        middle = float(np.nanmean(value))
+        left, right = middle - max(abs(middle), 1.0), middle + max(abs(middle), 1.0)
+    else:
+        # 6.0: times the narrowest interval: wider ones run out of the picture, for the others would be dots
+        shown = finite & (width <= 6.0 * np.min(width[finite]))
+        ends = [float(np.min(low[shown])), float(np.max(high[shown]))]
+        if truth is not None:
+            ends.append(truth)
+        margin = 0.08 * (max(ends) - min(ends))
+        left, right = min(ends) - margin, max(ends) + margin
     wider = False
     if truth is not None:
         axes.axvline(truth, color=INK, lw=0.9)
@@ -227,19 +240,3 @@ def _panel(
     axes.spines["left"].set_visible(False)
     axes.ticklabel_format(axis="x", useOffset=False, scilimits=(-4, 6))
     return wider
-
-
-def _view(value: Real, low: Real, high: Real, truth: float | None) -> tuple[float, float]:
-    """What part of the axis is shown: all of the intervals but those WIDE times wider than the narrowest."""
-    width = high - low
-    finite = np.isfinite(width) & (width > 0)
-    if not np.any(finite):
-        middle = float(np.nanmean(value))
-        return middle - max(abs(middle), 1.0), middle + max(abs(middle), 1.0)
-    # 6.0: times the narrowest interval: wider ones run out of the picture, for the others would be dots
-    shown = finite & (width <= 6.0 * np.min(width[finite]))
-    ends = [float(np.min(low[shown])), float(np.max(high[shown]))]
-    if truth is not None:
-        ends.append(truth)
-    margin = 0.08 * (max(ends) - min(ends))
-    return min(ends) - margin, max(ends) + margin

@@ -143,7 +143,22 @@ def plan_figure(
     over.yaxis.set_major_locator(MaxNLocator(5, integer=dwell_unit == "samples"))
     over.tick_params(axis="y", colors=OTHER)
     top.set_title(title)
-    _heat(middle, frequency_hz, names, shares, dwells_hz)
+    edges = (
+        np.concatenate([[frequency_hz[0]], np.sqrt(frequency_hz[1:] * frequency_hz[:-1]), [frequency_hz[-1]]])
+        if len(frequency_hz) > 1
+        else np.array([frequency_hz[0] / 1.1, frequency_hz[0] * 1.1])
+    )
+    look: dict[str, Any] = {"cmap": HEAT, "vmin": 0, "vmax": 3, "rasterized": True}
+    mesh = middle.pcolormesh(edges, np.arange(len(names) + 1), np.clip(shares.T, 0, 3), **look)
+    middle.vlines(dwells_hz, 0, len(names), color=OTHER, lw=1.0, ls=(0, (2, 2)))
+    middle.set_ylim(len(names), 0)
+    row_names(middle, [i + 0.5 for i in range(len(names))], names)
+    middle.grid(False)
+    middle.set_title("What a sample at each frequency tells about each parameter")
+    _axis(middle, frequency_hz)
+    middle.set_xlabel("frequency, Hz")
+    bar = heat_bar(mesh, middle, "× mean", [0, 1, 2, 3])
+    bar.ax.set_yticklabels(["0", "1", "2", "≥ 3"])
     _intervals(bottom, bars, tests)
     if len(dwells_hz) <= 8:  # of more dwells the names have no room
         figure.draw_without_rendering()  # the layout, by which places are known
@@ -179,25 +194,6 @@ def _name_dwells(axes: Axes, dwells_hz: Real, dwells: Real) -> None:
                 names.append(box.padded(CLEAR))
                 break
             text.remove()
-
-
-def _heat(axes: Axes, f: Real, names: Sequence[str], shares: Real, dwells_hz: Real) -> None:
-    edges = (
-        np.concatenate([[f[0]], np.sqrt(f[1:] * f[:-1]), [f[-1]]])
-        if len(f) > 1
-        else np.array([f[0] / 1.1, f[0] * 1.1])
-    )
-    look: dict[str, Any] = {"cmap": HEAT, "vmin": 0, "vmax": 3, "rasterized": True}
-    mesh = axes.pcolormesh(edges, np.arange(len(names) + 1), np.clip(shares.T, 0, 3), **look)
-    axes.vlines(dwells_hz, 0, len(names), color=OTHER, lw=1.0, ls=(0, (2, 2)))
-    axes.set_ylim(len(names), 0)
-    row_names(axes, [i + 0.5 for i in range(len(names))], names)
-    axes.grid(False)
-    axes.set_title("What a sample at each frequency tells about each parameter")
-    _axis(axes, f)
-    axes.set_xlabel("frequency, Hz")
-    bar = heat_bar(mesh, axes, "× mean", [0, 1, 2, 3])
-    bar.ax.set_yticklabels(["0", "1", "2", "≥ 3"])
 
 
 def _intervals(axes: Axes, names: Sequence[str], tests: Sequence[Bars]) -> None:

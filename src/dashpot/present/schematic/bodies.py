@@ -102,7 +102,16 @@ def connections(model: Model, channels: Sequence[Channel] = ()) -> Connections:
     ]
     for k, lever in enumerate(levers):
         links += [Link("rigid", body, count + k, factor=factor) for body, factor in lever.along]
-    links += _relative(channels, body_of, links)
+    # Channels that show the difference of two bodies which something joins, as links beside it
+    joined = {frozenset((link.first, link.second)) for link in links}
+    found = []
+    for i, channel in enumerate(channels):
+        if channel.quantity is Quantity.FORCE or sorted(channel.of.values()) != [-1.0, 1.0]:
+            continue
+        pair = [body_of[point] for point in channel.of]
+        if len(set(pair)) == 2 and frozenset(pair) in joined:
+            found.append(Link("sensor", pair[0], pair[1], i))
+    links += found
     return Connections(
         tuple(bodies),
         tuple(links),
@@ -154,19 +163,6 @@ def _pushes(model: Model, body_of: Mapping[str, int]) -> Iterable[Push]:
         if source.kind == "force":
             for coordinate, factor in source.at.items():
                 yield Push(body_of[coordinate], source.name, factor, coordinate in model.angles)
-
-
-def _relative(channels: Sequence[Channel], body_of: Mapping[str, int], links: Sequence[Link]) -> list[Link]:
-    """Channels that show the difference of two bodies which something joins, as links beside it."""
-    joined = {frozenset((link.first, link.second)) for link in links}
-    found = []
-    for i, channel in enumerate(channels):
-        if channel.quantity is Quantity.FORCE or sorted(channel.of.values()) != [-1.0, 1.0]:
-            continue
-        ends = [body_of[point] for point in channel.of]
-        if len(set(ends)) == 2 and frozenset(ends) in joined:
-            found.append(Link("sensor", ends[0], ends[1], i))
-    return found
 
 
 # The order in which bodies are drawn: a tree from left to right, and the links that skip bodies.

@@ -299,7 +299,21 @@ def folded(drawn: Sequence[Part], width: float, height: float) -> tuple[list[Par
     Cut are level lines between symbols alone, and each cut is marked at both ends.  What is narrow enough stays as it
     is.
     """
-    cuts = _cuts(_uncut(drawn), width)
+    # Spans, px from the left, in which nothing is cut: symbols, bodies, texts and upright lines
+    spans = []
+    for part in drawn:
+        spans += [(text.box.left, text.box.right) for text in part.texts]
+        upright = [
+            x
+            for shape in part.shapes
+            for a, b in pairwise(shape.points)
+            if shape.closed or a.y != b.y
+            for x in (a.x, b.x)
+        ]
+        if part.title and upright:
+            spans.append((min(upright), max(upright)))
+        spans += [(x, x) for x in upright]
+    cuts = _cuts([(left - 3.0, right + 3.0) for left, right in spans], width)
     if not cuts:
         return list(drawn), width, height
     ends = [0.0, *cuts, width]
@@ -335,24 +349,6 @@ def _cuts(uncut: Sequence[tuple[float, float]], width: float) -> list[float]:
         if possible:
             cuts.append(min(possible, key=lambda x: abs(x - wanted)))
     return cuts
-
-
-def _uncut(drawn: Sequence[Part]) -> list[tuple[float, float]]:
-    """Spans, px from the left, in which nothing is cut: symbols, bodies, texts and upright lines."""
-    spans = []
-    for part in drawn:
-        spans += [(text.box.left, text.box.right) for text in part.texts]
-        upright = [
-            x
-            for shape in part.shapes
-            for a, b in pairwise(shape.points)
-            if shape.closed or a.y != b.y
-            for x in (a.x, b.x)
-        ]
-        if part.title and upright:
-            spans.append((min(upright), max(upright)))
-        spans += [(x, x) for x in upright]
-    return [(left - 3.0, right + 3.0) for left, right in spans]  # px of room on either side
 
 
 def _within(part: Part, left: float, right: float) -> Part:
