@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import click
 
@@ -94,6 +94,19 @@ class RecordOptions:
         opt.Option("--noise-record FILE", opt.INPUT_FILE, opt.RECORDS, multiple=True),
         "A record at rest, which gives the noise of every channel.  May be repeated.",
     ]
+
+    @classmethod
+    def usual(cls) -> RecordOptions:
+        """Those of a command line that names none, quiet."""
+        options = {
+            name: next(each for each in hint.__metadata__ if isinstance(each, opt.Option)).attributes
+            for name, hint in get_type_hints(cls, include_extras=True).items()
+            if name != "quiet"
+        }
+        values: dict[str, Any] = {
+            name: each.get("default", () if each.get("multiple") else None) for name, each in options.items()
+        }
+        return cls(True, **values)
 
     def reading(self, rig: Rig, paths: Sequence[str]) -> Reading:
         """What data files hold, with what was noticed told.

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dashpot.estimate.result import Estimate
     from dashpot.fleet.data_sets import Treatment
     from dashpot.model.rigfile import Rig
+    from dashpot.present.document import Provenance
 
 ESTIMATION = "Estimation"
 
@@ -102,47 +103,33 @@ def command(
     else:
         sharing = {"--workers": workers is not None, "--dask": dask is not None}
         _refuse(sharing, "{} shares out the parts of --in-parts", "give that too, or leave it out")
-    of_modes = len(data) == 1 and holds_modes(data[0])
-    if of_modes:
+    modal = len(data) == 1 and holds_modes(data[0])
+    if modal:
         options = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices, **whole}
         options |= {"--in-parts": in_parts, "--within": within is not None}
         _refuse(options, "{path} holds modes, to which {} does not apply", "leave {} out", path=data[0])
     read = read_rig(rig)
     read = read if within is None else replace(read, within=within)
-    if in_parts or of_modes:
+    if in_parts or modal:
         read.require_alike("--in-parts" if in_parts else "identification from measured modes")
     with report.of_failure(read), _remedy_written(read, apply):
-        if of_modes:
-            found = Identified(_of_modes(read, data[0], modal_sd, seed, quiet))
+        if modal:
+            found = Identified(of_modes(read, data[0], modal_sd, seed, quiet))
         else:
-            _require_answer(read, chosen, positive, matrices)
+            require_answer(read, chosen, positive, matrices)
             if in_parts:
                 treatment = records.treatment(read, chosen, positive, seed)
                 found = Identified(_in_parts(read, data, treatment, workers, dask, quiet))
             else:
                 shares = (hold_out or 0.0, figure is not None, bool(report))
-                found = _identified(read, data, records, chosen, positive, seed, *shares)
+                found = identified(read, data, records, chosen, positive, seed, *shares)
     estimate = found.estimate
     if figure is not None:
-        _draw(figure, read, found)
+        found.draw(figure, read)
     if report:
-        from dashpot.present.identification import identification_report
-
-        page = identification_report(
-            read.model,
-            found.spectrum,
-            estimate,
-            level,
-            report.provenance,
-            channels=read.channels,
-            held_out=found.held,
-            untried=found.untried,
-            dwells=found.dwells,
-            histories=found.histories,
-        )
-        report.write(page)
+        report.write(found.report(read, level, report.provenance))
     opt.write_result(json_out, estimate.to_json())
-    useful = _with_a_line(() if estimate.assessment is None else estimate.assessment.findings)
+    useful = with_a_line(() if estimate.assessment is None else estimate.assessment.findings)
     if apply is not None and useful:
         _write_applied(read, useful[0], apply)
     if not quiet and json_out != opt.STDOUT:
@@ -168,8 +155,38 @@ class Identified:
     held: tuple[RecordPrediction, ...] = ()
     histories: tuple[RecordPrediction, ...] = ()
 
+    def report(self, rig: Rig, level: float, provenance: Provenance) -> str:
+        """The report, HTML."""
+        from dashpot.present.identification import identification_report
 
-def _identified(
+        return identification_report(
+            rig.model,
+            self.spectrum,
+            self.estimate,
+            level,
+            provenance,
+            channels=rig.channels,
+            held_out=self.held,
+            untried=self.untried,
+            dwells=self.dwells,
+            histories=self.histories,
+        )
+
+    def draw(self, path: str, rig: Rig) -> None:
+        """Draw the fit: of records without a spectrum, their histories.  Raises UsageError where nothing is driven."""
+        from dashpot.present.figures.style import write_figure
+
+        if self.spectrum is None:
+            from dashpot.present.figures.spectra import drawn_of, prediction_figure
+
+            write_figure(path, prediction_figure(drawn_of(self.histories)))
+        else:
+            from dashpot.present.identification import fit_figure
+
+            write_figure(path, fit_figure(rig.model, self.spectrum, self.estimate))
+
+
+def identified(
     rig: Rig,
     data: Sequence[str],
     options: RecordOptions,
@@ -221,7 +238,7 @@ def _identified(
     return found
 
 
-def _of_modes(
+def of_modes(
     rig: Rig, path: str, relative_sd: tuple[float, float, float], seed: int, quiet: bool
 ) -> Estimate:
     """From a file of measured modes."""
@@ -263,7 +280,7 @@ def _refuse(options: Mapping[str, bool], what: str, cure: str, **words: str) -> 
             raise UsageError(what.format(name, **words), cure=cure.format(name))
 
 
-def _require_answer(rig: Rig, chosen: str, positive: bool, matrices: bool) -> None:
+def require_answer(rig: Rig, chosen: str, positive: bool, matrices: bool) -> None:
     """All that can be refused before data are read."""
     from dashpot.check.deficiencies import require_identifiable
     from dashpot.check.structure import require_scale_seen
@@ -292,7 +309,7 @@ def _remedy_written(rig: Rig, path: str | None) -> Iterator[None]:
     try:
         yield
     except DashpotError as error:
-        useful = _with_a_line(error.causes)
+        useful = with_a_line(error.causes)
         if path is None or not useful:
             raise
         _write_applied(rig, useful[0], path)
@@ -300,7 +317,7 @@ def _remedy_written(rig: Rig, path: str | None) -> Iterator[None]:
         raise type(error)([*error.problems, written]) from error
 
 
-def _with_a_line(findings: Sequence[object]) -> list[Finding]:
+def with_a_line(findings: Sequence[object]) -> list[Finding]:
     """Those that have a line of the rig file to write."""
     from dashpot.estimate.assessment import Finding
 
@@ -309,8 +326,14 @@ def _with_a_line(findings: Sequence[object]) -> list[Finding]:
 
 def _write_applied(rig: Rig, finding: Finding, path: str) -> None:
     """Write the rig file with the remedy of a finding taken."""
-    from dashpot.estimate.assessment import applied
     from dashpot.io.atomic import write_text
+
+    write_text(path, corrected(rig, finding))
+
+
+def corrected(rig: Rig, finding: Finding) -> str:
+    """The text of a rig's file with the remedy of a finding taken: one edit, the rest as it was written."""
+    from dashpot.estimate.assessment import applied
     from dashpot.io.ledger import noted
     from dashpot.model.rigfile import edited
 
@@ -321,21 +344,7 @@ def _write_applied(rig: Rig, finding: Finding, path: str) -> None:
         for each in rig.experiments
     )
     after = replace(rig, model=model, channels=usual, experiments=experiments)
-    write_text(path, edited(Path(noted(rig.path)).read_text(encoding="utf-8"), rig, after))
-
-
-def _draw(path: str, rig: Rig, found: Identified) -> None:
-    """Draw the fit: of records without a spectrum, their histories."""
-    from dashpot.present.figures.style import write_figure
-
-    if found.spectrum is None:
-        from dashpot.present.figures.spectra import drawn_of, prediction_figure
-
-        write_figure(path, prediction_figure(drawn_of(found.histories)))
-    else:
-        from dashpot.present.identification import fit_figure
-
-        write_figure(path, fit_figure(rig.model, found.spectrum, found.estimate))
+    return edited(Path(noted(rig.path)).read_text(encoding="utf-8"), rig, after)
 
 
 def _show(rig: Rig, found: Identified, level: float, matrices: bool) -> None:
