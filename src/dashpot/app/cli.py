@@ -158,7 +158,7 @@ def run(args: Sequence[str] | None = None) -> int:
                 return _stopped(asked_by)
             if os.environ.get(TRACEBACK) and not lacked(error):
                 raise
-        lines, code = _account(error)
+        lines, code = account(error)
         _tell(lines)
         return code
     return result if isinstance(result, int) else 0
@@ -174,7 +174,7 @@ def _stopped(asked: BaseException) -> int:
     return INTERRUPTED
 
 
-def _account(error: Exception) -> tuple[list[str], int]:
+def account(error: Exception) -> tuple[list[str], int]:
     """What is said of an error, one line for each problem, and the exit code.
 
     What the system refuses is the user's to mend; anything else that nobody foresaw is a fault of the program.

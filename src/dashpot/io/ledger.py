@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -23,16 +23,22 @@ Key = str | tuple[int, int]
 
 @dataclass
 class Ledger:
-    """Inputs and outputs of a run, by the places and the inodes that their paths lead to."""
+    """Inputs and outputs of a run, by the places and the inodes that their paths lead to.
+
+    allows  whether a file may be read, by its real path; None: any
+    """
 
     read: set[Key] = field(default_factory=set)
     inputs: dict[str, None] = field(default_factory=dict)  # names of the files read, in order
     claimed: dict[Key, object] = field(default_factory=dict)
     written: set[Key] = field(default_factory=set)
+    allows: Callable[[str], bool] | None = None
 
     def note_read(self, path: AnyPath) -> None:
-        """An input.  Raises UsageError where it is an output of this run."""
+        """An input.  Raises UsageError where it is an output of this run, DataError where it may not be read."""
         keys = keys_of(path)
+        if self.allows is not None and not self.allows(os.path.realpath(path)):
+            raise DataError("is outside the folder that is served", os.fspath(path), "copy it there")
         if any(key in self.claimed or key in self.written for key in keys):
             raise _overwrites(path)
         self.read.update(keys)
@@ -61,9 +67,10 @@ _current: ContextVar[Ledger | None] = ContextVar("ledger", default=None)
 
 
 @contextmanager
-def opened() -> Iterator[Ledger]:
-    """A ledger for all that is read and written inside."""
-    ledger = Ledger()
+def opened(allows: Callable[[str], bool] | None = None) -> Iterator[Ledger]:
+    """A ledger for all that is read and written inside; one opened in another allows what that does."""
+    outer = _current.get()
+    ledger = Ledger(allows=outer.allows if allows is None and outer is not None else allows)
     before = _current.set(ledger)
     try:
         yield ledger

@@ -80,26 +80,31 @@ def edited(text: str, before: Rig, after: Rig) -> str:
 
     What cannot be edited in place, since the file says it by other words, is written anew.  Raises as `write_rig`.
     """
-    import tomlkit
-
     from dashpot.model.rigfile.reader import parse_rig
 
     def written(rig: Rig) -> str:
         elements = tuple(element for element in rig.model.elements if element.block is None)
         return write_rig(replace(rig, model=replace(rig.model, elements=elements)))
 
-    document = tomlkit.parse(text)
     old, new = (tomllib.loads(written(rig)) for rig in (before, after))
-    added = _edit(document, old, new)
-    lines = tomlkit.dumps(document).splitlines(keepends=True)
-    for section, line in added:
-        _add_line(lines, section, line)
-    changed = "".join(lines)
+    changed = edited_table(text, old, new)
     try:
         again = written(replace(parse_rig(changed, before.path), within=after.within))
     except ModelError:
         return write_rig(after)
     return changed if _rounded(tomllib.loads(again)) == _rounded(new) else write_rig(after)
+
+
+def edited_table(text: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """A TOML text edited where the table `after` differs from `before`, as which it reads; the rest stays as it is."""
+    import tomlkit
+
+    document = tomlkit.parse(text)
+    added = _edit(document, before, after)
+    lines = tomlkit.dumps(document).splitlines(keepends=True)
+    for section, line in added:
+        _add_line(lines, section, line)
+    return "".join(lines)
 
 
 def _rounded(value: Any) -> Any:
