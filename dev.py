@@ -53,6 +53,7 @@ REQUIREMENTS = ROOT / "requirements"
 LOCKED = REQUIREMENTS / "locked.txt"
 PEERS_LOCKED = REQUIREMENTS / "peers-locked.txt"
 DOCS_LOCKED = REQUIREMENTS / "docs-locked.txt"
+WEB_LOCKED = REQUIREMENTS / "web-locked.txt"
 SITE = ROOT / "docs" / "_build" / "html"
 EXAMPLE = ["identify", "examples/02_shake_table/rig.toml", "examples/02_shake_table/amplitudes.csv"]
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -129,7 +130,7 @@ def extras_of(pyproject: str) -> list[str]:
     import tomllib
 
     extras = tomllib.loads(pyproject)["project"]["optional-dependencies"]
-    return [name for name in extras if name != "fast"]
+    return [name for name in extras if name not in ("fast", "web")]  # only long tests need the page
 
 
 def pip_complaint(output: str) -> str:
@@ -491,9 +492,13 @@ def processor_flags() -> set[str]:
 
 def test(extra: list[str]) -> int:
     if "--long" in extra:
-        failure = install_beside(DOCS_LOCKED, "what builds the manual")
-        if failure:
-            say(f"going on without the tests of the manual: {failure}")
+        for locked, what, tests in (
+            (DOCS_LOCKED, "what builds the manual", "the manual"),
+            (WEB_LOCKED, "what serves the page", "the page"),
+        ):
+            failure = install_beside(locked, what)
+            if failure:
+                say(f"going on without the tests of {tests}: {failure}")
     variables = {"MPLBACKEND": "Agg", **ONE_THREAD}
     if "--older" in extra:
         extra = [word for word in extra if word != "--older"]
@@ -631,6 +636,16 @@ def lock(extra: list[str]) -> int:
             (LOCKED, ["pyproject.toml", "requirements/dev.in"]),
             (PEERS_LOCKED, ["requirements/peers.in", "--constraints", "requirements/locked.txt"]),
             (DOCS_LOCKED, ["requirements/docs.in", "--constraints", "requirements/locked.txt"]),
+            (
+                WEB_LOCKED,
+                [
+                    "requirements/web.in",
+                    "--constraints",
+                    "requirements/locked.txt",
+                    "--constraints",
+                    "requirements/docs-locked.txt",
+                ],
+            ),
         ):
             target = output.relative_to(ROOT)
             code = call(

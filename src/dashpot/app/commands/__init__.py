@@ -28,6 +28,7 @@ COMMANDS: Mapping[str, str] = {
     "fleet": "Estimate the unknowns of many rigs of one kind, each from its own data.",
     "study": "Compare tests, noise levels and methods by Monte Carlo simulation.",
     "design": "Design the next test: the most informative frequencies, times and sensors.",
+    "serve": "Serve a page in the browser: drop files, identify, correct the rig, plan the next test.",
     "reproduce": "Reproduce the tables and figures of a published paper.",
     "completion": "Print the script that lets a shell complete dashpot commands.",
 }

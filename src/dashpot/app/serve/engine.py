@@ -1,0 +1,635 @@
+"""The engine of the page: calls in JSON, answers in JSON, the same as those of Python and the command line.
+
+`answer` is the whole protocol and knows of no server: a page without one calls it in its own process.  As a program
+(`python -m dashpot.app.serve.engine`) it takes a call a line from stdin and writes a line for every event to stdout:
+
+    {"call": "identify", "folder": "…", "rig": "rig.toml", "data": ["run1.csv"]}
+    {"progress": ["identify", 3, 16]}
+    {"result": {…}}                      as far as there is one: the last one is whole
+    {"done": true}                       or {"failed": {"problems": […], "code": 3}}
+
+Paths are those in `folder`, the working directory; no file outside `folder` and the folders of `reads` is read.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dashpot.errors import DashpotError, Problem, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from dashpot.channel import Channel
+    from dashpot.estimate.result import Estimate
+    from dashpot.model.rigfile import Rig
+    from dashpot.present.document import TableColumn
+
+Call = Mapping[str, Any]
+Tell = Callable[[dict[str, Any]], None]
+
+KEPT = "result.json"  # a session's own copy of what was told
+SCRATCH = ".scratch"  # folder for files in between, in that of a call
+PRIVATE = ".dashpot"  # folder of the sessions, in the one that is served
+
+
+def answer(call: Call, tell: Tell) -> None:
+    """Carry out one call; `tell` is called with every event, the last of which is "done" or "failed"."""
+    from dashpot.app.cli import account
+    from dashpot.app.workers import heard
+    from dashpot.io.json_document import to_json
+    from dashpot.io.ledger import opened
+
+    def told(event: dict[str, Any]) -> None:
+        tell(json.loads(to_json(event)))
+
+    listening = heard.set(lambda what, done, total: told({"progress": [what, done, total]}))
+    before, usual = os.getcwd(), tempfile.tempdir
+    try:
+        work = CALLS.get(str(call.get("call")))
+        if work is None:
+            raise UsageError(f"there is no call {call.get('call')!r}", cure=f"take {', '.join(CALLS)}")
+        os.chdir(call["folder"])
+        # Files in between, too, are in the folder: what a call that is ended leaves goes with the session.
+        tempfile.tempdir = os.path.join(call["folder"], SCRATCH)
+        os.makedirs(tempfile.tempdir, exist_ok=True)
+        with opened(_readable(call["folder"], call.get("reads", ()))):
+            work(call, told)
+    except Exception as error:
+        lines, code = account(error)
+        told({"failed": {"problems": _problems(error, lines), "code": code}})
+    else:
+        told({"done": True})
+    finally:
+        heard.reset(listening)
+        os.chdir(before)
+        tempfile.tempdir = usual
+
+
+def _readable(folder: str, others: Sequence[str]) -> Callable[[str], bool]:
+    """Whether a file is in the folder of the call, or in another that it names but not among other sessions there."""
+    own, rest = os.path.realpath(folder), [os.path.realpath(each) for each in others]
+
+    def within(place: str, root: str) -> bool:
+        return os.path.commonpath((root, place)) == root
+
+    def readable(place: str) -> bool:
+        shared = any(within(place, root) and not within(place, os.path.join(root, PRIVATE)) for root in rest)
+        return within(place, own) or shared
+
+    return readable
+
+
+def _problems(error: Exception, lines: Sequence[str]) -> list[dict[str, Any]]:
+    """Each problem with its text, and the line of the rig file that it names."""
+    import re
+
+    found = error.problems if isinstance(error, DashpotError) else [Problem(line) for line in lines]
+    said = []
+    for problem in found[:20]:
+        place = re.match(r"(.*\.toml):(\d+)(?::|$)", problem.where or "")
+        said.append({"text": str(problem), "line": None if place is None else int(place[2])})
+    return said
+
+
+def _command(*arguments: str) -> None:
+    """Run a command of the command line.  Raises UsageError with what it says where it fails."""
+    from dashpot.app.cli import run
+
+    said = io.StringIO()
+    with redirect_stdout(io.StringIO()), redirect_stderr(said):
+        code = run(arguments)
+    if code:
+        lines = [line.removeprefix("dashpot: ") for line in said.getvalue().splitlines() if line.strip()]
+        raise UsageError([Problem(line) for line in lines if not line.startswith("note: ")])
+
+
+# Rigs: read, drawn, edited.
+
+
+def _open(call: Call, tell: Tell) -> None:
+    """A rig's text: its parts, its channels, and its drawing."""
+    from dashpot.errors import ModelError
+    from dashpot.io.toml_document import Lines
+    from dashpot.model.rigfile import parse_rig
+
+    rig = parse_rig(call["text"], call["rig"])
+    model, lines = rig.model, Lines(call["text"])
+    sections = {element.name: f"{element.kind.section}" for element in model.elements if element.only is None}
+    parts = [
+        {
+            "name": element.name,
+            "section": sections[element.name],
+            "joins": list(element.along),
+            "value": element.value,
+            "sd": element.sd,
+            "guess": element.guess,
+            "unit": model.unit(element),
+            "line": lines.of((sections[element.name], element.name)),
+        }
+        for element in model.elements
+        if element.name in sections and not element.free and element.block is None
+    ]
+    channels = [
+        {**_shown_channel(channel), "line": lines.of(("channels", channel.name))} for channel in rig.channels
+    ]
+    try:
+        drawing = _drawn(rig)
+    except (UsageError, ModelError, DashpotError) as error:
+        drawing = {"svg": None, "why": str(error)}
+    points = [*model.coordinates, *model.displacement_inputs, "ground"]
+    tell(
+        {
+            "result": {
+                "name": model.name,
+                "parts": parts,
+                "points": points,
+                "channels": channels,
+                "drawing": drawing,
+                "coordinates": list(model.coordinates),
+                "inputs": [source.name for source in model.inputs],
+            }
+        }
+    )
+
+
+def _drawn(rig: Rig, estimate: Estimate | None = None, mode: int | None = None) -> dict[str, Any]:
+    from dashpot.api import draw
+
+    return {"svg": draw(rig, estimate, mode=mode).svg()}
+
+
+def _shown_channel(channel: Channel) -> dict[str, Any]:
+    of = " + ".join(point if factor == 1 else f"{factor:g} {point}" for point, factor in channel.of.items())
+    return {
+        "name": channel.name,
+        "column": channel.column,
+        "of": of.replace("+ -1 ", "− ").replace("+ -", "− "),
+        "quantity": channel.quantity.value,
+        "unit": channel.unit or "",
+    }
+
+
+def _edit(call: Call, tell: Tell) -> None:
+    """A rig's text with one change: {"section", "name", "set"|"add"|"rename"|"remove"}; "add" may hold a new point."""
+    import copy
+    import tomllib
+
+    from dashpot.model.rigfile import parse_rig
+    from dashpot.model.rigfile.writer import edited_table
+
+    text, change = call["text"], call["change"]
+    section, name = str(change["section"]), str(change["name"]).strip()
+    before = tomllib.loads(text)
+    after = copy.deepcopy(before)
+    entries = after.setdefault(section, {})
+    if not name:
+        raise UsageError("the name is empty", cure="write one, such as k1")
+    new = str(change.get("rename") or name).strip()
+    if "add" in change:
+        if any(name in table for table in before.values() if isinstance(table, dict)):
+            raise UsageError(f"{name} is there already", cure="choose another name")
+        entries[name] = {
+            key: _typed(value) for key, value in change["add"].items() if value not in (None, "")
+        }
+        points = after.setdefault("coordinates", [])
+        if section == "masses" and change["add"].get("at") not in points:
+            points.append(change["add"]["at"])
+    elif name not in entries:
+        raise UsageError(f"{name} is not in [{section}]", cure="choose another one")
+    elif change.get("remove"):
+        del entries[name]
+        if not entries:
+            del after[section]
+    else:
+        for key, value in change.get("set", {}).items():
+            entries[name] = entries[name] if isinstance(entries[name], dict) else {}
+            if value in (None, ""):
+                entries[name].pop(key, None)
+            else:
+                entries[name][key] = _typed(value)
+    changed = edited_table(text, before, after)
+    if new != name:
+        changed = _renamed(changed, section, name, new)
+    parse_rig(changed, call["rig"])
+    tell({"result": {"text": changed}})
+
+
+def _typed(value: Any) -> Any:
+    """What a form holds as TOML holds it: a number where it is one."""
+    if isinstance(value, str):
+        plain = value.strip().replace("−", "-")
+        for read in (int, float):
+            with suppress(ValueError):
+                return read(plain)
+        return plain
+    return value
+
+
+def _renamed(text: str, section: str, name: str, new: str) -> str:
+    """The text with an entry, and what names it (same_as, a load cell's `of`), renamed."""
+    import re
+
+    from dashpot.io.toml_document import Lines, toml_key
+    from dashpot.io.words import quoted
+
+    line = Lines(text).of((section, name))
+    assert line is not None
+    lines = text.splitlines(keepends=True)
+    key = re.compile(rf"(?<![\w-])(?:{re.escape(name)}|{re.escape(quoted(name))})(?=\s*[=.\]])")
+    lines[line - 1] = key.sub(lambda _: toml_key(new), lines[line - 1], count=1)
+    named = rf"\b(same_as|same_gain_as|of)(\s*=\s*){re.escape(quoted(name))}"
+    return re.sub(named, lambda match: f"{match[1]}{match[2]}{quoted(new)}", "".join(lines))
+
+
+# Data: what is in them, and how they match the rig.
+
+
+def _inspect(call: Call, tell: Tell) -> None:
+    """What is in data files: columns and units, how they match the channels of a rig, plots with what is masked."""
+    from dashpot.data.inspection import inspect_named
+    from dashpot.present.data import column_remarks, part_in_words
+
+    files, columns = [], dict[str, str | None]()
+    for name in call["data"]:
+        for found in inspect_named(name):
+            parts = []
+            for part in found.parts:
+                columns |= {
+                    channel.name: channel.unit for channel in part.channels if channel.name not in columns
+                }
+                rows = [
+                    {
+                        "name": c.name,
+                        "unit": c.unit or "",
+                        "rms": c.rms,
+                        "least": c.least,
+                        "greatest": c.greatest,
+                        "remarks": column_remarks(c),
+                    }
+                    for c in part.columns
+                ]
+                notes = [note.text for note in part.notes] + [str(error) for error in part.damaged[:5]]
+                parts.append({"text": part_in_words(part, found.source), "columns": rows, "notes": notes})
+            files.append({"name": os.path.basename(found.source), "format": found.format, "parts": parts})
+    result: dict[str, Any] = {"files": files, "channels": [], "plots": [], "notes": [], "problems": []}
+    rig = _parsed(call)
+    if rig is not None:
+        for channel in rig.channels:
+            there = channel.column in columns
+            unit = columns.get(channel.column)
+            result["channels"].append({**_shown_channel(channel), "found": there, "file_unit": unit or ""})
+        mapped = {channel.column for channel in rig.channels}
+        result["unused"] = [name for name in columns if name not in mapped]
+        tell({"result": result})
+        try:
+            result["plots"], result["notes"] = _plots(rig, call["data"])
+        except DashpotError as error:
+            result["problems"] = [str(problem) for problem in error.problems[:20]]
+    tell({"result": result})
+
+
+def _parsed(call: Call) -> Rig | None:
+    """The rig of a call; None where there is none, or it cannot be read yet."""
+    from dashpot.errors import ModelError
+    from dashpot.model.rigfile import parse_rig
+
+    try:
+        return parse_rig(call["text"], call["rig"]) if call.get("text") else None
+    except ModelError:
+        return None
+
+
+def _plots(rig: Rig, data: Sequence[str]) -> tuple[list[dict[str, Any]], list[str]]:
+    """A picture for each channel, as read; samples that are not used as measured are marked in it."""
+    from dashpot.api import read
+    from dashpot.data.conditioning.unmeasured import marked, marked_whole
+    from dashpot.present.figures.traces import lines_svg, trace_svg
+
+    reading = read([*data], rig)
+    notes = [note.text for note in reading.notes]
+    records = reading.records
+    if not records and reading.amplitudes is not None:
+        spectrum = reading.amplitudes
+        pictures = [
+            {
+                "name": channel.name,
+                "svg": lines_svg(
+                    channel.name,
+                    channel.unit,
+                    spectrum.frequency_hz,
+                    spectrum.amplitudes[:, i] / channel.scale,
+                ),
+            }
+            for i, channel in enumerate(spectrum.channels)
+        ]
+        return pictures, notes
+    if reading.continuous:
+        shown = [part for record in records for part in marked_whole(record)[0]]
+        notes += [note.text for record in records for note in marked_whole(record)[1]]
+    else:
+        shown, more = marked(records)
+        notes += [note.text for note in more]
+    channels = {channel.name: channel for record in shown for channel in record.channels}
+    pictures = []
+    for name, channel in channels.items():
+        stretches = []
+        for record in shown:
+            for i, each in enumerate(record.channels):
+                if each.name == name and record.values.ndim == 2:
+                    status = None if record.status is None else record.status[:, i] != 0
+                    stretches.append((record.time, record.values[:, i] / channel.scale, status))
+        pictures.append({"name": name, "svg": trace_svg(name, channel.unit, stretches)})
+    return pictures, list(dict.fromkeys(notes))
+
+
+def _start(call: Call, tell: Tell) -> None:
+    """A rig file for data that nobody has described; its questions with the answers that count so far."""
+    from dataclasses import replace
+
+    from dashpot.app.commands.new import DRIVES
+    from dashpot.check.first_rig import first_rig, seen_data
+    from dashpot.data.inspection import inspect_named
+    from dashpot.io.toml_document import PLACEHOLDER
+    from dashpot.model.rigfile.starter import starter_text
+    from dashpot.quantities import amount
+
+    answers: Mapping[str, str] = {
+        key: str(value).strip() for key, value in call.get("answers", {}).items() if value
+    }
+    seen = seen_data([found for name in call["data"] for found in inspect_named(name)])
+    questions: list[dict[str, Any]] = []
+    columns = []
+    for column in seen.columns:
+        if column.unit is None:
+            key = f"unit of {column.name}"
+            usual = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²", "force": "N"}
+            said = answers.get(key, usual.get(column.quantity or "", ""))
+            questions.append({"key": key, "ask": f"Unit of {column.name}", "answer": said})
+            column = column.in_unit(said) if said else column
+        columns.append(column)
+    seen = replace(seen, columns=tuple(columns))
+    drive: Any = answers.get("drive", seen.drive)
+    choices = {
+        "base": "The base moves",
+        "force": "A force acts",
+        "release": "The masses are let go",
+        "stand": "An element stands on a test stand",
+    }
+    assert {*DRIVES} <= {*choices}
+    questions.insert(0, {"key": "drive", "ask": "What drives the rig", "answer": drive, "choices": choices})
+    moving = [column.name for column in columns if column.quantity != "force"]
+    base = None
+    if drive == "base" and not any(column.of_base for column in columns):
+        base = answers.get("base")
+        questions.append(
+            {
+                "key": "base",
+                "ask": "Column of the base",
+                "answer": base or "",
+                "choices": {name: name for name in moving},
+            }
+        )
+    known = answers.get("mass")
+    mass = None
+    if known:
+        mass = amount(known).si("mass") if not known.replace(".", "", 1).isdigit() else float(known)
+    chain = first_rig(seen, call.get("title") or "My rig", drive, mass, answers.get("at"), base)
+    if chain.at == PLACEHOLDER or answers.get("at"):
+        places = {f"x{i + 1}": f"x{i + 1}" for i in range(chain.masses)}
+        questions.append(
+            {
+                "key": "at",
+                "ask": "Mass that the force acts on",
+                "answer": answers.get("at", ""),
+                "choices": places,
+            }
+        )
+    if chain.lacks_scale or known:
+        questions.append({"key": "mass", "ask": "Mass of x1 in kg, if weighed", "answer": known or ""})
+    tell({"result": {"text": starter_text(chain), "questions": questions}})
+
+
+# Identification, the next test, other programs.
+
+
+def _identify(call: Call, tell: Tell) -> None:
+    """An estimate as the command gives it, then its pictures and its report, in the folder `out`."""
+    from dataclasses import replace
+
+    from dashpot.app import options as opt
+    from dashpot.app.commands.identify import (
+        Identified,
+        corrected,
+        identified,
+        of_modes,
+        require_answer,
+        with_a_line,
+    )
+    from dashpot.app.data_files import RecordOptions
+    from dashpot.app.workers import progress
+    from dashpot.data.readers.modes import holds_modes
+    from dashpot.io.atomic import write_text
+    from dashpot.model.rigfile import read_rig
+    from dashpot.present.page import provenance_of
+
+    data, out = [*call["data"]], Path(call["out"])
+    rig = read_rig(call["rig"])
+    if not data:
+        raise UsageError("there are no data", cure="drop data files on the page")
+    rig = rig if call.get("within") is None else replace(rig, within=float(call["within"]))
+    chosen = str(call.get("method", "auto"))
+    if len(data) == 1 and holds_modes(data[0]):
+        shares = opt.MODAL_SD.convert("1%,20%,5%", None, None)
+        found = Identified(of_modes(rig, data[0], shares, 0, True))
+    else:
+        require_answer(rig, chosen, False, False)
+        found = identified(rig, data, RecordOptions.usual(), chosen, False, 0, 0.0, False, True)
+    estimate = found.estimate
+    write_text(out / "estimate.json", estimate.to_json())
+    result = _words(rig, estimate)
+    findings = () if estimate.assessment is None else estimate.assessment.findings
+    for cause, finding in zip(result["causes"], findings, strict=True):
+        if with_a_line([finding]):
+            cause["text_after"] = corrected(rig, finding)
+    tell({"result": result})
+    with progress("drawing"):
+        result["drawing"] = _tried(partial(_drawn, rig, estimate))
+        _tried(lambda: found.draw(str(out / "fit.svg"), rig))
+        shapes = [
+            _tried(partial(_drawn, rig, estimate, mode))
+            for mode in range(1, 1 + min(4, len(result["modes"]["rows"])))
+        ]
+        result["shapes"] = [shape["svg"] for shape in shapes if shape]
+        result["files"] = _files(out)
+    tell({"result": result})
+    with progress("report"):
+        words = " ".join(["dashpot identify", call["rig"], *data])
+        write_text(out / "report.html", found.report(rig, 0.95, provenance_of(words)))
+    result["files"] = _files(out)
+    tell({"result": result})
+
+
+def _files(folder: Path) -> list[str]:
+    """What may be downloaded of a result, but for what sessions keep there themselves."""
+    return sorted(
+        path.name for path in folder.iterdir() if path.name != KEPT and not path.name.startswith(".")
+    )
+
+
+def _tried(work: Callable[[], Any]) -> Any:
+    """What is drawn; None where it cannot be, which costs a picture and no answer."""
+    try:
+        return work()
+    except DashpotError:
+        return None
+
+
+def _words(rig: Rig, estimate: Estimate) -> dict[str, Any]:
+    """The JSON of an estimate, and what the command and its report say of it."""
+    from dashpot.check.evidence import doubtful
+    from dashpot.present.estimate import (
+        convergence_in_words,
+        diagnosis_in_words,
+        fit_paragraphs,
+        has_modes,
+        headline,
+        mode_columns,
+        page_verdict,
+        parameter_columns,
+        remarks,
+        warnings_in_words,
+    )
+
+    content = json.loads(estimate.to_json())
+    findings = () if estimate.assessment is None else estimate.assessment.findings
+    causes = set(diagnosis_in_words(findings))
+    modes = mode_columns(estimate.modes) if has_modes(estimate) else []
+    return {
+        "estimate": content,
+        "verdict": page_verdict(estimate),
+        "headline": headline(estimate, doubtful(estimate)),
+        "statements": [each.text for each in fit_paragraphs(estimate) if each.text not in causes],
+        "remarks": [convergence_in_words(estimate), *remarks(estimate)],
+        "parameters": _table(parameter_columns(estimate)),
+        "modes": _table(modes),
+        "warnings": [*warnings_in_words(estimate, untried=())],
+        "notes": [note.text for note in estimate.notes],
+        "causes": [
+            {
+                "text": finding.text,
+                "change": finding.change,
+                "kind": finding.kind,
+                "odds": finding.odds,
+                "explains": finding.explains,
+                "of": list(finding.of),
+            }
+            for finding in findings
+        ],
+        "drawing": None,
+        "shapes": [],
+        "files": [],
+    }
+
+
+def _table(columns: Sequence[TableColumn]) -> dict[str, Any]:
+    """A table's heads and rows, and which of its columns stand flush right."""
+    return {
+        "heads": [" ".join(column.title.split()) for column in columns],
+        "rows": [list(cells) for cells in zip(*(column.cells for column in columns), strict=True)],
+        "right": [column.justify == "right" for column in columns],
+    }
+
+
+def _design(call: Call, tell: Tell) -> None:
+    """The next test after the data at hand, within what the shaker can do: options as of `dashpot design`."""
+    from dashpot.io.ledger import noted
+
+    out = Path(call["out"])
+    options = [
+        f"--{name}={value}" for name, value in call.get("options", {}).items() if value not in (None, "")
+    ]
+    after = [f"--after={name}" for name in call.get("data", ())]
+    files = [
+        "--json",
+        str(out / "plan.json"),
+        "--csv",
+        str(out / "plan.csv"),
+        "--figure",
+        str(out / "plan.svg"),
+    ]
+    _command("design", call["rig"], *after, *options, *files)
+    plan = json.loads(Path(noted(out / "plan.json")).read_text(encoding="utf-8"))
+    tell({"result": {"plan": plan, "files": _files(out)}})
+
+
+def _export(call: Call, tell: Tell) -> None:
+    """A file for another program; the end of its name says which."""
+    target = Path(call["out"]) / call["name"]
+    _command("export", call["estimate"], "--rig", call["rig"], "-o", str(target))
+    tell({"result": {"file": call["name"]}})
+
+
+CALLS: Mapping[str, Callable[[Call, Tell], None]] = {
+    "open": _open,
+    "edit": _edit,
+    "inspect": _inspect,
+    "start": _start,
+    "identify": _identify,
+    "design": _design,
+    "export": _export,
+}
+
+
+# As a program.
+
+
+@contextmanager
+def _own_stdout() -> Iterator[io.TextIOWrapper]:
+    """Standard output for events alone: what libraries print goes nowhere."""
+    kept = os.dup(1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    with os.fdopen(kept, "w", encoding="utf-8") as stream:
+        yield stream
+
+
+def main() -> None:
+    """Answer calls from stdin, one after the other; end with the process that makes them, whatever is under way."""
+    import threading
+    from queue import SimpleQueue
+
+    from dashpot.app.memory import one_thread
+
+    one_thread()
+    importlib.import_module("dashpot.api")  # the first call finds it loaded
+    calls: SimpleQueue[str] = SimpleQueue()
+
+    def listen() -> None:
+        for line in sys.stdin:
+            calls.put(line)
+        os._exit(0)
+
+    threading.Thread(target=listen, daemon=True).start()
+    with _own_stdout() as stream:
+
+        def tell(event: dict[str, Any]) -> None:
+            stream.write(json.dumps(event, ensure_ascii=False) + "\n")
+            stream.flush()
+
+        while True:
+            answer(json.loads(calls.get()), tell)
+
+
+if __name__ == "__main__":
+    main()

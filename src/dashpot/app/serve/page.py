@@ -1,0 +1,600 @@
+"""The page itself, in NiceGUI: what a session holds, shown and changed.  Nothing is computed here."""
+
+from __future__ import annotations
+
+import asyncio
+import html
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from fastapi import FastAPI
+from nicegui import ui
+
+from dashpot.app.serve.guard import MOST_UPLOAD, SESSION
+from dashpot.app.serve.session import Session
+
+STATIC = Path(__file__).with_name("static")
+TICK = 0.25  # s between two looks at whether anything has changed
+FIELDS = {"value": "Value", "sd": "± (sd)", "guess": "Guess"}
+CHANNEL_FIELDS = {"of": "Point", "quantity": "Quantity", "unit": "Unit"}
+QUANTITIES = ("displacement", "velocity", "acceleration", "force")
+KINDS = {
+    "masses": "Body",
+    "springs": "Spring",
+    "dampers": "Damper",
+    "inerters": "Inerter",
+    "channels": "Sensor",
+}
+LIMITS = {
+    "time": ("Time for the test", "10min"),
+    "samples": ("or samples", "2000"),
+    "target": ("or target", "1%"),
+    "rate": ("Sampling rate, Hz", "500"),
+    "stroke": ("Stroke", "5mm"),
+    "max-acceleration": ("Acceleration", "1gn"),
+    "max-force": ("Force", "50N"),
+}
+EXPORTS = {"fmu": "FMU", "mat": "MATLAB", "xml": "MuJoCo"}
+
+
+def application() -> Any:
+    """The page as an ASGI application; requests carry their session in their scope."""
+    app = FastAPI(openapi_url=None)
+    ui.page("/", title="dashpot")(_page)
+    ui.run_with(app, title="dashpot", dark=None, tailwind=False, storage_secret=None, show_welcome_message=False,
+                reconnect_timeout=30.0)  # fmt: skip
+    return app
+
+
+def _page() -> None:
+    request = ui.context.client.request
+    session = request.scope[SESSION]
+    token = request.query_params.get("token") or next(
+        value for name, value in request.cookies.items() if name.startswith("dashpot-")
+    )
+    Page(session, token).build()
+
+
+def _html(text: str, classes: str = "") -> None:
+    """Markup that is ours, with all that comes from files escaped before."""
+    ui.html(text, sanitize=False).classes(classes)
+
+
+def table_html(label: str, table: Mapping[str, Any], known: str = "") -> str:
+    """A table with its name for screen readers."""
+    right = ["right" if each else "" for each in table["right"]]
+    heads = "".join(
+        f'<th scope="col" class="{side}">{html.escape(head)}</th>'
+        for head, side in zip(table["heads"], right, strict=True)
+    )
+    rows = "".join(
+        f'<tr class="{"known" if known in row else ""}">'
+        + "".join(
+            f'<td class="{side}">{html.escape(cell)}</td>' for cell, side in zip(row, right, strict=True)
+        )
+        + "</tr>"
+        for row in table["rows"]
+    )
+    return (
+        f'<table class="grid" aria-label="{html.escape(label)}"><thead><tr>{heads}</tr></thead>'
+        f"<tbody>{rows}</tbody></table>"
+    )
+
+
+class Page:
+    """One tab: its elements, and which changes of the session it has shown."""
+
+    def __init__(self, session: Session, token: str) -> None:
+        self.session, self.token = session, token
+        self.shown: dict[str, int] = {}
+        self.typed = session.text  # as the session and this tab last agreed
+        self.editor: Any = None
+        self.views = {
+            "files": ui.refreshable(self._files),
+            "rig": ui.refreshable(self._rig),
+            "channels": ui.refreshable(self._channels),
+            "work": ui.refreshable(self._work),
+            "result": ui.refreshable(self._result),
+            "plan": ui.refreshable(self._plan),
+        }
+
+    def build(self) -> None:
+        """The whole page."""
+        style = (STATIC / "page.css").read_text(encoding="utf-8")
+        script = (STATIC / "page.js").read_text(encoding="utf-8")
+        given = f"const TOKEN = {json.dumps(self.token)}, MOST = {MOST_UPLOAD};"
+        ui.add_head_html(f"<style>{style}</style><script>{given}</script>")
+        ui.add_body_html(f"<script>{script}</script>")
+        ui.on("part", lambda event: self._clicked(str(event.args)))
+        ui.on("refused", lambda event: self.session.complain([str(event.args)[:300]]))
+        ui.on("identify", lambda _: self._later(self.session.identify))
+        dark = ui.dark_mode(None)
+        with ui.element("header").classes("top"):
+            _html("<h1>dashpot</h1>")
+            self.identify = self._button(
+                "Identify", lambda: self._later(self.session.identify), "color=primary"
+            )
+            self.cancel = self._button("Cancel", lambda: self._later(self.session.cancel), "outline")
+            self.undo = self._button("Undo", lambda: self._later(self.session.step, -1), "outline")
+            self.redo = self._button("Redo", lambda: self._later(self.session.step, 1), "outline")
+            self.report = self._button("Report", lambda: self._download("report.html"), "outline")
+            self._button("Dark", lambda: dark.set_value(not dark.value), "flat")
+        with ui.element("main").classes("sheet"):
+            with ui.element("div"):
+                with self._card("Files"):
+                    _html(
+                        '<label class="drop"><b>Rig file</b><input type="file" data-kind="rig" aria-label="Rig file" '
+                        'accept=".toml"></label>'
+                        '<label class="drop"><b>Data files</b><input type="file" multiple data-kind="data" '
+                        'aria-label="Data files"><span class="soft"> or drop files anywhere on the page</span></label>'
+                        '<div id="moved" class="soft" role="status"></div>'
+                    )
+                    self._view("files")
+                with self._card("Rig"):
+                    self._view("rig")
+                    self._editor()
+            with ui.element("div"):
+                self.bar = ui.element("div").classes("card")
+                with self.bar:
+                    self.words = ui.label("").props("role=status")
+                    self.meter = ui.element("progress").classes("progress").props('aria-label="Progress"')
+                self._view("work")
+                self._view("result")
+                self._view("plan")
+                self._view("channels")
+        self._tick()
+        ui.timer(TICK, self._tick)
+
+    # Small parts.
+
+    def _view(self, part: str) -> None:
+        self.shown[part] = self.session.revisions[part]
+        self.views[part]()
+
+    def _card(self, title: str, classes: str = "") -> Any:
+        card = ui.element("section").classes(f"card {classes}").props(f'aria-label="{html.escape(title)}"')
+        with card:
+            _html(f"<h2>{html.escape(title)}</h2>")
+        return card
+
+    def _button(self, text: str, does: Callable[[], Any], props: str = "outline dense") -> Any:
+        return ui.button(text, on_click=does).props(f"no-caps unelevated {props}")
+
+    def _later(self, work: Callable[..., Any], *arguments: Any) -> Any:
+        """Have the session work in a thread of its own; the page goes on."""
+        return asyncio.to_thread(work, *arguments)
+
+    def _address(self, name: str, show: bool = False) -> str:
+        folder = (self.session.state["result"] or {}).get("folder", "")
+        shown = f"&show=1&of={quote(folder)}" if show else ""
+        return f"/file/{quote(name)}?token={quote(self.token)}{shown}"
+
+    def _download(self, name: str) -> None:
+        ui.download.from_url(self._address(name), name)
+
+    def _tick(self) -> None:
+        """Show what has changed since the last look."""
+        session = self.session
+        for part, view in self.views.items():
+            if self.shown[part] != session.revisions[part]:
+                self.shown[part] = session.revisions[part]
+                view.refresh()
+        job = session.job
+        self.bar.set_visibility(job is not None)
+        if job is not None:
+            self.words.set_text(job.words)
+            value = "" if job.share is None else f"value={job.share:.3f}"
+            if self.meter.props.get("value") != value:
+                self.meter.props(remove="value")
+                self.meter.props(value)
+        states = (
+            (self.identify, bool(session.text and session.data) and job is None),
+            (self.cancel, job is not None),
+            (self.undo, session.can_undo),
+            (self.redo, session.can_redo),
+            (self.report, session.result is not None and "report.html" in session.result["files"]),
+        )
+        for button, able in states:
+            if button.enabled != able:
+                button.set_enabled(able)
+        if session.text != self.typed:
+            self.typed = session.text
+            self.editor.set_value(self.typed)
+
+    # Files, and the form for a first rig.
+
+    def _files(self) -> None:
+        session = self.session
+        if session.state["rig"] and session.text:
+            with ui.element("div").classes("file"):
+                _html(f"<span><b>{html.escape(session.state['rig'])}</b></span>")
+                self._button("Download rig", partial(self._download, session.state["rig"]), "flat dense")
+        for entry in session.state["data"]:
+            with ui.element("div").classes("file"):
+                _html(
+                    f"<span>{html.escape(entry['name'])} <span class='soft'>{entry['size'] / 1e6:.2g} MB</span></span>"
+                )
+                name = html.escape(entry["name"]).replace('"', "")
+                self._button(
+                    "Remove", partial(self._later, session.remove_data, entry["path"]), "flat dense"
+                ).props(f'aria-label="Remove {name}"')
+        names = session.in_folder()
+        if names:
+            chosen = ui.select(
+                names, label=f"Open from {session.served.name}", with_input=True, clearable=True,
+                on_change=lambda event: self._later(session.open_in_folder, event.value) if event.value else None,
+            )  # fmt: skip
+            chosen.props("dense outlined").style("width: 100%; margin-top: .4rem")
+        if session.start is not None and not session.text:
+            self._first_rig(session.start)
+
+    def _first_rig(self, start: Mapping[str, Any]) -> None:
+        _html("<h3>A first rig for these data</h3>")
+        for question in start["questions"]:
+            key, ask, answer = question["key"], question["ask"], question["answer"]
+            if "choices" in question:
+                field = ui.select(question["choices"], label=ask, value=answer or None)
+                field.on_value_change(
+                    lambda event, key=key: self._later(self.session.reply, key, event.value or "")
+                )
+            else:
+                field = ui.input(ask, value=answer)
+                field.on(
+                    "change",
+                    lambda event, key=key, field=field: self._later(self.session.reply, key, field.value),
+                )
+            field.props("dense outlined").style("width: 100%; margin-bottom: .4rem")
+        for text in start.get("problems", ()):
+            _html(f'<p role="alert" class="at-line">{html.escape(text)}</p>')
+        if start["text"]:
+            self._button(
+                "Use this rig",
+                lambda: self._later(self.session.put_rig, "rig.toml", start["text"]),
+                "color=primary",
+            )
+
+    # The rig: its drawing, its parts, its text.
+
+    def _rig(self) -> None:
+        session, rig = self.session, self.session.rig
+        for problem in session.problems:
+            line = f' data-line="{problem["line"]}"' if problem["line"] else ""
+            _html(f'<button type="button" class="at-line"{line}>{html.escape(problem["text"])}</button>')
+        if rig is None:
+            if not session.text:
+                _html('<p class="soft">No rig yet: give a rig file, or data to begin one from.</p>')
+            return
+        drawing = rig["drawing"]
+        if drawing["svg"]:
+            _html(drawing["svg"], "paper parts")
+        else:
+            _html(f'<p class="soft">{html.escape(drawing["why"])}</p>')
+        with ui.element("div").classes("row-of").style("margin: .5rem 0"):
+            for part in rig["parts"]:
+                value = "?" if part["value"] is None else f"{part['value']:.5g} {part['unit']}"
+                self._chip(f"{part['name']} {value}", partial(self._part_form, part))
+            for channel in rig["channels"]:
+                self._chip(f"{channel['name']} {channel['unit']}", partial(self._channel_form, channel))
+        with ui.element("div").classes("row-of"):
+            for section, kind in KINDS.items():
+                self._button(f"Add {kind.lower()}", partial(self._add_form, section))
+
+    def _chip(self, text: str, does: Callable[[], Any]) -> None:
+        with ui.element("button").classes("chip").props('type="button"').on("click", does):
+            ui.label(text)
+
+    def _clicked(self, text: str) -> None:
+        """A text of the drawing: the form of the part whose name it begins with."""
+        rig = self.session.rig
+        if rig is None:
+            return
+        for entry, form in [(e, self._part_form) for e in rig["parts"]] + [
+            (c, self._channel_form) for c in rig["channels"]
+        ]:
+            if re.match(rf"{re.escape(entry['name'])}(?![\w.])", text.strip()):
+                form(entry)
+                return
+
+    def _form(self, title: str, fields: Mapping[str, Any], done: Callable[[Mapping[str, Any]], Mapping[str, Any]],
+              removal: Mapping[str, Any] | None = None) -> None:  # fmt: skip
+        """A dialog of fields; `done` makes the change of the rig of their values."""
+        with ui.dialog() as dialog, ui.card().style("min-width: min(24rem, 90vw)"):
+            dialog.props(f'aria-label="{html.escape(title)}"')
+            _html(f"<h2>{html.escape(title)}</h2>")
+            inputs = {}
+            for name, (label, value, choices) in fields.items():
+                field = (
+                    ui.select(choices, label=label, value=value) if choices else ui.input(label, value=value)
+                )
+                inputs[name] = field.props("dense outlined").style("width: 100%")
+
+            async def change(wanted: Mapping[str, Any]) -> None:
+                if await asyncio.to_thread(self.session.change, wanted):
+                    dialog.close()
+
+            with ui.element("div").classes("row-of"):
+                self._button(
+                    "Save",
+                    lambda: change(done({name: field.value for name, field in inputs.items()})),
+                    "color=primary",
+                )
+                if removal is not None:
+                    self._button("Delete", lambda: change(removal))
+                self._button("Close", dialog.close, "flat")
+        dialog.open()
+
+    def _part_form(self, part: Mapping[str, Any]) -> None:
+        section, name = part["section"], part["name"]
+        fields: dict[str, Any] = {"name": ("Name", name, None)}
+        for key, label in FIELDS.items():
+            value = part[key]
+            unit = f", {part['unit']}" if key == "value" else ""
+            fields[key] = (label + unit, "" if value is None else f"{value:.10g}", None)
+        before = {key: fields[key][1] for key in FIELDS}
+
+        def done(given: Mapping[str, Any]) -> Mapping[str, Any]:
+            changed = {key: given[key] for key in FIELDS if given[key] != before[key]}
+            return {"section": section, "name": name, "rename": given["name"], "set": changed}
+
+        self._form(
+            f"{KINDS.get(section, section)} {name}",
+            fields,
+            done,
+            {"section": section, "name": name, "remove": True},
+        )
+
+    def _channel_form(self, channel: Mapping[str, Any]) -> None:
+        name, points = channel["name"], self._points()
+        simple = channel["of"] in points
+        fields: dict[str, Any] = {"name": ("Name: the column of the data", name, None)}
+        if simple:
+            fields["of"] = ("Point", channel["of"], points)
+        fields["quantity"] = ("Quantity", channel["quantity"], list(QUANTITIES))
+        fields["unit"] = ("Unit", channel["unit"], None)
+
+        def done(given: Mapping[str, Any]) -> Mapping[str, Any]:
+            changed = {
+                key: given[key] for key in CHANNEL_FIELDS if key in given and given[key] != channel[key]
+            }
+            return {"section": "channels", "name": name, "rename": given["name"], "set": changed}
+
+        self._form(f"Sensor {name}", fields, done, {"section": "channels", "name": name, "remove": True})
+
+    def _points(self) -> list[str]:
+        rig = self.session.rig
+        return [] if rig is None else [point for point in rig["points"] if point != "ground"]
+
+    def _add_form(self, section: str) -> None:
+        rig = self.session.rig
+        assert rig is not None
+        taken = {each["name"] for each in [*rig["parts"], *rig["channels"]]} | {*rig["points"]}
+        letter = {"masses": "m", "springs": "k", "dampers": "c", "inerters": "b", "channels": "a"}[section]
+
+        def free(stem: str) -> str:
+            return next(f"{stem}{n}" for n in range(1, 10_000) if f"{stem}{n}" not in taken)
+
+        name, points = free(letter), self._points()
+        fields: dict[str, Any] = {"name": ("Name", name, None)}
+        if section == "masses":
+            fields |= {
+                "at": ("Its coordinate", free("x"), None),
+                "value": ("Value, kg (empty: unknown)", "", None),
+            }
+        elif section == "channels":
+            fields["name"] = ("Name: the column of the data", name, None)
+            fields |= {"of": ("Point", points[0], points), "quantity": ("Quantity", "acceleration", list(QUANTITIES)),
+                       "unit": ("Unit", "m/s²", None)}  # fmt: skip
+        else:
+            whole = [*points, "ground"]
+            fields |= {"first": ("From", whole[0], whole), "second": ("To", whole[-1], whole),
+                       "value": ("Value (empty: unknown)", "", None)}  # fmt: skip
+
+        def done(given: Mapping[str, Any]) -> Mapping[str, Any]:
+            entry = {key: value for key, value in given.items() if key not in ("name", "first", "second")}
+            if "first" in given:
+                entry = {"between": [given["first"], given["second"]], **entry}
+            return {"section": section, "name": given["name"], "add": entry}
+
+        self._form(f"Add {KINDS[section].lower()}", fields, done)
+
+    def _editor(self) -> None:
+        """The rig as text: what is typed is one edit of it as soon as the typist pauses."""
+
+        async def typed() -> None:
+            self.typed = self.editor.value or ""
+            await asyncio.to_thread(self.session.write, self.typed)
+
+        with ui.expansion("Rig as text (TOML)", value=True).style("width: 100%"):
+            self.editor = ui.textarea(value=self.session.text).classes("mono").style("width: 100%")
+            self.editor.props(
+                'outlined input-style="height: 22rem" spellcheck=false aria-label="Text of the rig, TOML"'
+            )
+            self.editor.on("update:model-value", typed, throttle=0.7, leading_events=False)
+
+    # Data: what matched, and how it looks.
+
+    def _channels(self) -> None:
+        seen = self.session.seen
+        if seen is None:
+            return
+        with self._card("Channels"):
+            for problem in seen["problems"]:
+                _html(f'<p class="trouble" role="alert">{html.escape(problem)}</p>')
+            if seen["channels"]:
+                heads = ["Column", "", "Point", "Quantity", "Unit in the file", "Unit of the rig"]
+                rows = []
+                for c in seen["channels"]:
+                    there = "found" if c["found"] else "missing"
+                    rows.append(
+                        [
+                            c["column"],
+                            there,
+                            c["of"],
+                            c["quantity"],
+                            c["file_unit"] or "none",
+                            c["unit"] or "SI",
+                        ]
+                    )
+                _html(table_html("Channels", {"heads": heads, "rows": rows, "right": [False] * 6}), "wide")
+                if seen.get("unused"):
+                    _html(f'<p class="soft">Not used: {html.escape(", ".join(seen["unused"][:30]))}</p>')
+            for file in seen["files"]:
+                for part in file["parts"]:
+                    _html(f'<p class="soft">{html.escape(file["name"])}: {html.escape(part["text"])}</p>')
+                    for note in part["notes"][:5]:
+                        _html(f'<p class="soft">{html.escape(note)}</p>')
+            for note in seen["notes"]:
+                _html(f"<p>{html.escape(note)}</p>")
+            for plot in seen["plots"][:40]:
+                _html(f"<h3>{html.escape(plot['name'])}</h3>{plot['svg']}")
+
+    # Errors: each stays until it is closed.
+
+    def _work(self) -> None:
+        for error in self.session.state["errors"]:
+            with ui.element("div").classes("trouble").props("role=alert"):
+                _html(html.escape(error["text"]))
+                with ui.element("div").classes("row-of"):
+                    copied = html.escape(error["text"], quote=True)
+                    _html(f'<button type="button" class="chip" data-copy="{copied}">Copy</button>')
+                    if error.get("line"):
+                        _html(
+                            f'<button type="button" class="chip" data-line="{error["line"]}">Show line</button>'
+                        )
+                    self._chip("Close", partial(self._later, self.session.close_error, error["id"]))
+
+    # The answer.
+
+    def _result(self) -> None:
+        result, session = self.session.result, self.session
+        if result is None:
+            return
+        stale = session.is_stale()
+        with (
+            ui.element("section")
+            .classes(f"card verdict {result['verdict']}")
+            .props('role=region aria-label="Verdict"')
+        ):
+            if stale:
+                _html(
+                    '<p class="stale" role="status">Stale: rig or data have changed since. Press Identify.</p>'
+                )
+            _html(f'<p class="head">{html.escape(result["headline"])}</p>')
+            for text in result["statements"]:
+                _html(f"<p>{html.escape(text)}</p>")
+        if result["causes"]:
+            self._causes(result["causes"])
+        with self._card("Values"):
+            _html(table_html("Parameters", result["parameters"], known="known"), "wide")
+            for text in result["remarks"]:
+                _html(f'<p class="soft">{html.escape(text)}</p>')
+            if result["drawing"] and result["drawing"]["svg"]:
+                _html(result["drawing"]["svg"], "paper parts")
+        if result["warnings"] or result["notes"]:
+            with self._card("Warnings and notes"):
+                for text in result["warnings"]:
+                    _html(f"<p>{html.escape(text)}</p>")
+                for text in result["notes"]:
+                    _html(f'<p class="soft">{html.escape(text)}</p>')
+        if "fit.svg" in result["files"]:
+            with self._card("Measured and model"):
+                address = html.escape(self._address("fit.svg", show=True))
+                _html(
+                    f'<img alt="Responses, measured and model with its 95 % band" src="{address}">', "paper"
+                )
+        if result["modes"]["rows"]:
+            with self._card("Modes"):
+                _html(table_html("Modes", result["modes"]), "wide")
+                _html("".join(f'<div class="paper">{shape}</div>' for shape in result["shapes"]), "shapes")
+        with self._card("Downloads"), ui.element("div").classes("row-of"):
+            for name in result["files"]:
+                if name != "report.html":
+                    self._button(name, partial(self._download, name))
+            for end, name in EXPORTS.items():
+                self._button(f"Make {name}", partial(self._later, session.export, end))
+
+    def _causes(self, causes: Sequence[Mapping[str, Any]]) -> None:
+        with self._card("Causes"):
+            for number, cause in enumerate(causes):
+                with ui.element("div").classes("cause"):
+                    odds = "" if cause["odds"] is None else f"<b>{_percent(cause['odds'])}</b> "
+                    _html(
+                        f"<p>{odds}{html.escape(cause['text'])}</p><p><code>{html.escape(cause['change'])}</code></p>"
+                    )
+                    if cause.get("text_after"):
+                        button = self._button(
+                            "Apply", partial(self._later, self.session.apply, number), "color=primary"
+                        )
+                        button.props(f'aria-description="{html.escape(cause["change"])}"'.replace("\n", " "))
+
+    # The next test.
+
+    def _plan(self) -> None:
+        session = self.session
+        if session.result is None:
+            return
+        with self._card("Next test"):
+            fields = {}
+            with ui.element("div").classes("row-of"):
+                for key, (label, example) in LIMITS.items():
+                    field = ui.input(label, value=session.state["limits"].get(key, ""), placeholder=example)
+                    fields[key] = field.props("dense outlined stack-label").style("width: 9.5rem")
+            self._button(
+                "Plan next test",
+                lambda: self._later(
+                    session.design, {key: (field.value or "").strip() for key, field in fields.items()}
+                ),
+            ).style("margin-top: .5rem")
+            if session.plan is None:
+                return
+            if session.is_stale(of="plan"):
+                _html('<p class="stale" role="status">Stale: rig or data have changed since.</p>')
+            plan = session.plan["plan"]
+            dwells = [
+                [f"{dwell['frequency_hz']:.4g}", f"{dwell['samples']}", f"{dwell['time_s']:.3g}",
+                 ", ".join(f"{name} {size:.3g}" for name, size in dwell["amplitudes"].items())]
+                for dwell in plan["dwells"]
+            ]  # fmt: skip
+            if dwells:
+                heads = ["Frequency, Hz", "Samples", "Time, s", "Amplitude, SI units"]
+                _html(
+                    table_html(
+                        "Dwells", {"heads": heads, "rows": dwells, "right": [True, True, True, False]}
+                    ),
+                    "wide",
+                )
+            else:
+                _html("<p>Enough: the target is reached with the data at hand.</p>")
+            expected = [
+                [
+                    name,
+                    f"{each['value']:.4g}",
+                    f"{each['sd']:.2g}",
+                    each["unit"],
+                    f"{100 * abs(each['relative_sd'] or 0):.2g} %",
+                ]
+                for name, each in plan["predicted"].items()
+            ]
+            heads = ["Parameter", "Value", "± after it", "Unit", "± %"]
+            _html(
+                "<h3>Expected after it</h3>"
+                + table_html(
+                    "Expected", {"heads": heads, "rows": expected, "right": [False, True, True, False, True]}
+                ),
+                "wide",
+            )
+            for note in plan["notes"]:
+                _html(f'<p class="soft">{html.escape(note)}</p>')
+            with ui.element("div").classes("row-of"):
+                for name in session.plan["files"]:
+                    if name.startswith("plan."):
+                        self._button(name, partial(self._download, name))
+
+
+def _percent(odds: float) -> str:
+    return "over 99 %" if odds >= 0.99 else "under 1 %" if odds <= 0.01 else f"{100 * odds:.0f} %"

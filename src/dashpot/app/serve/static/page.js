@@ -1,0 +1,62 @@
+// Uploads, drops and clicks in drawings: what a browser must do itself.  TOKEN and MOST are set by the page.
+(() => {
+  const say = text => { const at = document.getElementById("moved"); if (at) at.textContent = text; };
+  const size = bytes => bytes > 1e9 ? (bytes / 2 ** 30).toFixed(2) + " GB" : (bytes / 2 ** 20).toFixed(1) + " MB";
+  let waiting = [], running = null;
+  function next() {
+    running = waiting.shift() || null;
+    if (!running) { setTimeout(() => say(""), 1500); return; }
+    const { file, kind } = running, request = new XMLHttpRequest();
+    const began = Date.now();
+    request.open("POST", `/upload?kind=${kind}&name=${encodeURIComponent(file.name)}&token=${encodeURIComponent(TOKEN)}`);
+    request.upload.onprogress = event => {
+      const share = event.loaded / Math.max(event.total, 1), left = (Date.now() - began) / 1000 * (1 / share - 1);
+      say(`${file.name}: ${Math.round(100 * share)} % of ${size(event.total)}` + (left > 2 ? `, about ${Math.round(left)} s left` : ""));
+    };
+    request.onload = () => { say(request.status === 200 ? `${file.name}: taken` : ""); next(); };
+    request.onerror = () => { say(`${file.name}: was not taken`); next(); };
+    if (file.size > MOST) emitEvent("refused", `${file.name}: files of at most ${size(MOST)} are taken`), next();
+    else request.send(file);
+  }
+  function take(files, kind) {
+    for (const file of files) waiting.push({ file, kind });
+    if (!running) next();
+  }
+  document.addEventListener("change", event => {
+    const input = event.target;
+    if (!(input instanceof HTMLInputElement) || !input.dataset.kind) return;
+    take([...input.files], input.dataset.kind);
+    input.value = "";
+  });
+  document.addEventListener("dragover", event => { event.preventDefault(); document.body.classList.add("dragging"); });
+  document.addEventListener("dragleave", event => { if (!event.relatedTarget) document.body.classList.remove("dragging"); });
+  document.addEventListener("drop", event => {
+    event.preventDefault();
+    document.body.classList.remove("dragging");
+    if (event.dataTransfer && event.dataTransfer.files.length) take([...event.dataTransfer.files], "drop");
+  });
+  document.addEventListener("click", event => {
+    const text = event.target.closest && event.target.closest(".parts svg text");
+    if (text) emitEvent("part", text.textContent);
+    const line = event.target.closest && event.target.closest("[data-line]");
+    if (line) show(Number(line.dataset.line));
+    const copied = event.target.closest && event.target.closest("[data-copy]");
+    if (copied) copy(copied.dataset.copy);
+  });
+  document.addEventListener("keydown", event => {
+    if (event.key === "Enter" && event.ctrlKey) emitEvent("identify", "");
+  });
+  function copy(text) {
+    if (navigator.clipboard) { navigator.clipboard.writeText(text); return; }
+    const area = document.createElement("textarea");
+    area.value = text; document.body.append(area); area.select(); document.execCommand("copy"); area.remove();
+  }
+  function show(line) {
+    const area = document.querySelector(".mono textarea");
+    if (!area) return;
+    const lines = area.value.split("\n"), begin = lines.slice(0, line - 1).join("\n").length + (line > 1 ? 1 : 0);
+    area.focus();
+    area.setSelectionRange(begin, begin + (lines[line - 1] || "").length);
+    area.scrollTop = Math.max(0, (line - 4) * 19.5);
+  }
+})();
