@@ -129,20 +129,20 @@ def read_tdms(file: DataFile, nptdms: Any) -> Iterator[ArrayColumns]:
                 count += 1
                 place = f"{file.name} ({group.name})" if len(groups) > 1 else file.name
                 # Channels of one length
-                rows = len(channels[0])
+                rows, about = len(channels[0]), scalars
                 columns: dict[str, Any] = {}
                 units: dict[str, str | None] = {}
                 for channel in channels:
                     columns[channel.name] = Streamed(rows, partial(_samples, file, content, channel))
                     said = (channel.properties.get(key) for key in ("unit_string", "NI_UnitDescription"))
                     units[channel.name] = next(filter(None, said), None)
-                    scalars = {**channel.properties, **scalars}
+                    about = {**channel.properties, **about}
                 for name in OF_ALL:
-                    if name in scalars and name not in columns:
-                        columns[name] = np.broadcast_to(float(scalars[name]), rows)
+                    if name in about and name not in columns:
+                        columns[name] = np.broadcast_to(float(about[name]), rows)
                 if not any(name.lower() in TIME_NAMES for name in columns):
                     waveform = channels[0].properties
-                    step = float(waveform.get("wf_increment", 0)) or step_of(scalars)
+                    step = float(waveform.get("wf_increment", 0)) or step_of(about)
                     if step:
                         columns[TIME] = steps(float(waveform.get("wf_start_offset", 0)), step, rows)
                 yield array_columns(place, columns, units)
