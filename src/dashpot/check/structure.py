@@ -346,7 +346,18 @@ def _channels(
     The exact twin of `model.observation.transfer`: p (elements,), law (lines, elements) φ, s (lines,) in place of jω,
     q (lines, r + s).
     """
-    rig = _field_rig(model, p * law % PRIME)
+    x = {name: i for i, name in enumerate(model.coordinates)}
+    moved = {name: i for i, name in enumerate(model.displacement_inputs)}
+    along = [_proportions(element.along) for element in model.elements]
+    S = np.zeros((model.n, len(model.inputs)), dtype=np.int64)
+    for i, k in np.argwhere(model.S):
+        S[i, len(moved) + k] = field.residue(model.S[i, k])
+    rig = _FieldRig(
+        [[(x[point], b) for point, b in ends.items() if point in x] for ends in along],
+        [[(moved[point], d) for point, d in ends.items() if point in moved] for ends in along],
+        (p * law % PRIME),
+        S,
+    )
     D, R = rig.stiffness()
     C, G = rig.channels(view, s)
     solved, regular = field.solve_modulo(D, np.concatenate([R, np.swapaxes(C, 1, 2)], axis=-1))
@@ -429,21 +440,6 @@ class _FieldRig:
                 effect[:, c] = (effect[:, c] + field.residue(view.force[c, e])) % PRIME
             J[:, :, e] = effect * (law[:, e] * elongation % PRIME)[:, None] % PRIME
         return J
-
-
-def _field_rig(model: Model, strength: Ints) -> _FieldRig:
-    x = {name: i for i, name in enumerate(model.coordinates)}
-    moved = {name: i for i, name in enumerate(model.displacement_inputs)}
-    along = [_proportions(element.along) for element in model.elements]
-    S = np.zeros((model.n, len(model.inputs)), dtype=np.int64)
-    for i, k in np.argwhere(model.S):
-        S[i, len(moved) + k] = field.residue(model.S[i, k])
-    return _FieldRig(
-        [[(x[point], b) for point, b in ends.items() if point in x] for ends in along],
-        [[(moved[point], d) for point, d in ends.items() if point in moved] for ends in along],
-        strength,
-        S,
-    )
 
 
 def _to_the_power(s: Ints, power: int) -> Ints:

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze
+from dashpot.arrays import Bools, Complex, Real, freeze
 from dashpot.check.residuals import calibrations_of, channel_response, of_channels
 from dashpot.check.verdict import REJECTED
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.noise import Still
 from dashpot.data.record import Record
-from dashpot.data.spectrum import SettledDwell, Spectrum, Stretch, WholeRecord, history_of_lines
+from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord, history_of_lines
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.nonlinear.objective import noise_of_measured_inputs, predicted_lines
@@ -138,7 +138,30 @@ def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Reco
     first = int(np.argmax(settled))
     owner = np.where(settled, first, np.arange(len(settled)))[spectrum.stretch]
     for lines, value in [(np.flatnonzero(owner == k), spectrum.stretches[k]) for k in np.unique(owner)]:
-        parts.append(_part(model, spectrum, predicted, variance, known, lines, outputs, value))
+        at = np.flatnonzero(outputs)
+        y, shown = spectrum.amplitudes[lines][:, at], predicted[lines][:, at]
+        there = np.isfinite(y)
+        away = np.sum(np.where(there, np.abs(y - shown) ** 2, 0.0), axis=0)
+        size = np.sum(np.where(there, np.abs(y) ** 2, 0.0), axis=0)
+        noise = variance[lines][:, at]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            fit = np.where(size > 0, 1 - np.sqrt(away / size), np.nan)
+            chi2 = 2 * np.sum(np.where(there, np.abs(y - shown) ** 2 / noise, 0.0), axis=0)
+        record = value if isinstance(value, WholeRecord) else None
+        parts.append(
+            RecordPrediction(
+                tuple(spectrum.channels[c].name for c in at),
+                tuple(channel_unit(model, spectrum.channels[c]) for c in at),
+                spectrum.frequency_hz[lines],
+                y,
+                shown,
+                fit,
+                chi2 if known else np.full(len(at), np.nan),
+                2.0 * np.sum(there, axis=0),
+                0.0 if record is None else record.duration_s,
+                0 if record is None else record.samples,
+            )
+        )
     return tuple(parts)
 
 
@@ -176,40 +199,6 @@ def _noise_of_inputs(
     )  # outputs for what the channels of the inputs show
     noise = np.where(there[..., None] & there[..., None, :], np.nan_to_num(spectrum.covariance), 0.0)
     return np.einsum("lij,ljk,lik->li", H, noise, H.conj()).real * outputs
-
-
-def _part(
-    model: Model,
-    spectrum: Spectrum,
-    predicted: Complex,
-    variance: Real,
-    known: bool,
-    lines: Ints,
-    outputs: Bools,
-    value: Stretch,
-) -> RecordPrediction:
-    at = np.flatnonzero(outputs)
-    y, shown = spectrum.amplitudes[lines][:, at], predicted[lines][:, at]
-    there = np.isfinite(y)
-    away = np.sum(np.where(there, np.abs(y - shown) ** 2, 0.0), axis=0)
-    size = np.sum(np.where(there, np.abs(y) ** 2, 0.0), axis=0)
-    noise = variance[lines][:, at]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        fit = np.where(size > 0, 1 - np.sqrt(away / size), np.nan)
-        chi2 = 2 * np.sum(np.where(there, np.abs(y - shown) ** 2 / noise, 0.0), axis=0)
-    record = value if isinstance(value, WholeRecord) else None
-    return RecordPrediction(
-        tuple(spectrum.channels[c].name for c in at),
-        tuple(channel_unit(model, spectrum.channels[c]) for c in at),
-        spectrum.frequency_hz[lines],
-        y,
-        shown,
-        fit,
-        chi2 if known else np.full(len(at), np.nan),
-        2.0 * np.sum(there, axis=0),
-        0.0 if record is None else record.duration_s,
-        0 if record is None else record.samples,
-    )
 
 
 # How well an estimate of a nonlinear rig predicts whole records that it was not made of, from their inputs

@@ -181,21 +181,19 @@ def fisher(J: Complex, G: Complex, V: Complex, names: Sequence[str]) -> Real:
         each = np.max(np.abs(part), axis=(0, 2), initial=0.0)
         if np.any(each[fixing] > 1e-9 * np.max(each)):
             raise _without_noise(names[int(np.argmax(np.where(fixing, each, -1.0)))])
-        free = _free_inputs(inputs[:, fixing])
+        # Orthonormal directions of the inputs that exact channels leave free, (lines, inputs, directions)
+        E = inputs[:, fixing]
+        alone = E.shape[-1]
+        if E.shape[-2] == 0 or alone == 0:
+            free = np.broadcast_to(np.eye(alone, dtype=complex), (len(E), alone, alone))
+        else:
+            size = np.max(np.abs(E), axis=-1, keepdims=True)
+            _, s, Vh = np.linalg.svd(E / np.where(size > 0, size, 1.0), full_matrices=True)
+            rank = int(np.min(np.sum(s > 1e-9, axis=-1)))
+            free = hermitian(Vh[:, rank:])
         W = V[alike][:, noisy][:, :, noisy]
         total[alike] = _projected(part[:, noisy], inputs[:, noisy] @ free, W)
     return total.reshape(*lead, *total.shape[1:])
-
-
-def _free_inputs(E: Complex) -> Complex:
-    """Orthonormal directions of the inputs that exact channels leave free, (lines, inputs, directions)."""
-    inputs = E.shape[-1]
-    if E.shape[-2] == 0 or inputs == 0:
-        return np.broadcast_to(np.eye(inputs, dtype=complex), (len(E), inputs, inputs))
-    size = np.max(np.abs(E), axis=-1, keepdims=True)
-    _, s, Vh = np.linalg.svd(E / np.where(size > 0, size, 1.0), full_matrices=True)
-    rank = int(np.min(np.sum(s > 1e-9, axis=-1)))
-    return hermitian(Vh[:, rank:])
 
 
 def _projected(J: Complex, G: Complex, V: Complex) -> Real:

@@ -97,7 +97,19 @@ def realisation(model: Model, p: Matrix, orders: Ints) -> Realisation:
     beta0 = by_acceleration * (orders == 0)
     beta1 = (by_rate - damping @ by_acceleration) * (orders == 0) + by_acceleration * (orders == 1)
     states, inputs = 2 * n + int(np.sum(orders)), r + s
-    moved = _moved_points(orders, n, states, inputs)
+    # u, u̇ and ü: states as far as they are below the derivative that is given, else inputs and their derivatives
+    count = len(orders)
+    first = 2 * n + np.concatenate([[0], np.cumsum(orders)]).astype(int)
+    signals = []
+    for k in range(3):
+        Z, W = np.zeros((count, states)), np.zeros((3, count, inputs))
+        for j, order in enumerate(orders.tolist()):
+            if k < order:
+                Z[j, first[j] + k] = 1.0
+            else:
+                W[k - order, j, j] = 1.0
+        signals.append(Signals(Z, W))
+    moved = signals[0], signals[1], signals[2]
     A = np.zeros((*lead, states, states), dtype=everything.dtype)
     B = np.zeros((*lead, states, inputs), dtype=everything.dtype)
     A[..., :n, n : 2 * n] = np.eye(n)
@@ -118,22 +130,6 @@ def realisation(model: Model, p: Matrix, orders: Ints) -> Realisation:
         Signals(A[..., n : 2 * n, :], np.stack([B[..., n : 2 * n, :], of_inputs[1], of_inputs[0]], axis=-3)),
     )
     return Realisation(A, B, coordinates, moved, (beta0, beta1))
-
-
-def _moved_points(orders: Ints, n: int, states: int, inputs: int) -> tuple[Signals, Signals, Signals]:
-    """u, u̇ and ü: states as far as they are below the derivative that is given, else inputs and their derivatives."""
-    r = len(orders)
-    first = 2 * n + np.concatenate([[0], np.cumsum(orders)]).astype(int)
-    signals = []
-    for k in range(3):
-        Z, W = np.zeros((r, states)), np.zeros((3, r, inputs))
-        for j, order in enumerate(orders.tolist()):
-            if k < order:
-                Z[j, first[j] + k] = 1.0
-            else:
-                W[k - order, j, j] = 1.0
-        signals.append(Signals(Z, W))
-    return signals[0], signals[1], signals[2]
 
 
 def channel_signals(view: ObservationModel, p: Matrix, rig: Realisation) -> Signals:

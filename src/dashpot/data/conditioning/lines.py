@@ -282,7 +282,18 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
         settings = settings.changed(drift=0 if p > SLOPE_LEVEL else 1)
         notes.append(Notice("drift_by_evidence", text))
     lines = _of_settled(dwells, uncut, settings)
-    notes += _taken_as_steady(dwells, settings, found)
+    # Dwells that count as settled sines, and are none or too short to show it. A drive whose amplitude drifts
+    # explains nothing where something else does
+    others = [row for row in found if row is not FADES]
+    said = {row.code: Notice(row.code, row.ignored) for row in others or found}
+    brief = tuple(
+        record.source for record in dwells if not shows_settling(record) and record.values.ndim == 2
+    )
+    if brief and _asked(UNSETTLED, settings) and UNSETTLED.code not in said:
+        which, them = ("one dwell is", "it") if len(brief) == 1 else (f"{len(brief)} dwells are", "them")
+        text = f"{which} too short to show whether a transient is in {them}: taken as settled"
+        said["transient_undetectable"] = Notice("transient_undetectable", text, brief)
+    notes += list(said.values())
     return replace(lines, notes=(*notes, *lines.notes), unsettled=_as_unsettled(dwells, settings))
 
 
@@ -436,25 +447,6 @@ def _why_whole(dwells: Sequence[Record], settings: Conditioning, found: Sequence
     if not all(map(driven_throughout, dwells)):
         reasons.append(UNSETTLED.why)
     return " or ".join(dict.fromkeys(reasons)) or None
-
-
-def _taken_as_steady(
-    dwells: Sequence[Record], settings: Conditioning, found: Sequence[Unsteady]
-) -> list[Notice]:
-    """What is to be said of dwells that count as settled sines, and are none or too short to show it.
-
-    A drive whose amplitude drifts explains nothing where something else does.
-    """
-    others = [row for row in found if row is not FADES]
-    notes = {row.code: Notice(row.code, row.ignored) for row in others or found}
-    brief = tuple(
-        record.source for record in dwells if not shows_settling(record) and record.values.ndim == 2
-    )
-    if brief and _asked(UNSETTLED, settings) and UNSETTLED.code not in notes:
-        which, them = ("one dwell is", "it") if len(brief) == 1 else (f"{len(brief)} dwells are", "them")
-        text = f"{which} too short to show whether a transient is in {them}: taken as settled"
-        notes["transient_undetectable"] = Notice("transient_undetectable", text, brief)
-    return list(notes.values())
 
 
 def _lines(

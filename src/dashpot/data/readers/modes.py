@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real
+from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.modal_data import ModalData, at_coordinates, independent_modes, named_points
 from dashpot.data.readers.arrays import ArrayColumns
@@ -210,7 +210,16 @@ def _modes_of(table: Columns, names: Sequence[str]) -> ModalData:
     absent = np.full(len(values[layout.frequency]), np.nan)
     zeta = absent if layout.damping is None else values[layout.damping]
     zeta_sd = absent if layout.damping_sd is None else values[layout.damping_sd]
-    shapes, sd = _shapes(table, layout, values)
+    # Shapes and their sd, (modes, points); NaN where a point is left empty
+    size = len(values[layout.frequency]), len(layout.points)
+    shapes, sd = np.full(size, np.nan + 0j), np.full(size, np.nan)
+    for c, (re, im, sd_at) in enumerate(layout.points.values()):
+        imaginary = np.where(np.isnan(values[re]), np.nan, 0.0) if im is None else values[im]
+        half = np.isnan(values[re]) != np.isnan(imaginary)
+        lacking = ~np.isnan(values[re]) & np.isnan(values[sd_at])
+        for empty, column in ((half, re if im is None else im), (lacking, sd_at)):
+            table.refuse(column, empty, "the cell is empty", "fill the gap")
+        shapes[:, c], sd[:, c] = values[re] + 1j * imaginary, values[sd_at]
     f, f_sd = values[layout.frequency], values[layout.frequency_sd]
     not_positive, above = "a standard deviation that is not positive", "give one above 0"
     unseen = "give it as a fraction; such a mode does not oscillate"
@@ -225,20 +234,6 @@ def _modes_of(table: Columns, names: Sequence[str]) -> ModalData:
     _check_shapes(table, layout, sd)
     frequency = values[layout.frequency], values[layout.frequency_sd]
     return independent_modes(tuple(layout.points), frequency, (zeta, zeta_sd), (shapes, sd))
-
-
-def _shapes(table: Columns, layout: _Layout, values: Mapping[int, Real]) -> tuple[Complex, Real]:
-    """Shapes and their sd, (modes, points); NaN where a point is left empty.  Raises DataError for half a gap."""
-    count, points = len(values[layout.frequency]), len(layout.points)
-    shape, sd = np.full((count, points), np.nan + 0j), np.full((count, points), np.nan)
-    for c, (re, im, sd_at) in enumerate(layout.points.values()):
-        imaginary = np.where(np.isnan(values[re]), np.nan, 0.0) if im is None else values[im]
-        half = np.isnan(values[re]) != np.isnan(imaginary)
-        lacking = ~np.isnan(values[re]) & np.isnan(values[sd_at])
-        for wrong, at in ((half, re if im is None else im), (lacking, sd_at)):
-            table.refuse(at, wrong, "the cell is empty", "fill the gap")
-        shape[:, c], sd[:, c] = values[re] + 1j * imaginary, values[sd_at]
-    return shape, sd
 
 
 def _check_shapes(table: Columns, layout: _Layout, sd: Real) -> None:

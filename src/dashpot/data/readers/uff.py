@@ -716,7 +716,18 @@ def _part(source: str, number: int, functions: Sequence[NodalFunction]) -> Array
         columns = {TIME: first.abscissa if first.long is None else first.long.time}
         if first.z_kind == OF_FREQUENCY and first.z_value > 0:
             columns[FREQUENCY] = steps(first.z_value, 0.0, len(columns[TIME]))
-    for function, name in zip(functions, _column_names(functions), strict=True):
+    # ID line 1 where it tells the functions apart, else the response; of FRFs OUT/IN
+    responses = _names([f.response for f in functions])
+    references = _names([f.reference for f in functions])
+    titles = [f.ids[0] if f.ids else "" for f in functions]
+    titled = len(set(titles)) == len(titles) and all(titles)
+    names = []
+    for each, response, reference, title in zip(functions, responses, references, titles, strict=True):
+        label = title if titled else response
+        if each.kind in (FRF, TRANSMISSIBILITY):
+            label = title if titled and title.count("/") == 1 else f"{response}/{reference}"
+        names.append(label)
+    for function, name in zip(functions, names, strict=True):
         values: dict[str, Any] = {name: function.ordinate if function.long is None else function.long.values}
         if function.kind != TIME_RESPONSE:
             values = {f"{name}_re": function.ordinate.real, f"{name}_im": np.imag(function.ordinate)}
@@ -726,21 +737,6 @@ def _part(source: str, number: int, functions: Sequence[NodalFunction]) -> Array
             columns[column] = numbers
             units[column] = function.unit or None
     return array_columns(place, columns, units)
-
-
-def _column_names(functions: Sequence[NodalFunction]) -> list[str]:
-    """ID line 1 where it tells the functions apart, else the response; of FRFs OUT/IN."""
-    responses = _names([f.response for f in functions])
-    references = _names([f.reference for f in functions])
-    titles = [f.ids[0] if f.ids else "" for f in functions]
-    titled = len(set(titles)) == len(titles) and all(titles)
-    names = []
-    for function, response, reference, title in zip(functions, responses, references, titles, strict=True):
-        name = title if titled else response
-        if function.kind in (FRF, TRANSMISSIBILITY):
-            name = title if titled and title.count("/") == 1 else f"{response}/{reference}"
-        names.append(name)
-    return names
 
 
 def _names(points: Sequence[NodePoint]) -> list[str]:
