@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 from scipy import fft
-from scipy.special import digamma, polygamma
+from scipy.special import chdtrc, digamma, polygamma
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.data.conditioning.clock import even_step
@@ -21,7 +21,6 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 from dashpot.notices import Notice
-from dashpot.numerics.variance_tests import equal_variances
 
 HALF_WINDOW = 30  # lines on either side over which noise is smoothed
 Values = TypeVar("Values", Real, Complex)
@@ -378,3 +377,34 @@ def _trigamma_inverse(value: float) -> float:
         if abs(step) < 1e-10 * x:
             break
     return x
+
+
+# Whether variances are equal.
+
+
+# Independent tests of one hypothesis taken together.
+
+
+def fishers_product(p: Sequence[Real] | Sequence[float]) -> Real:
+    """p-values of all tests together, (...,), of those of each, (tests, ...); 1 where there are none.
+
+    −2 Σ ln p is χ² with two degrees of freedom for each test: R. A. Fisher, Statistical Methods for Research Workers.
+    """
+    if not len(p):
+        return np.ones(())
+    logs = np.log(np.maximum(p, 1e-300))  # p-value that counts as such
+    return np.asarray(chdtrc(2 * len(logs), -2 * np.sum(logs, axis=0)), dtype=float)
+
+
+def equal_variances(variance: Real, dof: float) -> float:
+    """p-value of variances (groups,), each of so many degrees of freedom, that differ by chance only; 1 of fewer than
+    two.
+
+    M. S. Bartlett (1937), Proceedings of the Royal Society A 160, 268.
+    """
+    groups = len(variance)
+    if groups < 2 or not np.any(variance):
+        return 1.0
+    with np.errstate(divide="ignore"):
+        statistic = dof * groups * (np.log(np.mean(variance)) - np.mean(np.log(variance)))
+    return float(chdtrc(groups - 1, statistic / (1 + (groups + 1) / (3 * groups * dof))))

@@ -6,10 +6,16 @@ import math
 from collections.abc import Sequence
 
 from dashpot.channel import Channel
-from dashpot.check.evidence import Collinearity, Combination, DataFindings, doubtful, shares_by_band
+from dashpot.check.evidence import (
+    Collinearity,
+    Combination,
+    DataFindings,
+    KnownErrors,
+    doubtful,
+    shares_by_band,
+)
 from dashpot.check.identifiability import Structure
 from dashpot.check.profile import Profile
-from dashpot.check.sensitivity import KnownErrors
 from dashpot.data.spectrum import Spectrum
 from dashpot.io.words import joined, listed
 from dashpot.model.network import Model

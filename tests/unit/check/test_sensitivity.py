@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.sensitivity import known_errors
+from dashpot.check.evidence import known_errors
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify

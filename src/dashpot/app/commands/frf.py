@@ -60,6 +60,6 @@ def command(
     opt.write_result(json_out, to_json(found.to_dict()))
     if not quiet and json_out != opt.STDOUT:
         from dashpot.present.document import say
-        from dashpot.present.free import response_document
+        from dashpot.present.response import response_document
 
         say(response_document(found, "" if out is None else printable(out)))

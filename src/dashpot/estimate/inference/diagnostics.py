@@ -13,6 +13,7 @@ from scipy.special import bdtrc, fdtrc, gammaincc
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.channel import Quantity
+from dashpot.data.noise import fishers_product
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.likelihood.global_search import moves_freely
@@ -31,7 +32,6 @@ from dashpot.model.network import Model
 from dashpot.model.observation import is_direct, measures_input
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import scaled_inverse, standard_deviations
-from dashpot.numerics.variance_tests import fishers_product
 from dashpot.unknowns import Unknown, pull
 
 # What whole records lack: length, lines, or inputs that have anything to do with the motion.

@@ -19,7 +19,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtrc, fdtrc, stdtrit
 
 from dashpot.arrays import Bools, Complex, Ints, Real
-from dashpot.data.noise import smoothed
+from dashpot.data.noise import equal_variances, smoothed
 from dashpot.data.spectrum import LinesInTime, Spectrum
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.likelihood.record_noise import RESIDUAL, residuals_of_records
@@ -32,7 +32,6 @@ from dashpot.model.observation import small
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
 from dashpot.numerics.small_systems import scaled_inverse
-from dashpot.numerics.variance_tests import equal_variances
 
 BLOCKS = 48  # of time in a record, at most
 TINY = np.finfo(float).tiny

@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from dashpot.arrays import Bools, Complex, Real, diagonal_matrices, hermitian
 from dashpot.data.conditioning.whole_record import FLOOR
-from dashpot.data.noise import HALF_WINDOW, smoothed
+from dashpot.data.noise import HALF_WINDOW, equal_variances, smoothed
 from dashpot.data.spectrum import Spectrum, WholeRecord, flattened, in_chunks, taken_as_measured
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.descent import Likelihood, thinned
@@ -37,7 +37,6 @@ from dashpot.model.observation import (
     small,
 )
 from dashpot.notices import Notice
-from dashpot.numerics.variance_tests import equal_variances
 
 # The noise of channels that measure inputs of whole records, where their own spectra do not show it.
 #

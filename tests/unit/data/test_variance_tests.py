@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import bartlett, combine_pvalues
 
-from dashpot.numerics.variance_tests import equal_variances, fishers_product
+from dashpot.data.noise import equal_variances, fishers_product
 
 
 def test_equal_variances_are_bartletts() -> None:
