@@ -35,6 +35,20 @@ def read_parquet(file: DataFile, parquet: Any) -> Iterator[ArrayColumns]:
     yield _columns(file, schema, rows, batches)
 
 
+def parquet_pieces(file: DataFile) -> Iterator[ArrayColumns]:
+    """The table, some rows at a time, which are held."""
+    import pyarrow.parquet as parquet
+
+    content = parquet.ParquetFile(noted(file.path), pre_buffer=False)
+    for batch in content.iter_batches(batch_size=PIECE):
+        table = pa.Table.from_batches([batch])
+        yield _columns(file, content.schema_arrow, len(batch), partial(_column, table))
+
+
+def _column(table: pa.Table, column: int) -> Iterator[Any]:
+    return iter([table.column(column)])
+
+
 def read_feather(file: DataFile, feather: Any) -> Iterator[ArrayColumns]:
     """The table; its columns are read when they are asked for, and the others neither read nor unpacked then."""
     if file.head.startswith(b"FEA1"):  # of before 2020
