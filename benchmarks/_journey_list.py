@@ -956,6 +956,13 @@ def measured_modes(k: int, d: Draw) -> Journey:
     return d.journey.run("modes", "data.csv", "--rig", "rig.toml", "--json", "m.json", "-o", "m.csv")
 
 
+def track(k: int, d: Draw) -> Journey:
+    d.record("noise", n=3200)
+    return d.journey.run(
+        "track", "rig.toml", "data.csv", "--window", "8s", "--json", "t.json", "-o", "t.parquet"
+    )
+
+
 def fleet(k: int, d: Draw) -> Journey:
     d.rigs()
     names = [f"rig{i}.csv" for i in range(5)]
@@ -1042,6 +1049,7 @@ def helps() -> Iterator[Journey]:
         "start",
         "frf",
         "modes",
+        "track",
     ]
     yield Journey("help").run("--help").run("--version").run("nonsense").run()
     yield from (Journey(f"help-{command}").run(command, "--help").run(command) for command in commands)
@@ -1061,6 +1069,7 @@ KINDS: tuple[tuple[str, Callable[[int, Draw], Journey], int, Sequence[Bench]], .
     ("inspect", inspect, 20, LINEAR), ("spectrum", spectrum, 9, LINEAR), ("fleet", fleet, 8, LINEAR[:4]),
     ("study", study, 5, LINEAR[:3]), ("design", design, 16, LINEAR),
     ("frf", frequency_responses, 3, LINEAR), ("modes", measured_modes, 3, LINEAR), ("start", start, 3, LINEAR),
+    ("track", track, 2, LINEAR[:4]),
 )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from dashpot.api import read as read
 from dashpot.api import simulate as simulate
 from dashpot.api import start as start
 from dashpot.api import state_space as state_space
+from dashpot.api import track as track
 from dashpot.api import transfer_functions as transfer_functions
 from dashpot.channel import Channel as Channel
 from dashpot.channel import Quantity as Quantity
@@ -59,6 +60,8 @@ from dashpot.estimate.result import ModeValues as ModeValues
 from dashpot.estimate.result import Value as Value
 from dashpot.export.state_space import StateSpace as StateSpace
 from dashpot.export.transfer_functions import TransferFunctions as TransferFunctions
+from dashpot.fleet.tracking import Track as Track
+from dashpot.fleet.tracking import Tracker as Tracker
 from dashpot.free.modes import MeasuredModes as MeasuredModes
 from dashpot.free.response import MeasuredResponse as MeasuredResponse
 from dashpot.model.dynamics import Matrices as Matrices

@@ -59,11 +59,13 @@ from dashpot.model.observation import measures_input
 from dashpot.model.rigfile import Rig, default_channels, parse_rig, read_rig
 from dashpot.numerics.blas_threads import one_blas_thread
 from dashpot.quantities import frequencies as frequencies_of
+from dashpot.quantities import quantity
 
 if TYPE_CHECKING:
     from dashpot.export.identified_rig import IdentifiedRig
     from dashpot.export.state_space import StateSpace
     from dashpot.export.transfer_functions import TransferFunctions
+    from dashpot.fleet.tracking import Track
     from dashpot.free.modes import MeasuredModes
     from dashpot.free.response import MeasuredResponse
     from dashpot.present.schematic.drawing import Drawing, ModeDrawing
@@ -631,17 +633,23 @@ def report(estimate: Estimate, path: AnyPath, level: float = 0.95) -> str:
     return name
 
 
-def text(value: Estimate | Comparison) -> str:
+def text(value: Estimate | Comparison | Track) -> str:
     """What the command prints of a result."""
+    from dashpot.fleet.tracking import Track
     from dashpot.present.comparison import comparison_document
     from dashpot.present.document import printed
     from dashpot.present.estimate import estimate_text
 
+    if isinstance(value, Track):
+        from dashpot.present.tracking import track_document
+
+        return printed(track_document(value))
     return printed(comparison_document(value)) if isinstance(value, Comparison) else estimate_text(value)
 
 
-def html(value: Rig | Record | Spectrum | Estimate | Comparison) -> str:
+def html(value: Rig | Record | Spectrum | Estimate | Comparison | Track) -> str:
     """A value as HTML, for a notebook."""
+    from dashpot.fleet.tracking import Track
     from dashpot.present.comparison import comparison_document
     from dashpot.present.data import notebook_document
     from dashpot.present.document import html_of
@@ -651,11 +659,21 @@ def html(value: Rig | Record | Spectrum | Estimate | Comparison) -> str:
         if value.values.ndim > 1:
             return f"<p>{len(value.values)} estimates</p>"
         return html_of(estimate_document(value, untried=()))
+    if isinstance(value, Track):
+        from dashpot.present.tracking import track_document
+
+        return html_of(track_document(value))
     return html_of(comparison_document(value) if isinstance(value, Comparison) else notebook_document(value))
 
 
-def plot(value: Estimate | Comparison, level: float = 0.95) -> Any:
+def plot(value: Estimate | Comparison | Track, level: float = 0.95) -> Any:
     """A matplotlib Figure of the values with their intervals."""
+    from dashpot.fleet.tracking import Track
+
+    if isinstance(value, Track):
+        from dashpot.present.figures.tracking import track_figure
+
+        return track_figure(value, level)
     from dashpot.present.figures.comparison import comparison_figure, estimate_figure
 
     return comparison_figure(value, level) if isinstance(value, Comparison) else estimate_figure(value, level)
@@ -753,6 +771,50 @@ def modes(
         named = _without_rig(data, inputs, outputs, rig, frequency_hz, driven=False)
         found = measured_modes(*named, band, most=most, real=real)
     return found if rig is None else replace(found, points=_points(found.outputs))
+
+
+@one_blas_thread()
+def track(
+    rig: Rig,
+    data: Data,
+    window: float | str,
+    *,
+    speed: float | Mapping[str, float] | None = None,
+    false_alarms: float = 0.01,
+    conditioning: Conditioning | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Track:
+    """The unknowns of a rig over time, from one long record in windows of some seconds, and when they change.
+
+    data          a file, which is read some rows at a time where it is text or Parquet; Records or columns by name
+    window        s, or text such as "20 s"
+    speed         standard deviation of the change in an hour, as a share of the value: of all unknowns, or by name
+                  (others then stand still); without it, the likeliest
+    false_alarms  share of records without a change in which one is announced
+    conditioning  how windows become amplitudes
+
+    `progress(done, done)` is called after each window.  Window by window: `dashpot.Tracker`.  Raises DataError where
+    the data are no continuous record or no window determines the unknowns, UsageError for a window, speed or share
+    that cannot be, IdentifiabilityError where the channels do not determine the unknowns.
+    """
+    from dashpot.data.readers.pieces import records_in_pieces, windows_of
+    from dashpot.fleet.tracking import Tracker
+
+    seconds = quantity(window, "time") if isinstance(window, str) else float(window)
+    if not 0 < seconds < float("inf"):
+        raise UsageError(f"a window of {seconds:g} s", cure="give a time above 0")
+    tracker = Tracker(rig, Conditioning() if conditioning is None else conditioning, seed)
+    tracker.require_speed(speed)
+    if isinstance(data, str | os.PathLike):
+        records: Iterable[Record] = records_in_pieces(data, rig.channels)
+    else:
+        records = _reading(rig, data, None).records
+    for one in windows_of(records, seconds):
+        tracker.add(one)
+        if progress is not None:
+            progress(tracker.windows, tracker.windows)
+    return tracker.track(speed=speed, false_alarms=false_alarms)
 
 
 def _points(channels: Sequence[Channel]) -> tuple[str, ...]:

@@ -252,6 +252,11 @@ def _target(text: str) -> float | dict[str, float]:
     return _pairs(share, text) if "=" in text else share(text)
 
 
+def _speed(text: str) -> float | dict[str, float]:
+    share = partial(_from_zero, quantities.fraction, "0%")
+    return _pairs(share, text) if "=" in text else share(text)
+
+
 def _sensors(text: str) -> tuple[int, tuple[str, ...]]:
     """ "pick 3 of a,b,c": how many, and of which (none: of all)."""
     match = re.fullmatch(r"\s*(?:pick\s+)?(\d{1,6})(?:\s+of\s+(.+))?\s*", text)
@@ -292,6 +297,7 @@ LEVEL = TextType("level", _level)
 ORDERS = TextType("orders", _whole_numbers, words=("auto",))
 HARMONICS = TextType("orders", _whole_numbers, words=("auto", "none"))
 TARGET = TextType("share", _target)
+SPEED = TextType("share", _speed, words=("auto",))
 MODAL_SD = TextType("shares", _three_shares)
 SENSORS = TextType("choice", _sensors)
 INPUT_FILE = InputFile()

@@ -62,6 +62,10 @@ class Ledger:
             raise _taken(path)
         self.written.update(keys)
 
+    def write_anew(self) -> None:
+        """All outputs may be written again, by the options that claimed them: what they hold has grown."""
+        self.written.clear()
+
 
 _current: ContextVar[Ledger | None] = ContextVar("ledger", default=None)
 

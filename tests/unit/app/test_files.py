@@ -20,7 +20,7 @@ from tests.unit.app.conftest import RIG, Command
 
 PATHS = (InputFile, OutputFile, OutputFolder)
 # What a call needs beside its files, by the name of the parameter.
-NEEDED = {"frequencies": "1,2,5", "paper": "yamane1989"}
+NEEDED = {"window": "20s", "frequencies": "1,2,5", "paper": "yamane1989"}
 
 
 def _command(name: str) -> click.Command:
@@ -119,7 +119,7 @@ def test_figures_and_reports_have_formats() -> None:
         "identify", "compare", "check", "design", "validate", "study", "reproduce",
     }  # fmt: skip
     assert {name for name, parameter in _of_formats() if parameter in ("figure", "out")} == {
-        "compare", "design", "draw", "fleet", "frf", "identify", "modes", "response", "validate",
+        "compare", "design", "draw", "fleet", "frf", "identify", "modes", "response", "track", "validate",
     }  # fmt: skip
 
 

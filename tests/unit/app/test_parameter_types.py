@@ -61,7 +61,7 @@ def test_extreme_numbers_are_refused_in_one_line(dashpot: Command, rig: Path, ca
         "new": ["new.toml"], "validate": ["estimate.json", "data.csv"], "draw": ["rig.toml", "--out", "o.svg"],
         "export": ["rig.toml", "--out", "o.json"], "response": ["rig.toml", "--out", "o.svg"],
         "fleet": ["rig.toml", "data.csv", "--out", "o.parquet"], "start": ["data.csv", "--out", "n.toml"],
-        "frf": ["data.csv"], "modes": ["data.csv"],
+        "frf": ["data.csv"], "modes": ["data.csv"], "track": ["rig.toml", "data.csv", "--window", "1s"],
     }  # fmt: skip
     for form, extreme in product(forms, EXTREMES):
         value = form.format(extreme)
@@ -103,6 +103,7 @@ IN_OTHER_WORDS = {
     types.PART: ("0.2", "20%"),
     types.LEVEL: ("0.95", "95%", "95"),
     types.TARGET: ("m1=0.01,c1=0.05", "m1=1%,c1=5%"),
+    types.SPEED: ("k=0.01,c=0", "k=1%,c=0%"),
     types.MODAL_SD: ("0.01,0.2,0.05", "1%,20%,5%"),
 }
 IN_UNITS_OF_THE_RIG = {  # an angle or a length: only the rig tells

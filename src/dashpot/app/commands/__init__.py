@@ -25,6 +25,7 @@ COMMANDS: Mapping[str, str] = {
     "spectrum": "Turn time records into a table of complex amplitudes.",
     "frf": "Frequency responses from test data, with standard deviations, without a rig.",
     "modes": "Natural frequencies, damping and shapes from test data, without a rig.",
+    "track": "Follow the unknowns of a rig over time, and say when they change.",
     "fleet": "Estimate the unknowns of many rigs of one kind, each from its own data.",
     "study": "Compare tests, noise levels and methods by Monte Carlo simulation.",
     "design": "Design the next test: the most informative frequencies, times and sensors.",
