@@ -17,7 +17,7 @@ from tests.fuzz.runner import finding
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 KEPT = sorted((HERE / "findings").glob("*.json"))
-SHORT = 100
+SHORT = 60
 PATIENT = 30.0  # s: the limit of a campaign on an idle machine is 5 s, and slower ones run these tests too
 
 

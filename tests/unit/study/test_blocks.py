@@ -103,20 +103,20 @@ def test_a_block_of_something_else_is_seen(tmp_path: Path, change: dict[str, obj
 
 
 def test_no_flipped_bit_passes_for_other_numbers(tmp_path: Path) -> None:
-    """Every seventh byte of the file, one bit of it: found, or without any meaning."""
+    """Every 17th byte of the file, one bit of it: found, or without any meaning."""
     raw, path = kept(tmp_path), tmp_path / f"{KEY.name}.parquet"
     rng = np.random.default_rng(1)
     seen = 0
-    for at in range(0, len(raw), 7):
+    for at in range(0, len(raw), 17):
         path.write_bytes(raw[:at] + bytes([raw[at] ^ (1 << int(rng.integers(8)))]) + raw[at + 1 :])
         columns, _ = found(tmp_path)
         seen += columns is None
         assert columns is None or same(columns, computed(0)), at
-    assert seen > 0.5 * len(raw) / 7
+    assert seen > 0.5 * len(raw) / 17
 
 
-@pytest.mark.parametrize("length", [16, 64])
-def test_no_zeroed_page_and_no_end_cut_off_passes(tmp_path: Path, length: int) -> None:
+def test_no_zeroed_page_and_no_end_cut_off_passes(tmp_path: Path) -> None:
+    length = 48  # bytes: some pages within a column, some across its ends
     raw, path = kept(tmp_path), tmp_path / f"{KEY.name}.parquet"
     for at in range(0, len(raw), length):
         for changed in (raw[:at] + bytes(length) + raw[at + length :], raw[:at]):

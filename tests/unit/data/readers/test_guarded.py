@@ -18,8 +18,9 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
+from dashpot.data.inspection import inspect_file
 from dashpot.data.readers.datafile import UNPACKED
-from dashpot.errors import DataError
+from dashpot.errors import DashpotError, DataError
 from dashpot.io import guarded
 from dashpot.io.guarded import Child
 
@@ -59,6 +60,15 @@ def refused(path: Path, unpacked: str = "") -> str:
     assert answer.returncode == 2
     (line,) = answer.stderr.strip().splitlines()
     return line
+
+
+def refused_here(path: Path, monkeypatch: pytest.MonkeyPatch, unpacked: str) -> str:
+    """The same without a process for the command; readers have theirs."""
+    monkeypatch.setenv(UNPACKED, unpacked)
+    with pytest.raises(DashpotError) as error:
+        inspect_file(path)
+    assert "\n" not in str(error.value)
+    return str(error.value)
 
 
 def workbook(path: Path, cells: dict[str, float]) -> Path:
@@ -150,23 +160,27 @@ def test_what_unpacks_without_end_is_refused_while_it_unpacks(tmp_path: Path) ->
     assert UNPACKED in line
 
 
-def test_chunks_that_unpack_to_more_than_there_may_be_are_refused(tmp_path: Path) -> None:
+def test_chunks_that_unpack_to_more_than_there_may_be_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     h5py = pytest.importorskip("h5py")
     path = tmp_path / "bomb.h5"
     with h5py.File(path, "w") as file:
         file.create_dataset("x1", (1 << 20,), "f8", chunks=(1 << 16,), compression="gzip")
-    assert UNPACKED in refused(path, unpacked="0.001")
+    assert UNPACKED in refused_here(path, monkeypatch, "0.001")
 
 
-def test_room_for_unpacked_data_is_a_number(tmp_path: Path) -> None:
+def test_room_for_unpacked_data_is_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.csv.gz"
     with gzip.open(path, "wb") as file:
         file.write(b"time_s,x1\n0,1\n1,2\n")
-    assert UNPACKED in refused(path, unpacked="much")
+    assert UNPACKED in refused_here(path, monkeypatch, "much")
 
 
 @pytest.mark.parametrize("kind", ["npz", "mat", "parquet", "feather"])
-def test_zeros_of_every_packed_format_are_counted(tmp_path: Path, kind: str) -> None:
+def test_zeros_of_every_packed_format_are_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
     path, zeros = tmp_path / f"bomb.{kind}", np.zeros(1 << 20)
     match kind:
         case "npz":
@@ -177,11 +191,13 @@ def test_zeros_of_every_packed_format_are_counted(tmp_path: Path, kind: str) -> 
             pq.write_table(pa.table({"time_s": zeros, "x1": zeros}), path)
         case "feather":
             feather.write_feather(pa.table({"time_s": zeros, "x1": zeros}), str(path), compression="zstd")
-    assert UNPACKED in refused(path, unpacked="0.01")
+    assert UNPACKED in refused_here(path, monkeypatch, "0.01")
 
 
-def test_texts_that_unpack_to_more_than_there_may_be_are_refused(tmp_path: Path) -> None:
+def test_texts_that_unpack_to_more_than_there_may_be_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path, count = tmp_path / "bomb.parquet", 1 << 14
     names = pa.chunked_array([pa.array(["a" * (1 << 16)] * 2048)] * (count // 2048))
     pq.write_table(pa.table({"time_s": np.arange(count) / 100, "x1": np.zeros(count), "name": names}), path)
-    assert "more memory" in refused(path, unpacked="0.001")
+    assert "more memory" in refused_here(path, monkeypatch, "0.001")
