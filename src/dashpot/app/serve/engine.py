@@ -553,13 +553,18 @@ def _table(columns: Sequence[TableColumn]) -> dict[str, Any]:
 
 def _design(call: Call, tell: Tell) -> None:
     """The next test after the data at hand, within what the shaker can do: options as of `dashpot design`."""
+    out = Path(call["out"])
+    tell({"result": {"plan": _planned(call, out, call.get("data", ())), "files": _files(out)}})
+
+
+def _planned(call: Call, out: Path, data: Sequence[str]) -> dict[str, Any]:
+    """The plan of `dashpot design` after data, and its files in a folder."""
     from dashpot.io.ledger import noted
 
-    out = Path(call["out"])
     options = [
         f"--{name}={value}" for name, value in call.get("options", {}).items() if value not in (None, "")
     ]
-    after = [f"--after={name}" for name in call.get("data", ())]
+    after = [f"--after={name}" for name in data]
     files = [
         "--json",
         str(out / "plan.json"),
@@ -569,8 +574,35 @@ def _design(call: Call, tell: Tell) -> None:
         str(out / "plan.svg"),
     ]
     _command("design", call["rig"], *after, *options, *files)
-    plan = json.loads(Path(noted(out / "plan.json")).read_text(encoding="utf-8"))
-    tell({"result": {"plan": plan, "files": _files(out)}})
+    plan: dict[str, Any] = json.loads(Path(noted(out / "plan.json")).read_text(encoding="utf-8"))
+    return plan
+
+
+def _watch(call: Call, tell: Tell) -> None:
+    """A test that still runs, until the call is ended: of `source`, a file or folder, with a `target` such as 1%."""
+    from dashpot.app.serve.live import watch
+    from dashpot.io.ledger import opened
+    from dashpot.model.rigfile import read_rig
+    from dashpot.quantities import fraction
+
+    rig, out, source = read_rig(call["rig"]), Path(call["out"]), Path(call["source"])
+    target = str(call.get("target") or "2%")
+    options = {**call.get("options", {}), "target": target}
+
+    def plan(files: Sequence[str]) -> Mapping[str, Any]:
+        with opened():  # written anew every time
+            return _planned({**call, "options": options}, out, files)
+
+    if not source.exists():
+        raise UsageError("there is no such file or folder", str(source), "choose one that is there")
+    watch(
+        rig,
+        source,
+        out / "live",
+        fraction(target),
+        plan,
+        lambda told: tell({"result": {**told, "files": []}}),
+    )
 
 
 def _export(call: Call, tell: Tell) -> None:
@@ -588,6 +620,7 @@ CALLS: Mapping[str, Callable[[Call, Tell], None]] = {
     "identify": _identify,
     "design": _design,
     "export": _export,
+    "watch": _watch,
 }
 
 

@@ -101,6 +101,7 @@ class Page:
             "work": ui.refreshable(self._work),
             "result": ui.refreshable(self._result),
             "plan": ui.refreshable(self._plan),
+            "live": ui.refreshable(self._live),
         }
 
     def build(self) -> None:
@@ -146,6 +147,7 @@ class Page:
                 self._view("work")
                 self._view("result")
                 self._view("plan")
+                self._live_form()
                 self._view("channels")
         self._tick()
         ui.timer(TICK, self._tick)
@@ -531,6 +533,65 @@ class Page:
                             "Apply", partial(self._later, self.session.apply, number), "color=primary"
                         )
                         button.props(f'aria-description="{html.escape(cause["change"])}"'.replace("\n", " "))
+
+    # A test that still runs.
+
+    def _live_form(self) -> None:
+        session = self.session
+        with self._card("Live test"):
+            _html(
+                '<p class="soft">Follow a file that grows, or a folder that fills, while the test runs.</p>'
+            )
+            with ui.element("div").classes("row-of"):
+                source = ui.select([], label=f"In {session.served.name}", with_input=True)
+                source.props("dense outlined").style("min-width: 14rem")
+                source.on("focus", lambda _: source.set_options(session.in_folder(folders_too=True)))
+                source.set_options(session.in_folder(folders_too=True))
+                target = ui.input("Enough at ±", value="2%").props("dense outlined").style("width: 8rem")
+                rate = ui.input("Sampling rate, Hz", value="").props("dense outlined").style("width: 9rem")
+
+                def begin() -> Any:
+                    return self._later(
+                        session.watch, source.value or "", target.value, {"rate": rate.value.strip()}
+                    )
+
+                self._button("Start live test", begin)
+            self._view("live")
+
+    def _live(self) -> None:
+        live = self.session.live
+        if live is None:
+            return
+        if live.get("waiting"):
+            _html(f'<p role="status">{html.escape(live["waiting"])}</p>')
+        for title, texts in (("Repeat now", live.get("bad", ())), ("Samples lost", live.get("lost", ()))):
+            for text in texts:
+                _html(f'<p class="trouble" role="alert"><b>{title}:</b> {html.escape(text)}</p>')
+        if not live["history"]:
+            return
+        samples = [step["samples"] for step in live["history"]]
+        enough = "Enough: every ± is within the target." if live["enough"] else "Not enough yet."
+        said = f'<p class="head" role="status">{enough}</p><p>{html.escape(live["headline"])}</p>'
+        _html(
+            f'<div aria-label="Live verdict" role="group">{said}<p class="soft">{samples[-1]} samples</p></div>'
+        )
+        rows = [
+            [row["name"], row["value"], row["sd"], row["unit"], f"{100 * row['share']:.2g} %" if row["share"] else "",
+             "yes" if row["share"] is not None and row["share"] <= live["target"] else "not yet"]
+            for row in live["rows"]
+        ]  # fmt: skip
+        heads = ["Parameter", "Value", "±", "Unit", "± %", "Enough"]
+        right = [False, True, True, False, True, False]
+        _html(table_html("Live parameters", {"heads": heads, "rows": rows, "right": right}), "wide")
+        for text in live.get("pictures", ()):
+            _html(text)
+        if live.get("next"):
+            best = max(live["next"], key=lambda dwell: dwell["samples"])
+            amplitudes = ", ".join(f"{name} {size:.3g}" for name, size in best["amplitudes"].items())
+            words = f"{best['frequency_hz']:.4g} Hz, {best['samples']} samples ({best['time_s']:.3g} s), {amplitudes}"
+            _html(f"<p><b>Next best dwell:</b> {html.escape(words)} in SI units</p>")
+        elif live.get("unplanned"):
+            _html(f'<p class="soft">Next dwell: {html.escape(live["unplanned"])}</p>')
 
     # The next test.
 

@@ -27,6 +27,7 @@ from dashpot.errors import DashpotError, UsageError, printable
 from dashpot.io.atomic import write_text
 
 PARTS = ("files", "rig", "channels", "work", "result", "plan", "live")
+KINDS = {"identify": "result", "design": "plan", "watch": "live"}  # what calls of the engine leave
 MOST_TEXTS = 500  # of the rig file that are kept
 MOST_RIG = 1 << 20  # bytes of a rig file: one of 10 000 elements has half of it
 LONGEST = 120  # characters of a file's name; systems allow 255 bytes
@@ -72,12 +73,13 @@ class Session:
         self.looking = False
         self.start: dict[str, Any] | None = None  # questions of the form for a first rig
         self.state: dict[str, Any] = {
-            "rig": None, "at": -1, "data": [], "errors": [], "result": None, "plan": None, "limits": {}, "job": None,
-            "answers": {},
+            "rig": None, "at": -1, "data": [], "errors": [], "answers": {}, "limits": {}, "job": None,
+            **dict.fromkeys(KINDS.values()),
         }  # fmt: skip
         self.history: list[str] = []
         self.result: dict[str, Any] | None = None
         self.plan: dict[str, Any] | None = None
+        self.live: dict[str, Any] | None = None  # what a test that still runs has shown so far
         shutil.rmtree(folder / SCRATCH, ignore_errors=True)
         for made in (folder, folder / "data", folder / "results"):
             made.mkdir(mode=0o700, exist_ok=True)
@@ -102,7 +104,7 @@ class Session:
                 }
             ]
             return
-        self.result, self.plan = (self._kept(self.state[name]) for name in ("result", "plan"))
+        self.result, self.plan, self.live = (self._kept(self.state[name]) for name in KINDS.values())
         self.look()
         job = self.state["job"]
         if job is not None:
@@ -265,14 +267,16 @@ class Session:
         """The data files, as the engine finds them."""
         return [each["path"] for each in self.state["data"]]
 
-    def in_folder(self) -> list[str]:
+    def in_folder(self, folders_too: bool = False) -> list[str]:
         """Files of the served folder that may be opened, by their paths in it."""
-        found = []
+        found = ["."] if folders_too else []
         for folder, folders, files in os.walk(self.served):
             depth = len(Path(folder).relative_to(self.served).parts)
             folders[:] = sorted(name for name in folders if not name.startswith(".") and depth < 2)
             found += [os.path.relpath(os.path.join(folder, name), self.served) for name in sorted(files)
                       if not name.startswith(".")]  # fmt: skip
+            if folders_too:
+                found += [os.path.relpath(os.path.join(folder, name), self.served) for name in folders]
             if len(found) > 500:
                 break
         return found[:500]
@@ -384,6 +388,19 @@ class Session:
             self.state["limits"] = dict(options)
         self._begin({"call": "design", "options": dict(options)})
 
+    def watch(self, name: str, target: str, options: Mapping[str, str]) -> None:
+        """Follow a test that still runs: a file of the served folder that grows, or a folder of it that fills."""
+        place = Path(os.path.realpath(self.served / name))
+        if not self.text:
+            self.complain(["Give a rig file first: a live test needs to know what is unknown."])
+        elif not place.is_relative_to(os.path.realpath(self.served)) or not place.exists():
+            self.complain(
+                [f"{printable(name)}: there is no such file or folder in the folder that is served"]
+            )
+        else:
+            self.live = None
+            self._begin({"call": "watch", "source": str(place), "target": target, "options": dict(options)})
+
     def export(self, end: str) -> None:
         """Write the rig with its last estimate for another program, beside the estimate."""
         kept = self.state["result"]
@@ -414,7 +431,7 @@ class Session:
         Thread(target=self._work, args=(self.job, call, made), daemon=True).start()
 
     def _work(self, job: Job, call: dict[str, Any], made: dict[str, Any]) -> None:
-        kind = {"identify": "result", "design": "plan"}.get(job.call)
+        kind = KINDS.get(job.call)
 
         def hears(event: Mapping[str, Any]) -> None:
             if "progress" in event:
@@ -438,7 +455,7 @@ class Session:
             names = {*self.result["files"], call["name"]}
             self.result = {**self.result, "files": sorted(names)}
             write_text(self.folder / call["out"] / KEPT, json.dumps(self.result))
-        self._changed("work", "result", "plan")
+        self._changed("work", "result", "plan", "live")
 
     def download(self, name: str) -> Path | None:
         """The file of that name among the rig file and the results; None for any other name."""

@@ -90,7 +90,7 @@ def bars_svg(name: str, samples: Sequence[float], low: Sequence[float], high: Se
         if np.isfinite(a) and np.isfinite(b)
     )
     words = f"95 % interval of {name}: {finite[-1, 0]:.4g} to {finite[-1, 1]:.4g}"
-    return _framed(words, bars, (f"{top:.4g}", f"{bottom:.4g}", ""), ("", f"{samples[-1]:.0f} samples"))
+    return _framed(words, bars, (f"{top:.4g}", f"{bottom:.4g}", name), ("", f"{samples[-1]:.0f} samples"))
 
 
 def _span(low: Real, high: Real) -> tuple[float, float]:

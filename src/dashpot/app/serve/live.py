@@ -1,0 +1,192 @@
+"""A test that is still running: a file that grows, or a folder that fills, identified whenever there is more."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dashpot.errors import DashpotError, DataError
+
+if TYPE_CHECKING:
+    from dashpot.estimate.result import Estimate
+    from dashpot.model.rigfile import Rig
+
+POLL = 0.4  # s between two looks at the files
+STILL = 1.5  # s without a change, after which a file counts as written to its end: recorders write in bursts
+TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm")  # whose beginning can be read while they grow
+MOST_DRAWN = 12  # unknowns whose intervals are drawn against samples
+# Notes and warnings of samples that are missing or wrong, which a test that is still mounted can record again.
+LOST = (
+    "gaps",
+    "held_samples",
+    "dropouts",
+    "packets_lost",
+    "clipped",
+    "residual_jump",
+    "spikes",
+    "clock_step",
+)
+
+
+def watch(
+    rig: Rig,
+    source: Path,
+    into: Path,
+    target: float,
+    plan: Callable[[Sequence[str]], Mapping[str, Any]],
+    tell: Callable[[dict[str, Any]], None],
+) -> None:
+    """Identify what is there, and again whenever there is more, until the process is ended.
+
+    source  a file, or a folder whose files are data
+    into    a folder for copies of what is still being written
+    target  the relative standard deviation that is enough
+    plan    the next test after data files, as `dashpot design --json` has it
+
+    `tell` is called with all that is known at every step: `history` (samples, and the interval of each unknown),
+    `rows`, `verdict`, `enough`, `next` (dwells), `bad` and `lost` (texts), and `waiting` where nothing can be said yet.
+    """
+    from dashpot.app.commands.identify import identified
+    from dashpot.app.data_files import RecordOptions
+
+    history: list[dict[str, Any]] = []
+    told: dict[str, Any] = {"history": history, "waiting": "Waiting for the first samples", "target": target}
+    tell(told)
+    before: object = None
+    while True:
+        time.sleep(POLL)
+        now = _sizes(source)
+        complete = all(time.time() - os.stat(path).st_mtime > STILL for path, _ in now)
+        if not now or (now, complete) == before:
+            continue
+        before = (now, complete)  # looked at once more when all has come to rest
+        files = [path for name, _ in now if (path := _readable(Path(name), into)) is not None]
+        if not files:
+            continue
+        try:
+            found = identified(rig, files, RecordOptions.usual(), "auto", False, 0, 0.0, False, False)
+            told = {"history": history, "target": target, **_words(found.estimate, target)}
+            samples = _samples(files)
+            history[:] = [
+                *(each for each in history if each["samples"] < samples),
+                {"samples": samples, "rows": told["rows"]},
+            ]
+            told["pictures"] = [_picture(history, i) for i in range(min(len(told["rows"]), MOST_DRAWN))]
+            tell(told)
+        except DashpotError as error:
+            tell({**told, "waiting": str(error.problems[0])})
+            continue
+        try:
+            told |= {"next": plan(files)["dwells"]}
+        except DashpotError as error:
+            told |= {"unplanned": str(error.problems[0])}
+        tell(told)
+
+
+def _sizes(source: Path) -> list[tuple[str, int]]:
+    """The files, and how long they are."""
+    paths = (
+        sorted(path for path in source.iterdir() if not path.name.startswith("."))
+        if source.is_dir()
+        else [source]
+    )
+    return [(str(path), path.stat().st_size) for path in paths if path.is_file() and path.stat().st_size]
+
+
+def _readable(path: Path, into: Path) -> str | None:
+    """The file where it has come to rest, else what a copy holds of whole rows and dwells; None: nothing yet."""
+    from dashpot.io.atomic import write_bytes
+    from dashpot.io.ledger import noted, opened
+
+    if time.time() - path.stat().st_mtime > STILL:
+        return str(path)
+    if path.suffix.lower() not in TEXTS:
+        return None
+    text = Path(noted(path)).read_bytes()
+    text = text[: text.rfind(b"\n") + 1]
+    text = _whole_dwells(text)
+    if text.count(b"\n") < 3:
+        return None
+    into.mkdir(exist_ok=True)
+    with opened():  # written anew at every look
+        write_bytes(into / path.name, text)
+    return str(into / path.name)
+
+
+def _whole_dwells(text: bytes) -> bytes:
+    """Rows without those of the last drive frequency, whose dwell may still go on; all where none is named."""
+    head, _, rows = text.partition(b"\n")
+    separator = next((mark for mark in (b",", b";", b"\t") if mark in head), b",")
+    names = [name.strip(b' "').lower() for name in head.split(separator)]
+    at = next((i for i, name in enumerate(names) if re.match(rb"frequency(_hz)?\b", name)), None)
+    if at is None:
+        return text
+    lines = rows.splitlines(keepends=True)
+    fields = [line.split(separator) for line in lines]
+    last = fields[-1][at] if fields and len(fields[-1]) > at else b""
+    kept = len(lines)
+    while kept and len(fields[kept - 1]) > at and fields[kept - 1][at] == last:
+        kept -= 1
+    return head + b"\n" + b"".join(lines[:kept])
+
+
+def _samples(files: Sequence[str]) -> int:
+    """How many samples the files hold."""
+    from dashpot.data.inspection import inspect_file
+
+    return sum(part.samples for name in files for part in inspect_file(name).parts)
+
+
+def _picture(history: Sequence[Mapping[str, Any]], i: int) -> str:
+    """The interval of an unknown against samples."""
+    from dashpot.present.figures.traces import bars_svg
+
+    steps = [(step["samples"], step["rows"][i]) for step in history if len(step["rows"]) > i]
+    return bars_svg(
+        steps[-1][1]["name"],
+        [samples for samples, _ in steps],
+        [row["low"] for _, row in steps],
+        [row["high"] for _, row in steps],
+    )
+
+
+def _words(estimate: Estimate, target: float) -> dict[str, Any]:
+    """What is known now, whether it is enough, and which dwells or samples are to be recorded again."""
+    from dashpot.present.estimate import headline
+    from dashpot.present.words import sentence, value_and_sd
+
+    if estimate.assessment is None:
+        raise DataError("the fit was not judged")
+    rows: list[dict[str, Any]] = []
+    for one in estimate:
+        value, sd = value_and_sd(one.value, one.sd)
+        share = abs(one.sd / one.value) if one.value else float("inf")
+        low, high = one.interval95
+        rows.append(
+            {
+                "name": one.name,
+                "value": value,
+                "sd": sd,
+                "unit": one.unit,
+                "share": share,
+                "low": low,
+                "high": high,
+            }
+        )
+    findings = estimate.assessment.findings
+    said = [*estimate.notes, *estimate.warnings]
+    return {
+        "rows": rows,
+        "verdict": estimate.assessment.verdict,
+        "headline": headline(estimate, ()),
+        "enough": estimate.assessment.verdict != "does not fit"
+        and all(row["share"] <= target for row in rows),
+        "bad": [sentence(each.text) for each in findings if each.kind == "dwell"],
+        "lost": [sentence(each.text) for each in said if each.code in LOST],
+        "waiting": None,
+        "next": None,
+    }
