@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,8 +14,10 @@ from typing import Any
 
 import pytest
 
-from tests.browser import chromium
+from tests.browser import LIGHT, chromium
+from tests.real.recordings import RAW, needs_recordings
 from tests.reports import EXAMPLES
+from tests.two_masses import RIG
 
 pytest.importorskip("nicegui", reason="the page needs NiceGUI: python3 dev.py test --long installs it")
 sync_api = pytest.importorskip(
@@ -124,3 +127,243 @@ def test_from_files_to_a_verdict_a_correction_and_a_report(
         assert page.get_by_label("Text of the rig").input_value() == SHAKE_TABLE[0].read_text(
             encoding="utf-8"
         )
+
+
+def test_hits_of_a_hammer_with_a_record_at_rest(browser: Any, server: Server, tmp_path: Path) -> None:
+    made = shutil.copytree(EXAMPLES["hammer"], tmp_path / "made")
+    subprocess.run([sys.executable, "make_hits.py"], cwd=made, check=True)
+    with opened(browser, server) as page:
+        give(page, made / "rig.toml", *(made / f"{name}.csv" for name in ("hit1", "hit2", "hit3", "still")))
+        page.get_by_role("checkbox", name="still.csv").click()
+        page.get_by_text("Band, method, tolerance").click()
+        page.get_by_label("Band, Hz").fill("2:150")
+        page.get_by_label("Band, Hz").press("Tab")
+        assert "fits" in identified(page)
+        shown = page.get_by_role("table", name="Parameters").inner_text()
+        assert "4.0" in shown  # kg, the truth is 4 and 1.5
+
+
+@needs_recordings
+def test_the_silverbox_by_its_manifest(browser: Any, server: Server, tmp_path: Path) -> None:
+    folder = EXAMPLES["silverbox"]
+    manifest = tmp_path / "test.toml"
+    kept = (folder / "test.toml").read_text(encoding="utf-8").splitlines(keepends=True)
+    fewer = "".join(line for line in kept if not line.startswith("folder")).replace("1:2683:2", "1:2683:16")
+    manifest.write_text(fewer, encoding="utf-8")
+    with opened(browser, server) as page:
+        give(page, folder / "rig.toml", RAW / "duffing_silverbox" / "SNLS80mV.csv.gz", manifest)
+        page.get_by_role("table", name="Channels").wait_for()
+        assert "fit" in identified(page)
+        assert "1.0" in page.get_by_role("table", name="Parameters").inner_text()  # N/m
+
+
+def test_data_alone_are_asked_about(browser: Any, server: Server, tmp_path: Path) -> None:
+    simulated(tmp_path)
+    with opened(browser, server) as page:
+        give(page, None, tmp_path / "data.csv")
+        page.get_by_text("A first rig for these data").wait_for()
+        page.get_by_label("Mass of x1").fill("3")
+        page.get_by_label("Mass of x1").press("Tab")
+        page.get_by_role("button", name="Use this rig").click()
+        page.get_by_role("table", name="Channels").wait_for()
+        assert "value = 3" in page.get_by_label("Text of the rig").input_value()
+
+
+def simulated(folder: Path) -> None:
+    """rig.toml and data.csv of two masses on a shaken base."""
+    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
+    words = (
+        "simulate rig.toml --out data.csv --frequencies 1:15/8log --amplitude u=0.01 --set m1=3,c1=20,c2=30"
+    )
+    subprocess.run(
+        [sys.executable, "-m", "dashpot", *words.split()], cwd=folder, check=True, capture_output=True
+    )
+
+
+def test_a_live_test_says_when_it_is_enough_and_what_to_repeat(
+    browser: Any, server: Server, tmp_path: Path
+) -> None:
+    simulated(tmp_path)
+    head, *rows = (tmp_path / "data.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    growing, each = tmp_path / "live.csv", len(rows) // 8
+    growing.write_text(head, encoding="utf-8")
+
+    def write(*lines: str) -> None:
+        with growing.open("a", encoding="utf-8") as file:
+            file.writelines(lines)
+
+    write(*rows[: 3 * each])
+    with opened(browser, server) as page:
+        give(page, tmp_path / "rig.toml")
+        page.get_by_role("button", name="Add spring").wait_for()
+        page.get_by_label("File or folder").fill("live.csv")
+        page.get_by_role("option", name="live.csv").click()
+        page.get_by_label("Enough at ±").fill("0.05%")
+        page.get_by_label("Sampling rate, Hz").last.fill("200")
+        page.get_by_role("button", name="Start live test").click()
+        page.get_by_text("Not enough yet").wait_for()
+        page.get_by_text("Next best dwell").wait_for()
+        # A dwell during which somebody has turned the amplifier down: both masses move half as much as they did.
+        spoiled = [line.split(",") for line in rows[4 * each : 5 * each]]
+        write(
+            *rows[3 * each : 4 * each],
+            *(f"{f},{t},{float(a) / 2},{float(b) / 2},{u}" for f, t, a, b, u in spoiled),
+        )
+        write(*rows[5 * each : 6 * each])
+        page.get_by_text("Repeat now").first.wait_for()
+        growing.write_text(head + "".join(rows), encoding="utf-8")
+        page.get_by_text("Repeat now").first.wait_for(state="hidden")
+        page.get_by_text("Enough: every").wait_for()
+        page.get_by_role("button", name="Cancel").click()
+
+
+def test_a_server_that_is_killed_in_a_job_goes_on_where_it_was(browser: Any, tmp_path: Path) -> None:
+    first = Server(tmp_path)
+    context = browser.new_context()
+    page = context.new_page()
+    page.set_default_timeout(PATIENCE)
+    page.goto(first.address)
+    give(page, *SHAKE_TABLE)
+    page.get_by_role("button", name="Identify").click()
+    page.get_by_role("progressbar", name="Progress").wait_for()
+    first.kill()
+    second = Server(tmp_path, first.port)
+    try:
+        assert second.address == first.address
+        page.get_by_role(
+            "region", name="Verdict"
+        ).wait_for()  # the page has come again by itself, and so has the job
+        assert "x3" in page.get_by_label("Text of the rig").input_value()
+    finally:
+        second.kill()
+        context.close()
+
+
+def test_tabs_and_browsers_share_a_session_and_no_token_opens_another(browser: Any, server: Server) -> None:
+    made = "async () => (await (await fetch(`/new?token=${encodeURIComponent(TOKEN)}`, {method: 'POST'})).json()).token"
+    with opened(browser, server) as one, opened(browser, server) as two:
+        give(one, *SHAKE_TABLE)
+        two.get_by_text("amplitudes.csv").first.wait_for()
+        editor = two.get_by_label("Text of the rig")
+        editor.press("Control+End")
+        editor.type("# seen from the other browser\n")
+        one.wait_for_function(
+            "() => document.querySelector('.mono textarea').value.includes('seen from the other browser')"
+        )
+        token = one.evaluate(made)
+        address = server.address
+        server.address = address.partition("=")[0] + "=" + token
+        with opened(browser, server) as other:
+            other.get_by_text("No rig yet").wait_for()
+        server.address = address
+
+
+def test_the_keyboard_alone_is_enough(browser: Any, server: Server) -> None:
+    with opened(browser, server) as page:
+        give(page, *SHAKE_TABLE)
+        page.get_by_role("table", name="Channels").wait_for()
+
+        def reach(name: str) -> None:
+            for _ in range(200):
+                page.keyboard.press("Tab")
+                if page.evaluate("(document.activeElement.innerText || '').trim()").startswith(name):
+                    return
+            raise AssertionError(f"{name} cannot be reached by Tab")
+
+        reach("k1")
+        page.keyboard.press("Enter")
+        page.get_by_label("Value, N/m").fill("480")
+        page.keyboard.press("Tab")
+        reach("Save")
+        page.keyboard.press("Enter")
+        page.wait_for_function("() => document.querySelector('.mono textarea').value.includes('value = 480')")
+        page.get_by_label("Value, N/m").wait_for(state="hidden")
+        reach("Undo")
+        page.keyboard.press("Enter")
+        page.wait_for_function(
+            "() => !document.querySelector('.mono textarea').value.includes('value = 480')"
+        )
+        reach("Identify")
+        page.keyboard.press("Enter")
+        page.get_by_role("button", name="Cancel").wait_for()
+        page.get_by_role("region", name="Verdict").wait_for()
+
+
+def test_a_cancel_works_within_a_second_and_is_no_error(browser: Any, server: Server) -> None:
+    with opened(browser, server) as page:
+        give(page, *SHAKE_TABLE)
+        page.get_by_role("table", name="Channels").wait_for()
+        page.get_by_role("button", name="Identify").click()
+        page.get_by_role("progressbar", name="Progress").wait_for()
+        page.wait_for_timeout(500)
+        began = time.monotonic()
+        page.get_by_role("button", name="Cancel").click()
+        page.get_by_role("progressbar", name="Progress").wait_for(state="hidden")
+        assert (
+            time.monotonic() - began < 1.5
+        )  # with the 0.25 s after which a page looks again, on a busy machine
+        assert page.get_by_role("alert").count() == 0
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_phone_shows_all_without_scrolling_sideways(browser: Any, server: Server, scheme: str) -> None:
+    with opened(browser, server, viewport={"width": 390, "height": 800}, color_scheme=scheme) as page:
+        give(page, *SHAKE_TABLE)
+        identified(page)
+        page.get_by_role("table", name="Modes").wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        least, where = page.evaluate(f"(() => {{ {LIGHT} return {CONTRAST}; }})()")
+        assert least >= 4.5, where
+
+
+# The least contrast of any text with what lies behind it.
+CONTRAST = """(() => { let least = 99, where = "";
+const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+while (walker.nextNode()) {
+  const node = walker.currentNode.parentElement;
+  if (!walker.currentNode.data.trim() || node.closest("script, style, noscript, svg, .disabled, [disabled]")) continue;
+  if (!node.checkVisibility({ opacityProperty: true, visibilityProperty: true })) continue;
+  let behind = null;
+  for (let at = node; at && !behind; at = at.parentElement) {
+    const colour = numbers(getComputedStyle(at).backgroundColor);
+    if (colour.length === 3 || colour[3] > 0.5) behind = colour;
+  }
+  const [a, b] = [light(numbers(getComputedStyle(node).color)), light(behind || [255, 255, 255])];
+  const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+  if (ratio < least) { least = ratio; where = walker.currentNode.data.trim(); }
+}
+return [least, where]; })()
+"""
+
+
+def test_an_error_stays_until_it_is_closed_and_names_its_line(
+    browser: Any, server: Server, tmp_path: Path
+) -> None:
+    broken = tmp_path / "broken.toml"
+    broken.write_text(RIG.replace('["x1", "x2"], value', '["x1", "nowhere"], value'), encoding="utf-8")
+    with opened(browser, server) as page:
+        give(page, broken, SHAKE_TABLE[1])
+        page.locator("[data-line]").filter(has_text="nowhere").click()
+        selected = page.evaluate(
+            "(() => { const a = document.activeElement; return a.value.slice(a.selectionStart, a.selectionEnd); })()"
+        )
+        assert "nowhere" in selected
+        page.get_by_role("button", name="Identify").click()
+        error = page.get_by_role("alert").filter(has_text="nowhere")
+        error.wait_for()
+        page.reload()
+        error.wait_for()
+        error.get_by_role("button", name="Close").click()
+        error.wait_for(state="hidden")
+
+
+def test_the_page_is_there_at_once_and_small(browser: Any, server: Server) -> None:
+    with opened(browser, server) as page:
+        page.get_by_role("button", name="Identify").wait_for()
+        assert time.monotonic() - server.began < 8  # s; on two quiet cores it takes 1.3 to the first response
+        paint, size = page.evaluate(
+            "[performance.getEntriesByName('first-contentful-paint')[0].startTime, "
+            "performance.getEntries().reduce((all, each) => all + (each.encodedBodySize || 0), 0)]"
+        )
+        assert paint < 3000  # ms; 400 on a quiet machine
+        assert size < 3 << 20

@@ -255,13 +255,22 @@ def _renamed(text: str, section: str, name: str, new: str) -> str:
 # Data: what is in them, and how they match the rig.
 
 
+def _data(call: Call) -> list[str]:
+    """The data files of a call, without those that a manifest among them names."""
+    from dashpot.data.readers.manifest import files_named, is_manifest
+
+    names = [str(name) for name in call.get("data", ())]
+    named = {os.path.realpath(path) for name in names if is_manifest(name) for path in files_named(name)}
+    return [name for name in names if is_manifest(name) or os.path.realpath(name) not in named]
+
+
 def _inspect(call: Call, tell: Tell) -> None:
     """What is in data files: columns and units, how they match the channels of a rig, plots with what is masked."""
     from dashpot.data.inspection import inspect_named
     from dashpot.present.data import column_remarks, part_in_words
 
     files, columns = [], dict[str, str | None]()
-    for name in call["data"]:
+    for name in _data(call):
         for found in inspect_named(name):
             parts = []
             for part in found.parts:
@@ -293,7 +302,7 @@ def _inspect(call: Call, tell: Tell) -> None:
         result["unused"] = [name for name in columns if name not in mapped]
         tell({"result": result})
         try:
-            result["plots"], result["notes"] = _plots(rig, call["data"])
+            result["plots"], result["notes"] = _plots(rig, _data(call))
         except DashpotError as error:
             result["problems"] = [str(problem) for problem in error.problems[:20]]
     tell({"result": result})
@@ -367,7 +376,7 @@ def _start(call: Call, tell: Tell) -> None:
     answers: Mapping[str, str] = {
         key: str(value).strip() for key, value in call.get("answers", {}).items() if value
     }
-    seen = seen_data([found for name in call["data"] for found in inspect_named(name)])
+    seen = seen_data([found for name in _data(call) for found in inspect_named(name)])
     questions: list[dict[str, Any]] = []
     columns = []
     for column in seen.columns:
@@ -424,7 +433,10 @@ def _start(call: Call, tell: Tell) -> None:
 
 
 def _identify(call: Call, tell: Tell) -> None:
-    """An estimate as the command gives it, then its pictures and its report, in the folder `out`."""
+    """An estimate as the command gives it, then its pictures and its report, in the folder `out`.
+
+    `options`: method, band and within as on the command line; `rest`: records at rest among the files.
+    """
     from dataclasses import replace
 
     from dashpot.app import options as opt
@@ -443,18 +455,25 @@ def _identify(call: Call, tell: Tell) -> None:
     from dashpot.model.rigfile import read_rig
     from dashpot.present.page import provenance_of
 
-    data, out = [*call["data"]], Path(call["out"])
+    data, out, options = _data(call), Path(call["out"]), call.get("options", {})
     rig = read_rig(call["rig"])
     if not data:
         raise UsageError("there are no data", cure="drop data files on the page")
-    rig = rig if call.get("within") is None else replace(rig, within=float(call["within"]))
-    chosen = str(call.get("method", "auto"))
+    words = [
+        *(f"--{name} {value}" for name, value in options.items() if value),
+        *(f"--noise-record {name}" for name in call.get("rest", ())),
+    ]
+    if options.get("within"):
+        rig = replace(rig, within=opt.PART.convert(options["within"], None, None))
+    chosen = str(options.get("method") or "auto")
+    band = opt.BAND.convert(options["band"], None, None) if options.get("band") else None
+    records = replace(RecordOptions.usual(), record_band=band, noise_record=tuple(call.get("rest", ())))
     if len(data) == 1 and holds_modes(data[0]):
         shares = opt.MODAL_SD.convert("1%,20%,5%", None, None)
         found = Identified(of_modes(rig, data[0], shares, 0, True))
     else:
         require_answer(rig, chosen, False, False)
-        found = identified(rig, data, RecordOptions.usual(), chosen, False, 0, 0.0, False, True)
+        found = identified(rig, data, records, chosen, False, 0, 0.0, False, True)
     estimate = found.estimate
     write_text(out / "estimate.json", estimate.to_json())
     result = _words(rig, estimate)
@@ -474,8 +493,8 @@ def _identify(call: Call, tell: Tell) -> None:
         result["files"] = _files(out)
     tell({"result": result})
     with progress("report"):
-        words = " ".join(["dashpot identify", call["rig"], *data])
-        write_text(out / "report.html", found.report(rig, 0.95, provenance_of(words)))
+        command = " ".join(["dashpot identify", call["rig"], *data, *words])
+        write_text(out / "report.html", found.report(rig, 0.95, provenance_of(command)))
     result["files"] = _files(out)
     tell({"result": result})
 

@@ -96,6 +96,7 @@ class Page:
         self.editor: Any = None
         self.views = {
             "files": ui.refreshable(self._files),
+            "start": ui.refreshable(self._start),
             "rig": ui.refreshable(self._rig),
             "channels": ui.refreshable(self._channels),
             "work": ui.refreshable(self._work),
@@ -115,6 +116,7 @@ class Page:
         ui.on("refused", lambda event: self.session.complain([str(event.args)[:300]]))
         ui.on("identify", lambda _: self._later(self.session.identify))
         dark = ui.dark_mode(None)
+        ui.colors(primary="#0b5fad")
         with ui.element("header").classes("top"):
             _html("<h1>dashpot</h1>")
             self.identify = self._button(
@@ -136,6 +138,8 @@ class Page:
                         '<div id="moved" class="soft" role="status"></div>'
                     )
                     self._view("files")
+                    self._options()
+                    self._view("start")
                 with self._card("Rig"):
                     self._view("rig")
                     self._editor()
@@ -222,6 +226,11 @@ class Page:
                     f"<span>{html.escape(entry['name'])} <span class='soft'>{entry['size'] / 1e6:.2g} MB</span></span>"
                 )
                 name = html.escape(entry["name"]).replace('"', "")
+                rest = ui.checkbox("at rest", value=bool(entry.get("rest")))
+                rest.on_value_change(
+                    lambda event, path=entry["path"]: self._later(session.set_rest, path, bool(event.value))
+                )
+                rest.props(f'dense aria-label="{name} is a record at rest, for the noise"')
                 self._button(
                     "Remove", partial(self._later, session.remove_data, entry["path"]), "flat dense"
                 ).props(f'aria-label="Remove {name}"')
@@ -232,33 +241,46 @@ class Page:
                 on_change=lambda event: self._later(session.open_in_folder, event.value) if event.value else None,
             )  # fmt: skip
             chosen.props("dense outlined").style("width: 100%; margin-top: .4rem")
-        if session.start is not None and not session.text:
-            self._first_rig(session.start)
 
-    def _first_rig(self, start: Mapping[str, Any]) -> None:
+    def _options(self) -> None:
+        """What the command has options for."""
+        session = self.session
+        with ui.expansion("Band, method, tolerance").props("dense").style("width: 100%"):
+            for name, label, example in (
+                ("band", "Band, Hz", "2:150"),
+                ("method", "Method", "auto"),
+                ("within", "Fits within", "2%"),
+            ):
+                field = ui.input(label, value=session.state["options"].get(name, ""), placeholder=example)
+                field.props("dense outlined stack-label").style("width: 100%; margin-bottom: .3rem")
+                field.on("change", partial(self._chosen, name, field))
+
+    def _chosen(self, name: str, field: Any, _: Any) -> Any:
+        return self._later(self.session.choose, name, field.value or "")
+
+    def _start(self) -> None:
+        session, start = self.session, self.session.start
+        if start is None or session.text:
+            return
         _html("<h3>A first rig for these data</h3>")
         for question in start["questions"]:
             key, ask, answer = question["key"], question["ask"], question["answer"]
             if "choices" in question:
                 field = ui.select(question["choices"], label=ask, value=answer or None)
-                field.on_value_change(
-                    lambda event, key=key: self._later(self.session.reply, key, event.value or "")
-                )
+                field.on_value_change(partial(self._replied, key, field))
             else:
                 field = ui.input(ask, value=answer)
-                field.on(
-                    "change",
-                    lambda event, key=key, field=field: self._later(self.session.reply, key, field.value),
-                )
+                field.on("change", partial(self._replied, key, field))
             field.props("dense outlined").style("width: 100%; margin-bottom: .4rem")
         for text in start.get("problems", ()):
             _html(f'<p role="alert" class="at-line">{html.escape(text)}</p>')
         if start["text"]:
-            self._button(
-                "Use this rig",
-                lambda: self._later(self.session.put_rig, "rig.toml", start["text"]),
-                "color=primary",
-            )
+            self._button("Use this rig", lambda: self._later(self.session.take_first_rig), "color=primary")
+
+    def _replied(self, key: str, field: Any, _: Any) -> Any:
+        """An answer counts from now on; what follows from it is shown when it is known."""
+        self.session.reply(key, field.value or "")
+        return self._later(self.session.ask_anew)
 
     # The rig: its drawing, its parts, its text.
 
@@ -543,7 +565,7 @@ class Page:
                 '<p class="soft">Follow a file that grows, or a folder that fills, while the test runs.</p>'
             )
             with ui.element("div").classes("row-of"):
-                source = ui.select([], label=f"In {session.served.name}", with_input=True)
+                source = ui.select([], label="File or folder", with_input=True)
                 source.props("dense outlined").style("min-width: 14rem")
                 source.on("focus", lambda _: source.set_options(session.in_folder(folders_too=True)))
                 source.set_options(session.in_folder(folders_too=True))

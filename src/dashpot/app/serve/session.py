@@ -26,7 +26,7 @@ from dashpot.app.serve.jobs import Engine, Failure, Job
 from dashpot.errors import DashpotError, UsageError, printable
 from dashpot.io.atomic import write_text
 
-PARTS = ("files", "rig", "channels", "work", "result", "plan", "live")
+PARTS = ("files", "start", "rig", "channels", "work", "result", "plan", "live")
 KINDS = {"identify": "result", "design": "plan", "watch": "live"}  # what calls of the engine leave
 MOST_TEXTS = 500  # of the rig file that are kept
 MOST_RIG = 1 << 20  # bytes of a rig file: one of 10 000 elements has half of it
@@ -73,7 +73,7 @@ class Session:
         self.looking = False
         self.start: dict[str, Any] | None = None  # questions of the form for a first rig
         self.state: dict[str, Any] = {
-            "rig": None, "at": -1, "data": [], "errors": [], "answers": {}, "limits": {}, "job": None,
+            "rig": None, "at": -1, "data": [], "errors": [], "answers": {}, "limits": {}, "options": {}, "job": None,
             **dict.fromkeys(KINDS.values()),
         }  # fmt: skip
         self.history: list[str] = []
@@ -264,8 +264,28 @@ class Session:
 
     @property
     def data(self) -> list[str]:
-        """The data files, as the engine finds them."""
-        return [each["path"] for each in self.state["data"]]
+        """The data files, as the engine finds them, but for records at rest."""
+        return [each["path"] for each in self.state["data"] if not each.get("rest")]
+
+    @property
+    def rest(self) -> list[str]:
+        """Records at rest, of which the noise is taken."""
+        return [each["path"] for each in self.state["data"] if each.get("rest")]
+
+    def set_rest(self, path: str, rest: bool) -> None:
+        """Say whether a file is a record at rest."""
+        with self.lock:
+            self.state["data"] = [
+                {**each, "rest": rest} if each["path"] == path else each for each in self.state["data"]
+            ]
+        self._changed("files", "result", "plan")
+        self.look()
+
+    def choose(self, name: str, value: str) -> None:
+        """An option of identify: method, band or within."""
+        with self.lock:
+            self.state["options"] = {**self.state["options"], name: value.strip()}
+        self._changed("result")
 
     def in_folder(self, folders_too: bool = False) -> list[str]:
         """Files of the served folder that may be opened, by their paths in it."""
@@ -322,7 +342,7 @@ class Session:
                 rig = rig if failure is None else None
             with self.lock:
                 self.rig, self.problems = rig, problems
-            self._changed("rig", "files")
+            self._changed("rig")
             seen: dict[str, Any] | None = None
             if data:
                 seen, failure = self.engine.ask(self._call("inspect", text=text, rig=name, data=data))
@@ -335,7 +355,7 @@ class Session:
                 self.seen, self.start = seen, start
                 again = wanted != self._wanted
                 self.looking = again
-            self._changed("channels", "files")
+            self._changed("channels", "start")
             if not again:
                 return
 
@@ -348,11 +368,22 @@ class Session:
         return start
 
     def reply(self, key: str, answer: str) -> None:
-        """An answer to a question of the form for a first rig."""
+        """An answer to a question of the form for a first rig; `ask_anew` shows what follows from it."""
         with self.lock:
             self.state["answers"] = {**self.state["answers"], key: answer}
+
+    def ask_anew(self) -> None:
+        """The form for a first rig with the answers so far."""
         self.start = self._first_rig()
-        self._changed("files")
+        self._changed("start")
+
+    def take_first_rig(self) -> None:
+        """The rig that the form describes becomes the rig file."""
+        start = self._first_rig()
+        if start.get("problems"):
+            self.complain(start["problems"])
+        elif start["text"]:
+            self.put_rig("rig.toml", start["text"])
 
     # Jobs: one at a time.
 
@@ -364,23 +395,24 @@ class Session:
         files = []
         for each in self.state["data"]:
             place = self.folder / each["path"]
-            files.append([each["path"], each["sha256"], *_state_of(place).values()])
-        return {"rig": hashlib.sha256(self.text.encode()).hexdigest(), "data": files}
+            files.append([each["path"], each["sha256"], each.get("rest", False), *_state_of(place).values()])
+        options = {name: value for name, value in self.state["options"].items() if value}
+        return {"rig": hashlib.sha256(self.text.encode()).hexdigest(), "data": files, "options": options}
 
     def is_stale(self, part: str | None = None, of: str = "result") -> bool:
-        """Whether rig or data (or that one alone) differ from those that the last result, or plan, was made of."""
+        """Whether rig, data or options (or that one alone) differ from those that the last result, or plan, had."""
         kept = self.state[of]
         if kept is None:
             return False
         now = self.stamp()
-        return any(kept["made"][name] != now[name] for name in ((part,) if part else ("rig", "data")))
+        return any(kept["made"].get(name) != now[name] for name in ((part,) if part else now))
 
     def identify(self) -> None:
         """Estimate the unknowns of the rig from the data."""
         if not self.text or not self.data:
             self.complain(["Give a rig file and data files first."])
             return
-        self._begin({"call": "identify"})
+        self._begin({"call": "identify", "options": self.state["options"], "rest": self.rest})
 
     def design(self, options: Mapping[str, str]) -> None:
         """Design the next test within the limits of the shaker."""

@@ -46,6 +46,16 @@
   document.addEventListener("keydown", event => {
     if (event.key === "Enter" && event.ctrlKey) emitEvent("identify", "");
   });
+  // What is shown anew keeps the keyboard's place: the element of the same name is focused again.
+  let last = null;
+  const name = node => (node.getAttribute("aria-label") || node.innerText || "").trim();
+  document.addEventListener("focusin", event => { last = { node: event.target, name: name(event.target) }; });
+  new MutationObserver(() => {
+    if (!last || last.node.isConnected || !last.name || document.activeElement !== document.body) return;
+    const same = [...document.querySelectorAll("button, input, textarea, [tabindex]")].find(node => name(node) === last.name);
+    last = null;
+    if (same) same.focus();
+  }).observe(document.documentElement, { childList: true, subtree: true });
   function copy(text) {
     if (navigator.clipboard) { navigator.clipboard.writeText(text); return; }
     const area = document.createElement("textarea");
