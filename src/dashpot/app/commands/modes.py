@@ -32,8 +32,9 @@ def command(
     json_out: Annotated[str | None, opt.JSON, "the modes, which `identify` and `compare --modal` read,"],
     out: Annotated[
         str | None,
-        opt.Option("--out -o FILE.csv", opt.OutputFile(formats=("csv", "gz")), opt.OUTPUT),
-        "Write the modes as a table, which `identify` and `compare --modal` read.",
+        opt.Option("--out -o FILE.csv|uff", opt.OutputFile(formats=("csv", "gz", "uff", "unv")), opt.OUTPUT),
+        "Write the modes as a table, or as a universal file (dataset 55, without standard deviations), which "
+        "`identify` and `compare --modal` read.",
     ],
     figure: Annotated[
         str | None, opt.FIGURE, "Draw what was fitted, and the poles of growing order (stabilisation)."

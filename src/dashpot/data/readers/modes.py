@@ -30,12 +30,14 @@ from dashpot.data.readers.datafile import DataFile, open_file
 from dashpot.data.readers.text import open_table, write_rows
 from dashpot.data.readers.uff import (
     USUAL_SD,
+    NodalMode,
     UffStream,
     dataset_starts,
     is_universal,
     read_uff_modes,
     skip_dataset,
 )
+from dashpot.data.readers.uff_writer import write_modes
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.json_document import from_json
 from dashpot.io.ledger import noted
@@ -115,7 +117,21 @@ def modes_and_notes(
 
 
 def write_mode_table(modes: ModalData, path: AnyPath) -> None:
-    """Write modes as the table that is read here.  Raises DataError where it cannot be written."""
+    """Write modes as the table that is read here or, where the name ends in .uff or .unv, as datasets 55.
+
+    These have no uncertainties; point k is node k, direction X, and the ID lines say which point that is.
+    Raises DataError where the file cannot be written.
+    """
+    if os.fspath(path).lower().endswith((".uff", ".unv")):
+        omega, zeta = 2 * np.pi * modes.frequency_hz, modes.damping_ratio
+        eigenvalues = omega * (-zeta + 1j * np.sqrt(np.maximum(1 - zeta**2, 0.0)))
+        nodes = tuple(range(1, len(modes.points) + 1))
+        named = ", ".join(f"{node} = {point}" for node, point in zip(nodes, modes.points, strict=True))
+        ids = ("Modes by dashpot", *(named[k : k + 80] for k in range(0, min(len(named), 320), 80)))
+        shapes = np.pad(modes.shapes[..., None], ((0, 0), (0, 0), (0, 2)))
+        each = zip(eigenvalues.tolist(), shapes, strict=True)
+        write_modes([NodalMode(eigenvalue, nodes, shape, ids) for eigenvalue, shape in each], path)
+        return
     sd = np.sqrt(np.diagonal(modes.covariance, axis1=1, axis2=2))
     columns = {
         FREQUENCY: modes.frequency_hz,

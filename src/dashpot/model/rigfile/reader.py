@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -165,34 +165,44 @@ def read_blocks(reading: RigReading) -> list[Element]:
 
 
 def _matrix(path: Path, array: str | None) -> Any:
-    """The matrix in a file of Matrix Market or NumPy.  Raises ModelError where there is none."""
+    """The matrix in a file of Matrix Market, NumPy, MATLAB (to version 7.2) or CSV.  Raises ModelError."""
+    name, kind = shown(path.name, 60), path.suffix.lower()
     try:
-        if path.suffix.lower() == ".npz":
-            return _of_numpy(Path(noted(path)), array)
-        if path.suffix.lower() == ".mtx":
+        if kind == ".npz":
+            with np.load(noted(path), allow_pickle=False) as arrays:
+                if "format" in arrays.files and array is None:
+                    return sparse.load_npz(path)
+                return _one_of(dict(arrays), array, name)
+        if kind == ".mat":
+            from scipy.io import loadmat
+
+            variables = loadmat(noted(path))
+            return _one_of({key: value for key, value in variables.items() if key[:2] != "__"}, array, name)
+        if kind == ".mtx":
             from scipy.io import mmread
 
             return mmread(noted(path))
+        if kind == ".csv":
+            text = Path(noted(path)).read_text(encoding="utf-8-sig")
+            mark = next((mark for mark in ";,\t" if mark in text), None)
+            return np.loadtxt(text.splitlines(), delimiter=mark, ndmin=2)
+    except NotImplementedError as error:
+        cure = "save it with -v7 in MATLAB, or as Matrix Market"
+        raise ModelError(f"{name} is a MATLAB file of version 7.3", cure=cure) from error
     except (OSError, ValueError, KeyError, TypeError, OverflowError, BadZipFile) as error:
-        what = f"{shown(path.name, 60)} cannot be read: {shown(str(error), 80)}"
+        what = f"{name} cannot be read: {shown(str(error), 80)}"
         raise ModelError(what, cure="check that the file exists and is complete") from error
-    raise ModelError(
-        f"{shown(path.name, 60)} has no known ending", cure="save it as Matrix Market (.mtx) or NumPy (.npz)"
-    )
+    known = "Matrix Market (.mtx), NumPy (.npz), MATLAB (.mat) or CSV (.csv)"
+    raise ModelError(f"{name} has no known ending", cure=f"save it as {known}")
 
 
-def _of_numpy(path: Path, array: str | None) -> Any:
-    """A matrix that scipy.sparse.save_npz wrote, or one array of several."""
-    with np.load(path, allow_pickle=False) as arrays:
-        names = arrays.files
-        if "format" in names and array is None:
-            return sparse.load_npz(path)
-        if array is None and len(names) == 1:
-            array = names[0]
-        if array not in names:
-            cure = f"say array = one of {listed(names)}"
-            raise ModelError(f"{shown(path.name, 60)} holds several arrays", cure=cure)
-        return arrays[array]
+def _one_of(arrays: Mapping[str, Any], array: str | None, name: str) -> Any:
+    """The array of that name, the only one where none is named."""
+    if array is None and len(arrays) == 1:
+        (array,) = arrays
+    if array is None or array not in arrays:
+        raise ModelError(f"{name} holds several arrays", cure=f"say array = one of {listed(arrays)}")
+    return arrays[array]
 
 
 # Free matrices in a rig file: free = "MCK", or a table that says which entries may differ from 0.

@@ -65,7 +65,8 @@ def test_modes_become_data(dashpot: Command, table: Path) -> None:
     assert [set(mode["shape"]) for mode in content["modes"]] == [{"x1", "x2"}] * 2
     assert content["modes"][0]["frequency_hz"]["value"] == pytest.approx(6.7294, abs=1e-3)
     assert dashpot("modes", "t.csv", "--input", "f", "--output", "a1,a2", "--json", "free.json").code == 0
-    for path in ("m.json", "m.csv", "free.json"):
+    assert dashpot("modes", "t.csv", "--rig", "two.toml", "-o", "m.uff", "-q").code == 0
+    for path in ("m.json", "m.csv", "m.uff", "free.json"):
         read = dashpot("identify", "two.toml", path, "--json", "e.json")
         assert read.code == 0, read.err
         found = json.loads(Path("e.json").read_text(encoding="utf-8"))["parameters"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy import sparse
-from scipy.io import mmwrite
+from scipy.io import mmwrite, savemat
 
 from dashpot.errors import ModelError
 from dashpot.model.dynamics import matrices
@@ -31,13 +31,29 @@ def folder(tmp_path):
     sparse.save_npz(tmp_path / "K.npz", sparse.csr_matrix(K))
     np.savez(tmp_path / "M.npz", M=np.eye(3))
     np.savez(tmp_path / "both.npz", K=K, other=np.eye(3))
+    savemat(tmp_path / "K.mat", {"K": sparse.csc_matrix(K)})
+    savemat(tmp_path / "both.mat", {"K": K, "other": np.eye(3)})
+    np.savetxt(tmp_path / "K.csv", K, delimiter=",")
+    (tmp_path / "semicolons.csv").write_text("\n".join(";".join(map(repr, row)) for row in K.tolist()))
+    (tmp_path / "words.csv").write_text("q1,q2,q3\n1,2,3\n")
+    (tmp_path / "broken.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))
     (tmp_path / "broken.mtx").write_text("no matrix\n")
     (tmp_path / "broken.npz").write_text("no arrays\n")
     return tmp_path
 
 
 @pytest.mark.parametrize(
-    ("file", "more"), [("K.mtx", ""), ("full.mtx", ""), ("K.npz", ""), ("both.npz", ', array = "K"')]
+    ("file", "more"),
+    [
+        ("K.mtx", ""),
+        ("full.mtx", ""),
+        ("K.npz", ""),
+        ("both.npz", ', array = "K"'),
+        ("K.mat", ""),
+        ("both.mat", ', array = "K"'),
+        ("K.csv", ""),
+        ("semicolons.csv", ""),
+    ],
 )
 def test_every_form_of_file_gives_the_same_rig(folder, file, more):
     (folder / "rig.toml").write_text(text(file, more))
@@ -66,7 +82,10 @@ def test_rows_may_be_named(folder):
         ("broken.mtx", "", "blocks.k.file: broken.mtx cannot be read"),
         ("broken.npz", "", "blocks.k.file: broken.npz cannot be read"),
         ("both.npz", "", "blocks.k.file: both.npz holds several arrays; say array = one of K, other"),
-        ("K.csv", "", "blocks.k.file: K.csv has no known ending"),
+        ("broken.mat", "", "blocks.k.file: broken.mat cannot be read"),
+        ("both.mat", "", "blocks.k.file: both.mat holds several arrays; say array = one of K, other"),
+        ("words.csv", "", "blocks.k.file: words.csv cannot be read"),
+        ("K.xyz", "", "blocks.k.file: K.xyz has no known ending"),
         ("K.mtx", ', coordinates = ["q1", "q2"]', "the matrix of k is 3 × 3, for 2 points"),
         ("K.mtx", ', coordinates = ["q1", "q2", "q9"]', 'blocks.k.coordinates: "q9" is not a point'),
         ("K.mtx", ', coordinates = ["q1", "q2", "q2"]', "appears twice"),
