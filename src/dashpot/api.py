@@ -28,7 +28,7 @@ from dashpot.check.identifiability import Structure, nonlinear_structure, struct
 from dashpot.check.verdict import examined_records, with_causes
 from dashpot.data import readers
 from dashpot.data.conditioning.settings import Conditioning
-from dashpot.data.inspection import channels_in
+from dashpot.data.inspection import channels_in, inspect_columns, inspect_named
 from dashpot.data.modal_data import ModalData, at_coordinates
 from dashpot.data.noise import Still
 from dashpot.data.readers import Reading
@@ -44,6 +44,7 @@ from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.identify import amplitudes_for
 from dashpot.estimate.inference.uncertainty import linear_modes
 from dashpot.estimate.method import Method
+from dashpot.estimate.modal import identify_modal
 from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import method_class, methods_for
@@ -52,6 +53,7 @@ from dashpot.experiment import RUNS, kind_of
 from dashpot.free import MOST_MODES
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
+from dashpot.io.toml_document import PLACEHOLDER
 from dashpot.io.words import listed, names_in
 from dashpot.model.modes import Modes, eigenmodes
 from dashpot.model.network import Model
@@ -135,7 +137,6 @@ def identify(
         data = read_modes(data, model.coordinates, _channels(rig))
     if isinstance(data, ModalData):
         from dashpot.check.modal_verdict import examined_modes
-        from dashpot.estimate.modal import identify_modal  # loads scipy.optimize
 
         if isinstance(rig, Rig):
             rig.require_alike("identification from measured modes")
@@ -337,8 +338,6 @@ def start(
     tells what one measures or where a force acts.
     """
     from dashpot.check.first_rig import first_rig, seen_data
-    from dashpot.data.inspection import inspect_columns, inspect_named
-    from dashpot.io.toml_document import PLACEHOLDER
     from dashpot.model.rigfile.starter import starter_text
 
     several = _several(data)

@@ -14,6 +14,7 @@ import click
 from dashpot.app import options as opt
 from dashpot.app.workers import progress
 from dashpot.errors import DataError, UsageError, printable
+from dashpot.estimate.registry import method_class
 
 if TYPE_CHECKING:
     from dashpot.data.conditioning.settings import Conditioning
@@ -189,8 +190,6 @@ class RecordOptions:
 
 def traits_of(methods: Collection[str]) -> list[Any]:
     """What methods of these names need and are; auto decides later."""
-    from dashpot.estimate.registry import method_class
-
     return [method_class(name).traits for name in methods if name != "auto"]
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from dashpot.app.options import OUTPUT, Option, OutputFile
-from dashpot.errors import ConvergenceError, IdentifiabilityError, UsageError
+from dashpot.errors import ConvergenceError, DataError, IdentifiabilityError, UsageError
 from dashpot.io.words import REPORTS, chosen_format
 
 if TYPE_CHECKING:
@@ -137,7 +137,6 @@ def _printed(html: str) -> bytes:
     """The page as PDF."""
     import subprocess
 
-    from dashpot.errors import DataError
     from dashpot.io.atomic import scratch
 
     with scratch() as files:

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri
 
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian, is_diagonal
 from dashpot.data.noise import SMOOTH
@@ -74,8 +75,6 @@ def channels_correlate(spectrum: Spectrum, level: float = 0.01) -> Bools:
         return np.ones(V.shape[:-3], dtype=bool)
     if is_diagonal(V):
         return np.zeros(V.shape[:-3], dtype=bool)
-    from scipy.special import chdtri
-
     variance = np.diagonal(V, axis1=-2, axis2=-1).real
     noisy = np.all(variance.reshape(-1, variance.shape[-1]) > 0, axis=0)
     q = int(np.sum(noisy))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from scipy.special import stdtr, stdtrit
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze, frozen
 from dashpot.errors import DataError, Problem, UsageError
@@ -121,8 +122,6 @@ def bounded_interval(
     interval would shrink to nothing; there its far end is that of the distribution truncated at the bound, which
     passes into the other one smoothly.  The interval always holds the value.
     """
-    from scipy.special import stdtrit  # scipy.stats costs half a second of start-up
-
     half = stdtrit(dof, 0.5 + level / 2) * sd
     low, high = free - half, free + half
     if np.any(np.isfinite(lower) | np.isfinite(upper)):
@@ -141,8 +140,6 @@ def profile_interval(
     A root is that of the rise of χ², with the side's sign, over the root at the ends of the 95 % interval, −1 and 1.
     Beyond what the profile has seen the ends grow as far as it did; where it saw no limit there is none.
     """
-    from scipy.special import stdtrit
-
     values, roots = (np.asarray(part, dtype=float) for part in curve)
     reach = float(stdtrit(dof, 0.5 + level / 2) / stdtrit(dof, 0.975))
     seen = np.isfinite(values)
@@ -162,8 +159,6 @@ def profile_interval(
 
 def truncated_reach(beyond: Real, dof: Real, level: float) -> Real:
     """How far from its centre a t distribution cut off at `beyond` > 0 holds `level` of what is left, (...,)."""
-    from scipy.special import stdtr, stdtrit
-
     beyond = np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)
     left = (1 - level) * stdtr(dof, -beyond)
     with np.errstate(all="ignore"):

@@ -9,6 +9,7 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
 from dashpot.arrays import Real
 from dashpot.data.readers.text import write_rows
@@ -161,7 +162,6 @@ def write_parameters(rig: IdentifiedRig, path: str, options: ExportOptions) -> W
         return Written((path,))
     columns = dict(zip(COLUMNS, map(list, zip(*map(astuple, rows), strict=True)), strict=True))
     if ending == ".parquet":
-        import pyarrow as pa
         import pyarrow.parquet as pq
 
         metadata = {"model": rig.model.name, "order": to_json(list(rig.names))}

@@ -17,6 +17,7 @@ from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
+import pyarrow as pa
 
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.readers import Reading
@@ -311,8 +312,6 @@ def of_tables(paths: Sequence[str], column: str) -> Source:
 @contextmanager
 def readable(path: str) -> Iterator[None]:
     """Raises DataError for whatever a reader of tables raises."""
-    import pyarrow as pa
-
     try:
         yield
     except FileNotFoundError:
@@ -406,7 +405,6 @@ def _named_rows(path: str, column: str, coming: Iterable[Any]) -> tuple[tuple[st
 
 def _runs(column: Any) -> tuple[list[str], list[int]]:
     """Names that follow each other, and the row at which each begins."""
-    import pyarrow as pa
     import pyarrow.compute as compute
 
     if isinstance(column, pa.ChunkedArray):
@@ -442,8 +440,6 @@ def held_rows(names: tuple[str, ...], path: str, ends: tuple[int, ...], table: A
 
 
 def _array(column: Any) -> np.ndarray:
-    import pyarrow as pa
-
     kind = column.type
     if pa.types.is_floating(kind) or (pa.types.is_integer(kind) and not column.null_count):
         values = array_of(column)
@@ -501,8 +497,6 @@ class _Rows:
 
     def between(self, first: int, end: int) -> Any:
         """An Arrow table of the rows from `first` on, before `end`.  Raises DataError where there are no more."""
-        import pyarrow as pa
-
         while self.to_row < end:
             batch = next(self.coming, None)
             if batch is None:
@@ -565,7 +559,6 @@ class CsvLayout:
 
     def batches(self) -> Iterator[Any]:
         """The rows, some at a time.  Raises DataError where they cannot be taken apart, with the line."""
-        import pyarrow as pa
         import pyarrow.csv as text
 
         numbers = dict.fromkeys(set(self.header) - self.texts - {self.column}, pa.float64())

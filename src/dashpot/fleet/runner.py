@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
 from dashpot.arrays import Ints, Real
 from dashpot.data.readers import Reading, read
@@ -399,8 +400,6 @@ def _of_answers(columns: Columns, name: str) -> Real:
 
 def machine() -> str:
     """What the last bits of results depend on beside the data: version, libraries, instruction set."""
-    import scipy
-
     core = getattr(np, "_core", None)
     features = getattr(getattr(core, "_multiarray_umath", None), "__cpu_features__", {})
     chosen = ",".join(sorted(name for name, there in features.items() if there))

@@ -9,6 +9,7 @@ from dashpot.app.data_files import RecordOptions
 from dashpot.app.report_files import ReportFile
 from dashpot.app.workers import progress
 from dashpot.errors import UsageError
+from dashpot.io.json_document import to_json
 
 WITH_DATA = "With DATA"
 
@@ -42,7 +43,6 @@ def command(
     from dashpot.api import check, identify
     from dashpot.check.deficiencies import require_full_rank, structure_content
     from dashpot.check.evidence import data_findings, findings_content
-    from dashpot.io.json_document import to_json
     from dashpot.model.rigfile import read_rig
 
     if (profiled or known) and not data:

@@ -13,7 +13,7 @@ from dashpot.app.options import true_values
 from dashpot.app.report_files import ReportFile
 from dashpot.app.workers import progress
 from dashpot.errors import DashpotError, UsageError
-from dashpot.estimate.registry import METHODS, methods_for
+from dashpot.estimate.registry import METHODS, method, method_class, methods_for
 from dashpot.quantities import Amount
 
 if TYPE_CHECKING:
@@ -70,7 +70,6 @@ def command(
     from dashpot.api import compare
     from dashpot.check.structure import require_scale, require_scale_seen
     from dashpot.data.readers.modes import modes_and_notes
-    from dashpot.estimate.registry import method, method_class
     from dashpot.model.rigfile import read_rig
     from dashpot.present.document import say
 
@@ -135,8 +134,6 @@ def command(
 
 def _named(methods: str | None, data: bool, modal: bool) -> list[str]:
     """The names of --methods, each a method and named once; none where the option is not given."""
-    from dashpot.estimate.registry import method_class
-
     if not data and not modal:
         raise UsageError("there are no data", cure="give DATA, --modal FILE, or both")
     if methods is None:

@@ -13,8 +13,10 @@ from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions
 from dashpot.app.options import drive_amplitude, parameter_values
 from dashpot.app.report_files import ReportFile
-from dashpot.app.workers import progress
+from dashpot.app.workers import progress, shared_out
 from dashpot.errors import UsageError
+from dashpot.io.atomic import write_text
+from dashpot.io.json_document import to_json
 from dashpot.io.words import PICTURES
 from dashpot.quantities import Amount, frequencies
 
@@ -181,11 +183,9 @@ def command(
     (equivalence theorem).  Of a rig without inputs, releases are planned: where to hold it, how far (--stroke), how
     long to record, and which releases together.
     """
-    from dashpot.app.workers import shared_out
     from dashpot.check.structure import require_scale
     from dashpot.design.advise import answer, answer_to_json, plan_to_csv
     from dashpot.design.test_setup import drive_units
-    from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import read_rig
 
     read = read_rig(rig)
@@ -228,7 +228,6 @@ def _releases(
     """The releases of a rig that nothing drives."""
     from dashpot.check.deficiencies import require_identifiable
     from dashpot.design.releases import plan_releases
-    from dashpot.io.json_document import to_json
     from dashpot.model.observation import with_relative_noise
 
     driven: dict[str, object] = {

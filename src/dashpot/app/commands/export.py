@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Annotated
 
 import click
+import numpy as np
 
 from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions, estimate_and_rig
 from dashpot.app.options import parameter_values
 from dashpot.app.workers import progress
 from dashpot.errors import UsageError, printable
-from dashpot.export.formats import contents
+from dashpot.export.formats import ExportOptions, contents, export_rig, format_of
 from dashpot.quantities import Amount
 
 WHAT = "What to write"
@@ -75,9 +76,6 @@ def command(
     All numbers are in SI units, except in universal files and tables of frequency responses, in the units of the rig
     file.  Channels are written as ideal sensors would show them.
     """
-    import numpy as np
-
-    from dashpot.export.formats import ExportOptions, export_rig, format_of
     from dashpot.export.identified_rig import identified_rig
     from dashpot.model.rigfile import read_rig
 

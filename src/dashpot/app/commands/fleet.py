@@ -11,8 +11,10 @@ import click
 from dashpot.app import options as opt
 from dashpot.app.cli import resumable
 from dashpot.app.data_files import RecordOptions
-from dashpot.app.workers import progress
+from dashpot.app.workers import progress, shared_out
 from dashpot.errors import printable
+from dashpot.io.json_document import to_json
+from dashpot.io.ledger import noted
 
 FLEET = "The fleet"
 
@@ -69,12 +71,9 @@ def command(
     Run again, only data sets that are new or have changed are computed. The result is the same to the bit with any
     number of workers.
     """
-    from dashpot.app.workers import shared_out
     from dashpot.check.deficiencies import require_identifiable
     from dashpot.fleet.data_sets import expanded, of_files, of_tables
     from dashpot.fleet.runner import run_fleet
-    from dashpot.io.json_document import to_json
-    from dashpot.io.ledger import noted
     from dashpot.model.rigfile import read_rig
     from dashpot.present.document import say
     from dashpot.present.fleet import fleet_document

@@ -8,6 +8,7 @@ from dashpot.app import options as opt
 from dashpot.app.data_files import reading_of, require_each_once, tell_notes
 from dashpot.app.workers import progress
 from dashpot.errors import printable
+from dashpot.io.json_document import to_json
 
 
 @opt.dashpot_command(
@@ -41,7 +42,6 @@ def command(
     """
     from dashpot.api import frf
     from dashpot.free.response import write_response
-    from dashpot.io.json_document import to_json
     from dashpot.model.rigfile import read_rig
 
     require_each_once(data)

@@ -13,10 +13,20 @@ import click
 
 from dashpot.app import options as opt
 from dashpot.app.commands.validate import predictions_of
-from dashpot.app.data_files import RecordOptions, part_of, require_bounds_held, require_each_once, tell_notes
+from dashpot.app.data_files import (
+    RecordOptions,
+    part_of,
+    require_bounds_held,
+    require_each_once,
+    tell_notes,
+    traits_of,
+)
 from dashpot.app.report_files import ReportFile
-from dashpot.app.workers import progress
+from dashpot.app.workers import progress, shared_out
 from dashpot.errors import DashpotError, DataError, Problem, UsageError
+from dashpot.estimate.registry import method_class
+from dashpot.io.atomic import write_text
+from dashpot.io.ledger import noted
 
 if TYPE_CHECKING:
     from dashpot.check.validation import RecordPrediction
@@ -199,7 +209,6 @@ def identified(
 ) -> Identified:
     """From all files together, but for the share `hold_out` at the end of every record, which is predicted."""
     from dashpot.api import identify
-    from dashpot.app.data_files import traits_of
     from dashpot.data.conditioning.lines import used_dwells
     from dashpot.estimate.identify import conditioning_for
 
@@ -255,9 +264,7 @@ def _in_parts(
     rig: Rig, data: Sequence[str], treatment: Treatment, workers: int | None, dask: str | None, quiet: bool
 ) -> Estimate:
     """From every file by itself, shared out to worker processes or a cluster, and merged."""
-    from dashpot.app.workers import shared_out
     from dashpot.fleet.record_parts import identify_in_parts
-    from dashpot.io.ledger import noted
 
     if len(rig.model.nonlinear):
         raise UsageError(
@@ -284,7 +291,6 @@ def require_answer(rig: Rig, chosen: str, positive: bool, matrices: bool) -> Non
     """All that can be refused before data are read."""
     from dashpot.check.deficiencies import require_identifiable
     from dashpot.check.structure import require_scale_seen
-    from dashpot.estimate.registry import method_class
 
     rig.model.require_unknowns(rig.path)
     require_bounds_held(chosen, positive)
@@ -326,15 +332,12 @@ def with_a_line(findings: Sequence[object]) -> list[Finding]:
 
 def _write_applied(rig: Rig, finding: Finding, path: str) -> None:
     """Write the rig file with the remedy of a finding taken."""
-    from dashpot.io.atomic import write_text
-
     write_text(path, corrected(rig, finding))
 
 
 def corrected(rig: Rig, finding: Finding) -> str:
     """The text of a rig's file with the remedy of a finding taken: one edit, the rest as it was written."""
     from dashpot.estimate.assessment import applied
-    from dashpot.io.ledger import noted
     from dashpot.model.rigfile import edited
 
     model, channels = applied(rig.model, rig.all_channels, finding)

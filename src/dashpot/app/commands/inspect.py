@@ -9,6 +9,7 @@ import click
 from dashpot.app import options as opt
 from dashpot.app.data_files import reading_of
 from dashpot.app.workers import progress
+from dashpot.io.atomic import write_text
 
 
 @opt.dashpot_command("dashpot inspect run.tdms", "dashpot inspect *.mat --channels channels.toml")
@@ -28,7 +29,6 @@ def command(
     """
     from dashpot.data.inspection import inspect_file, suggested_channels
     from dashpot.data.readers.manifest import files_named
-    from dashpot.io.atomic import write_text
     from dashpot.present.data import inspection_document
     from dashpot.present.document import say
 

@@ -8,6 +8,7 @@ from dashpot.app import options as opt
 from dashpot.app.data_files import reading_of, require_each_once, tell_notes
 from dashpot.app.workers import progress
 from dashpot.errors import UsageError, printable
+from dashpot.io.json_document import to_json
 from dashpot.io.words import PICTURES
 
 
@@ -53,7 +54,6 @@ def command(
     """
     from dashpot.api import draw, modes
     from dashpot.data.readers.modes import write_mode_table
-    from dashpot.io.json_document import to_json
     from dashpot.model.rigfile import read_rig
 
     require_each_once(data)

@@ -11,6 +11,7 @@ import click
 
 from dashpot.app import options as opt
 from dashpot.errors import DashpotError, UsageError
+from dashpot.units import scale
 
 CHAIN = "The rig"
 UNKNOWN = "unknown"
@@ -51,7 +52,6 @@ def command(
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import parse_rig
     from dashpot.model.rigfile.starter import STAND_IN, Chain, starter_text
-    from dashpot.units import scale
 
     ask = ask_for()
     usual = Chain()
@@ -78,8 +78,6 @@ def command(
 
 def _unit(motion: str, text: str) -> str:
     """A unit of the motion.  Raises UsageError where it is none."""
-    from dashpot.units import scale
-
     try:
         scale(text, motion)
     except DashpotError as error:

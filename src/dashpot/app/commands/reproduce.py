@@ -8,7 +8,7 @@ import click
 
 from dashpot.app import options as opt
 from dashpot.app.report_files import ReportFile, write_report
-from dashpot.app.workers import progress
+from dashpot.app.workers import cores, mapping, progress
 from dashpot.errors import printable
 
 
@@ -36,7 +36,6 @@ def command(
 
     The same seed gives the same numbers, whatever the number of processes.
     """
-    from dashpot.app.workers import cores, mapping
     from dashpot.present.document import say
     from dashpot.present.reproduction import reproduction_document, write_reproduction
     from dashpot.reproduce.yamane1989 import reproduce

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, cast
 
+import numpy as np
+
 from dashpot.app import options as opt
 from dashpot.app.options import input_amplitudes, parameter_values
 from dashpot.app.workers import progress
@@ -115,8 +117,6 @@ def _drives(
 
 def _write(rig: Rig, curves: Sequence[MotionCurve], out: str) -> None:
     """A row for each point; lengths and forces in the units of the channels."""
-    import numpy as np
-
     from dashpot.data.readers.text import write_rows
 
     scale = np.array([channel.scale for channel in rig.channels])
@@ -146,8 +146,6 @@ def _draw(
     by_amplitude: bool,
     path: str,
 ) -> None:
-    import numpy as np
-
     from dashpot.present.figures.style import write_figure
     from dashpot.present.response import DrawnCurve, response_curves
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import click
+import numpy as np
 
 from dashpot.app import options as opt
 from dashpot.app.options import input_amplitudes, parameter_values
@@ -175,8 +176,6 @@ def _input_record(rig: Rig, path: str) -> Record:
 
 def _beyond(rig: Rig, drive: Mapping[str, float], frequencies: Sequence[float]) -> str:
     """That a stated amplitude of a moved input is more than the shaker can; empty where it is not."""
-    import numpy as np
-
     assert rig.shaker is not None
     omega = 2 * np.pi * np.asarray(frequencies, dtype=float)
     for name in (each for each in rig.model.displacement_inputs if each in drive):

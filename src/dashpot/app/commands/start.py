@@ -14,6 +14,9 @@ from dashpot.app import options as opt
 from dashpot.app.commands.new import CHAIN, DRIVES, UNKNOWN, WEIGHED, ask_for
 from dashpot.app.data_files import reading_of
 from dashpot.app.workers import progress
+from dashpot.errors import DashpotError, UsageError
+from dashpot.io.atomic import write_text
+from dashpot.io.words import quoted
 
 if TYPE_CHECKING:
     from dashpot.data.inspection import Inspection
@@ -67,8 +70,6 @@ def command(
     from dashpot.data.inspection import inspect_named
     from dashpot.data.readers.manifest import files_named, is_manifest
     from dashpot.data.readers.modes import holds_modes
-    from dashpot.errors import UsageError
-    from dashpot.io.atomic import write_text
     from dashpot.io.toml_document import PLACEHOLDER
     from dashpot.model.rigfile.starter import STAND_IN, starter_text
     from dashpot.present.data import inspection_document
@@ -137,8 +138,6 @@ def _title(paths: Sequence[Path]) -> str:
 
 def _manifest(paths: Sequence[Path], at: Path, rate: float | str) -> str:
     """A manifest of files whose samples have no times."""
-    from dashpot.io.words import quoted
-
     number = quoted(rate) if isinstance(rate, str) else f"{rate!r}"
     entries = (
         f"[[files]]\nname = {quoted(os.path.relpath(path, at.parent))}\nrate_hz = {number}\n"
@@ -151,7 +150,6 @@ def _tell(out: str, picture: str, text: str, data: Sequence[str]) -> None:
     """What was written, what can be found with it, and what is next; or what has to be filled in first."""
     from dashpot.api import check, draw
     from dashpot.check.deficiencies import require_full_rank
-    from dashpot.errors import DashpotError
     from dashpot.model.rigfile import parse_rig
     from dashpot.present.check import structure_in_words
     from dashpot.present.schematic.drawing import Drawing

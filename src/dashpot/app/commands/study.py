@@ -12,7 +12,7 @@ from dashpot.app import options as opt
 from dashpot.app.cli import resumable
 from dashpot.app.data_files import tell_notes
 from dashpot.app.report_files import ReportFile
-from dashpot.app.workers import progress
+from dashpot.app.workers import progress, shared_out
 from dashpot.errors import printable
 
 
@@ -41,7 +41,6 @@ def command(
     method, and pictures.  The result depends on the file alone, to the bit: neither on the number of processes nor on
     interruptions.
     """
-    from dashpot.app.workers import shared_out
     from dashpot.present.document import say
     from dashpot.present.figures.style import write_pictures
     from dashpot.present.study import study_document, study_pictures

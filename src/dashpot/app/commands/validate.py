@@ -9,6 +9,7 @@ from dashpot.app.data_files import RecordOptions, estimate_and_rig
 from dashpot.app.report_files import ReportFile
 from dashpot.app.workers import progress
 from dashpot.errors import UsageError
+from dashpot.io.json_document import to_json
 from dashpot.io.words import PICTURES
 
 if TYPE_CHECKING:
@@ -46,8 +47,6 @@ def command(
 
     FILES are the estimate, as identify writes it with --json, and the records.
     """
-    from dashpot.io.json_document import to_json
-
     if len(files) < 2:
         raise UsageError("there is no record to predict", cure="name data files after the estimate")
     estimate, read = estimate_and_rig(files[0], rig)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri
 
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.channel import Quantity
@@ -690,8 +691,6 @@ def fits(likelihood: Likelihood, end: OptimizeResult) -> bool:
 
 def _acceptable(data: Prepared, exact: Measured, unknowns: int, level: float = POOR) -> float:
     """The χ² above which an end is no fit at a p-value of `level`; inf where the noise is not known."""
-    from scipy.special import chdtri  # scipy.stats costs half a second of start-up
-
     dof = exact.rows - unknowns
     if not data.noise_known or dof <= 0:
         return np.inf

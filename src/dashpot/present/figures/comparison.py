@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
+from scipy.special import ndtri
 
 from dashpot.arrays import Real
 from dashpot.estimate.comparison import Comparison
@@ -195,8 +196,6 @@ def interval_plot(
 
 def _reach(level: float) -> float:
     """Standard deviations to either end of an interval."""
-    from scipy.special import ndtri
-
     return float(ndtri(0.5 + level / 2))
 
 
