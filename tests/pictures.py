@@ -39,8 +39,40 @@ def take_on_a_phone(address: str, to: Path, scratch: Path) -> None:
     take((scratch / "frame.html").as_uri(), PHONE, 844, to, scratch)
 
 
+def take_the_page(scratch: Path) -> None:
+    """What `dashpot serve` shows of a rig that does not fit, wide and on a phone."""
+    from playwright.sync_api import sync_playwright
+
+    from tests.page.test_page import Server
+
+    (scratch / "measurements").mkdir()
+    server = Server(scratch / "measurements")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1280, "height": 860})
+        page.set_default_timeout(300_000)
+        page.goto(server.address)
+        page.get_by_label("Rig file").set_input_files(SHAKE_TABLE / "rig.toml")
+        page.get_by_label("Data files").set_input_files(SHAKE_TABLE / "amplitudes.csv")
+        page.get_by_role("table", name="Channels").wait_for()
+        page.get_by_role("button", name="Identify").click()
+        page.get_by_role("table", name="Modes").wait_for()
+        page.get_by_role("progressbar", name="Progress").wait_for(state="hidden")
+        page.mouse.move(0, 0)
+        for name, width, height in (("page.png", 1280, 860), ("page_phone.png", PHONE, 844)):
+            page.set_viewport_size({"width": width, "height": height})
+            page.wait_for_timeout(1000)
+            page.screenshot(path=IMAGES / name)
+            with Image.open(IMAGES / name) as picture:
+                picture.quantize(64).save(IMAGES / name, optimize=True)
+        browser.close()
+    server.kill()
+
+
 def main() -> None:
     """Take all of them."""
+    with tempfile.TemporaryDirectory() as folder:
+        take_the_page(Path(folder))
     with tempfile.TemporaryDirectory() as folder:
         scratch = Path(folder)
         with served(SITE) as address:

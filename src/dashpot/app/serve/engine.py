@@ -266,7 +266,7 @@ def _data(call: Call) -> list[str]:
 
 def _inspect(call: Call, tell: Tell) -> None:
     """What is in data files: columns and units, how they match the channels of a rig, plots with what is masked."""
-    from dashpot.data.inspection import inspect_named
+    from dashpot.data.inspection import channels_in, inspect_named
     from dashpot.present.data import column_remarks, part_in_words
 
     files, columns = [], dict[str, str | None]()
@@ -300,11 +300,11 @@ def _inspect(call: Call, tell: Tell) -> None:
             result["channels"].append({**_shown_channel(channel), "found": there, "file_unit": unit or ""})
         mapped = {channel.column for channel in rig.channels}
         result["unused"] = [name for name in columns if name not in mapped]
-        tell({"result": result})
-        try:
-            result["plots"], result["notes"] = _plots(rig, _data(call))
-        except DashpotError as error:
-            result["problems"] = [str(problem) for problem in error.problems[:20]]
+    tell({"result": result})
+    try:
+        result["plots"], result["notes"] = _plots(rig or list(channels_in(_data(call)).values()), _data(call))
+    except DashpotError as error:
+        result["problems"] = [str(problem) for problem in error.problems[:20]]
     tell({"result": result})
 
 
@@ -319,7 +319,7 @@ def _parsed(call: Call) -> Rig | None:
         return None
 
 
-def _plots(rig: Rig, data: Sequence[str]) -> tuple[list[dict[str, Any]], list[str]]:
+def _plots(rig: Rig | Sequence[Channel], data: Sequence[str]) -> tuple[list[dict[str, Any]], list[str]]:
     """A picture for each channel, as read; samples that are not used as measured are marked in it."""
     from dashpot.api import read
     from dashpot.data.conditioning.unmeasured import marked, marked_whole
@@ -344,8 +344,9 @@ def _plots(rig: Rig, data: Sequence[str]) -> tuple[list[dict[str, Any]], list[st
         ]
         return pictures, notes
     if reading.continuous:
-        shown = [part for record in records for part in marked_whole(record)[0]]
-        notes += [note.text for record in records for note in marked_whole(record)[1]]
+        whole = [marked_whole(record) for record in records]
+        shown = [part for parts, _ in whole for part in parts]
+        notes += [note.text for _, more in whole for note in more]
     else:
         shown, more = marked(records)
         notes += [note.text for note in more]
@@ -664,7 +665,8 @@ def main() -> None:
     from dashpot.app.memory import one_thread
 
     one_thread()
-    importlib.import_module("dashpot.api")  # the first call finds it loaded
+    for module in ("dashpot.api", "dashpot.present.identification"):  # the first call finds them loaded
+        importlib.import_module(module)
     calls: SimpleQueue[str] = SimpleQueue()
 
     def listen() -> None:

@@ -126,6 +126,7 @@ class Page:
             self.undo = self._button("Undo", lambda: self._later(self.session.step, -1), "outline")
             self.redo = self._button("Redo", lambda: self._later(self.session.step, 1), "outline")
             self.report = self._button("Report", lambda: self._download("report.html"), "outline")
+            _html('<button type="button" class="chip" data-new>New session</button>')
             self._button("Dark", lambda: dark.set_value(not dark.value), "flat")
         with ui.element("main").classes("sheet"):
             with ui.element("div"):
@@ -134,13 +135,13 @@ class Page:
                         '<label class="drop"><b>Rig file</b><input type="file" data-kind="rig" aria-label="Rig file" '
                         'accept=".toml"></label>'
                         '<label class="drop"><b>Data files</b><input type="file" multiple data-kind="data" '
-                        'aria-label="Data files"><span class="soft"> or drop files anywhere on the page</span></label>'
+                        'aria-label="Data files"><span class="soft">or drop files anywhere on the page</span></label>'
                         '<div id="moved" class="soft" role="status"></div>'
                     )
                     self._view("files")
                     self._options()
                     self._view("start")
-                with self._card("Rig"):
+                with self._card("Rig", "rig"):
                     self._view("rig")
                     self._editor()
             with ui.element("div"):
@@ -150,9 +151,10 @@ class Page:
                     self.meter = ui.element("progress").classes("progress").props('aria-label="Progress"')
                 self._view("work")
                 self._view("result")
-                self._view("plan")
-                self._live_form()
-                self._view("channels")
+                with ui.element("div").classes("later"):
+                    self._view("plan")
+                    self._live_form()
+                    self._view("channels")
         self._tick()
         ui.timer(TICK, self._tick)
 
@@ -223,7 +225,7 @@ class Page:
         for entry in session.state["data"]:
             with ui.element("div").classes("file"):
                 _html(
-                    f"<span>{html.escape(entry['name'])} <span class='soft'>{entry['size'] / 1e6:.2g} MB</span></span>"
+                    f"<span>{html.escape(entry['name'])} <span class='soft'>{_size(entry['size'])}</span></span>"
                 )
                 name = html.escape(entry["name"]).replace('"', "")
                 rest = ui.checkbox("at rest", value=bool(entry.get("rest")))
@@ -511,6 +513,7 @@ class Page:
             _html(f'<p class="head">{html.escape(result["headline"])}</p>')
             for text in result["statements"]:
                 _html(f"<p>{html.escape(text)}</p>")
+            _html(f'<p class="soft">Made of {html.escape(session.made_of())}</p>')
         if result["causes"]:
             self._causes(result["causes"])
         with self._card("Values"):
@@ -677,6 +680,10 @@ class Page:
                 for name in session.plan["files"]:
                     if name.startswith("plan."):
                         self._button(name, partial(self._download, name))
+
+
+def _size(bytes_: int) -> str:
+    return f"{bytes_ / 1e6:.3g} MB" if bytes_ >= 1e6 else f"{bytes_ / 1e3:.3g} kB"
 
 
 def _percent(odds: float) -> str:

@@ -399,6 +399,16 @@ class Session:
         options = {name: value for name, value in self.state["options"].items() if value}
         return {"rig": hashlib.sha256(self.text.encode()).hexdigest(), "data": files, "options": options}
 
+    def made_of(self) -> str:
+        """What the last result was made of: names, and the beginnings of checksums or the sizes."""
+        made = self.state["result"]["made"]
+        files = [
+            f"{os.path.basename(path)} ({sha256[:8] or f'{size} bytes'})"
+            for path, sha256, _, size, _ in made["data"]
+        ]
+        options = [f"{name} {value}" for name, value in made["options"].items()]
+        return ", ".join([f"{self.state['rig']} ({made['rig'][:8]})", *files, *options])
+
     def is_stale(self, part: str | None = None, of: str = "result") -> bool:
         """Whether rig, data or options (or that one alone) differ from those that the last result, or plan, had."""
         kept = self.state[of]

@@ -1,10 +1,12 @@
 """The protocol of the page's engine: JSON in, JSON out, the answers those of the command line."""
 
 import gzip
+import io
 import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dashpot.app.serve.engine import answer
@@ -125,3 +127,42 @@ def test_questions_for_data_that_nobody_has_described(tmp_path: Path) -> None:
     opened = result(tmp_path, "open", text=said["text"])
     assert [channel["unit"] for channel in opened["channels"]] == ["g", "g"]
     assert next(part["value"] for part in opened["parts"] if part["name"] == "m1") == 2
+
+
+def damaged() -> dict[str, bytes]:
+    """Forty files that are no data any more, by name: of five formats, cut, overwritten, mixed up."""
+    from scipy.io import savemat, wavfile
+
+    rng = np.random.default_rng(1)
+    x = rng.standard_normal(400)
+    files: dict[str, io.BytesIO] = {name: io.BytesIO() for name in ("npz", "mat", "wav")}
+    np.savez(files["npz"], time_s=np.arange(400) / 100, x=x)
+    savemat(files["mat"], {"time_s": np.arange(400) / 100, "x": x})
+    wavfile.write(files["wav"], 1000, (1000 * x).astype(np.int16))
+    rows = "time_s,x\n" + "".join(f"{i / 100},{x[i]}\n" for i in range(400))
+    whole = {name: stream.getvalue() for name, stream in files.items()}
+    whole |= {"csv": rows.encode(), "csv.gz": gzip.compress(rows.encode())}
+    spoiled = {}
+    for end, content in whole.items():
+        size = len(content)
+        noise = rng.integers(0, 256, size, dtype=np.uint8).tobytes()
+        flipped = np.frombuffer(content, np.uint8) ^ (rng.random(size) < 0.02).astype(np.uint8)
+        for kind, bytes_ in {
+            "tenth": content[: size // 10], "half": content[: size // 2], "nearly": content[:-7], "noise": noise,
+            "headless": content[size // 3 :], "flipped": flipped.tobytes(), "nulls": content[:64] + bytes(size),
+            "twice": content[: size // 2] + content,
+        }.items():  # fmt: skip
+            spoiled[f"{kind}.{end}"] = bytes_
+    return spoiled
+
+
+def test_forty_damaged_files_are_each_answered_in_one_line(tmp_path: Path) -> None:
+    files = damaged()
+    assert len(files) == 40
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+        last = events(tmp_path, "inspect", data=[name])[-1]
+        if "failed" in last:
+            assert last["failed"]["code"] == 2, (name, last)
+            assert all("\n" not in problem["text"] for problem in last["failed"]["problems"])
+    assert {path.name for path in tmp_path.iterdir()} == {*files, ".scratch"}

@@ -40,6 +40,9 @@
     if (text) emitEvent("part", text.textContent);
     const line = event.target.closest && event.target.closest("[data-line]");
     if (line) show(Number(line.dataset.line));
+    if (event.target.closest && event.target.closest("[data-new]"))
+      fetch(`/new?token=${encodeURIComponent(TOKEN)}`, { method: "POST" }).then(answer => answer.json())
+        .then(made => window.open(`/?token=${encodeURIComponent(made.token)}`, "_blank"));
     const copied = event.target.closest && event.target.closest("[data-copy]");
     if (copied) copy(copied.dataset.copy);
   });
