@@ -242,7 +242,10 @@ def sensitivity(text: str, unit: str, quantity: str, angular: bool = False) -> f
             f"a sensitivity of {_quoted(text)} for a channel in {unit}",
             cure='say unit = "V", or leave the gain out',
         )
-    cure = f"write a number and a unit such as {_example(quantity, angular, recorded)}"
+    shown = "g" if (quantity, angular) == ("acceleration", False) else si_unit(quantity, angular)
+    below = f"({shown})" if "/" in shown or "·" in shown else shown
+    example = f'"100 {"mV" if recorded == VOLTAGE else "counts"}/{below}"'
+    cure = f"write a number and a unit such as {example}"
     match = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*", text, re.DOTALL)
     if match is None:
         raise UsageError(f"{_quoted(text)} is not a sensitivity", cure=cure)
@@ -280,12 +283,6 @@ def _described(quantity: str, angular: bool) -> str:
     torsional = {"force": "torque", "mass": "moment of inertia"}
     torsional |= {"damping": "torsional damping", "stiffness": "torsional stiffness"}
     return {**turned, **torsional}.get(quantity, quantity) if angular else quantity
-
-
-def _example(quantity: str, angular: bool, recorded: Dimension) -> str:
-    unit = "g" if (quantity, angular) == ("acceleration", False) else si_unit(quantity, angular)
-    below = f"({unit})" if "/" in unit or "·" in unit else unit
-    return f'"100 {"mV" if recorded == VOLTAGE else "counts"}/{below}"'
 
 
 def _quoted(text: str) -> str:

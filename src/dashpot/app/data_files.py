@@ -139,7 +139,12 @@ class RecordOptions:
         treatments["drift"] = int(self.drift) if self.drift.isdecimal() else self.drift
         treatments["band_hz"] = "auto" if self.record_band is None else self.record_band
         stated = {} if reading is None else reading.conditioning
-        treatments |= {name: value for name, value in stated.items() if not _was_given(name)}
+        # What was written on the command line counts more than a manifest.
+        context = click.get_current_context(silent=True)
+        for name, value in stated.items():
+            source = None if context is None else context.get_parameter_source(name)
+            if source in (None, click.core.ParameterSource.DEFAULT):
+                treatments[name] = value
         chosen = Conditioning(**treatments)
         if not self.noise_record:
             return chosen
@@ -229,13 +234,6 @@ def part_of(reading: Reading, part: tuple[float, float]) -> Reading:
         raise DataError("a table of amplitudes has no samples to hold out", cure="give the records")
     records = tuple(cut(record, *part) for record in continuous(reading.records))
     return replace(reading, records=records)
-
-
-def _was_given(option: str) -> bool:
-    """Whether an option was written on the command line, which then counts more than a manifest."""
-    context = click.get_current_context(silent=True)
-    source = None if context is None else context.get_parameter_source(option)
-    return source is not None and source is not click.core.ParameterSource.DEFAULT
 
 
 def estimate_and_rig(path: str, rig: str | None) -> tuple[Estimate, Rig]:

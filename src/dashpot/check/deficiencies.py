@@ -143,7 +143,9 @@ def _said(one: Deficiency, found: Structure, model: Model, channels: Sequence[Ch
         reason, more = _parallel(names, model)
         return f"{what}: {reason}", f"{give}{more}"
     if one.sort == "series":
-        what += f": they are in series{_between(names, model)}"
+        points = [set(e.along) for e in model.elements if e.name in names]
+        shared = set.intersection(*points) if points else set()
+        what += f": they are in series{f' through {_named(sorted(shared))}' if shared else ''}"
     return what, give
 
 
@@ -249,12 +251,6 @@ def _lines(one: Deficiency, found: Structure) -> tuple[str, str]:
     if more is None and one.lines.without_base:
         need = "measure the rig as it is without the experiments, too, or "
     return what, need + with_values(one.names, M - found.rank)
-
-
-def _between(names: tuple[str, ...], model: Model) -> str:
-    points = [set(e.along) for e in model.elements if e.name in names]
-    shared = set.intersection(*points) if points else set()
-    return f" through {_named(sorted(shared))}" if shared else ""
 
 
 def _sensors(sensors: Sequence[Channel], model: Model) -> str:

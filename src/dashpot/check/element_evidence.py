@@ -7,7 +7,7 @@ residuals of whole records count as N over the square of what colour does to int
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -171,15 +171,12 @@ def compare_in_records(
         if progress is not None:
             progress(done + 1, len(trials))
     fits.sort(key=lambda one: -one.evidence)
-    return ElementComparison(model.name, numbers, tuple(fits), _called_for(fits))
-
-
-def _called_for(ranked: Sequence[ElementEvidence]) -> ElementEvidence | None:
-    """The fewest elements beside which more are not worth their unknowns; None where none is.  Best first."""
-    ranked = [one for one in ranked if one.passive]
-    most = ranked[0].evidence if ranked else 0.0
-    worth = [one for one in ranked if one.evidence > max(DECISIVE, most - DECISIVE)]
-    return min(worth, key=lambda one: len(one.elements)) if worth else None
+    # The fewest elements beside which more are not worth their unknowns
+    passive = [one for one in fits if one.passive]
+    most = passive[0].evidence if passive else 0.0
+    worth = [one for one in passive if one.evidence > max(DECISIVE, most - DECISIVE)]
+    called_for = min(worth, key=lambda one: len(one.elements)) if worth else None
+    return ElementComparison(model.name, numbers, tuple(fits), called_for)
 
 
 def with_nothing(model: Model) -> Model:
@@ -315,8 +312,11 @@ def _fitted(
     seen = all(recorded_motion(model, record) is not None for record in before.problem.records)
     stateless = not any(e.force_law is not None and e.force_law.has_state for e in model.elements)
     stated = {element.name for element in base.elements if element.guess is not None}
-    starts = [_without_guesses(model, stated)] if seen and stateless else []
-    for start in (*starts, with_guesses(model, estimate)):
+    starts = [with_guesses(model, estimate)]
+    if seen and stateless:  # without guesses but those that are stated in the rig
+        elements = [e if e.name in stated else replace(e, guess=None) for e in model.elements]
+        starts.insert(0, replace(model, elements=tuple(elements)))
+    for start in starts:
         try:
             found = fit_records(start, records, exact_inputs=True)
         except DashpotError:
@@ -324,12 +324,6 @@ def _fitted(
         if found.converged:
             return found
     return None
-
-
-def _without_guesses(model: Model, stated: Set[str]) -> Model:
-    """The model without guesses but those that are stated in the rig."""
-    elements = [e if e.name in stated else replace(e, guess=None) for e in model.elements]
-    return replace(model, elements=tuple(elements))
 
 
 def with_guesses(model: Model, estimate: Estimate) -> Model:

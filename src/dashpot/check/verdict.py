@@ -35,7 +35,6 @@ from dashpot.estimate.nonlinear.objective import nonlinear_part
 from dashpot.estimate.nonlinear.record_inference import (
     CUT_RECORD,
     FittedRecords,
-    FollowedRecord,
     PredictedMotion,
     followed_record,
     followed_records,
@@ -652,7 +651,10 @@ def assess_records(
         trails = followed_records(fitted.problem, fitted.psi)
         findings = elements_of_uncertain(fitted.problem, fitted.psi) if bool(estimate.converged) else ()
     else:
-        trails = [] if cut else _followed(model, records, estimate)
+        try:
+            trails = [] if cut else [followed_record(model, estimate, record) for record in records]
+        except DataError:  # no motion can be followed
+            trails = []
         findings = elements_called_for(model, trails) if trails and bool(estimate.converged) else ()
     if findings:
         against = [*against, _reason(findings[0])]
@@ -705,13 +707,6 @@ def _reason(cause: Finding) -> Notice:
     place = f"at {points[0]}" if element.kind is Kind.MASS else f"between {joined(points)}"
     text = f"{part} {place} explains {100 * share:.0f} % of the residuals (p < 1e-6)"
     return Notice("element_called_for", text, points)
-
-
-def _followed(model: Model, records: Sequence[Record], estimate: Estimate) -> list[FollowedRecord]:
-    try:
-        return [followed_record(model, estimate, record) for record in records]
-    except DataError:  # no motion can be followed
-        return []
 
 
 def _relative(motions: Sequence[PredictedMotion]) -> dict[str, float]:

@@ -558,7 +558,14 @@ def band_grid(setup: TestSetup, low: float, high: float, step: float | None = No
         f = np.geomspace(low, high, int(np.clip(np.log(high / low) / 0.02, 2, 400)) if high > low else 1)
         widths = np.array([0, 0.3, 0.6, 1, 1.5, 2.2, 3.3, 5, 8])  # half-widths of a resonance, on both sides
         around = np.concatenate([widths, -widths])
-        for resonance, zeta in _distinct(setup.resonances()):
+        # Resonances that differ by more than half a half-width; at most 60
+        kept: list[tuple[float, float]] = []
+        for resonance, zeta in sorted(setup.resonances()):
+            if not kept or resonance > kept[-1][0] * (1 + max(zeta, 1e-5) / 2):
+                kept.append((resonance, zeta))
+        if len(kept) > 60:
+            kept = [kept[i] for i in np.linspace(0, len(kept) - 1, 60).astype(int)]
+        for resonance, zeta in kept:
             if UNDAMPED < zeta < 0.1:  # narrower than the grid resolves
                 near = resonance * np.exp(around * max(zeta, 1e-5))
                 f = np.concatenate([f, near[(near > low) & (near < high)]])
@@ -576,15 +583,6 @@ def band_grid(setup: TestSetup, low: float, high: float, step: float | None = No
         f = step * count.astype(float)
     patterns = len(setup.drives)
     return FrequencyGrid(np.tile(f, patterns), np.repeat(np.arange(patterns), len(f)), step is None)
-
-
-def _distinct(found: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Resonances that differ by more than half a half-width; at most 60."""
-    kept: list[tuple[float, float]] = []
-    for f, zeta in sorted(found):
-        if not kept or f > kept[-1][0] * (1 + max(zeta, 1e-5) / 2):
-            kept.append((f, zeta))
-    return kept if len(kept) <= 60 else [kept[i] for i in np.linspace(0, len(kept) - 1, 60).astype(int)]
 
 
 def natural_band(setup: TestSetup, rate: float | None = None) -> tuple[float, float]:

@@ -357,7 +357,11 @@ def run_fleet(
     done = kept = 0
     if progress is not None:
         progress(0, source.count)
-    with nullcontext(BlockStore()) if folder is None else _opened(folder) as store:
+    opened: AbstractContextManager[BlockStore] = nullcontext(BlockStore())
+    if folder is not None:
+        cure = "name another file for the result"
+        opened = opened_store(folder, lambda path: path.suffix == ".parquet", cure)
+    with opened as store:
         parts = enumerate(source.blocks(block_size(source.count)))
         work = (FleetTask(number, rig, how, each) for number, each in parts)
         for block in store.map(identify_block, work, key=key, mapper=mapper):
@@ -367,10 +371,6 @@ def run_fleet(
             if progress is not None:
                 progress(done, source.count)
     return outcome_of(rig, [blocks[number] for number in sorted(blocks)], pool, kept)
-
-
-def _opened(folder: Path) -> AbstractContextManager[BlockStore]:
-    return opened_store(folder, lambda path: path.suffix == ".parquet", "name another file for the result")
 
 
 def outcome_of(rig: Rig, blocks: Sequence[Columns], pool: bool, kept: int = 0) -> FleetOutcome:

@@ -445,17 +445,15 @@ def validated(entry: type[AnyEntry], raw: dict[str, Any], place: Place, report: 
                 what, cure = "missing", f"add {entry.examples.get(key, key)}"
             elif where[0] in entry.wanted:
                 where = where[:1]
-                what, cure = (
-                    f"{_shown(raw[str(where[0])])} cannot be used",
-                    f"write {entry.wanted[str(where[0])]}",
+                key, value = str(where[0]), raw[str(where[0])]
+                text = (
+                    shown(f"[{', '.join(map(written, value))}]")
+                    if isinstance(value, list)
+                    else written(value)
                 )
+                what, cure = f"{text} cannot be used", f"write {entry.wanted[key]}"
             report.add((*place, *where), what, cure)
         return None
-
-
-def _shown(value: object) -> str:
-    """A value as the file wrote it; a list with what is in it."""
-    return shown(f"[{', '.join(map(written, value))}]") if isinstance(value, list) else written(value)
 
 
 def wrong(what: str, cure: str | None = None) -> PydanticCustomError:

@@ -104,10 +104,14 @@ def page_html(page: Document) -> str:
     scripted = any("data-panels=" in svg or "<animate " in svg for svg in pictures)
     script = loader.get_source(environment, "figures.js")[0] if scripted else ""
     allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    # The files that were read, in a few words: their names without folders, those of the first four
+    names = [] if page.provenance is None else [Path(file.name).name for file in page.provenance.files]
+    rest = len(names) - 4
+    sources = joined(names if rest <= 0 else [*names[:4], counted(rest, "other file")]) if names else ""
     text = environment.get_template("report.html").render(
         page=page,
         explanations=[(term, EXPLANATIONS[term]) for term in page.terms],
-        sources="" if page.provenance is None else _sources(page.provenance.files),
+        sources=sources,
         # neighbouring blocks of one kind: pictures stand beside each other
         grouped=lambda blocks: groupby(blocks, key=lambda block: type(block).__name__),
         inline=inline,
@@ -133,13 +137,6 @@ def with_code(text: str) -> Markup:
     """The text with commands and lines of rig files set as code, in which no option is broken at its hyphens."""
     marked = re.sub(r"(?<![\w-])--[\w-]+", r'<span class="option">\g<0></span>', str(escape(text)))
     return Markup(_CODE.sub(r"<code>\g<0></code>", marked))
-
-
-def _sources(files: Sequence[SourceFile]) -> str:
-    """The files that were read, in a few words: their names without folders, those of the first four."""
-    names = [Path(file.name).name for file in files]
-    rest = len(names) - 4
-    return joined(names if rest <= 0 else [*names[:4], counted(rest, "other file")])
 
 
 def _rows(columns: Sequence[TableColumn]) -> list[list[tuple[str, str]]]:

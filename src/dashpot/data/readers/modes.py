@@ -26,7 +26,7 @@ from dashpot.channel import Channel
 from dashpot.data.modal_data import ModalData, at_coordinates, independent_modes, named_points
 from dashpot.data.readers.arrays import ArrayColumns
 from dashpot.data.readers.columns import LARGEST, Columns, bare
-from dashpot.data.readers.datafile import DataFile, open_file
+from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.text import open_table, write_rows
 from dashpot.data.readers.uff import (
     USUAL_SD,
@@ -170,14 +170,11 @@ def holds_modes(path: AnyPath) -> bool:
                     skip_dataset(stream)
             return (numbers & {55, 58}) == {55}
         text = name.removesuffix(".gz").endswith((".csv", ".txt"))
-        return text and {FREQUENCY, FREQUENCY_SD} <= {bare(column)[0] for column in _first_row(file)}
+        row = file.head.decode("utf-8-sig", errors="replace").lstrip().split("\n", 1)[0]
+        cells = [cell.strip().strip('"') for cell in row.replace(";", ",").replace("\t", ",").split(",")]
+        return text and {FREQUENCY, FREQUENCY_SD} <= {bare(cell)[0] for cell in cells}
     except DashpotError:
         return False
-
-
-def _first_row(file: DataFile) -> list[str]:
-    text = file.head.decode("utf-8-sig", errors="replace").lstrip().split("\n", 1)[0]
-    return [cell.strip().strip('"') for cell in text.replace(";", ",").replace("\t", ",").split(",")]
 
 
 @dataclass(frozen=True)

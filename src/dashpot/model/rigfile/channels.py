@@ -98,11 +98,11 @@ def full_scale_gain(
 
 def read_channels(reading: RigReading) -> list[Channel] | None:
     """The channels; None where the file has no such section."""
-    named = {
-        str(table.get("of"))
-        for raw in _calibrated_tables(reading)
-        for table in split_calibrations(raw)[1].values()
-    }
+    # Tables of channels, and of what they are in experiments
+    tables = [raw for _, raw in reading.entries("channels")]
+    for _, experiment in reading.entries(EXPERIMENTS):
+        tables += experiment.values() if isinstance(experiment, dict) else ()
+    named = {str(table.get("of")) for raw in tables for table in split_calibrations(raw)[1].values()}
     for name, _ in reading.entries("calibrations"):
         place = ("calibrations", name)
         if name not in named:
@@ -136,13 +136,6 @@ def read_channels(reading: RigReading) -> list[Channel] | None:
         else channel
         for channel in channels
     ]
-
-
-def _calibrated_tables(reading: RigReading) -> Iterator[object]:
-    """Tables of channels, and of what they are in experiments."""
-    yield from (raw for _, raw in reading.entries("channels"))
-    for _, experiment in reading.entries(EXPERIMENTS):
-        yield from experiment.values() if isinstance(experiment, dict) else ()
 
 
 def read_channel(reading: RigReading, name: str, raw: object, place: Place) -> Channel | None:

@@ -59,7 +59,9 @@ def elements_of(reading: RigReading, tables: Mapping[str, Mapping[str, Any]]) ->
             if key in SECTIONS:
                 own += _added(reading, place, raw, experiment)
             elif key in reading.elements:
-                numbers = _without_calibrations(raw) if key in channels else raw
+                numbers = raw
+                if key in channels and isinstance(raw, dict):
+                    numbers = {name: value for name, value in raw.items() if name not in CALIBRATIONS}
                 element = None if numbers == {} and raw else _other(reading, place, numbers)
                 own += [] if element is None else [element]
             elif key != "data" and key not in channels and not reading.faulty:
@@ -116,12 +118,6 @@ def _channel_tables(reading: RigReading) -> Mapping[str, Any]:
     if "channels" in reading.table:
         return dict(reading.entries("channels"))
     return {name: {"of": name} for name in dict.fromkeys((*reading.head.coordinates, *reading.inputs))}
-
-
-def _without_calibrations(raw: object) -> object:
-    if not isinstance(raw, dict):
-        return raw
-    return {key: value for key, value in raw.items() if key not in CALIBRATIONS}
 
 
 def _calibrated(reading: RigReading, place: Place, raw: Any, changes: Mapping[str, Any]) -> Channel | None:

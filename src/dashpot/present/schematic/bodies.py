@@ -6,7 +6,7 @@ acts on a combination of bodies hangs on a lever: a body of its own, held by rig
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -115,7 +115,12 @@ def connections(model: Model, channels: Sequence[Channel] = ()) -> Connections:
     return Connections(
         tuple(bodies),
         tuple(links),
-        tuple(_pushes(model, body_of)),
+        tuple(
+            Push(body_of[coordinate], source.name, factor, coordinate in model.angles)
+            for source in model.inputs
+            if source.kind == "force"
+            for coordinate, factor in source.at.items()
+        ),
         any(e.free or e.block for e in model.elements),
     )
 
@@ -156,13 +161,6 @@ def _rigid_bodies(model: Model) -> dict[str, int]:
             root[angle] = common[0]
     groups = list(dict.fromkeys(root.values()))
     return {name: groups.index(root[name]) for name in names}
-
-
-def _pushes(model: Model, body_of: Mapping[str, int]) -> Iterable[Push]:
-    for source in model.inputs:
-        if source.kind == "force":
-            for coordinate, factor in source.at.items():
-                yield Push(body_of[coordinate], source.name, factor, coordinate in model.angles)
 
 
 # The order in which bodies are drawn: a tree from left to right, and the links that skip bodies.

@@ -321,7 +321,9 @@ def folded(drawn: Sequence[Part], width: float, height: float) -> tuple[list[Par
     below, between = 0.0, 26.0  # px from one row to the next
     for row, (left, right) in enumerate(pairwise(ends)):
         content = [_within(part, left, right) for part in drawn]
-        heights = [y for part in content for y in _heights(part)]
+        texts = [text for part in content for text in part.texts]
+        heights = [y for text in texts for y in (text.box.top, text.box.bottom)]
+        heights += [point.y for part in content for shape in part.shapes for point in shape.points]
         top, bottom = min(heights, default=0.0) if row else 0.0, max(heights, default=0.0)
         dx = MARGIN - left if row else 0.0
         parts += [part.shifted(dx, below - top) for part in content if part.shapes or part.texts]
@@ -379,11 +381,6 @@ def _pieces(shape: Shape, left: float, right: float) -> Iterator[Shape]:
                 yield replace(shape, points=mark, weight=1.0, dashed=False)
     if run:
         yield replace(shape, points=tuple(run))
-
-
-def _heights(part: Part) -> list[float]:
-    ends = [y for text in part.texts for y in (text.box.top, text.box.bottom)]
-    return [*ends, *(point.y for shape in part.shapes for point in shape.points)]
 
 
 # Title and legend around a drawing.
