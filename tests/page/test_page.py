@@ -122,6 +122,9 @@ def test_from_files_to_a_verdict_a_correction_and_a_report(
         page.get_by_text("Stale").wait_for()
         assert "k_x3_base" in page.get_by_label("Text of the rig").input_value()
         page.get_by_text("Stale").wait_for(state="hidden")  # identified again
+        page.locator(".parts svg text").filter(has_text="k2").first.click()
+        page.get_by_label("Value, N/m").wait_for()
+        page.get_by_role("button", name="Close").click()
         page.get_by_role("button", name="Undo").click()
         page.get_by_text("Stale").wait_for()
         assert page.get_by_label("Text of the rig").input_value() == SHAKE_TABLE[0].read_text(

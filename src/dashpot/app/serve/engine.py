@@ -25,7 +25,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dashpot.errors import DashpotError, Problem, UsageError
+from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError, Problem, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -441,19 +441,13 @@ def _identify(call: Call, tell: Tell) -> None:
     from dataclasses import replace
 
     from dashpot.app import options as opt
-    from dashpot.app.commands.identify import (
-        Identified,
-        corrected,
-        identified,
-        of_modes,
-        require_answer,
-        with_a_line,
-    )
+    from dashpot.app.commands.identify import Identified, identified, of_modes, require_answer
     from dashpot.app.data_files import RecordOptions
     from dashpot.app.workers import progress
     from dashpot.data.readers.modes import holds_modes
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import read_rig
+    from dashpot.present.identification import failure_report
     from dashpot.present.page import provenance_of
 
     data, out, options = _data(call), Path(call["out"]), call.get("options", {})
@@ -469,19 +463,25 @@ def _identify(call: Call, tell: Tell) -> None:
     chosen = str(options.get("method") or "auto")
     band = opt.BAND.convert(options["band"], None, None) if options.get("band") else None
     records = replace(RecordOptions.usual(), record_band=band, noise_record=tuple(call.get("rest", ())))
-    if len(data) == 1 and holds_modes(data[0]):
-        shares = opt.MODAL_SD.convert("1%,20%,5%", None, None)
-        found = Identified(of_modes(rig, data[0], shares, 0, True))
-    else:
-        require_answer(rig, chosen, False, False)
-        found = identified(rig, data, records, chosen, False, 0, 0.0, False, True)
+    command = " ".join(["dashpot identify", call["rig"], *data, *words])
+    try:
+        if len(data) == 1 and holds_modes(data[0]):
+            shares = opt.MODAL_SD.convert("1%,20%,5%", None, None)
+            found = Identified(of_modes(rig, data[0], shares, 0, True))
+        else:
+            require_answer(rig, chosen, False, False)
+            found = identified(rig, data, records, chosen, False, 0, 0.0, False, True)
+    except (IdentifiabilityError, ConvergenceError) as error:
+        write_text(
+            out / "report.html", failure_report(rig.model, rig.channels, error, provenance_of(command))
+        )
+        tell({"result": {**_no_answer(rig, error), "files": _files(out)}})
+        return
     estimate = found.estimate
     write_text(out / "estimate.json", estimate.to_json())
     result = _words(rig, estimate)
     findings = () if estimate.assessment is None else estimate.assessment.findings
-    for cause, finding in zip(result["causes"], findings, strict=True):
-        if with_a_line([finding]):
-            cause["text_after"] = corrected(rig, finding)
+    result["causes"] = _causes(rig, findings)
     tell({"result": result})
     with progress("drawing"):
         result["drawing"] = _tried(partial(_drawn, rig, estimate))
@@ -494,7 +494,6 @@ def _identify(call: Call, tell: Tell) -> None:
         result["files"] = _files(out)
     tell({"result": result})
     with progress("report"):
-        command = " ".join(["dashpot identify", call["rig"], *data, *words])
         write_text(out / "report.html", found.report(rig, 0.95, provenance_of(command)))
     result["files"] = _files(out)
     tell({"result": result})
@@ -545,20 +544,44 @@ def _words(rig: Rig, estimate: Estimate) -> dict[str, Any]:
         "modes": _table(modes),
         "warnings": [*warnings_in_words(estimate, untried=())],
         "notes": [note.text for note in estimate.notes],
-        "causes": [
-            {
-                "text": finding.text,
-                "change": finding.change,
-                "kind": finding.kind,
-                "odds": finding.odds,
-                "explains": finding.explains,
-                "of": list(finding.of),
-            }
-            for finding in findings
-        ],
         "drawing": None,
         "shapes": [],
         "files": [],
+    }
+
+
+def _causes(rig: Rig, findings: Sequence[object]) -> list[dict[str, Any]]:
+    """What may be the matter, with the text of the rig file as each remedy would have it, where one does."""
+    from dashpot.app.commands.identify import corrected, with_a_line
+    from dashpot.estimate.assessment import Finding
+
+    causes = []
+    for finding in findings:
+        if isinstance(finding, Finding):
+            after = {"text_after": corrected(rig, finding)} if with_a_line([finding]) else {}
+            shown = ("text", "change", "kind", "odds", "explains")
+            causes.append(
+                {**{name: getattr(finding, name) for name in shown}, "of": list(finding.of), **after}
+            )
+    return causes
+
+
+def _no_answer(rig: Rig, error: DashpotError) -> dict[str, Any]:
+    """A result without values: why there are none, and what may be the matter."""
+    empty: dict[str, Any] = {"heads": [], "rows": [], "right": []}
+    why = "the channels and data do not determine the unknowns"
+    if isinstance(error, ConvergenceError):
+        why = "the iteration did not converge"
+    return {
+        "estimate": None,
+        "verdict": "bad",
+        "headline": f"No answer: {why}.",
+        "statements": [str(problem) for problem in error.problems],
+        "causes": _causes(rig, error.causes),
+        "parameters": empty,
+        "modes": empty,
+        "drawing": None,
+        **{name: [] for name in ("remarks", "warnings", "notes", "shapes")},
     }
 
 

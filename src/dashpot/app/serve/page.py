@@ -94,6 +94,7 @@ class Page:
         self.shown: dict[str, int] = {}
         self.typed = session.text  # as the session and this tab last agreed
         self.editor: Any = None
+        self.looks, self.stale = 0, False
         self.views = {
             "files": ui.refreshable(self._files),
             "start": ui.refreshable(self._start),
@@ -188,6 +189,9 @@ class Page:
     def _tick(self) -> None:
         """Show what has changed since the last look."""
         session = self.session
+        self.looks += 1
+        if self.looks % 8 == 0 and session.result is not None and session.is_stale() != self.stale:
+            self.shown["result"] = -1  # a file of the served folder has changed
         for part, view in self.views.items():
             if self.shown[part] != session.revisions[part]:
                 self.shown[part] = session.revisions[part]
@@ -500,7 +504,7 @@ class Page:
         result, session = self.session.result, self.session
         if result is None:
             return
-        stale = session.is_stale()
+        self.stale = stale = session.is_stale()
         with (
             ui.element("section")
             .classes(f"card verdict {result['verdict']}")
@@ -516,6 +520,17 @@ class Page:
             _html(f'<p class="soft">Made of {html.escape(session.made_of())}</p>')
         if result["causes"]:
             self._causes(result["causes"])
+        if result["estimate"] is not None:
+            self._values(result)
+        with self._card("Downloads"), ui.element("div").classes("row-of"):
+            for name in result["files"]:
+                if name != "report.html":
+                    self._button(name, partial(self._download, name))
+            for end, name in EXPORTS.items() if result["estimate"] is not None else ():
+                self._button(f"Make {name}", partial(self._later, session.export, end))
+
+    def _values(self, result: Mapping[str, Any]) -> None:
+        """Values, drawing, warnings, responses and modes."""
         with self._card("Values"):
             _html(table_html("Parameters", result["parameters"], known="known"), "wide")
             for text in result["remarks"]:
@@ -531,19 +546,12 @@ class Page:
         if "fit.svg" in result["files"]:
             with self._card("Measured and model"):
                 address = html.escape(self._address("fit.svg", show=True))
-                _html(
-                    f'<img alt="Responses, measured and model with its 95 % band" src="{address}">', "paper"
-                )
+                words = "Responses, measured and model with its 95 % band"
+                _html(f'<img alt="{words}" src="{address}">', "paper")
         if result["modes"]["rows"]:
             with self._card("Modes"):
                 _html(table_html("Modes", result["modes"]), "wide")
                 _html("".join(f'<div class="paper">{shape}</div>' for shape in result["shapes"]), "shapes")
-        with self._card("Downloads"), ui.element("div").classes("row-of"):
-            for name in result["files"]:
-                if name != "report.html":
-                    self._button(name, partial(self._download, name))
-            for end, name in EXPORTS.items():
-                self._button(f"Make {name}", partial(self._later, session.export, end))
 
     def _causes(self, causes: Sequence[Mapping[str, Any]]) -> None:
         with self._card("Causes"):
@@ -607,7 +615,7 @@ class Page:
         ]  # fmt: skip
         heads = ["Parameter", "Value", "±", "Unit", "± %", "Enough"]
         right = [False, True, True, False, True, False]
-        _html(table_html("Live parameters", {"heads": heads, "rows": rows, "right": right}), "wide")
+        _html(table_html("Live intervals", {"heads": heads, "rows": rows, "right": right}), "wide")
         for text in live.get("pictures", ()):
             _html(text)
         if live.get("next"):

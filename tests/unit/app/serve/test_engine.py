@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dashpot.app.serve.engine import answer
-from tests.two_masses import RIG
+from tests.two_masses import RIG, UNDETERMINED
 from tests.unit.app.conftest import Command
 
 
@@ -166,3 +166,12 @@ def test_forty_damaged_files_are_each_answered_in_one_line(tmp_path: Path) -> No
             assert last["failed"]["code"] == 2, (name, last)
             assert all("\n" not in problem["text"] for problem in last["failed"]["problems"])
     assert {path.name for path in tmp_path.iterdir()} == {*files, ".scratch"}
+
+
+def test_where_there_is_no_answer_the_verdict_and_a_report_say_so(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(UNDETERMINED, encoding="utf-8")
+    (tmp_path / "data.csv").write_text("frequency_hz,x_re,x_im\n1,1,0\n", encoding="utf-8")
+    (tmp_path / "out").mkdir()
+    found = result(tmp_path, "identify", data=["data.csv"], out="out")
+    assert (found["verdict"], found["estimate"], found["files"]) == ("bad", None, ["report.html"])
+    assert found["statements"]
