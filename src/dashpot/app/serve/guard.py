@@ -120,6 +120,11 @@ class Guard:
                 session.complain([refused.line])
                 raise
             await _send(send, 200, b"{}", {"Content-Type": "application/json"})
+        elif path == "/stream" and method in ("POST", "PUT"):
+            if "token" not in query:
+                raise RefusedError(403, NO_TOKEN)
+            await _append(receive, session, safe_name(query.get("name", ""), "stream"))
+            await _send(send, 200, b"{}", {"Content-Type": "application/json"})
         elif path == "/new" and method == "POST":
             if "token" not in query:
                 raise RefusedError(403, NO_TOKEN)
@@ -205,6 +210,20 @@ async def _take(
         part.unlink(missing_ok=True)
         if not whole:
             place.unlink(missing_ok=True)
+
+
+async def _append(receive: Receive, session: Session, name: str) -> None:
+    """Add what a recorder sends to a live file, as it comes.  Raises RefusedError where that is too large."""
+    place = session.live_place(name)
+    with place.open("ab") as file:
+        while True:
+            message = await receive()
+            file.write(message.get("body", b""))
+            file.flush()
+            if file.tell() > MOST_UPLOAD:
+                raise RefusedError(413, f"{printable(name)}: at most {_size(MOST_UPLOAD)} are taken")
+            if message["type"] != "http.request" or not message.get("more_body", False):
+                return
 
 
 def _is_rig(path: Path) -> bool:

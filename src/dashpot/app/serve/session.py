@@ -27,6 +27,7 @@ from dashpot.errors import DashpotError, UsageError, printable
 from dashpot.io.atomic import write_text
 
 PARTS = ("files", "start", "rig", "channels", "work", "result", "plan", "live")
+STREAM = "sent: "  # before the names of what recorders send
 KINDS = {"identify": "result", "design": "plan", "watch": "live"}  # what calls of the engine leave
 MOST_TEXTS = 500  # of the rig file that are kept
 MOST_RIG = 1 << 20  # bytes of a rig file: one of 10 000 elements has half of it
@@ -81,7 +82,7 @@ class Session:
         self.plan: dict[str, Any] | None = None
         self.live: dict[str, Any] | None = None  # what a test that still runs has shown so far
         shutil.rmtree(folder / SCRATCH, ignore_errors=True)
-        for made in (folder, folder / "data", folder / "results"):
+        for made in (folder, folder / "data", folder / "live", folder / "results"):
             made.mkdir(mode=0o700, exist_ok=True)
         self._load()
 
@@ -290,6 +291,8 @@ class Session:
     def in_folder(self, folders_too: bool = False) -> list[str]:
         """Files of the served folder that may be opened, by their paths in it."""
         found = ["."] if folders_too else []
+        if folders_too:
+            found += [f"{STREAM}{path.name}" for path in sorted((self.folder / "live").iterdir())]
         for folder, folders, files in os.walk(self.served):
             depth = len(Path(folder).relative_to(self.served).parts)
             folders[:] = sorted(name for name in folders if not name.startswith(".") and depth < 2)
@@ -432,16 +435,22 @@ class Session:
 
     def watch(self, name: str, target: str, options: Mapping[str, str]) -> None:
         """Follow a test that still runs: a file of the served folder that grows, or a folder of it that fills."""
-        place = Path(os.path.realpath(self.served / name))
+        streamed = name.startswith(STREAM)
+        root = self.folder / "live" if streamed else self.served
+        place = Path(os.path.realpath(root / name.removeprefix(STREAM)))
         if not self.text:
             self.complain(["Give a rig file first: a live test needs to know what is unknown."])
-        elif not place.is_relative_to(os.path.realpath(self.served)) or not place.exists():
+        elif not place.is_relative_to(os.path.realpath(root)) or not place.exists():
             self.complain(
                 [f"{printable(name)}: there is no such file or folder in the folder that is served"]
             )
         else:
             self.live = None
             self._begin({"call": "watch", "source": str(place), "target": target, "options": dict(options)})
+
+    def live_place(self, name: str) -> Path:
+        """Where what a recorder sends under that name is kept: a live test follows it."""
+        return self.folder / "live" / safe_name(name, "stream")
 
     def export(self, end: str) -> None:
         """Write the rig with its last estimate for another program, beside the estimate."""

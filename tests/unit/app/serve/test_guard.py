@@ -180,3 +180,14 @@ def test_sessions_see_nothing_of_each_other(served: Served) -> None:
 def test_results_alone_are_given_out(served: Served, name: str) -> None:
     assert served.upload("run.csv", b"secret")[0] == 200
     assert served.ask(f"/file/{name}", f"token={served.token}")[0] == 404
+
+
+def test_what_a_recorder_sends_is_added_to_a_live_file(served: Served) -> None:
+    query = f"name=../run.csv&token={served.token}"
+    for parts in ([b"time_s,x\n", b"0,1\n"], [b"1,2\n"]):
+        assert served.ask("/stream", query, method="PUT", body=parts)[0] == 200
+    session = served.sessions.of(served.token)
+    assert session is not None
+    assert session.live_place("run.csv").read_bytes() == b"time_s,x\n0,1\n1,2\n"
+    assert "sent: run.csv" in session.in_folder(folders_too=True)
+    assert served.ask("/stream", "name=run.csv", method="PUT", body=[b"x"])[0] == 403

@@ -1,0 +1,40 @@
+"""A live test by the engine alone: a folder that fills, and a file whose last dwell is not finished."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dashpot.app.serve.engine import answer
+from tests.unit.app.conftest import Command
+
+
+class Stopped(BaseException):
+    """As a Cancel ends the process of a live test."""
+
+
+@pytest.mark.long
+def test_intervals_shrink_as_a_folder_fills(dashpot: Command, rig: Path, data: Path) -> None:
+    head, *rows = data.read_text(encoding="utf-8").splitlines(keepends=True)
+    bench, each = rig.parent / "bench", len(rows) // 8
+    for folder in (bench, rig.parent / "out"):
+        folder.mkdir()
+    # The fourth dwell of the first file is not finished: it does not count until it is.
+    (bench / "run1.csv").write_text(head + "".join(rows[: 3 * each + each // 2]), encoding="utf-8")
+    steps: list[tuple[int, float]] = []
+
+    def tell(event: dict[str, Any]) -> None:
+        found = event.get("result", {})
+        assert "failed" not in event
+        for step in found.get("history", ())[len(steps) :]:
+            steps.append((step["samples"], max(row["share"] for row in step["rows"])))
+        if len(steps) == 1:
+            (bench / "run2.csv").write_text(head + "".join(rows[3 * each :]), encoding="utf-8")
+        if found.get("enough"):
+            raise Stopped
+
+    call = {"call": "watch", "folder": str(rig.parent), "rig": rig.name, "out": "out", "source": "bench"}
+    with pytest.raises(Stopped):
+        answer({**call, "target": "0.1%", "options": {"rate": 200}}, tell)
+    assert steps[0][0] == 3 * each
+    assert steps[-1][1] <= 0.001 < steps[0][1]
