@@ -7,7 +7,6 @@ How fast the unknowns walk, and whether one of them steps, `numerics/random_walk
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -32,6 +31,7 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import MISFIT, Estimate
+from dashpot.io.json_document import to_json
 from dashpot.io.words import counted
 from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
@@ -157,7 +157,7 @@ class Track(Printable):
             for key, value in self.to_dict().items()
             if key in ("changes", "false_alarms", "scatter")
         }
-        write_table(Path(path), columns, json.dumps(kept, allow_nan=False).encode())
+        write_table(Path(path), columns, to_json(kept).encode())
 
 
 class Tracker:
@@ -201,6 +201,9 @@ class Tracker:
             raise DataError("the window begins before the last one ends", record.source, "give them in order")
         try:
             window = self._window(record)
+            if self._kept and window.names != self._kept[-1].names:
+                what = f"the window estimates {', '.join(window.names)}, those before others"
+                raise DataError(what, record.source, "give the rig file alone what is to be found")
         except (ConvergenceError, DataError, IdentifiabilityError) as error:
             if not self._kept and len(self.skipped) >= 2:  # three in a row: nothing to track here
                 raise
