@@ -125,7 +125,18 @@ def _said(one: Deficiency, found: Structure, model: Model, channels: Sequence[Ch
     if one.sort == "unseen":
         return _unseen(one, found, model, channels)
     if one.sort == "lines":
-        return _lines(one, found)
+        assert one.lines is not None
+        count, frequencies, missing = one.lines.lines, one.lines.frequencies, one.lines.missing
+        M = len(found.names)
+        at = "1 frequency" if frequencies == 1 else f"{frequencies} frequencies"
+        held = f"{count} line{'' if count == 1 else 's'} at {at}"
+        what = f"{held} fix only {found.rank} combinations of the {M} unknowns: {_named(one.names)} stay open"
+        need = ""
+        if missing is not None:
+            need = f"measure at {missing} more frequenc{'y' if missing == 1 else 'ies'}, or "
+        elif one.lines.without_base:
+            need = "measure the rig as it is without the experiments, too, or "
+        return what, need + with_values(one.names, M - found.rank)
     if one.sort == "mixed" and len(names) == 1:
         return (
             f"{names[0]} leaves no trace: its element never moves far enough for its law to show",
@@ -238,19 +249,6 @@ def _unseen(one: Deficiency, found: Structure, model: Model, channels: Sequence[
         f"{what}: {_named(light)} {has} no mass",
         f'add [masses] m_{light[0]} = {{ at = "{light[0]}" }}, or {give}',
     )
-
-
-def _lines(one: Deficiency, found: Structure) -> tuple[str, str]:
-    assert one.lines is not None
-    count, frequencies, more = one.lines.lines, one.lines.frequencies, one.lines.missing
-    M = len(found.names)
-    at = "1 frequency" if frequencies == 1 else f"{frequencies} frequencies"
-    held = f"{count} line{'' if count == 1 else 's'} at {at}"
-    what = f"{held} fix only {found.rank} combinations of the {M} unknowns: {_named(one.names)} stay open"
-    need = "" if more is None else f"measure at {more} more frequenc{'y' if more == 1 else 'ies'}, or "
-    if more is None and one.lines.without_base:
-        need = "measure the rig as it is without the experiments, too, or "
-    return what, need + with_values(one.names, M - found.rank)
 
 
 def _sensors(sensors: Sequence[Channel], model: Model) -> str:

@@ -474,7 +474,16 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
         raise DataError("there are no data", cure="give at least one record or spectrum")
     if len(spectra) == 1:
         return spectra[0]
-    channels = _channels_of_all(spectra)
+    # Every channel once, in the order of first mention
+    described: dict[str, Channel] = {}
+    for spectrum in spectra:
+        for channel in spectrum.channels:
+            if described.setdefault(channel.name, channel) != channel:
+                raise DataError(
+                    f"channel {channel.name} is described differently in the spectra that are put together",
+                    cure="describe it once, or name one of them differently",
+                )
+    channels = tuple(described.values())
     batch = np.broadcast_shapes(*(spectrum.batch for spectrum in spectra))
     shared = all(spectrum.covariance.ndim == 3 for spectrum in spectra)
     widened = [_widened(spectrum, channels, batch, () if shared else batch) for spectrum in spectra]
@@ -501,19 +510,6 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
         *joined_stretches([(spectrum.stretch, spectrum.stretches) for spectrum in spectra]),
         unsettled,
     )
-
-
-def _channels_of_all(spectra: Sequence[Spectrum]) -> tuple[Channel, ...]:
-    """Every channel once, in the order of first mention."""
-    channels: dict[str, Channel] = {}
-    for spectrum in spectra:
-        for channel in spectrum.channels:
-            if channels.setdefault(channel.name, channel) != channel:
-                raise DataError(
-                    f"channel {channel.name} is described differently in the spectra that are put together",
-                    cure="describe it once, or name one of them differently",
-                )
-    return tuple(channels.values())
 
 
 def _widened(

@@ -277,7 +277,19 @@ def like_parts(model: Model, data: ModalData) -> Real:
 
 def usual_parts(model: Model, data: ModalData) -> Real:
     """A usual value of every unknown, (m,): its guess or prior, else that of its kind beside the known ones."""
-    per_mass, mass = _sizes(model, data)
+    # Usual values of each kind for a mass of 1 kg that swings as the data do, and the mass that known parts imply
+    rate = 2 * np.pi * float(np.exp(np.mean(np.log(data.frequency_hz))))
+    ratio = float(np.nanmean(np.abs(data.damping_ratio))) if np.any(np.isfinite(data.damping_ratio)) else 0.01
+    per_mass = {kind: float(kind.law.typical_size(1.0, rate, ratio)) for kind in Kind}
+    known = [
+        np.log(value / per_mass[element.kind])
+        for element, value in zip(model.elements, model.p0, strict=True)
+        if value > 0 and element.kind is not Kind.DAMPER
+    ]
+    known += [
+        np.log(u.prior) for u in model.unknowns if u.prior is not None and u.prior > 0 and u.unit == "kg"
+    ]
+    mass = float(np.exp(np.mean(known))) if known else 1.0
     kinds = {element.name: element.kind for element in model.elements}
     return np.array(
         [
@@ -312,22 +324,6 @@ def random_rigs(model: Model, data: ModalData, count: int, rng: np.random.Genera
         else:
             theta[:, j] = np.where(near, middle[j], shared * usual[j]) * scatter[:, j]
     return theta
-
-
-def _sizes(model: Model, data: ModalData) -> tuple[dict[Kind, float], float]:
-    """Usual values of each kind for a mass of 1 kg that swings as the data do, and the mass that known parts imply."""
-    rate = 2 * np.pi * float(np.exp(np.mean(np.log(data.frequency_hz))))
-    ratio = float(np.nanmean(np.abs(data.damping_ratio))) if np.any(np.isfinite(data.damping_ratio)) else 0.01
-    per_mass = {kind: float(kind.law.typical_size(1.0, rate, ratio)) for kind in Kind}
-    known = [
-        np.log(value / per_mass[element.kind])
-        for element, value in zip(model.elements, model.p0, strict=True)
-        if value > 0 and element.kind is not Kind.DAMPER
-    ]
-    known += [
-        np.log(u.prior) for u in model.unknowns if u.prior is not None and u.prior > 0 and u.unit == "kg"
-    ]
-    return per_mass, float(np.exp(np.mean(known))) if known else 1.0
 
 
 # How far each measured number is from the rig's.

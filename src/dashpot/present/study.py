@@ -235,25 +235,21 @@ def groups(outcome: StudyOutcome) -> list[FactorGroup]:
                 rest = tuple((key, value) for key, value in factors.items() if key != factor)
                 sets.setdefault((rest, row.scenario.model.unknown_names), []).append(row)
         for (rest, names), rows in sets.items():
-            group = _group(factor, rest, names, rows)
+            by_method: dict[str, dict[object, Summary]] = {}
+            for row in rows:
+                by_method.setdefault(row.method, {})[row.scenario.factors[factor]] = row.summary
+            values = list(dict.fromkeys(row.scenario.factors[factor] for row in rows))
+            if factor in COUNTED_FACTORS:
+                values.sort(key=float)
+            complete = {
+                name: [summaries[value] for value in values]
+                for name, summaries in by_method.items()
+                if len(summaries) == len(values)
+            }
+            group = FactorGroup(factor, rest, tuple(values) if complete else (), names, complete)
             if len(group.values) >= least:
                 made.append(group)
     return made
-
-
-def _group(factor: str, rest: Rest, names: tuple[str, ...], rows: Sequence[SummaryRow]) -> FactorGroup:
-    by_method: dict[str, dict[object, Summary]] = {}
-    for row in rows:
-        by_method.setdefault(row.method, {})[row.scenario.factors[factor]] = row.summary
-    values = list(dict.fromkeys(row.scenario.factors[factor] for row in rows))
-    if factor in COUNTED_FACTORS:
-        values.sort(key=float)
-    complete = {
-        name: [summaries[value] for value in values]
-        for name, summaries in by_method.items()
-        if len(summaries) == len(values)
-    }
-    return FactorGroup(factor, rest, tuple(values) if complete else (), names, complete)
 
 
 def evenly_spread(every: Sequence[FactorGroup]) -> Iterable[FactorGroup]:
