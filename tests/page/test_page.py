@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,15 @@ from tests.real.recordings import RAW, needs_recordings
 from tests.reports import EXAMPLES
 from tests.two_masses import RIG
 
-pytest.importorskip("nicegui", reason="the page needs NiceGUI: python3 dev.py test --long installs it")
-sync_api = pytest.importorskip(
-    "playwright.sync_api", reason="Playwright is not installed: python3 dev.py test --long does it"
-)
-pytestmark = pytest.mark.long
+LACKING = [name for name in ("nicegui", "playwright") if find_spec(name) is None]
+BROWSER = os.environ.get("DASHPOT_BROWSER") or chromium()
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(bool(LACKING), reason=f"python3 dev.py test --long installs {' and '.join(LACKING)}"),
+    pytest.mark.skipif(
+        BROWSER is None, reason="there is no Chromium: install it, or name it in DASHPOT_BROWSER"
+    ),
+]
 
 PATIENCE = 120_000.0  # ms, for what is computed on a busy machine
 SHAKE_TABLE = EXAMPLES["shake_table"] / "rig.toml", EXAMPLES["shake_table"] / "amplitudes.csv"
@@ -57,11 +62,10 @@ def server(tmp_path: Path) -> Iterator[Server]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    place = os.environ.get("DASHPOT_BROWSER") or chromium()
-    if place is None:
-        pytest.skip("there is no Chromium: install it, or name it in DASHPOT_BROWSER")
-    with sync_api.sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=place, args=["--no-sandbox"])
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
         yield found
         found.close()
 
@@ -160,16 +164,33 @@ def test_the_silverbox_by_its_manifest(browser: Any, server: Server, tmp_path: P
         assert "1.0" in page.get_by_role("table", name="Parameters").inner_text()  # N/m
 
 
-def test_data_alone_are_asked_about(browser: Any, server: Server, tmp_path: Path) -> None:
+def test_stepped_sine_alone_from_questions_to_the_next_test(
+    browser: Any, server: Server, tmp_path: Path
+) -> None:
     simulated(tmp_path)
     with opened(browser, server) as page:
         give(page, None, tmp_path / "data.csv")
         page.get_by_text("A first rig for these data").wait_for()
-        page.get_by_label("Mass of x1").fill("3")
-        page.get_by_label("Mass of x1").press("Tab")
+        answers = {"Mass of x1": "3", **{f"Unit of {name}": "mm" for name in ("x1", "x2", "u")}}
+        for label, answer in answers.items():
+            page.get_by_label(label).fill(answer)
+            page.get_by_label(label).press("Tab")
         page.get_by_role("button", name="Use this rig").click()
         page.get_by_role("table", name="Channels").wait_for()
-        assert "value = 3" in page.get_by_label("Text of the rig").input_value()
+        text = page.get_by_label("Text of the rig").input_value()
+        assert text.count('unit = "mm"') == 3
+        assert "value = 3" in text
+        assert "fit" in identified(page)
+        page.get_by_role("progressbar", name="Progress").wait_for(state="hidden")
+        for label, value in {"or samples": "2000", "Stroke": "5mm", "Sampling rate, Hz": "200"}.items():
+            page.get_by_label(label).first.fill(value)
+        page.get_by_role("button", name="Plan next test").click()
+        page.get_by_role("table", name="Dwells").wait_for()
+        page.get_by_role("progressbar", name="Progress").wait_for(state="hidden")
+        page.get_by_role("button", name="Make FMU").click()
+        with page.expect_download() as made:
+            page.get_by_role("button", name="rig.fmu").click()
+        assert Path(made.value.path()).read_bytes()[:2] == b"PK"
 
 
 def simulated(folder: Path) -> None:

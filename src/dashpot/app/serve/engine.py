@@ -688,8 +688,6 @@ def main() -> None:
     from dashpot.app.memory import one_thread
 
     one_thread()
-    for module in ("dashpot.api", "dashpot.present.identification"):  # the first call finds them loaded
-        importlib.import_module(module)
     calls: SimpleQueue[str] = SimpleQueue()
 
     def listen() -> None:
@@ -698,6 +696,8 @@ def main() -> None:
         os._exit(0)
 
     threading.Thread(target=listen, daemon=True).start()
+    for module in ("dashpot.api", "dashpot.present.identification"):  # the first call finds them loaded
+        importlib.import_module(module)
     with _own_stdout() as stream:
 
         def tell(event: dict[str, Any]) -> None:
