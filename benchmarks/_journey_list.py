@@ -1053,6 +1053,7 @@ def helps() -> Iterator[Journey]:
     ]
     yield Journey("help").run("--help").run("--version").run("nonsense").run()
     yield from (Journey(f"help-{command}").run(command, "--help").run(command) for command in commands)
+    yield Journey("help-serve").run("serve", "--help").run("serve", "nowhere")
     yield from (Journey(f"completion-{shell}").run("completion", shell) for shell in ("bash", "zsh", "fish"))
     yield Journey("reproduce").run("reproduce", "yamane1989", "--draws", "3", "--workers", "1")
 
