@@ -391,3 +391,21 @@ def test_the_page_is_there_at_once_and_small(browser: Any, server: Server) -> No
         )
         assert paint < 3000  # ms; 400 on a quiet machine
         assert size < 3 << 20
+
+
+def test_names_of_files_and_parts_are_text_and_no_markup(
+    browser: Any, server: Server, tmp_path: Path
+) -> None:
+    name = "<img src=x onerror=alert(1)>"
+    (tmp_path / "rig.toml").write_text(
+        RIG.replace("Two masses on a shaken base", name).replace("k1 =", f"'{name}' =")
+    )
+    hostile = tmp_path / f"{name}'\"\\ {{}}.csv"
+    hostile.write_text(f"time_s,x1,x2,u,{name}\n" + "".join(f"{i},{i % 3},1,{i % 2},0\n" for i in range(50)))
+    with opened(browser, server) as page:
+        give(page, tmp_path / "rig.toml")
+        page.get_by_label("Open from").fill("onerror")
+        page.get_by_role("option").first.click()
+        page.get_by_role("table", name="Channels").wait_for()
+        page.get_by_role("button", name="Remove").wait_for()
+        assert page.locator("img[src=x]").count() == 0

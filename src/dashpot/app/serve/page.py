@@ -73,7 +73,7 @@ def table_html(label: str, table: Mapping[str, Any], known: str = "") -> str:
         for head, side in zip(table["heads"], right, strict=True)
     )
     rows = "".join(
-        f'<tr class="{"known" if known in row else ""}">'
+        f'<tr class="{"known" if known and known in row else ""}">'
         + "".join(
             f'<td class="{side}">{html.escape(cell)}</td>' for cell, side in zip(row, right, strict=True)
         )
@@ -166,7 +166,8 @@ class Page:
         self.views[part]()
 
     def _card(self, title: str, classes: str = "") -> Any:
-        card = ui.element("section").classes(f"card {classes}").props(f'aria-label="{html.escape(title)}"')
+        card = ui.element("section").classes(f"card {classes}")
+        card.props["aria-label"] = title
         with card:
             _html(f"<h2>{html.escape(title)}</h2>")
         return card
@@ -231,15 +232,15 @@ class Page:
                 _html(
                     f"<span>{html.escape(entry['name'])} <span class='soft'>{_size(entry['size'])}</span></span>"
                 )
-                name = html.escape(entry["name"]).replace('"', "")
                 rest = ui.checkbox("at rest", value=bool(entry.get("rest")))
                 rest.on_value_change(
                     lambda event, path=entry["path"]: self._later(session.set_rest, path, bool(event.value))
                 )
-                rest.props(f'dense aria-label="{name} is a record at rest, for the noise"')
-                self._button(
-                    "Remove", partial(self._later, session.remove_data, entry["path"]), "flat dense"
-                ).props(f'aria-label="Remove {name}"')
+                rest.props("dense").props["aria-label"] = (
+                    f"{entry['name']} is a record at rest, for the noise"
+                )
+                remove = partial(self._later, session.remove_data, entry["path"])
+                self._button("Remove", remove, "flat dense").props["aria-label"] = f"Remove {entry['name']}"
         names = session.in_folder()
         if names:
             chosen = ui.select(
@@ -334,7 +335,7 @@ class Page:
               removal: Mapping[str, Any] | None = None) -> None:  # fmt: skip
         """A dialog of fields; `done` makes the change of the rig of their values."""
         with ui.dialog() as dialog, ui.card().style("min-width: min(24rem, 90vw)"):
-            dialog.props(f'aria-label="{html.escape(title)}"')
+            dialog.props["aria-label"] = title
             _html(f"<h2>{html.escape(title)}</h2>")
             inputs = {}
             for name, (label, value, choices) in fields.items():
@@ -565,7 +566,7 @@ class Page:
                         button = self._button(
                             "Apply", partial(self._later, self.session.apply, number), "color=primary"
                         )
-                        button.props(f'aria-description="{html.escape(cause["change"])}"'.replace("\n", " "))
+                        button.props["aria-description"] = cause["change"]
 
     # A test that still runs.
 

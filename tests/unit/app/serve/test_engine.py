@@ -89,8 +89,14 @@ def test_errors_name_their_line(tmp_path: Path) -> None:
 
 def test_names_are_escaped_in_every_picture(tmp_path: Path) -> None:
     name = "<img src=x onerror=alert(1)>"
-    text = RIG.replace("Two masses on a shaken base", name)
-    assert "<img" not in result(tmp_path, "open", text=text)["drawing"]["svg"]
+    text = (
+        RIG.replace("Two masses on a shaken base", name)
+        .replace("x2 = {", f'"{name}" = {{')
+        .replace("k1 =", f'"{name}k" =')
+    )
+    opened = result(tmp_path, "open", text=text)
+    assert {part["name"] for part in opened["parts"]} >= {f"{name}k"}
+    assert "<img" not in opened["drawing"]["svg"]
 
 
 @pytest.mark.parametrize("path", ["../secret.csv", "/etc/hostname", "link.csv"])
