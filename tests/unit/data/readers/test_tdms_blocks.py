@@ -128,3 +128,11 @@ def test_dates_and_texts_are_left_to_nptdms(tmp_path: Path) -> None:
         part = next(parts)
         assert part.header == ("when", "x", "y")
         assert part.numbers([2])[2].tolist() == [0, 1, 2, 3, 4]
+
+
+def test_what_a_channel_says_holds_for_those_of_its_length(tmp_path: Path) -> None:
+    with TdmsWriter(str(tmp_path / "a.tdms")) as writer:
+        driven = ChannelObject("g", "x1", np.zeros(30), {"frequency_hz": 5.0})
+        writer.write_segment([driven, ChannelObject("g", "x2", np.zeros(20))])
+    parts = list(reader_of(open_file(tmp_path / "a.tdms")).parts(open_file(tmp_path / "a.tdms")))
+    assert [part.header for part in parts] == [("x1", "frequency_hz"), ("x2",)]
