@@ -29,6 +29,7 @@ from dashpot.io.atomic import write_text
 PARTS = ("files", "start", "rig", "channels", "work", "result", "plan", "live")
 STREAM = "sent: "  # before the names of what recorders send
 KINDS = {"identify": "result", "design": "plan", "watch": "live"}  # what calls of the engine leave
+MOST_RESULTS = 10  # whose files are kept beside those that are shown
 MOST_TEXTS = 500  # of the rig file that are kept
 MOST_RIG = 1 << 20  # bytes of a rig file: one of 10 000 elements has half of it
 LONGEST = 120  # characters of a file's name; systems allow 255 bytes
@@ -71,7 +72,7 @@ class Session:
         self.rig: dict[str, Any] | None = None  # what the engine says of the rig; None: it cannot be read
         self.problems: Sequence[Mapping[str, Any]] = ()  # why it cannot
         self.seen: dict[str, Any] | None = None  # what the engine says of the data
-        self.looking = False
+        self.looking, self._wanted = False, 0
         self.start: dict[str, Any] | None = None  # questions of the form for a first rig
         self.state: dict[str, Any] = {
             "rig": None, "at": -1, "data": [], "errors": [], "answers": {}, "limits": {}, "options": {}, "job": None,
@@ -328,7 +329,7 @@ class Session:
     def look(self) -> None:
         """See anew what the rig says, what the data hold, and what a first rig would be."""
         with self.lock:
-            self._wanted = getattr(self, "_wanted", 0) + 1
+            self._wanted += 1
             if self.looking:
                 return
             self.looking = True
@@ -470,11 +471,16 @@ class Session:
     def _begin(self, wanted: Mapping[str, Any]) -> None:
         with self.lock:
             if self.job is not None:
+                self.complain(["One computation at a time: wait for the present one, or cancel it."])
                 return
             self.job = Job(wanted["call"])
             self.state["job"] = dict(wanted)
             numbers = [int(path.name) for path in (self.folder / "results").iterdir() if path.name.isdigit()]
             out = wanted.get("out") or f"results/{max(numbers, default=0) + 1}"
+            kept = {self.state[name]["folder"] for name in KINDS.values() if self.state[name] is not None}
+            for number in sorted(numbers)[:-MOST_RESULTS]:
+                if f"results/{number}" not in kept:
+                    shutil.rmtree(self.folder / "results" / str(number), ignore_errors=True)
             (self.folder / out).mkdir(exist_ok=True)
             call = self._call(rig=self.state["rig"], data=self.data, **{**wanted, "out": out})
             made = self.stamp()

@@ -107,3 +107,9 @@ def test_only_files_of_the_folder_are_opened(session: Session, tmp_path: Path, n
     session.open_in_folder(name)
     assert session.data == []
     assert len(session.state["errors"]) == 1
+
+
+def test_a_second_computation_is_refused_while_one_is_under_way(session: Session) -> None:
+    session.job = session_job()
+    session.design({})
+    assert len(session.state["errors"]) == 1
