@@ -18,7 +18,7 @@ from dashpot.check.identifiability import (
     parallel_unknowns,
     structure,
 )
-from dashpot.check.structure import Deficiency, lines_of, require_scale
+from dashpot.check.structure import Deficiency, enough_lines, lines_of, require_scale, view_of
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError, Problem
 from dashpot.io.words import listed, with_values
@@ -33,18 +33,21 @@ def require_identifiable(
 ) -> None:
     """Raises IdentifiabilityError with one problem for each thing that cannot be found, placed at the file `where`.
 
-    Of very large rigs only the scale of the forces and elements side by side are checked, and of rigs that nothing
-    drives: ranks know of no motion but that of inputs, while records of free decay tell by that which they start with.
+    Of very large rigs only the scale of the forces and elements side by side are checked.  Free decays tell by the
+    motion that they start with, whichever their lines are.
     """
-    decays = not model.inputs and (spectrum is None or bool(spectrum.records))
-    if decays or is_large(model):
+    if is_large(model):
         require_scale(model, channels, where)
         blind = blind_laws(model, spectrum) if spectrum is not None and len(model.nonlinear) else None
         if blind is not None:
             raise IdentifiabilityError(problems_in_words(blind, model, channels, where))
         require_no_parallels(model, channels, where)
-    elif spectrum is None or not determines(model, tuple(channels), lines_of(model, spectrum)):
-        require_full_rank(structure(model, channels, spectrum), model, channels, where)
+        return
+    at_hand = spectrum if model.inputs or (spectrum is not None and not spectrum.records) else None
+    unknowns = len(view_of(model, channels).names)
+    lines = enough_lines(model, channels, unknowns) if at_hand is None else lines_of(model, at_hand)
+    if not determines(model, tuple(channels), lines):
+        require_full_rank(structure(model, channels, at_hand), model, channels, where)
 
 
 def structure_content(model: Model, channels: Sequence[Channel], found: Structure) -> dict[str, Any]:

@@ -181,9 +181,8 @@ def compare_in_records(
 
 def with_nothing(model: Model) -> Model:
     """A linear rig as a nonlinear one whose nonlinear element does nothing."""
-    idle = replace(
-        between("idle", Kind.SPRING, model.coordinates[0], "ground", value=0.0), force_law=force_law("d**9")
-    )
+    point = (*model.coordinates, *model.displacement_inputs)[0]
+    idle = replace(between("idle", Kind.SPRING, point, "ground", value=0.0), force_law=force_law("d**9"))
     return replace(model, elements=(*model.elements, idle))
 
 
