@@ -1022,7 +1022,7 @@ def _several(data: Any) -> list[Any]:
         return [data]
     if not isinstance(data, Sequence):
         raise UsageError(
-            f"a {type(data).__name__} is no data",
+            f"{type(data).__name__} is no data",
             cure="give the name of a file, a data frame or a mapping of columns with time_s, Records or a Spectrum",
         )
     return list(data)

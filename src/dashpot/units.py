@@ -112,6 +112,7 @@ _TABLE: tuple[tuple[str, Symbol], ...] = (
     ("ips", Symbol(_INCH, (1, 0, -1, 0, 0, 0))),
     ("V", Symbol(1.0, VOLTAGE, "nµmk")),
     ("count counts Counts ct cts lsb LSB", Symbol(1.0, COUNT)),
+    ("px pixel pixels", Symbol(1.0, COUNT)),  # of a camera
     (SHARE, Symbol(1.0, COUNT)),
 )
 WORDS = {

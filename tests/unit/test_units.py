@@ -139,6 +139,7 @@ def test_sensitivities() -> None:
     assert sensitivity("10.2 mV/(m/s²)", "mV", "acceleration") == pytest.approx(0.0102)
     assert sensitivity("-22.5mV/N", "V", "force") == pytest.approx(-0.0225)
     assert sensitivity("3200 counts/g", "count", "acceleration") == pytest.approx(3200 / GRAVITY)
+    assert sensitivity("4.2 px/mm", "px", "displacement") == pytest.approx(4200)
     assert sensitivity("2 V/rad", "V", "displacement", True) == pytest.approx(2.0)
 
 

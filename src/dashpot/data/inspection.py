@@ -17,10 +17,11 @@ from dashpot.channel import RESERVED_NAMES, Channel, Quantity
 from dashpot.data.readers.amplitudes import amplitude_columns
 from dashpot.data.readers.columns import (
     Columns,
+    are_units,
     bare,
     factors,
     frequency_column,
-    is_unit,
+    parts_of_ratio,
     read_time,
     time_column,
 )
@@ -374,8 +375,8 @@ def _complexes(columns: Columns) -> list[NamedChannel]:
         if "&" in stem:  # the covariance of two
             continue
         out, stroke, into = stem.partition("/")
-        parts = [part.strip("() ") for part in (unit or "").rpartition("/")[::2]]  # of (m/s²)/N
-        of = parts if stroke and all(map(is_unit, parts)) else [None if stroke else unit, None]
+        responds = stroke and unit is not None and are_units(unit)
+        of = parts_of_ratio(unit or "") if responds else [None if stroke else unit, None]
         for name, unit_of, of_input in ((out, of[0], False), (into, of[1], True)):
             if name:
                 channels.setdefault(name, NamedChannel(name, unit_of, of_input))

@@ -135,3 +135,18 @@ def test_large_rigs_are_checked_for_more_than_elements_side_by_side() -> None:
     loose = replace(model, elements=(*model.elements, between("idle", Kind.SPRING, "u", "ground")))
     with pytest.raises(IdentifiabilityError, match="idle"):
         require_identifiable(loose, seen)
+
+
+def test_gains_of_a_release_that_only_the_start_would_tell_are_refused_before_the_fit() -> None:
+    """A single channel's gain is that of the unknown release; of two only the ratio can be found."""
+    rig = parse_rig(
+        'coordinates = ["x"]\n[masses]\nm = { at = "x", value = 1 }\n[springs]\nk = { between = ["x", "ground"] }\n'
+        '[channels]\ncam = { of = "x", unit = "px", gain = "unknown" }\n'
+    )
+    with pytest.raises(IdentifiabilityError, match=r"cam\.gain"):
+        require_identifiable(rig.model, rig.channels)
+    scaled = parse_rig(
+        'coordinates = ["x"]\n[masses]\nm = { at = "x", value = 1 }\n[springs]\nk = { between = ["x", "ground"] }\n'
+        '[channels]\ncam = { of = "x", unit = "px", gain = "unknown" }\nlaser = { of = "x", unit = "mm" }\n'
+    )
+    require_identifiable(scaled.model, scaled.channels)

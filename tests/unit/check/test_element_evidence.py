@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.element_evidence import _Scored, compare_in_records
+from dashpot.check.element_evidence import _Scored, compare_in_records, with_nothing
 from dashpot.data.record import Record
 from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.model.elements import Kind, between, mass
@@ -69,3 +69,9 @@ def test_sets_of_candidates_are_tried_by_what_they_explain_together():
     left = residual - J[:, [0, 1, 2, 3]] @ np.linalg.lstsq(J[:, [0, 1, 2, 3]], residual, rcond=None)[0]
     assert scored.fall((0, 1)) == pytest.approx(residual @ residual - left @ left, rel=1e-9)
     assert np.allclose(scored.values((0, 1, 3)), [5, 5, 0.2], atol=0.1)
+
+
+def test_a_test_stand_without_its_law_is_followed_as_well() -> None:
+    """A rig without coordinates: the idle element lies between its input and the ground (it was an internal error)."""
+    stand = Model((), (Input("u"),), (between("k", Kind.SPRING, "u", "ground"),))
+    assert set(with_nothing(stand).elements[-1].along) == {"u"}

@@ -60,6 +60,16 @@ def is_unit(text: str) -> bool:
     return False
 
 
+def parts_of_ratio(text: str) -> list[str]:
+    """The units of output and input in the unit of a response: m/s² and N of (m/s²)/N."""
+    return [part.strip("() ") for part in text.rpartition("/")[::2]]
+
+
+def are_units(text: str) -> bool:
+    """Whether a text is the unit of a response, a unit over another."""
+    return all(map(is_unit, parts_of_ratio(text)))
+
+
 @dataclass(frozen=True)
 class Columns(ABC):
     """Columns of one length, by name.

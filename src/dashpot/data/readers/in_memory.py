@@ -197,7 +197,7 @@ def _variables(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | 
     if isinstance(data, np.ndarray) and data.dtype.names:
         return {name: data[name] for name in data.dtype.names}, {}
     raise DataError(
-        f"a {type(data).__name__} is not a table with names",
+        f"{type(data).__name__} is not a table with names",
         source,
         "give a mapping of names to arrays, a data frame, an xarray Dataset or a structured array",
     )

@@ -24,6 +24,7 @@ from dashpot.data.readers.columns import (
     MOST_COLUMNS,
     UNNAMED,
     Columns,
+    are_units,
     bare,
     columns_of_block,
     is_date,
@@ -652,9 +653,10 @@ def _is_data(cells: Sequence[str]) -> bool:
 
 
 def _is_unit_row(cells: Sequence[str]) -> bool:
-    """Units and gaps alone, two units at least or one where there is one column."""
-    named = [cell for cell in cells if cell not in ("", "-", "[-]", "[]")]
-    return bool(named) and all(is_unit(_unit(cell) or "") for cell in named)
+    """Units, or the ratios of two that responses have, and gaps alone; one of them at least is a unit."""
+    named = [_unit(cell) or "" for cell in cells if cell not in ("", "-", "[-]", "[]")]
+    single = [is_unit(text) for text in named]
+    return any(single) and all(alone or are_units(text) for alone, text in zip(single, named, strict=True))
 
 
 def _unit(cell: str) -> str | None:

@@ -144,5 +144,5 @@ def test_a_column_that_comes_twice_is_named():
     table = pandas.DataFrame({"time_s": T, **X})
     with pytest.raises(DataError, match="column x1: named twice"):
         record(pandas.concat([table, table[["x1"]]], axis=1), TWO)
-    with pytest.raises(DataError, match="a Series is not a table"):
+    with pytest.raises(DataError, match="Series is not a table"):
         record(table["x1"], TWO)

@@ -56,10 +56,15 @@ def forms(name: str, H: Complex, form: str) -> str:
         return write(name, "Frequency\tMagnitude\tPhase", 20 * np.log10(np.abs(H)), degrees)
     if form == "linear and radians":
         return write(name, "Frequency [Hz]\tMagnitude\tPhase [rad]", np.abs(H), np.angle(H))
+    if form == "row of units":
+        header = "Frequency\tMagnitude\tPhase\tCoherence\n[Hz]\t[(m/s^2)/N]\t[deg]\t[-]"
+        return write(name, header, np.abs(H), degrees, np.ones(len(H)))
     return write(name, "Freq\tReal\tImag", H.real, H.imag)
 
 
-@pytest.mark.parametrize("form", ["dB and degrees", "dB unsaid", "linear and radians", "parts"])
+@pytest.mark.parametrize(
+    "form", ["dB and degrees", "dB unsaid", "linear and radians", "row of units", "parts"]
+)
 def test_files_are_joined_by_their_names(form: str) -> None:
     H = responses()
     files = [forms("H_a1_hammer.txt", H[:, 0], form), forms("a2-over-hammer.txt", H[:, 1], form)]
