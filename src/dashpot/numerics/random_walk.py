@@ -21,7 +21,7 @@ from dashpot.arrays import Bools, Real
 
 DIFFUSE = 1e8  # variance of a step of any size, in variances that a window gives
 SIMULATIONS = 499  # of records without a step
-AT_ONCE = 1e7  # numbers of simulated records that are held at once
+AT_ONCE = 2e6  # numbers of simulated records that are held at once
 STILL = 1e-3  # of the standard deviation that all windows give together: a walk that counts as none
 GRID = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # speeds beside the likeliest, of it
 PARTS = np.arange(20) / 20  # of a window, in which a step is placed
