@@ -23,11 +23,12 @@ from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.explain.effect import with_likely_causes
 from dashpot.check.explain.examine import diagnose as diagnosis
 from dashpot.check.explain.examine import examined
+from dashpot.check.explain.in_time import examined_records, with_causes
 from dashpot.check.explain.record_channels import require_sound_channels
 from dashpot.check.identifiability import Structure, nonlinear_structure, structure
-from dashpot.check.verdict import examined_records, with_causes
 from dashpot.data import readers
 from dashpot.data.conditioning.settings import Conditioning
+from dashpot.data.conditioning.unmeasured import marked_whole
 from dashpot.data.inspection import channels_in, inspect_columns, inspect_named
 from dashpot.data.modal_data import ModalData, at_coordinates
 from dashpot.data.noise import Still
@@ -185,10 +186,13 @@ def _in_time(
     progress: Progress | None,
 ) -> Estimate:
     """The estimate from continuous records of a nonlinear rig, whose motion is followed in time."""
+    marked = [marked_whole(record) for record in records]
+    records, notes = [each for parts, _ in marked for each in parts], [n for _, told in marked for n in told]
     require_sound_channels(model, records)
     fitted = fit_records(model, records, method, still=still, progress=progress)
     try:
         estimate = fitted.estimate()
+        estimate = replace(estimate, notes=(*estimate.notes, *notes))
     except IdentifiabilityError as error:
         explained = with_causes(error, model, records) if judged else error
         if explained is error:

@@ -10,15 +10,11 @@ from scipy.special import fdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.check.discrepancy import discrepancies
-from dashpot.check.element_evidence import with_nothing
-from dashpot.check.explain.effect import Phrase, with_likely_causes
-from dashpot.check.explain.laws import in_place_of_laws, laws_in_words
-from dashpot.check.record_scores import elements_called_for, elements_of_uncertain
+from dashpot.check.explain.effect import Phrase
 from dashpot.check.residuals import Residuals, calibrations_of, residuals
 from dashpot.data.periods import driven_lines
-from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, WholeRecord
-from dashpot.errors import DashpotError, DataError, IdentifiabilityError
+from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Assessment, Discrepancy, Finding, Judgement, Misfit
 from dashpot.estimate.inference.diagnostics import MODES_UNSEEN, dead_channels, of_one_sign
 from dashpot.estimate.inference.time_course import (
@@ -32,15 +28,6 @@ from dashpot.estimate.inference.time_course import (
 )
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.nonlinear.objective import nonlinear_part
-from dashpot.estimate.nonlinear.record_inference import (
-    CUT_RECORD,
-    FittedRecords,
-    PredictedMotion,
-    followed_record,
-    followed_records,
-)
-from dashpot.estimate.nonlinear.search import linear_rig
-from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
@@ -607,113 +594,3 @@ def _worst_verdict(left: Residuals) -> tuple[Misfit, ...]:
                 )
             )
     return tuple(misfits)
-
-
-# The verdict on whole records of a nonlinear rig: by the signs of its parts, and by what an element more
-# explains.
-
-
-def examined_records(
-    model: Model,
-    records: Sequence[Record],
-    estimate: Estimate,
-    fitted: FittedRecords | None = None,
-    within: float | None = None,
-) -> Estimate:
-    """The estimate from whole records of a nonlinear rig with its assessment; `fitted` as of `assess_records`.
-
-    Noise and what the rig leaves are not told apart there, so that nothing fits `within` a share of the motion.
-    """
-    assessment = assess_records(model, records, estimate, fitted)
-    unknown = dict.fromkeys(assessment.relative_residual)
-    assessment = replace(assessment, discrepancy=unknown, within=within)
-    return replace(estimate, assessment=settled_by_size(assessment, within is not None))
-
-
-def assess_records(
-    model: Model, records: Sequence[Record], estimate: Estimate, fitted: FittedRecords | None = None
-) -> Assessment:
-    """The verdict on an estimate from whole records; "fits" where χ² of a noise known from rest is no larger.
-
-    It is "does not fit" where χ² rejects it, parts are negative, or an element more would explain what residuals are
-    left (THEORY §9).
-    Residuals are those of the motion that follows from the inputs and the start of each record; where it depends too
-    much on its start to be followed, none are told.
-
-    fitted: the fit that the estimate is of.  With noise of the inputs, residuals are beside the motion that their
-    likeliest values give.  Without it the measured inputs count as exact.
-    """
-    against = [*unphysical(model, estimate), *rejected(estimate)]
-    cut = any(notice.code == CUT_RECORD for notice in estimate.warnings)
-    uncertain = fitted is not None and fitted.problem.inputs is not None and not cut
-    findings: tuple[Finding, ...] = ()
-    if uncertain and fitted is not None:
-        trails = followed_records(fitted.problem, fitted.psi)
-        findings = elements_of_uncertain(fitted.problem, fitted.psi) if bool(estimate.converged) else ()
-    else:
-        try:
-            trails = [] if cut else [followed_record(model, estimate, record) for record in records]
-        except DataError:  # no motion can be followed
-            trails = []
-        findings = elements_called_for(model, trails) if trails and bool(estimate.converged) else ()
-    if findings:
-        against = [*against, _reason(findings[0])]
-    elif not bool(estimate.converged):
-        findings, reasons = _without_laws(model, records)
-        against = [*against, *reasons]
-    motions = [motion.compared() for motion in trails]
-    doubts = [] if against else powerless(estimate)
-    verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
-    # The lines of the residuals' spectra that stand out most, against the rms of all lines of their channel
-    misfits = []
-    for motion in motions:
-        residual = motion.measured - motion.predicted
-        lines = np.abs(np.fft.rfft(residual - np.mean(residual, axis=0), axis=0))[1:]
-        duration = len(motion.time) * float(motion.time[1] - motion.time[0])
-        size = lines / np.maximum(np.sqrt(np.mean(lines**2, axis=0)), 1e-300)
-        for name, column in zip(motion.names, size.T, strict=True):
-            line = int(np.argmax(column))
-            misfits.append(Misfit(name, (line + 1) / duration, float(column[line])))
-    return Assessment(verdict, (*against, *doubts), _relative(motions), worst_of(misfits), findings)
-
-
-def with_causes(error: IdentifiabilityError, model: Model, records: Sequence[Record]) -> IdentifiabilityError:
-    """The error of a fit whose laws leave no trace, with the element that the records call for in their place."""
-    findings, _ = _without_laws(model, records)
-    return with_likely_causes(error, findings)
-
-
-def _without_laws(model: Model, records: Sequence[Record]) -> tuple[tuple[Finding, ...], tuple[Notice, ...]]:
-    """What the records call for where the rig's own nonlinear elements are left out, and that they do; () for none."""
-    try:
-        linear = with_nothing(linear_rig(model))
-        fitted = fit_records(linear, records, exact_inputs=True)
-        called_for = elements_called_for(linear, followed_records(fitted.problem, fitted.psi), model)
-    except DashpotError:
-        return (), ()
-    if not called_for:
-        return (), ()
-    reason = _reason(called_for[0])
-    text = reason.text.replace(
-        "of the residuals", f"of the residuals of the rig without {laws_in_words(model)}"
-    )
-    return tuple(in_place_of_laws(model, each) for each in called_for), (replace(reason, text=text),)
-
-
-def _reason(cause: Finding) -> Notice:
-    """That an element explains much of the residuals."""
-    (element,), points, share = cause.elements, cause.of, cause.explains or 0.0
-    part = f"a missing {element.kind.value}" if element.force_law is None else "a nonlinear element"
-    place = f"at {points[0]}" if element.kind is Kind.MASS else f"between {joined(points)}"
-    text = f"{part} {place} explains {100 * share:.0f} % of the residuals (p < 1e-6)"
-    return Notice("element_called_for", text, points)
-
-
-def _relative(motions: Sequence[PredictedMotion]) -> dict[str, float]:
-    """Rms of measured − predicted over rms of measured, less its mean, over all records."""
-    if not motions:
-        return {}
-    away = np.sum([len(motion.time) * motion.rms**2 for motion in motions], axis=0)
-    size = np.sum([len(motion.time) * np.var(motion.measured, axis=0) for motion in motions], axis=0)
-    parts = np.sqrt(away / np.where(size > 0, size, np.inf))
-    return dict(zip(motions[0].names, parts.tolist(), strict=True))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.verdict import assess_records
+from dashpot.check.explain.in_time import assess_records
 from dashpot.data.noise import noise_at_rest
 from dashpot.data.record import Record
 from dashpot.estimate.assessment import Assessment
@@ -34,6 +34,7 @@ def test_residuals_are_told_in_parts_of_the_motion(fitted: tuple[Model, Record, 
     assert len(assessment.worst) == 3
 
 
+@pytest.mark.long
 def test_a_part_that_is_negative_beyond_doubt_is_no_fit(fitted: tuple[Model, Record, Estimate]) -> None:
     model, data, estimate = fitted
     damper = estimate.names.index("c1")

@@ -6,6 +6,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
+import click
+
 from dashpot.app import options as opt
 from dashpot.errors import UsageError
 
@@ -16,7 +18,7 @@ PAGE = "The page"
 def command(
     folder: Annotated[
         str,
-        opt.Option("", opt.FOLDER, required=False, default="."),
+        opt.Option("", click.Path(exists=True, file_okay=False), required=False, default="."),
         "Folder of the measurements; sessions are kept in it, in .dashpot.",
     ],
     port: Annotated[
@@ -36,8 +38,6 @@ def command(
     The first line printed is the address with a token, without which nothing is served.  All comes from this machine.
     Ctrl-C ends it; the same command goes on where it was left.
     """
-    if not Path(folder).is_dir():
-        raise UsageError("there is no such folder", folder, "name that of your measurements")
     if find_spec("nicegui") is None:
         raise UsageError("the page needs NiceGUI", cure='install it: pip install "dashpot[web]"')
     from dashpot.app.serve.server import serve

@@ -14,7 +14,7 @@ from dashpot import units
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, said
-from dashpot.check.explain.problem import FitProblem, LineProblem
+from dashpot.check.explain.problem import DERIVATIVES, FitProblem, LineProblem, ModalProblem, TimeProblem
 from dashpot.errors import DashpotError
 from dashpot.io.toml_document import toml_key
 from dashpot.model.network import Model
@@ -51,7 +51,6 @@ REACH = 1.5  # periods of the highest frequency: the longest delay that is looke
 DISAGREES = (
     "disagrees with the other channels, and no common error (sign, unit, gain, delay, swap) explains it"
 )
-DERIVATIVES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 FEWEST = 6  # lines that tell a course over frequency
 USUAL_UNITS = {
     Quantity.DISPLACEMENT: ("m", "mm", "µm", "cm", "in", "deg", "rad"),
@@ -178,7 +177,7 @@ def factor_in_words(model: Model, channel: Channel, factor: float) -> Phrase:
 
 def delay(baseline: Baseline) -> Iterator[Effect]:
     """Each channel late or early."""
-    omega = baseline.lines.omega
+    omega = baseline.courses.omega
     period = 2 * np.pi / float(np.max(omega))
     for c, channel in enumerate(baseline.problem.channels):
         used, y, e = baseline.compared(c)
@@ -196,16 +195,8 @@ def delay(baseline: Baseline) -> Iterator[Effect]:
         )
 
 
-def _delayed(c: int, problem: LineProblem, late: float) -> LineProblem:
-    """A whole record of a channel with a clock of its own has ends of its own."""
-    shifted = problem.scaled(c, np.exp(1j * problem.omega * late).astype(np.complex128))
-    if not problem.data.spectrum.records:
-        return shifted
-    channels = tuple(
-        replace(channel, delay=channel.delay + late) if k == c and channel.delay is not None else channel
-        for k, channel in enumerate(problem.channels)
-    )
-    return shifted.of_rig(problem.model, channels)
+def _delayed(c: int, problem: LineProblem | TimeProblem, late: float) -> FitProblem:
+    return problem.late(c, late)
 
 
 def _lateness(y: Complex, e: Complex, omega: Real) -> float:
@@ -240,9 +231,9 @@ def derivative(baseline: Baseline) -> Iterator[Effect]:
         yield Effect("quantity", of, partial(_derived, chosen), words, powers)
 
 
-def _derived(chosen: tuple[int, ...], problem: LineProblem, power: float) -> LineProblem:
+def _derived(chosen: tuple[int, ...], problem: LineProblem | TimeProblem, power: float) -> FitProblem:
     for c in chosen:
-        problem = problem.scaled(c, ((1j * problem.omega) ** -power).astype(np.complex128))
+        problem = problem.derived(c, int(power))
     return problem
 
 
@@ -273,7 +264,7 @@ def conjugate(baseline: Baseline) -> Iterator[Effect]:
         yield Effect("conjugate", of, act, words, share=0.01 if baseline.of_samples else 1.0)
 
 
-def _conjugated(chosen: tuple[int, ...], problem: FitProblem, _: float) -> FitProblem:
+def _conjugated(chosen: tuple[int, ...], problem: LineProblem | ModalProblem, _: float) -> FitProblem:
     return problem.conjugated(np.isin(np.arange(len(problem.channels)), chosen))
 
 
@@ -302,7 +293,7 @@ def _phases_times(problem: LineProblem, factor: float) -> LineProblem:
 
 def filtered(baseline: Baseline) -> Iterator[Effect]:
     """Each channel through a low-pass or a high-pass filter of first or second order."""
-    omega = baseline.lines.omega
+    omega = baseline.courses.omega
     if len(np.unique(omega)) < FEWEST:
         return
     corners = tuple(np.geomspace(0.1 * np.min(omega), 8 * np.max(omega), 8) / (2 * np.pi))
@@ -314,7 +305,9 @@ def filtered(baseline: Baseline) -> Iterator[Effect]:
                 yield Effect("filter", (channel.name,), act, words, corners, 1.0, 1.0, True)
 
 
-def _through(c: int, power: int, order: int, problem: LineProblem, corner_hz: float) -> LineProblem:
+def _through(
+    c: int, power: int, order: int, problem: LineProblem | TimeProblem, corner_hz: float
+) -> FitProblem:
     s = (1j * problem.omega / (2 * np.pi * corner_hz)) ** power
     passed = 1 + s if order == 1 else 1 + 2**0.5 * s + s**2
     return problem.scaled(c, np.asarray(passed, dtype=np.complex128))
@@ -461,7 +454,7 @@ def crosstalk(baseline: Baseline) -> Iterator[Effect]:
                 yield Effect("crosstalk", names, act, words, (share,), SHARE_WIDTH / float(relative))
 
 
-def _cleared(c: int, other: int, problem: LineProblem, share: float) -> LineProblem:
+def _cleared(c: int, other: int, problem: LineProblem | TimeProblem, share: float) -> FitProblem:
     """The other's noise, times a small share, is left out."""
     y = np.array(problem.y)
     y[:, c] -= share * y[:, other]
@@ -488,7 +481,7 @@ def place(baseline: Baseline) -> Iterator[Effect]:
                 yield Effect("place", (channel.name,), partial(_mounted, c, mended), partial(said, phrase))
 
 
-def _mounted(c: int, mended: Channel, problem: LineProblem, _: float) -> LineProblem:
+def _mounted(c: int, mended: Channel, problem: LineProblem | TimeProblem, _: float) -> FitProblem:
     channels = tuple(mended if k == c else each for k, each in enumerate(problem.channels))
     return problem.of_rig(problem.model, channels)
 

@@ -16,6 +16,7 @@ from dashpot.check.explain.problem import (
     FitProblem,
     FittedProblem,
     LineProblem,
+    TimeProblem,
     fitted,
     replaced,
     searched,
@@ -168,10 +169,10 @@ def hold(baseline: Baseline) -> Iterator[Effect]:
     """Each input held from sample to sample, so that it is late by half a step and weaker at high frequencies."""
     steps = {
         float(step)
-        for each in baseline.lines.data.spectrum.stretches
+        for each in baseline.courses.spectrum.stretches
         if (step := getattr(each, "step_s", None)) is not None
     }
-    highest = float(np.max(baseline.lines.omega))
+    highest = float(np.max(baseline.courses.omega))
     for c in np.flatnonzero(baseline.inputs).tolist():
         name = baseline.problem.channels[c].name
         words, act = partial(_held_words, name), partial(_held, c)
@@ -182,7 +183,7 @@ def hold(baseline: Baseline) -> Iterator[Effect]:
             yield Effect("hold", (name,), act, words, begun, 0.1 * 2 * np.pi / highest)
 
 
-def _held(c: int, problem: LineProblem, step: float) -> LineProblem:
+def _held(c: int, problem: LineProblem | TimeProblem, step: float) -> FitProblem:
     """What is recorded at the samples was held for a step: the drive itself is this."""
     half = problem.omega * step / 2
     return problem.scaled(c, (np.sinc(half / np.pi) * np.exp(-1j * half)).astype(np.complex128))

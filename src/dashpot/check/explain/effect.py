@@ -11,7 +11,13 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex
 from dashpot.channel import Channel
-from dashpot.check.explain.problem import FitProblem, FittedProblem, LineProblem
+from dashpot.check.explain.problem import (
+    FitProblem,
+    FittedProblem,
+    LineProblem,
+    ModalProblem,
+    TimeProblem,
+)
 from dashpot.errors import DashpotError, Problem
 from dashpot.estimate.assessment import Finding
 from dashpot.model.elements import Element
@@ -113,6 +119,12 @@ class Baseline:
     def lines(self) -> LineProblem:
         """The problem, of amplitudes at lines."""
         assert isinstance(self.problem, LineProblem)
+        return self.problem
+
+    @property
+    def courses(self) -> LineProblem | TimeProblem:
+        """The problem, of whose channels a course over frequency is known."""
+        assert not isinstance(self.problem, ModalProblem)
         return self.problem
 
     @cached_property

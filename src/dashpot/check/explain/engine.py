@@ -26,6 +26,9 @@ from dashpot.check.explain.problem import (
     FittedProblem,
     LineProblem,
     fitted,
+    fitted_each,
+    followed,
+    glanced,
     judged,
     roughly_lost,
     sd_of_lost,
@@ -332,6 +335,48 @@ def explain_records(
     return _weighed_all(baseline, [*in_full, *_tried(baseline, of_records, fitted)], fitted)
 
 
+IN_TIME = (
+    channels.sign, channels.unit, channels.gain, channels.delay, channels.derivative, channels.filtered, channels.swap,
+    channels.crosstalk, channels.place, dwells.clock, dwells.hold, rigs.element, rigs.value,
+)  # fmt: skip
+STILL_FALLS = 0.9  # of χ², that a round leaves at the most where another is worth it
+INTEGRATED = 5  # effects on records in time that are fitted in full
+
+
+@np.errstate(all="ignore")  # what is supposed may be absurd
+def explain_in_time(baseline: Baseline, of_channel: Effects, laws: Effects) -> Explanation:
+    """As `explain`, of a record whose motion is integrated: each effect by one step from fits that are there (Rao's
+    score test for what is no unknown as well), the likeliest of them followed to their ends."""
+    kinds = tuple((prior, kind) for prior, kind in KINDS if kind in IN_TIME)
+    tried = _tried(baseline, (*kinds, (CHANGED_CHANNEL, of_channel), (OF_LAWS, laws)), glanced, glanced)
+    tried.sort(key=lambda each: -each.roughly)
+    unique: dict[tuple[str, tuple[str, ...]], Trial] = {}
+    for each in tried:
+        unique.setdefault((each.effect.kind, each.effect.of), each)
+    best = list(unique.values())[:INTEGRATED]
+    _follow(baseline, best)
+    for _ in range(
+        ROUNDS
+    ):  # the way of the likeliest may be long: from where its size is found to be, it goes on
+        likeliest = max(best, key=lambda each: each.roughly)
+        before = likeliest.fit.chi2
+        _closely(baseline.problem, [likeliest], glanced)
+        _follow(baseline, [likeliest])
+        if not likeliest.fit.chi2 < STILL_FALLS * before:
+            break
+    _closely(baseline.problem, best, glanced)
+    _follow(baseline, best)
+    return _weighed_all(baseline, best)
+
+
+def _follow(baseline: Baseline, trials: Sequence[Trial]) -> None:
+    """Fit records in time in full, from where their trials stand."""
+    for each in trials:
+        if each.effect.found is None:
+            begun = each.fit.problem.from_starts((each.fit.psi, *each.fit.problem.starts))
+            each.fit = _on_the_same_data(baseline, followed(begun))
+
+
 def _chosen(
     baseline: Baseline, tried: Sequence[Trial]
 ) -> Iterator[tuple[Effect, float, float, tuple[Real, ...]]]:
@@ -421,10 +466,11 @@ def _step(
     return _weighed_all(baseline, tried, fit)
 
 
-def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter) -> Explanation:
-    """The best of what was tried, their sizes sought closely, with their odds."""
+def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter | None = None) -> Explanation:
+    """The best of what was tried, their sizes sought closely where `fit` can, with their odds."""
     hopeful = sorted(tried, key=lambda each: -each.roughly)[:CLOSELY]
-    _closely(baseline.problem, hopeful, fit)
+    if fit is not None:
+        _closely(baseline.problem, hopeful, fit)
     block = baseline.problem.blocks(baseline.as_is.psi)
     stated = LeftOver.of(baseline.as_is, block)
     weighed = [_weighed(each, block, stated.largest) for each in hopeful if np.isfinite(each.fit.chi2)]
@@ -480,8 +526,8 @@ def _settles(baseline: Baseline, end: FittedProblem) -> bool:
     return end.reduced < _enough(baseline) and roughly_lost(end.problem) == 0.0 and not end.parts
 
 
-def _tried(baseline: Baseline, kinds: Kinds, fit: Fitter) -> list[Trial]:
-    """Each effect of some kinds at the best of its sizes."""
+def _tried(baseline: Baseline, kinds: Kinds, fit: Fitter, of_rigs: Fitter = fitted_each) -> list[Trial]:
+    """Each effect of some kinds at the best of its sizes; of_rigs: fits those that are another rig."""
     suppositions: list[tuple[Effect, float, float, FitProblem]] = []
     best: dict[int, Trial] = {}
     for prior, kind in kinds:
@@ -498,7 +544,7 @@ def _tried(baseline: Baseline, kinds: Kinds, fit: Fitter) -> list[Trial]:
     suppositions.sort(key=lambda each: not each[0].unknown)
     count = sum(bool(each[0].unknown) for each in suppositions)
     problems = [each[3] for each in suppositions]
-    fits = [*fitted(problems[:count], kept=count), *fit(problems[count:])]
+    fits = [*of_rigs(problems[:count]), *fit(problems[count:])]
     for (effect, prior, size, _), fitted_end in zip(suppositions, fits, strict=True):
         end = _on_the_same_data(baseline, fitted_end)
         there = best.get(id(effect))

@@ -13,7 +13,7 @@ from dashpot.channel import Channel
 from dashpot.check.explain.channels import factor_in_words, late, turned
 from dashpot.check.explain.effect import Effect, as_is
 from dashpot.check.explain.engine import LARGEST, Explanation, allowing_for_causes, explain
-from dashpot.check.explain.laws import called_for, called_for_in_records, in_place_of_laws, nonlinear_finding
+from dashpot.check.explain.laws import called_for, called_for_in_records, laws_in_words, nonlinear_finding
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.record_channels import mistakes_by_equation
 from dashpot.check.explain.records import explained_records
@@ -244,7 +244,7 @@ def _in_place_of_laws(model: Model, spectrum: Spectrum, misfit: float, seed: int
     except DashpotError:
         return ()
     return tuple(
-        in_place_of_laws(model, each)
+        replace(each, text=f"{each.text}, in place of {laws_in_words(model)}")
         for each in found
         if each.kind == "nonlinear" and each.remaining is not None and each.remaining < (1 - MOSTLY) * misfit
     )

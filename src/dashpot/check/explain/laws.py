@@ -7,7 +7,7 @@ those that promise most are fitted (Rao's score test; for whole records the scor
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -612,9 +612,10 @@ def laws_in_words(model: Model) -> str:
     return joined(model.elements[int(index)].name for index in model.nonlinear)
 
 
-def in_place_of_laws(model: Model, cause: Finding) -> Finding:
-    """The cause, found with the rig's nonlinear elements left out, as one that stands in their place."""
-    return replace(cause, text=f"{cause.text}, in place of {laws_in_words(model)}")
+def in_place_of_laws(model: Model, words: Callable[[float], Phrase], size: float) -> Phrase:
+    """What is said of a cause that was found with the rig's nonlinear elements left out: it stands in their place."""
+    phrase = words(size)
+    return replace(phrase, text=f"{phrase.text}, in place of {laws_in_words(model)}")
 
 
 def free_name(model: Model, element: Element) -> str:

@@ -7,28 +7,42 @@ about the rig is a problem with another rig.  Either way it can be fitted, score
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Ints, Real
-from dashpot.channel import Channel
+from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices
+from dashpot.channel import Channel, Quantity
 from dashpot.check.discrepancy import blocks_of
+from dashpot.data.conditioning.unmeasured import with_likely
 from dashpot.data.modal_data import ModalData
-from dashpot.data.spectrum import SettledDwell
-from dashpot.errors import ModelError
+from dashpot.data.record import Record
+from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord, history_of_lines
+from dashpot.errors import DashpotError, ModelError
 from dashpot.estimate.likelihood.descent import Stage
 from dashpot.estimate.likelihood.global_search import SOFTNESS, candidates, through
 from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import directly_driven, local, measured, predict
 from dashpot.estimate.linear.least_squares import compensated
 from dashpot.estimate.modal import ModeProblem, check_suited, linear_start
+from dashpot.estimate.nonlinear.record_problem import RecordProblem, Trail, begun_problem
+from dashpot.estimate.nonlinear.record_regression import first_record_values
+from dashpot.estimate.nonlinear.records import arranged
 from dashpot.estimate.preparation import Prepared, states_if_seen
 from dashpot.model.elements import Element
 from dashpot.model.modes import eigenmodes
 from dashpot.model.network import Model
-from dashpot.model.observation import ObservationModel, calibration_factors, observation_model, transfer
+from dashpot.model.nonlinear.shooting import Tangent, integrate, tangent
+from dashpot.model.observation import (
+    ObservationModel,
+    calibration_factors,
+    measures_input,
+    observation_model,
+    transfer,
+)
+from dashpot.numerics.small_systems import solve_scaled
 
 DRAWS, FEWER_DRAWS = (
     1500,
@@ -44,6 +58,9 @@ KEPT = 24  # problems of a batch that are fitted to the end
 ROUGHLY = 1e-2  # standard deviations at which a descent ends
 LIMIT = 2.0  # nepers and radians beyond which a residual of logarithms counts no more
 FAINTEST = 1e-6  # relative noise of channels that have none
+NEAR_INPUTS = 1.0  # of an input's size: changes of it that are taken to first order at a first look
+SLOWER = 3  # times as many iterations are done where a motion is integrated for each
+DERIVATIVES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 
 
 @dataclass(frozen=True)
@@ -80,6 +97,11 @@ class LineProblem:
     def channels(self) -> tuple[Channel, ...]:
         """The channels, in the order of the amplitudes."""
         return self.data.spectrum.channels
+
+    @property
+    def spectrum(self) -> Spectrum:
+        """The amplitudes as data."""
+        return self.data.spectrum
 
     @property
     def y(self) -> Complex:
@@ -162,6 +184,21 @@ class LineProblem:
         turn = np.ones(self.y.shape, dtype=np.complex128)
         turn[:, channel] = factor
         return self.with_amplitudes(self.y * turn, turn[:, :, None] * self.V * np.conj(turn)[:, None, :])
+
+    def late(self, channel: int, late: float) -> LineProblem:
+        """With one channel that much (s) earlier than measured; of a whole record its ends have its own clock."""
+        shifted = self.scaled(channel, np.exp(1j * self.omega * late).astype(np.complex128))
+        if not self.spectrum.records:
+            return shifted
+        channels = tuple(
+            replace(each, delay=each.delay + late) if k == channel and each.delay is not None else each
+            for k, each in enumerate(self.channels)
+        )
+        return shifted.of_rig(self.model, channels)
+
+    def derived(self, channel: int, power: int) -> LineProblem:
+        """With one channel as the derivative of the motion that is `power` higher."""
+        return self.scaled(channel, ((1j * self.omega) ** -float(power)).astype(np.complex128))
 
     def exchanged(self, first: int, second: int) -> LineProblem:
         """With two channels exchanged."""
@@ -483,7 +520,417 @@ class ModalProblem:
         return np.arange(len(self.out))
 
 
-FitProblem = LineProblem | ModalProblem  # what they have alike is what the engine asks
+@dataclass(frozen=True)
+class Integrated:
+    """A motion that was integrated: what the channels show of it (samples, channels), and slopes along ψ, SI units.
+
+    model, body, psi  of which it is; slopes None where no motion follows
+    """
+
+    model: Model
+    body: RecordProblem
+    psi: Real
+    inputs: Real
+    outputs: Real
+    slopes: Real | None
+
+    @staticmethod
+    def of(model: Model, body: RecordProblem, psi: Real) -> Integrated:
+        """The motion at ψ (M,)."""
+        data = body.records[0]
+        residual, slopes = body.residual(0, psi)
+        if slopes is None:
+            body.trail.motions.clear()
+            residual, slopes = body.residual(0, psi)
+        slopes = None if slopes is None else slopes * body.sd[:, None]
+        return Integrated(model, body, psi, data.inputs, data.outputs - residual * body.sd, slopes)
+
+    def leads_to(self, inputs: Real) -> bool:
+        """Whether this tells the motion by other inputs (samples, q) well enough for a first look."""
+        change = np.sqrt(np.mean((inputs - self.inputs) ** 2))
+        return self._times(inputs) is not None or bool(
+            change < NEAR_INPUTS * np.sqrt(np.mean(self.inputs**2))
+        )
+
+    def _times(self, inputs: Real) -> float | None:
+        """How many times as large all inputs are, None where they are others."""
+        factor = float(np.sum(inputs * self.inputs) / max(np.sum(self.inputs**2), np.finfo(float).tiny))
+        return factor if np.allclose(inputs, factor * self.inputs, rtol=1e-9, atol=0.0) else None
+
+    def driven_by(self, inputs: Real) -> tuple[Real, Real]:
+        """`outputs` and `slopes` by inputs (samples, q): as of a linear rig, or to first order in their change."""
+        assert self.slopes is not None
+        if np.array_equal(inputs, self.inputs):
+            return self.outputs, self.slopes
+        factor = self._times(inputs)
+        if factor is not None:
+            return factor * self.outputs, factor * self.slopes
+        return self.outputs + self._along.times((inputs - self.inputs)[..., None])[..., 0], self.slopes
+
+    @cached_property
+    def _along(self) -> Tangent:
+        """What changed inputs do to the channels, to first order."""
+        data = self.body.records[0]
+        machine, start = self.body.machine(0, self.psi, data)
+        motion = integrate(machine, start, self.body.trail.motions.get(0))
+        return tangent(machine, motion, data.on_x, data.on_q, data.derivative, data.force)
+
+
+@dataclass(frozen=True)
+class TimeProblem:
+    """One record and a nonlinear rig whose motion is integrated (THEORY §9): its numbers are the lines of its samples.
+
+    record  all channels, as measured or supposed
+    noise   (channels,) standard deviations of the samples, 0 of inputs, which count as exact
+    starts  ψ (M,) each: θ, gains, offsets of forces, and what is unknown of where the record starts
+    out     channels that are left out
+    seen    what was integrated already; began: the first of it, where the next begin
+    """
+
+    model: Model
+    record: Record
+    noise: Real
+    starts: tuple[Real, ...]
+    out: frozenset[int] = frozenset()
+    given_up: float = 0.0
+    noise_known: bool = True
+    seen: dict[object, list[Integrated]] = field(default_factory=dict, compare=False, repr=False)
+    began: list[RecordProblem] = field(default_factory=list, compare=False, repr=False)
+
+    @staticmethod
+    def of(model: Model, record: Record, values: Sequence[Real], noise: Real) -> TimeProblem:
+        """A record begun at values of θ and the gains, (unknowns,) each.  Raises as `arranged` and `begun_problem`."""
+        empty = TimeProblem(model, record, noise, (values[0],))
+        begun = empty.begun
+        return replace(empty, starts=tuple(np.concatenate([x, begun[len(x) :]]) for x in values))
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The channels, in the order of the record."""
+        return self.record.channels
+
+    @property
+    def _shown(self) -> list[int]:
+        """Channels of the motion that count, in the order in which they are integrated."""
+        inputs = [measures_input(self.model, channel) for channel in self.channels]
+        return [c for c, of_input in enumerate(inputs) if not of_input and c not in self.out]
+
+    @cached_property
+    def body(self) -> RecordProblem:
+        """What integrates the record.  Raises DataError where it cannot be."""
+        return self._begun[0]
+
+    @property
+    def begun(self) -> Real:
+        """ψ (M,) as the record itself suggests it, the rig as in the first start."""
+        return self._begun[1]
+
+    @cached_property
+    def _begun(self) -> tuple[RecordProblem, Real]:
+        rest = [c for c in range(len(self.channels)) if c not in self.out]
+        some = replace(
+            self.record,
+            channels=tuple(self.channels[c] for c in rest),
+            values=self.record.values[:, rest],
+            status=None if self.record.status is None else self.record.status[:, rest],
+        )
+        data = arranged(self.model, some)
+        theta = self.starts[0][: len(self.model.unknowns)]
+        problem, own = begun_problem(self.model, (data,), theta, self.noise[self._shown])
+        gains = [1.0 if gain.nominal is None else gain.nominal for gain in data.gains]
+        return problem, np.concatenate([theta, gains, np.zeros(len(problem.constants.offsets)), own])
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Of the unknowns ψ."""
+        problem = self.body
+        free, forces = problem.constants, self.model.force_inputs
+        return (
+            *self.model.unknown_names,
+            *(gain.name for gain in problem.records[0].gains),
+            *(f"{forces[j]}.offset" for j in free.offsets),
+            *(f"start {j}" for j in free.starts),
+            *(f"bias {j}" for j in free.biases),
+        )
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of a fit."""
+        return 2 * len(self._order) * len(self._shown) - len(self.names)
+
+    @property
+    def _order(self) -> Ints:
+        """The lines, multiples of 1/T: neither the mean nor half the sampling rate."""
+        return np.arange(1, (len(self.record.time) + 1) // 2)
+
+    @property
+    def step_s(self) -> float:
+        """Sampling step, s."""
+        return float(np.ptp(self.record.time)) / (len(self.record.time) - 1)
+
+    @property
+    def frequency_hz(self) -> Real:
+        """Of the lines, (lines,)."""
+        return self._order / (self.step_s * len(self.record.time))
+
+    @property
+    def omega(self) -> Real:
+        """Angular frequencies of the lines, (lines,)."""
+        return 2 * np.pi * self.frequency_hz
+
+    @property
+    def labels(self) -> list[str]:
+        """Lines by their frequencies."""
+        return [f"{frequency:.4g} Hz" for frequency in self.frequency_hz]
+
+    def _lines_of(self, samples: Real) -> Complex:
+        lines: Complex = np.fft.rfft(samples, axis=0)[self._order] * (2 / len(samples))
+        return lines
+
+    @cached_property
+    def _measured(self) -> Complex:
+        record = self.record if self.record.status is None else with_likely(self.record)[0]
+        return self._lines_of(record.values)
+
+    @property
+    def kept(self) -> Bools:
+        """Which numbers count, (lines, channels)."""
+        there = np.isin(np.arange(len(self.channels)), sorted(self.out), invert=True)
+        return np.broadcast_to(there, self._measured.shape)
+
+    @property
+    def counted(self) -> Bools:
+        """Which of them test the rig."""
+        return self.kept & (self.noise > 0)
+
+    @property
+    def y(self) -> Complex:
+        """The numbers, (lines, channels), 0 where nothing counts."""
+        return np.where(self.kept, self._measured, 0.0)
+
+    @property
+    def lost(self) -> Complex | None:
+        """Numbers that are left out, NaN elsewhere."""
+        return np.where(self.kept, np.nan, self._measured) if self.out else None
+
+    @property
+    def numbers(self) -> Ints:
+        """How many real numbers each is, (channels,)."""
+        return np.full(len(self.channels), 2)
+
+    @property
+    def variance(self) -> Real:
+        """Of the noise of each as a complex number, (lines, channels)."""
+        return np.broadcast_to(4 * self.noise**2 / len(self.record.time), self._measured.shape)
+
+    @property
+    def sd(self) -> Real:
+        """Its root, never 0, (lines, channels)."""
+        size = np.sqrt(np.mean(np.abs(self._measured) ** 2, axis=0))
+        return np.sqrt(np.maximum(self.variance, (FAINTEST * np.where(size > 0, size, 1.0)) ** 2))
+
+    @property
+    def spectrum(self) -> Spectrum:
+        """The lines as those of a whole record."""
+        lines, samples = len(self._order), len(self.record.time)
+        V = diagonal_matrices(self.variance).astype(np.complex128)
+        whole = WholeRecord(samples * self.step_s, samples)
+        many = np.full(lines, samples)
+        return Spectrum(
+            self.channels, self.frequency_hz, self._measured, V, many, np.full(lines, np.inf), ("floor",) * lines,
+            np.zeros(lines, dtype=np.int64), stretches=(whole,),
+        )  # fmt: skip
+
+    def from_starts(self, starts: Sequence[Real]) -> TimeProblem:
+        """Begun elsewhere."""
+        return replace(self, starts=tuple(starts))
+
+    def _with_values(self, values: Real) -> TimeProblem:
+        return replace(self, record=replace(self.record, values=values))
+
+    def with_amplitudes(self, y: Complex) -> TimeProblem:
+        """With other numbers."""
+        added = history_of_lines(y - self._measured, self._order, len(self.record.time))
+        return self._with_values(self.record.values + np.where(self.kept[0], added, 0.0))
+
+    def scaled(self, channel: int, factor: Complex | complex) -> TimeProblem:
+        """With one channel times a factor, a number or (lines,); its ends go on as they would by reflection."""
+        values = np.array(self.record.values)
+        if np.ndim(factor) == 0:
+            size = float(np.real(np.asarray(factor)))
+            values[:, channel] *= size
+            noise = np.where(np.arange(len(self.noise)) == channel, abs(size) * self.noise, self.noise)
+            return replace(self._with_values(values), noise=noise)
+        x = values[:, channel]
+        N = len(x)
+        wide = np.concatenate([2 * x[0] - x[:0:-1], x, 2 * x[-1] - x[-2::-1]])
+        lines, at = np.fft.rfft(wide), np.arange(len(wide) // 2 + 1) * (N / len(wide))
+        size = np.interp(at, self._order, np.abs(np.asarray(factor)))
+        phase = np.interp(at, np.append(0, self._order), np.append(0.0, np.unwrap(np.angle(factor))))
+        values[:, channel] = np.fft.irfft(lines * size * np.exp(1j * phase), len(wide))[N - 1 : 2 * N - 1]
+        return self._with_values(values)
+
+    def late(self, channel: int, late: float) -> TimeProblem:
+        """With one channel that much (s) earlier than measured."""
+        return self.scaled(channel, np.exp(1j * self.omega * late).astype(np.complex128))
+
+    def derived(self, channel: int, power: int) -> TimeProblem:
+        """With one channel as the derivative of the motion that is `power` higher."""
+        stated = self.channels[channel]
+        other = replace(stated, quantity=DERIVATIVES[stated.quantity.derivative + power])
+        return self.of_rig(
+            self.model, tuple(other if c == channel else each for c, each in enumerate(self.channels))
+        )
+
+    def exchanged(self, first: int, second: int) -> TimeProblem:
+        """With two channels exchanged."""
+        order = np.arange(len(self.channels))
+        order[[first, second]] = second, first
+        return self._with_values(self.record.values[:, order])
+
+    def without(self, dropped: Bools) -> TimeProblem:
+        """With channels left out, (lines, channels), which may have an error of any size."""
+        less = replace(self, out=self.out | frozenset(np.flatnonzero(dropped[0]).tolist()))
+        return replace(less, starts=_lifted(self, less.names, less.begun.tolist()))
+
+    def of_rig(self, model: Model, channels: tuple[Channel, ...] | None = None) -> TimeProblem:
+        """Of another rig with the same coordinates and inputs, or other channels.
+
+        An unknown that is new has the guess of its element, or 0.
+        """
+        channels = self.channels if channels is None else channels
+        other = replace(self, model=model, record=replace(self.record, channels=channels))
+        known = dict(zip(self.names, self.starts[0].tolist(), strict=True))
+        theta = [known.get(unknown.name, unknown.guess or 0.0) for unknown in model.unknowns]
+        other = replace(other, starts=(np.array(theta),))
+        return replace(other, starts=_lifted(self, other.names, other.begun.tolist()))
+
+    def at_rate(self, rate: float) -> TimeProblem:
+        """With all frequencies times a factor."""
+        return replace(self, record=replace(self.record, time=self.record.time / rate))
+
+    def shows(self, element: Element) -> bool:
+        """Whether an element more may leave a trace: it moves against what is known by a rate only."""
+        return element.law.power == 2 or not self.body.records[0].bases.hide(self.model, element)
+
+    def there(self, psi: Real) -> list[Integrated]:
+        """What was integrated of this rig at ψ (M,), by whatever inputs."""
+        channels = tuple((self.channels[c].quantity, tuple(self.channels[c].of.items())) for c in self._shown)
+        return self.seen.setdefault((id(self.model), channels, self.step_s, psi.tobytes()), [])
+
+    def moved(self, psi: Real, near: bool = False) -> tuple[Real, Real] | None:
+        """What a motion at ψ (M,) leaves of the samples, in standard deviations (samples, channels), with its slopes.
+
+        (samples, channels, M); None where no motion follows.  near: to first order beside one of other inputs, where
+        there is one.
+        """
+        body = self.body
+        data, there = body.records[0], self.there(psi)
+        at = next((each for each in there if np.array_equal(each.inputs, data.inputs)), None)
+        if at is None and near:
+            at = next((each for each in there if each.leads_to(data.inputs)), None)
+            if at is None and there:
+                return None
+        if at is None:
+            self._led()
+            at = Integrated.of(self.model, body, psi)
+            there.append(at)
+            if not self.began and at.slopes is not None:
+                self.began.append(body)
+        if at.slopes is None:
+            return None
+        shown, by = at.driven_by(data.inputs)
+        return data.judged(data.outputs - shown) / body.sd, by / body.sd[:, None]
+
+    def glanced(self) -> tuple[Real, float]:
+        """Where one step of Gauss and Newton leads from the best of the starts, ψ (M,), and χ² as it promises there."""
+        best, least = self.starts[0], np.inf
+        precision, mean = self.body.priors()
+        for k, psi in enumerate(self.starts):
+            at = self.moved(psi, near=True) if k == 0 or self.there(psi) else None
+            if at is None:
+                continue
+            r, J = at[0].ravel(), at[1].reshape(-1, len(psi))
+            away = np.where(np.isnan(mean), 0.0, psi - mean)
+            step = solve_scaled(J.T @ J + np.diag(precision), J.T @ r - precision * away)
+            to = np.clip(psi + step, *self.body.bounds(psi))
+            left = float(np.sum((r - J @ (to - psi)) ** 2))
+            if left < least:
+                best, least = to, left
+        return best, least
+
+    def _led(self) -> None:
+        """Let the first motion be sought from the first that was found of all, where its states are the same."""
+        body, began = self.body, self.began[0] if self.began else None
+        if began is not None and not body.trail.motions and began.begun[0].shape == body.begun[0].shape:
+            body.trail.motions.update(began.motions())
+
+    def descended(self, limit: int) -> tuple[Real, float]:
+        """Where the best of the starts leads, ψ (M,) and χ², in `limit` // SLOWER iterations at most."""
+        best, least = min(((psi, self._chi2(psi)) for psi in self.starts), key=lambda each: each[1])
+        if limit and np.isfinite(least):
+            body = replace(self.body, trail=Trail(self.body.motions()))
+            end = body.descend(best, limit=limit // SLOWER, tolerance=ROUGHLY).x[0]
+            self.body.trail.motions.update(body.trail.motions)
+            if (cost := self._chi2(end)) < least:
+                best, least = end, cost
+        return best, least
+
+    def _chi2(self, psi: Real) -> float:
+        at = self.moved(psi)
+        return np.inf if at is None else float(np.sum(at[0] ** 2))
+
+    @property
+    def by_equation(self) -> list[Real]:
+        """Guesses, or where the weak form of the equation leads, if it leads anywhere."""
+        with suppress(DashpotError, np.linalg.LinAlgError):
+            theta = first_record_values(self.model, self.body.records)
+            if np.all(np.isfinite(theta)):
+                return [np.concatenate([theta, self.begun[len(theta) :]])]
+        return []
+
+    def slopes(self, psi: Real) -> tuple[Real, Real, float]:
+        """Information (M, M), minus half the slope (M,) and χ² at ψ."""
+        precision, mean = self.body.priors()
+        at = self.moved(psi)
+        if at is None:
+            return np.full((len(psi), len(psi)), np.nan), np.full(len(psi), np.nan), np.inf
+        r, J = at[0].ravel(), at[1].reshape(-1, len(psi))
+        away = np.where(np.isnan(mean), 0.0, psi - mean)
+        return J.T @ J + np.diag(precision), J.T @ r - precision * away, float(r @ r)
+
+    def by_priors(self, psi: Real) -> float:
+        """ln of the probability of ψ (M,) by what is stated of the unknowns, 0 at the stated values."""
+        precision, mean = self.body.priors()
+        away = np.where(np.isnan(mean), 0.0, psi - mean)
+        return -0.5 * float(np.sum(precision * away**2))
+
+    def left(self, psi: Real) -> Complex:
+        """What a motion at ψ (M,) leaves of the numbers that count, (lines, channels), 0 elsewhere."""
+        found: Complex = np.zeros(self._measured.shape, dtype=np.complex128)
+        at = self.moved(psi)
+        found[:, self._shown] = np.nan if at is None else self._lines_of(at[0] * self.body.sd)
+        return found
+
+    def expected(self, psi: Real) -> Complex:
+        """What all channels should show at ψ (M,), those left out as well, (lines, channels)."""
+        if not self.out:
+            return self._measured - self.left(psi)
+        every = replace(self.from_starts((psi,)), out=frozenset())
+        (whole,) = _lifted(self.from_starts((psi,)), every.names, every.begun.tolist())
+        return every.expected(whole)
+
+    def blocks(self, psi: Real) -> Ints:
+        """Lines that one discrepancy makes alike, (lines,), by the modes of the linear part."""
+        try:
+            poles = eigenmodes(self.model, self.model.parameters(psi[: len(self.model.unknowns)])).eigenvalues
+            found = blocks_of(self.frequency_hz, np.zeros(len(self._order), dtype=np.int64), poles)
+        except (ModelError, ValueError, np.linalg.LinAlgError):
+            found = None
+        return np.arange(len(self._order)) if found is None else found
+
+
+FitProblem = LineProblem | ModalProblem | TimeProblem  # what they have alike is what the engine asks
 
 
 def _lifted(problem: FitProblem, names: Sequence[str], usual: Sequence[float]) -> tuple[Real, ...]:
@@ -564,6 +1011,24 @@ def judged(problems: Sequence[FitProblem]) -> list[FittedProblem]:
     return _fits(problems, _ended([each.from_starts(each.starts[:1]) for each in problems], 0))
 
 
+def glanced(problems: Sequence[FitProblem]) -> list[FittedProblem]:
+    """Each record as one step of Gauss and Newton from the best of its starts promises; without end where none can."""
+    fits = []
+    for each in problems:
+        assert isinstance(each, TimeProblem)
+        psi, chi2, dof = each.starts[0], np.inf, 0
+        with suppress(DashpotError, np.linalg.LinAlgError):
+            psi, chi2 = each.glanced()
+            dof = each.dof
+        fits.append(FittedProblem(each, psi, chi2, dof))
+    return fits
+
+
+def followed(problem: FitProblem) -> FittedProblem:
+    """A problem from the best of its starts to its end."""
+    return _fits([problem], _ended([problem], LONG))[0]
+
+
 def fitted(problems: Sequence[FitProblem], kept: int = KEPT) -> list[FittedProblem]:
     """Each from the best of its starts or its own least squares; the hopeless after a few steps only."""
     if not problems:
@@ -580,6 +1045,11 @@ def fitted(problems: Sequence[FitProblem], kept: int = KEPT) -> list[FittedProbl
     for k, end in zip(hopeful, long, strict=True):
         fits[k] = _fits([problems[k]], [end])[0]
     return fits
+
+
+def fitted_each(problems: Sequence[FitProblem]) -> list[FittedProblem]:
+    """As `fitted`, each to its end."""
+    return fitted(problems, kept=len(problems))
 
 
 def searched(problems: Sequence[LineProblem], seed: int = 0, draws: int = DRAWS) -> list[FittedProblem]:
@@ -621,8 +1091,7 @@ def _fits(problems: Sequence[FitProblem], ends: Sequence[tuple[Real, float]]) ->
 def _ended(every: Sequence[FitProblem], limit: int) -> list[tuple[Real, float]]:
     """The best end, ψ (M,) and χ², of each problem's starts, after `limit` iterations at most."""
     ends: list[tuple[Real, float]] = [
-        each.descended(limit) if isinstance(each, ModalProblem) else (each.starts[0], np.inf)
-        for each in every
+        (each.starts[0], np.inf) if isinstance(each, LineProblem) else each.descended(limit) for each in every
     ]
     problems = {t: each for t, each in enumerate(every) if isinstance(each, LineProblem)}
     for group in _alike(problems):

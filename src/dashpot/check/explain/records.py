@@ -7,7 +7,7 @@ gain changed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -18,7 +18,7 @@ from dashpot.channel import Quantity
 from dashpot.check.explain.channels import DISAGREES, limited
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, said
 from dashpot.check.explain.engine import Explanation, explain_records
-from dashpot.check.explain.problem import LineProblem
+from dashpot.check.explain.problem import FitProblem, FittedProblem, LineProblem, TimeProblem
 from dashpot.check.explain.steady_lines import steady_lines, working_noise
 from dashpot.check.verdict import clipped_at, remedy_in_words
 from dashpot.data.spectrum import Spectrum
@@ -37,6 +37,8 @@ EXPLAINED = 0.6  # share of what is wrong that a wandering zero must explain
 PIECES = 48  # of a record, whose means say how the zero wanders
 STEPS, SUDDEN = 4, 0.7  # pieces that must make up this share of all that the zero moves, to be steps
 LASTING = ("gain", "clock")  # changes that one channel alone can have, and that last
+
+Predicted = Callable[[int, FittedProblem], Complex | None]
 
 
 def explained_records(
@@ -69,29 +71,32 @@ def explained_records(
         part = LineProblem(
             prepare(model, quiet.select(chosen), states=False), sign, (estimate.values,), False
         )
-        in_time = partial(_in_time, whole, chosen)
+        in_time = partial(channels_in_time, whole, chosen, partial(_by_all_others, whole))
         return explain_records(lines, part, in_time, silent=silent, seed=seed)
     except DashpotError:
         return None
 
 
-def _in_time(whole: LineProblem, chosen: Ints, baseline: Baseline) -> Iterator[Effect]:
+def channels_in_time(
+    whole: LineProblem | TimeProblem, chosen: Ints, predicted: Predicted, baseline: Baseline
+) -> Iterator[Effect]:
     """Each channel of the motion with an error of its own, by what it shows in time against all others.
 
-    chosen: the lines of the baseline's problem.
+    chosen: the lines of the baseline's problem.  predicted: what a fit makes of a channel, (lines,) of `whole`; None
+    where that cannot be told.
     """
     for c, (channel, fit) in enumerate(zip(baseline.problem.channels, baseline.without, strict=True)):
-        if baseline.inputs[c]:
+        if baseline.inputs[c] or not np.isfinite(fit.chi2):
             continue
-        predicted = _by_all_others(whole, c, fit.psi)
-        kind, phrase = _shown(whole, c, predicted)
+        by_others = predicted(c, fit)
+        kind, phrase = _shown(whole, c, by_others)
         yield Effect(kind, (channel.name,), as_is, partial(said, phrase), found=fit)
         share = 1 / np.count_nonzero(~baseline.inputs)
-        beside = (predicted, _by_all_others(whole, c, baseline.as_is.psi))
+        beside = (by_others, predicted(c, baseline.as_is))
         yield from _stepping(whole, chosen, c, [each for each in beside if each is not None], share)
 
 
-def _shown(whole: LineProblem, c: int, predicted: Complex | None) -> tuple[str, Phrase]:
+def _shown(whole: LineProblem | TimeProblem, c: int, predicted: Complex | None) -> tuple[str, Phrase]:
     """The kind of error of channel c, against what all others make of it, in words."""
     name = whole.channels[c].name
     plain = (
@@ -100,7 +105,7 @@ def _shown(whole: LineProblem, c: int, predicted: Complex | None) -> tuple[str, 
     )
     if predicted is None:
         return plain
-    spectrum, y = whole.data.spectrum, whole.y[:, c]
+    spectrum, y = whole.spectrum, whole.y[:, c]
     unit = channel_unit(whole.model, spectrum.channels[c])
     for number in spectrum.records:
         at = spectrum.in_time(number)
@@ -126,14 +131,14 @@ def _shown(whole: LineProblem, c: int, predicted: Complex | None) -> tuple[str, 
     return "time", _step_in_words(spectrum, named[0], named[0].size)
 
 
-def _by_all_others(whole: LineProblem, c: int, psi: Real) -> Complex | None:
-    """What the rig at ψ (M,) makes of channel c by all other channels, (lines,); None where that cannot be told."""
+def _by_all_others(whole: LineProblem, c: int, fit: FittedProblem) -> Complex | None:
+    """What the rig of a fit makes of channel c by all other channels, (lines,); None where that cannot be told."""
     without = whole.without(np.broadcast_to(np.arange(len(whole.channels)) == c, whole.kept.shape))
     arranged = without.arranged()
     if arranged.ends is None:
         return None
     with np.errstate(all="ignore"):
-        found = record_fit(without.view, arranged, psi[None], without.sign[None])
+        found = record_fit(without.view, arranged, fit.psi[None], without.sign[None])
         predicted: Complex = np.einsum("lq,lq->l", found.rig.G[0, :, c], found.motion[0])
     if not np.all(np.isfinite(predicted)):
         return None
@@ -148,10 +153,10 @@ STEPPED = 0.5  # of what is wrong with a channel that a step must leave at the m
 
 
 def _stepping(
-    whole: LineProblem, chosen: Ints, c: int, predicted: Sequence[Complex], share: float
+    whole: LineProblem | TimeProblem, chosen: Ints, c: int, predicted: Sequence[Complex], share: float
 ) -> Iterator[Effect]:
     """Channel c with a clock or gain that steps once, against what all others make of it."""
-    spectrum, name = whole.data.spectrum, whole.channels[c].name
+    spectrum, name = whole.spectrum, whole.channels[c].name
     steps = [
         _best_step(spectrum, whole.y[:, c], each, number, name)
         for each in predicted
@@ -194,10 +199,11 @@ def _best_step(
 
 
 def _before_step(
-    whole: LineProblem, chosen: Ints, c: int, change: TimeChange, problem: LineProblem, size: float
-) -> LineProblem:
+    whole: LineProblem | TimeProblem, chosen: Ints, c: int, change: TimeChange, problem: LineProblem | TimeProblem,
+    size: float,
+) -> FitProblem:  # fmt: skip
     """The problem where channel c is from the step on what it was before."""
-    spectrum, y = whole.data.spectrum, whole.y[:, c]
+    spectrum, y = whole.spectrum, whole.y[:, c]
     at = spectrum.in_time(change.record)
     mended = y * np.exp(1j * spectrum.omega * size) if change.kind == "clock" else y / size
     more = at.history(mended - y)

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import dct, idct
 
-from dashpot.arrays import Ints, Real
+from dashpot.arrays import Bools, Ints, Real
 from dashpot.data.noise import smoothed
 from dashpot.errors import ConvergenceError
 from dashpot.estimate.nonlinear.objective import must_be_positive
@@ -171,15 +171,19 @@ class OutputCovariance:
     tangent: Tangent
     weight: Real
     known: KnownInputs
+    counts: Bools | None = None
+
+    def _seen(self, columns: Real) -> Real:
+        return columns if self.counts is None else np.where(self.counts[..., None], columns, 0.0)
 
     def reach(self, white: Real) -> Real:
         """A w: errors of the inputs (samples, q, K) in standard deviations, as the channels show them."""
         moved = idct(self.known.spread[..., None] * white, axis=0, norm="ortho")
-        return self.weight[:, None] * self.tangent.times(moved)
+        return self._seen(self.weight[:, None] * self.tangent.times(moved))
 
     def back(self, residual: Real) -> Real:
         """Aᵀ r, (samples, q, K), of residuals (samples, channels, K)."""
-        back = self.tangent.transposed(self.weight[:, None] * residual)
+        back = self.tangent.transposed(self._seen(self.weight[:, None] * residual))
         return self.known.spread[..., None] * dct(back, axis=0, norm="ortho")
 
     def solve(self, columns: Real) -> Real:
@@ -491,9 +495,7 @@ class RecordProblem:
             return np.full_like(data.outputs, np.inf), None, None
         y, J = shown_outputs(machine, data, motion)
         factor = np.array([1.0 if g < 0 else gain[g] for g in data.gain])
-        zero = np.array(data.drift)
-        residual = data.outputs - factor * y
-        residual = (residual - np.where(zero, np.mean(residual, axis=0), 0.0)) / self.sd
+        residual = data.judged(data.outputs - factor * y) / self.sd
         if J is None:
             return residual, None, None
         free, by_theta = self.constants, machine.states
@@ -505,12 +507,12 @@ class RecordProblem:
         for c, g in enumerate(data.gain):
             if g >= 0:
                 total[:, c, m + g] = y[:, c]
-        total = (total - np.where(zero[:, None], np.mean(total, axis=0), 0.0)) / self.sd[:, None]
+        total = data.judged(total) / self.sd[:, None]
         self.trail.motions[k] = replace(motion, slope=None)
         if not covariance or self.inputs is None:
             return residual, total, None
         along = tangent(machine, motion, data.on_x, data.on_q, data.derivative, data.force)
-        return residual, total, OutputCovariance(along, factor / self.sd, self.inputs[k])
+        return residual, total, OutputCovariance(along, factor / self.sd, self.inputs[k], data.counts)
 
     def machine(self, k: int, psi: Real, data: RecordData) -> tuple[Integrator, Real]:
         """What integrates a record at ψ (M,) with the inputs of `data`, and the state (states,) at its start."""
@@ -561,6 +563,12 @@ class RecordProblem:
     def stacked(self, psi: Real) -> Real:
         """Residuals of all records, one after another, (samples, channels)."""
         return np.concatenate([residual for residual, _ in self.residuals(psi, slopes=False)])
+
+    def noise_left(self, psi: Real) -> Real:
+        """Root mean square of what is left of each channel, in standard deviations, (channels,)."""
+        every = [np.ones(d.outputs.shape, dtype=bool) if d.counts is None else d.counts for d in self.records]
+        left: Real = np.sqrt(np.sum(self.stacked(psi) ** 2, axis=0) / np.sum(np.concatenate(every), axis=0))
+        return left
 
     def misfit(self, psi: Real) -> float:
         """Sum of squared residuals at ψ (M,), inf where no motion follows."""

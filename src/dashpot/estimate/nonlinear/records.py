@@ -8,8 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from dashpot.arrays import Real
+from dashpot.arrays import Bools, Real
 from dashpot.channel import Channel
+from dashpot.data.conditioning.unmeasured import with_likely
 from dashpot.data.noise import Still
 from dashpot.data.record import Record
 from dashpot.errors import DataError
@@ -30,7 +31,8 @@ class RecordData:
     index of an unknown gain, −1 where known; drift (channels,): whether the sensor's zero is unknown.
     bases: those known by velocity or acceleration, which stand behind the coordinates in n and behind the forces in s;
     rated (r + s,): which inputs are such velocities, none where it is empty; steady: samples over which noise of these
-    rates hardly moves a base, whose place the outputs show; all of them where it is 0.
+    rates hardly moves a base, whose place the outputs show; all of them where it is 0.  counts (samples, channels):
+    which outputs were measured, all where it is None; the others are likely ones.
     """
 
     source: str
@@ -48,6 +50,7 @@ class RecordData:
     rated: tuple[bool, ...] = ()
     steady: int = 0
     gains: tuple[Unknown, ...] = ()
+    counts: Bools | None = None
 
     @property
     def samples(self) -> int:
@@ -66,12 +69,30 @@ class RecordData:
 
     def part(self, samples: slice) -> RecordData:
         """Some of its samples."""
-        return replace(self, inputs=self.inputs[samples], outputs=self.outputs[samples])
+        counts = None if self.counts is None else self.counts[samples]
+        return replace(self, inputs=self.inputs[samples], outputs=self.outputs[samples], counts=counts)
+
+    @property
+    def numbers(self) -> int:
+        """Of outputs that were measured."""
+        return self.outputs.size if self.counts is None else int(np.count_nonzero(self.counts))
+
+    def judged(self, values: Real) -> Real:
+        """Values (samples, channels, …) less their mean where the zero is unknown, 0 where nothing was measured."""
+        axes = (slice(None), slice(None), *[None] * (values.ndim - 2))
+        drift = np.array(self.drift)[axes[1:]]
+        if self.counts is None:
+            return values - np.where(drift, np.mean(values, axis=0), 0.0)
+        counts = self.counts[axes]
+        mean = np.sum(np.where(counts, values, 0.0), axis=0) / np.maximum(np.sum(counts, axis=0), 1)
+        return np.where(counts, values - np.where(drift, mean, 0.0), 0.0)
 
 
 def arranged(model: Model, record: Record) -> RecordData:
     """Raises DataError where an input is not measured, a channel cannot be compared with a motion, or times slip."""
     step = uniform_step(record)
+    measured = None if record.status is None else record.status == 0
+    record = record if measured is None else with_likely(record)[0]
     view = observation_model(model, record.channels, np.ones(1))
     shown = measured_inputs(model, record)
     values = record.values / _calibration(record)
@@ -99,6 +120,7 @@ def arranged(model: Model, record: Record) -> RecordData:
         gain=tuple(int(view.gain[i]) for i in outputs),
         drift=tuple(order > 0 or not model.force_inputs for order in orders),
         gains=view.unknowns[view.m : view.m + view.gains],
+        counts=None if measured is None else measured[:, outputs],
     )
     return beside_bases(model, data, shown.orders)
 
@@ -272,7 +294,7 @@ def shown_outputs(machine: Integrator, data: RecordData, motion: Motion) -> tupl
 
 def total_samples(records: Sequence[RecordData]) -> int:
     """Numbers measured in all records."""
-    return sum(record.outputs.size for record in records)
+    return sum(record.numbers for record in records)
 
 
 # The motion of a whole record as its channels show it, to begin a search from.

@@ -310,7 +310,7 @@ def _searched(
         end = problem.descend(psi, limits)
         psi = end.x[0]
         history.append(psi[: problem.inner])
-        ratio = np.sqrt(np.mean(problem.stacked(psi) ** 2, axis=0))  # residuals over noise, (channels,)
+        ratio = problem.noise_left(psi)  # residuals over noise, (channels,)
         if not np.all(np.isfinite(ratio)):
             break
         problem = replace(problem, sd=np.maximum(problem.sd * ratio, EXACT * sizes))
@@ -363,7 +363,7 @@ def _refined(fitted: FittedRecords) -> FittedRecords:
         else:
             psi = finer.descend(psi, fitted.limits).x[0]
         if problem.inputs is None:
-            ratio = np.sqrt(np.mean(problem.stacked(psi) ** 2, axis=0))
+            ratio = problem.noise_left(psi)
             if np.all(ratio < 0.5):  # most of what was left were errors of coarser steps
                 problem = replace(problem, sd=np.maximum(problem.sd * ratio, EXACT * problem.sizes()))
     history = np.concatenate([fitted.history, psi[None, : problem.inner]])

@@ -1,0 +1,444 @@
+"""The verdict on whole records of a nonlinear rig, and what may be the matter with them (THEORY §9).
+
+Elements that the records call for beside those of the rig tell that it does not fit, by the score of each: a candidate
+whose parameter is 0 changes nothing; the slope of the integrated motion along it says what it would do, and what the
+rig's own unknowns and the starts of the records do as well counts for nothing.  What may be otherwise, these elements
+among it, is weighed by the engine on the part of a record of which most is left over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.special import stdtr
+
+from dashpot.arrays import Real
+from dashpot.check.element_evidence import record_candidates, with_nothing
+from dashpot.check.explain.effect import Baseline, Effect, as_is, with_likely_causes
+from dashpot.check.explain.engine import ENOUGH, LARGEST, NEARLY_ALL, Explanation, explain_in_time
+from dashpot.check.explain.laws import (
+    APART,
+    CERTAIN,
+    QUIET,
+    feeds_motion,
+    in_place_of_laws,
+    law_effect,
+    laws_in_words,
+    with_open_constants,
+)
+from dashpot.check.explain.problem import TimeProblem, followed, replaced
+from dashpot.check.explain.records import channels_in_time
+from dashpot.check.explain.rigs import missing_elements, missing_in_words, points_of
+from dashpot.check.explain.score import PARTS, steadiness, sums_of_parts
+from dashpot.check.verdict import powerless, rejected, settled_by_size, unphysical, worst_of
+from dashpot.data.noise import smoothed
+from dashpot.data.record import Record
+from dashpot.errors import DashpotError, DataError, IdentifiabilityError
+from dashpot.estimate.assessment import Assessment, Judgement, Misfit
+from dashpot.estimate.nonlinear.input_levels import all_linearised, cleared, drawn_noise
+from dashpot.estimate.nonlinear.record_inference import (
+    CUT_RECORD,
+    FittedRecords,
+    FollowedRecord,
+    PredictedMotion,
+    followed_record,
+    followed_records,
+)
+from dashpot.estimate.nonlinear.record_problem import RecordProblem
+from dashpot.estimate.nonlinear.records import RecordData, total_samples
+from dashpot.estimate.nonlinear.search import linear_rig
+from dashpot.estimate.nonlinear.whole_record import EXACT, FIRST_NOISE, fit_records
+from dashpot.estimate.result import Estimate
+from dashpot.io.words import joined
+from dashpot.model.elements import Element, Kind
+from dashpot.model.network import Model
+from dashpot.model.observation import measures_input
+from dashpot.notices import Notice
+
+LEAST = 0.1  # of the residuals, that a candidate must explain: noise of a measured input makes it explain a little
+FELT = 1e-3  # of a channel's motion, that it must explain: exact data leave errors of the integration
+TOGETHER = 4  # candidates that are integrated at once: each step solves for the forces of all
+MOST_NUMBERS = 20_000_000  # in the slopes
+MOST_SAMPLES = 1000  # of a record that the engine looks at
+MOST_CALLED_FOR = 3  # elements of which the scores leave no doubt that are weighed
+
+
+def examined_records(
+    model: Model,
+    records: Sequence[Record],
+    estimate: Estimate,
+    fitted: FittedRecords | None = None,
+    within: float | None = None,
+) -> Estimate:
+    """The estimate from whole records of a nonlinear rig with its assessment; `fitted` as of `assess_records`.
+
+    Noise and what the rig leaves are not told apart there, so that nothing fits `within` a share of the motion.
+    """
+    assessment = assess_records(model, records, estimate, fitted)
+    unknown = dict.fromkeys(assessment.relative_residual)
+    assessment = replace(assessment, discrepancy=unknown, within=within)
+    return replace(estimate, assessment=settled_by_size(assessment, within is not None))
+
+
+def assess_records(
+    model: Model, records: Sequence[Record], estimate: Estimate, fitted: FittedRecords | None = None
+) -> Assessment:
+    """The verdict on an estimate from whole records; "fits" where χ² of a noise known from rest is no larger.
+
+    It is "does not fit" where χ² rejects it, parts are negative, or an element more would explain what residuals are
+    left (THEORY §9).
+    Residuals are those of the motion that follows from the inputs and the start of each record; where it depends too
+    much on its start to be followed, none are told.
+
+    fitted: the fit that the estimate is of.  With noise of the inputs, residuals are beside the motion that their
+    likeliest values give.  Without it the measured inputs count as exact.
+    """
+    against = [*unphysical(model, estimate), *rejected(estimate)]
+    cut = any(notice.code == CUT_RECORD for notice in estimate.warnings)
+    uncertain = fitted is not None and fitted.problem.inputs is not None and not cut
+    converged = bool(estimate.converged)
+    certain: list[CalledFor] = []
+    if uncertain and fitted is not None:
+        trails = followed_records(fitted.problem, fitted.psi)
+        certain = elements_of_uncertain(fitted.problem, fitted.psi) if converged else []
+    else:
+        trails = [] if cut else _followed(model, records, estimate)
+        certain = elements_called_for(model, trails) if trails and converged else []
+    in_place = [] if certain or converged else _without_laws(model, records)
+    against += [_reason(model, each) for each in (*certain, *in_place)[:1]]
+    doubts = [] if against else powerless(estimate)
+    found = None
+    if against or not converged or (doubts and not uncertain):
+        found = _explained(model, records, trails, estimate, [*certain, *in_place], bool(against))
+    if found is not None and doubts and _settled(found):
+        text = f"{100 * found.causes[0].explains:.0f} % of what is left over has one cause"
+        against, doubts = [Notice("one_cause", text, found.causes[0].effect.of)], []
+    findings = found.findings() if found is not None and (against or not converged) else ()
+    if not estimate.fit.known_noise:  # what a remedy leaves has no measure
+        findings = tuple(replace(each, remaining=None) for each in findings)
+    if found is None:
+        findings = tuple(
+            each.effect(model).finding(each.value, explains=each.share) for each in (*certain, *in_place)
+        )
+    motions = [motion.compared() for motion in trails]
+    verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
+    return Assessment(verdict, (*against, *doubts), _relative(motions), _worst(motions), findings)
+
+
+def with_causes(error: IdentifiabilityError, model: Model, records: Sequence[Record]) -> IdentifiabilityError:
+    """The error of a fit whose laws leave no trace, with the element that the records call for in their place."""
+    findings = [
+        each.effect(model).finding(each.value, explains=each.share) for each in _without_laws(model, records)
+    ]
+    return with_likely_causes(error, findings)
+
+
+def _without_laws(model: Model, records: Sequence[Record]) -> list[CalledFor]:
+    """What the records call for where the rig's own nonlinear elements are left out."""
+    try:
+        linear = with_nothing(linear_rig(model))
+        fitted = fit_records(linear, records, exact_inputs=True)
+        called_for = elements_called_for(linear, followed_records(fitted.problem, fitted.psi))
+    except DashpotError:
+        return []
+    return [replace(each, in_place=True) for each in called_for]
+
+
+SURE = 0.8  # odds of a cause by which alone a record does not fit
+
+
+def _settled(found: Explanation) -> bool:
+    """Whether one cause is likely and explains nearly all of much that is left over."""
+    if not found.causes:
+        return False
+    first = found.causes[0]
+    together = sum(each.odds for each in found.causes if each.group is not None and each.group == first.group)
+    return found.as_is.reduced > ENOUGH and first.explains >= NEARLY_ALL and max(first.odds, together) > SURE
+
+
+def _explained(
+    model: Model, records: Sequence[Record], trails: Sequence[FollowedRecord], estimate: Estimate,
+    called_for: Sequence[CalledFor], against: bool,
+) -> Explanation | None:  # fmt: skip
+    """What may be otherwise, by the part of a record of which most is left over; None where that cannot be asked."""
+    if model.n > LARGEST or not np.all(np.isfinite(estimate.values)):
+        return None
+    try:
+        baseline = _begun(model, _worst_part(records, trails), estimate)
+        if not (np.isfinite(baseline.as_is.chi2) and (against or baseline.as_is.reduced > ENOUGH)):
+            return None
+        chosen = np.arange(len(baseline.problem.y))
+        assert isinstance(baseline.problem, TimeProblem)
+        of_channel = partial(channels_in_time, baseline.problem, chosen, lambda c, fit: fit.expected[:, c])
+        return explain_in_time(baseline, of_channel, partial(_elements, called_for))
+    except (DashpotError, np.linalg.LinAlgError):
+        return None
+
+
+def _worst_part(records: Sequence[Record], trails: Sequence[FollowedRecord]) -> Record:
+    """The part of a record, MOST_SAMPLES at most, of which most is left over, over the sizes of the channels."""
+    best, most = records[0].part(slice(0, MOST_SAMPLES)), -1.0
+    for record, trail in zip(records, trails, strict=False):
+        size = np.std(trail.data.outputs, axis=0)
+        left = np.sum((trail.residual / np.where(size > 0, size, np.inf)) ** 2, axis=1)
+        so_far = np.concatenate([[0.0], np.cumsum(left)])
+        width = min(MOST_SAMPLES, len(left))
+        of_parts = so_far[width:] - so_far[:-width]
+        if np.max(of_parts) > most:
+            first, most = int(np.argmax(of_parts)), float(np.max(of_parts))
+            best = record.part(slice(first, first + width))
+    return best
+
+
+def _begun(model: Model, record: Record, estimate: Estimate) -> Baseline:
+    """The record fitted as it is and without each channel, with as much noise as the quietest lines of what is left."""
+    outputs = np.array([not measures_input(model, channel) for channel in record.channels])
+    size = np.sqrt(np.mean(record.values**2, axis=0))
+    noise = np.where(outputs, FIRST_NOISE * np.where(size > 0, size, 1.0), 0.0)
+    problem = TimeProblem.of(model, record, [estimate.values], noise)
+    every = [problem.from_starts((*problem.starts, *problem.by_equation))]
+    if np.count_nonzero(outputs) > 1:
+        own = np.eye(len(outputs), dtype=bool)
+        every += [problem.without(own[None, c]) for c in np.flatnonzero(outputs).tolist()]
+    fits = [followed(each) for each in every]
+    for c in np.flatnonzero(outputs).tolist():
+        power = [
+            smoothed(np.abs(fit.residual[:, c]) ** 2) for fit in fits if np.any(fit.problem.counted[:, c])
+        ]
+        floor = min((float(np.quantile(each, QUIET)) for each in power if np.any(each > 0)), default=0.0)
+        noise[c] = max(np.sqrt(floor * len(record.time)) / 2, EXACT * size[c])
+    every = [
+        replace(each, noise=noise).from_starts((fit.psi,)) for each, fit in zip(every, fits, strict=True)
+    ]
+    fits = [followed(each) for each in every]
+    pool = tuple({fit.psi.tobytes(): fit.psi for fit in fits if len(fit.psi) == len(fits[0].psi)}.values())
+    begun = every[0].from_starts(pool)
+    as_is = replace(fits[0], problem=begun)
+    blind = replace(as_is, chi2=np.inf, dof=0)  # an input that is left out leaves nothing to be integrated
+    ends = iter(fits[1:])
+    return Baseline(begun, as_is, tuple(next(ends, blind) if shown else blind for shown in outputs), {}, True)
+
+
+def _elements(called_for: Sequence[CalledFor], baseline: Baseline) -> Iterator[Effect]:
+    """Nonlinear elements of which the scores of all records leave no doubt."""
+    model = baseline.problem.model
+    for each in called_for[:MOST_CALLED_FOR]:
+        if each.element.force_law is None:
+            continue
+        rig = linear_rig(model) if each.in_place else model
+        larger = replaced(rig, replace(with_open_constants(each.element), guess=each.value))
+        yield replace(each.effect(model), found=None, act=partial(_of_rig, larger), values=(each.value,))
+
+
+def _of_rig(larger: Model, problem: TimeProblem, _: float) -> TimeProblem:
+    return problem.of_rig(larger)
+
+
+def _reason(model: Model, cause: CalledFor) -> Notice:
+    """That an element explains much of the residuals."""
+    element, points, share = cause.element, points_of(cause.element, model), cause.share
+    part = f"a missing {element.kind.value}" if element.force_law is None else "a nonlinear element"
+    place = f"at {points[0]}" if element.kind is Kind.MASS else f"between {joined(points)}"
+    of = f" of the rig without {laws_in_words(model)}" if cause.in_place else ""
+    text = f"{part} {place} explains {100 * share:.0f} % of the residuals{of} (p < 1e-6)"
+    return Notice("element_called_for", text, points)
+
+
+def _followed(model: Model, records: Sequence[Record], estimate: Estimate) -> list[FollowedRecord]:
+    try:
+        return [followed_record(model, estimate, record) for record in records]
+    except DataError:  # no motion can be followed
+        return []
+
+
+def _relative(motions: Sequence[PredictedMotion]) -> dict[str, float]:
+    """Rms of measured − predicted over rms of measured, less its mean, over all records."""
+    if not motions:
+        return {}
+    away = np.sum([len(motion.time) * motion.rms**2 for motion in motions], axis=0)
+    size = np.sum([len(motion.time) * np.var(motion.measured, axis=0) for motion in motions], axis=0)
+    parts = np.sqrt(away / np.where(size > 0, size, np.inf))
+    return dict(zip(motions[0].names, parts.tolist(), strict=True))
+
+
+def _worst(motions: Sequence[PredictedMotion]) -> tuple[Misfit, ...]:
+    """The lines of the residuals' spectra that stand out most, against the rms of all lines of their channel."""
+    misfits = []
+    for motion in motions:
+        residual = motion.measured - motion.predicted
+        lines = np.abs(np.fft.rfft(residual - np.mean(residual, axis=0), axis=0))[1:]
+        duration = len(motion.time) * float(motion.time[1] - motion.time[0])
+        size = lines / np.maximum(np.sqrt(np.mean(lines**2, axis=0)), 1e-300)
+        for name, column in zip(motion.names, size.T, strict=True):
+            line = int(np.argmax(column))
+            misfits.append(Misfit(name, (line + 1) / duration, float(column[line])))
+    return worst_of(misfits)
+
+
+# Elements that the records call for.
+
+
+@dataclass(frozen=True)
+class CalledFor:
+    """An element beyond doubt: the share of the squared residuals that it would explain, and its value.
+
+    in_place: whether it stands in the place of the rig's own nonlinear elements
+    """
+
+    element: Element
+    share: float
+    value: float
+    in_place: bool = False
+
+    def effect(self, model: Model) -> Effect:
+        """As the rig `model` would have it."""
+        if self.element.force_law is None:
+            of, words = points_of(self.element, model), partial(missing_in_words, model, self.element)
+            return Effect("element", of, as_is, words, (self.value,), more=1)
+        effect = law_effect(model, self.element)
+        return (
+            replace(effect, words=partial(in_place_of_laws, model, effect.words)) if self.in_place else effect
+        )
+
+
+def elements_called_for(model: Model, motions: Sequence[FollowedRecord]) -> list[CalledFor]:
+    """Elements that explain much of what records leave over, where that is beyond doubt, what explains most first.
+
+    motions: of all records of one estimate of the rig `model`.
+    """
+    data = motions[0].data
+    candidates = elements_to_try(model, data)
+    unknowns = len(motions[0].psi) + len(candidates)
+    if sum(motion.residual.size for motion in motions) * unknowns > MOST_NUMBERS:
+        return []
+    columns = _columns_record_scores(motions, candidates)
+    if columns is None:
+        return []
+    residual, added, size = columns
+    certain: list[CalledFor] = []
+    total, improbable = float(residual @ residual), CERTAIN / max(len(candidates), 1)
+    relative = max(float(np.max(motion.compared().relative)) for motion in motions)
+    least = max(LEAST, (FELT / max(relative, FELT)) ** 2)
+    for element, column, before in zip(candidates, added.T, size, strict=True):
+        left = float(column @ column)
+        if not left > (APART * before) ** 2:
+            continue
+        value = float(column @ residual) / left
+        share = value**2 * left / total
+        if feeds_motion(element, value) or not share > least:
+            continue
+        if steadiness(column, residual, value)[1] < improbable:
+            certain.append(CalledFor(element, share, value))
+    return _by_share(certain)
+
+
+def _by_share(certain: Sequence[CalledFor]) -> list[CalledFor]:
+    """The best of each place, what explains most first."""
+    best: dict[object, CalledFor] = {}
+    for each in sorted(certain, key=lambda each: -each.share):
+        best.setdefault((each.element.force_law is None, frozenset(each.element.along)), each)
+    return list(best.values())
+
+
+def elements_to_try(model: Model, data: RecordData) -> list[Element]:
+    """Elements that a record may call for, linear ones too."""
+    missing = [e for e in missing_elements(model) if e.law.power == 2 or not data.bases.hide(model, e)]
+    return [*record_candidates(model, data), *missing]
+
+
+def _columns_record_scores(
+    motions: Sequence[FollowedRecord], candidates: Sequence[Element]
+) -> tuple[Real, Real, Real] | None:
+    """Residuals (rows,) and columns of the candidates (rows, count) less what the rig itself can do, in order of time.
+
+    And the size of the columns before, (count,).  None where no motion follows.
+    """
+    sd = np.sqrt(np.mean(np.concatenate([motion.residual for motion in motions]) ** 2, axis=0))
+    rows, shared, starts, added = [], [], [], []
+    for motion in motions:
+        own, at, each = replace(motion.problem, sd=np.where(sd > 0, sd, 1.0)), motion.psi, []
+        residual, J = own.sure_residuals(at)[0]
+        for first in range(0, len(candidates), TOGETHER):
+            larger, more, places = own.with_elements(at, candidates[first : first + TOGETHER])
+            slopes = larger.sure_residuals(more)[0][1]
+            if J is None or slopes is None:
+                return None
+            each.append(slopes[..., list(places)].reshape(residual.size, -1))
+        assert J is not None
+        flat = J.reshape(residual.size, -1)
+        rows.append(residual.ravel())
+        shared.append(flat[:, : own.inner])
+        starts.append(flat[:, own.inner :])
+        added.append(np.concatenate(each, axis=1))
+    own_columns = np.concatenate([np.concatenate(shared), block_diag(*starts)], axis=1)
+    both = np.column_stack([np.concatenate(rows), np.concatenate(added)])
+    own_columns = own_columns / np.maximum(np.linalg.norm(own_columns, axis=0), np.finfo(float).tiny)
+    left = both - own_columns @ np.linalg.lstsq(own_columns, both, rcond=1e-12)[0]
+    return left[:, 0], left[:, 1:], np.linalg.norm(both[:, 1:], axis=0)
+
+
+# Elements that whole records call for where their inputs are uncertain: scores in the metric of all noise
+# (THEORY §9).
+#
+# What the errors of the inputs can explain counts for nothing, as what the rig's own unknowns can.
+
+
+def elements_of_uncertain(problem: RecordProblem, psi: Real) -> list[CalledFor]:
+    """Elements that explain much of what is left over, where that is beyond doubt, what explains most first.
+
+    psi (M,): the end of the search of a problem with uncertain inputs.
+    """
+    candidates = elements_to_try(problem.rig, problem.records[0])
+    if total_samples(problem.records) * (len(psi) + len(candidates)) > MOST_NUMBERS:
+        return []
+    linear = all_linearised(problem, psi)
+    columns = _columns(problem, psi, candidates)
+    if not linear or columns is None:
+        return []
+    prior = problem.priors()[0]
+    alone = [record.weighed(column) for record, column in zip(linear, columns, strict=True)]
+    solved = cleared(linear, prior, columns)
+    noise = drawn_noise(linear, prior)
+    before, left, product = np.zeros((3, len(candidates)))
+    for k, record in enumerate(linear):
+        before += np.sum(columns[k] * alone[k], axis=(0, 1))
+        left += np.sum(columns[k] * solved[k], axis=(0, 1))
+        product += np.einsum("nck,nc->k", solved[k], record.residual)
+    spread = np.sqrt(left * _course(solved, noise.data, noise.draws))
+    total = sum(record.cost for record in linear)
+    certain = []
+    for element, size, own, score, sd in zip(candidates, before, left, product, spread, strict=True):
+        if not own > APART**2 * size or feeds_motion(element, float(score / own)):
+            continue
+        share, deviations = float(score**2 / own / total), float(abs(score) / sd)
+        if share > LEAST and 2 * float(stdtr(PARTS - 1, -deviations)) < CERTAIN / len(candidates):
+            certain.append(CalledFor(element, share, float(score / own)))
+    return _by_share(certain)
+
+
+def _columns(problem: RecordProblem, psi: Real, candidates: Sequence[Element]) -> list[Real] | None:
+    """Slopes of what the channels show along the candidates, (samples, channels, count) of each record."""
+    parts: list[list[Real]] = [[] for _ in problem.records]
+    for first in range(0, len(candidates), TOGETHER):
+        larger, at, places = problem.with_elements(psi, candidates[first : first + TOGETHER])
+        for k in range(len(problem.records)):
+            slopes = larger.residual(k, at)[1]
+            if slopes is None:
+                return None
+            parts[k].append(slopes[..., list(places)])
+    return [np.concatenate(part, axis=-1) for part in parts]
+
+
+def _course(columns: Sequence[Real], data: Sequence[Real], draws: Sequence[Real]) -> Real:
+    """How much more candidates' scores scatter over parts of the records than those of drawn noise, at least 1."""
+    measured, usual = np.zeros(columns[0].shape[2]), np.zeros(columns[0].shape[2])
+    for column, residual, noise in zip(columns, data, draws, strict=True):
+        each = sums_of_parts(np.einsum("nck,nc->nk", column, residual))
+        drawn = sums_of_parts(np.einsum("nck,ncd->nkd", column, noise))
+        measured += np.sum((each - np.mean(each, axis=0)) ** 2, axis=0)
+        usual += np.mean(np.sum((drawn - np.mean(drawn, axis=0)) ** 2, axis=0), axis=-1)
+    return np.maximum(measured / np.maximum(usual, np.finfo(float).tiny), 1.0)
