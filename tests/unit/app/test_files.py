@@ -143,7 +143,7 @@ def test_every_parameter_that_names_a_file_has_a_type_that_says_so() -> None:
             looks = any(sign in words[0] for sign in signs) or parameter.name in ("rig", "data", "study")
             assert not looks or isinstance(parameter.type, PATHS), (name, parameter.name)
             assert isinstance(parameter, click.Option) or isinstance(
-                parameter.type, InputFile | OutputFile | click.Choice
+                parameter.type, InputFile | OutputFile | click.Choice | click.Path
             ), (name, parameter.name)
 
 

@@ -62,6 +62,7 @@ def test_extreme_numbers_are_refused_in_one_line(dashpot: Command, rig: Path, ca
         "export": ["rig.toml", "--out", "o.json"], "response": ["rig.toml", "--out", "o.svg"],
         "fleet": ["rig.toml", "data.csv", "--out", "o.parquet"], "start": ["data.csv", "--out", "n.toml"],
         "frf": ["data.csv"], "modes": ["data.csv"], "track": ["rig.toml", "data.csv", "--window", "1s"],
+        "serve": [],
     }  # fmt: skip
     for form, extreme in product(forms, EXTREMES):
         value = form.format(extreme)
@@ -127,7 +128,7 @@ def test_every_quantity_of_every_command_takes_units_or_per_cent() -> None:
     assert texts == {
         "--methods", "--profile", "--for",  # names of methods, parameters and criteria
         "--name", "--unit", "--rig-column", "--dask", "--drive", "--label", "--experiment",
-        "--force-at", "--base", "--input", "--output",
+        "--force-at", "--base", "--input", "--output", "--host",
     }  # fmt: skip
 
 

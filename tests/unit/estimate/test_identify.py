@@ -3,11 +3,12 @@
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from dashpot.arrays import Ints, Real
+from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.spectrum import Spectrum
@@ -60,15 +61,15 @@ def test_views_are_built_once(case: Callable[[], Case], kernel: str, monkeypatch
     model, data, method = case()
     model = replace(model)  # without what others have made of it
     built: Counter[tuple[object, ...]] = Counter()
-    build = observation._observation_model
+    build = observation.ObservationModel
 
     def counted(
-        model: Model, channels: tuple[Channel, ...], omega: Real, experiment: Ints | None
+        model: Model, channels: tuple[Channel, ...], omega: Real, *rest: Any
     ) -> observation.ObservationModel:
         built[(len(model.inputs), *map(id, channels), omega.tobytes())] += 1
-        return build(model, channels, omega, experiment)
+        return build(model, channels, omega, *rest)
 
-    monkeypatch.setattr(observation, "_observation_model", counted)
+    monkeypatch.setattr(observation, "ObservationModel", counted)
     with using(kernel):
         identify(model, data, method)
     assert built
