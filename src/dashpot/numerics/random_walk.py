@@ -85,7 +85,7 @@ class Windows:
 
 
 @dataclass(frozen=True)
-class Walk:
+class RandomWalk:
     """How the numbers move: variances per time (p,), scatter s², and steps."""
 
     variance: Real
@@ -130,7 +130,7 @@ def _over(above: Real, below: Real) -> Real:
     return np.where(some, above / np.where(some, below, 1.0), 0.0)
 
 
-def smoothed(windows: Windows, walks: Sequence[Walk], values: Real | None = None) -> Smoothed:
+def smoothed_walks(windows: Windows, walks: Sequence[RandomWalk], values: Real | None = None) -> Smoothed:
     """Filter and smooth scaled windows by each of the walks; `values` (B, K, p) in the place of their own."""
     y = windows.values[None] if values is None else values
     (B, K, p), S = y.shape, len(walks)
@@ -173,9 +173,9 @@ def smoothed(windows: Windows, walks: Sequence[Walk], values: Real | None = None
     return Smoothed(likelihood, predicted + back, covariance, r[:, :, :K], weight, across, windows.gaps)
 
 
-def likeliest(
+def likeliest_walk(
     windows: Windows, steps: tuple[Step, ...] = (), moving: Bools | None = None, variance: Real | None = None
-) -> Walk:
+) -> RandomWalk:
     """The walk of scaled windows that has these steps, by maximum likelihood.
 
     moving    (p,), the components that may walk: all, where it is not given
@@ -187,17 +187,17 @@ def likeliest(
         may = np.zeros(p, dtype=bool)
     usual = np.zeros(p) if variance is None else variance
     if K < 3 or np.sum(windows.ranks[1:]) <= len(steps) + p:
-        return Walk(usual, 1.0, steps)
+        return RandomWalk(usual, 1.0, steps)
     slowest = (STILL * windows.pooled_speed()) ** 2
 
-    def walk_at(x: Real) -> Walk:
+    def walk_at(x: Real) -> RandomWalk:
         found = usual.copy()
         found[may] = np.exp(x[:-1])
-        return Walk(found, float(np.exp(x[-1])), steps)
+        return RandomWalk(found, float(np.exp(x[-1])), steps)
 
     def cost(x: Real) -> tuple[float, Real]:
         walks = [walk_at(x), walk_at(np.append(x[:-1], x[-1] + 1e-4))]
-        at = smoothed(windows, walks)
+        at = smoothed_walks(windows, walks)
         by_scatter = (at.likelihood[1, 0] - at.likelihood[0, 0]) / 1e-4
         by_walk = (at.slope[0, 0] * walks[0].variance)[may]
         return -float(at.likelihood[0, 0]), -np.append(by_walk, by_scatter)
@@ -215,7 +215,9 @@ def likeliest(
     return replace(walk, variance=np.where(still, 0.0, walk.variance))
 
 
-def alternatives(windows: Windows, walk: Walk, given: bool = False) -> tuple[list[Walk], list[list[int]]]:
+def alternatives(
+    windows: Windows, walk: RandomWalk, given: bool = False
+) -> tuple[list[RandomWalk], list[list[int]]]:
     """`walk`, and walks of which one speed is otherwise; and the places of those of each component, `walk` with them.
 
     Speeds that are `given` have no alternatives.
@@ -237,7 +239,7 @@ def alternatives(windows: Windows, walk: Walk, given: bool = False) -> tuple[lis
     return walks, places
 
 
-def speed_weights(walks: Sequence[Walk], its: Sequence[int], likelihood: Real, component: int) -> Real:
+def speed_weights(walks: Sequence[RandomWalk], its: Sequence[int], likelihood: Real, component: int) -> Real:
     """How likely each speed of a component is, alike beforehand; the walks `its`, of S with likelihoods (S,)."""
     speeds = np.sqrt([walks[s].variance[component] for s in its])
     if len(its) == 1:
@@ -255,13 +257,13 @@ class Search:
     allowed (K, p), where a step may be
     """
 
-    walks: tuple[Walk, ...]
+    walks: tuple[RandomWalk, ...]
     null: int
     walker: tuple[int, ...]
     allowed: Bools
 
     @staticmethod
-    def of(windows: Windows, walk: Walk, moving: Bools, given: bool) -> Search:
+    def of(windows: Windows, walk: RandomWalk, moving: Bools, given: bool) -> Search:
         """Against a walk of the components that are `moving`."""
         walks, places = alternatives(windows, walk, given)
         of = {s: j for j, its in enumerate(places) for s in its if s}
@@ -308,7 +310,7 @@ class Search:
         """How often series without a change have as large a statistic; what is not below `enough` by far is rough."""
         larger = done = 0
         for values in self._simulated(windows, rng):
-            found = self.statistic(smoothed(windows, self.walks, values))
+            found = self.statistic(smoothed_walks(windows, self.walks, values))
             larger, done = larger + int(np.sum(found >= statistic)), done + len(values)
             if (1 + larger) / (1 + SIMULATIONS) > 2 * enough:  # whatever the others show
                 break
@@ -386,12 +388,12 @@ def trajectory(
     moving = np.zeros(len(scale), dtype=bool)
     rng = np.random.default_rng(seed)
     while True:
-        walk = likeliest(scaled, tuple(steps), None, given)
+        walk = likeliest_walk(scaled, tuple(steps), None, given)
         if len(windows.start) < 3 or len(found) > len(windows.start) // 2:
             break
-        null = replace(likeliest(scaled, tuple(steps), moving, given), scatter=walk.scatter)
+        null = replace(likeliest_walk(scaled, tuple(steps), moving, given), scatter=walk.scatter)
         search = Search.of(scaled, null, moving, given is not None)
-        at = smoothed(scaled, search.walks)
+        at = smoothed_walks(scaled, search.walks)
         p = search.chance(scaled, float(search.statistic(at)[0]), false_alarms, rng)
         if p > false_alarms:
             break
@@ -400,7 +402,7 @@ def trajectory(
             found.append((0, j, 0.0, p, odds))
             moving[j] = True
             continue
-        k, part = _place(smoothed(scaled, [null]), k, j)
+        k, part = _place(smoothed_walks(scaled, [null]), k, j)
         if part > 0:  # a window in which one of the numbers steps says nothing that is linear in them
             told = scaled.information.copy()
             told[k] = 0.0
@@ -408,7 +410,7 @@ def trajectory(
         found.append((k, j, part, p, odds))
         steps.append((k, j))
     walks, places = alternatives(scaled, walk, given is not None)
-    at = smoothed(scaled, walks)
+    at = smoothed_walks(scaled, walks)
     weights = [speed_weights(walks, its, at.likelihood[:, 0], j) for j, its in enumerate(places)]
     values, sd = np.empty(windows.values.shape), np.empty(windows.values.shape)
     speeds, interval = np.sqrt(walk.variance), np.empty((len(scale), 2))
@@ -461,14 +463,14 @@ def _place(at: Smoothed, k: int, j: int) -> tuple[int, float]:
 def _step(
     windows: Windows,
     scaled: Windows,
-    walk: Walk,
+    walk: RandomWalk,
     found: Sequence[tuple[int, int, float, float, float]],
     one: tuple[int, int, float],
 ) -> tuple[float, float, float, tuple[float, float]]:
     """Size, standard deviation and time of a step, given all others; and the ends of an interval of the time."""
     k, j, part = one
     others = [(at, of) for at, of, *_ in found if at and (at, of) != (k, j)]
-    pulls, weights = _tests(smoothed(scaled, [replace(walk, steps=tuple(others))]), j)
+    pulls, weights = _tests(smoothed_walks(scaled, [replace(walk, steps=tuple(others))]), j)
     sd, unit = float(weights[k, 0]) ** -0.5, float(windows.scale[j])
     size = float(pulls[k, 0]) * sd**2 * unit
     length = windows.end - windows.start

@@ -8,10 +8,10 @@ from scipy.stats import binom
 
 from dashpot.arrays import Real
 from dashpot.numerics.random_walk import (
-    Walk,
+    RandomWalk,
     Windows,
-    likeliest,
-    smoothed,
+    likeliest_walk,
+    smoothed_walks,
     trajectory,
 )
 
@@ -32,7 +32,7 @@ def drawn(
     return Windows(start, start + 1, true + noise, information, np.zeros(p), np.zeros(p)), true
 
 
-def joint(windows: Windows, walk: Walk) -> tuple[Real, Real, float]:
+def joint(windows: Windows, walk: RandomWalk) -> tuple[Real, Real, float]:
     """Smoothed values, their covariance and the likelihood up to a constant: dense, from a flat begin."""
     K, p = windows.values.shape
     noise = np.zeros((K, p, K, p))
@@ -56,8 +56,8 @@ def joint(windows: Windows, walk: Walk) -> tuple[Real, Real, float]:
 
 def test_filter_and_smoother_are_those_of_the_joint_distribution() -> None:
     windows, _ = drawn(np.random.default_rng(1), 7, 3, 0.3)
-    walks = [Walk(np.array([0.1, 0.02, 0.0])), Walk(np.array([0.3, 0.0, 0.05]), 1.7)]
-    at = smoothed(windows, walks)
+    walks = [RandomWalk(np.array([0.1, 0.02, 0.0])), RandomWalk(np.array([0.3, 0.0, 0.05]), 1.7)]
+    at = smoothed_walks(windows, walks)
     slow = [joint(windows, walk) for walk in walks]
     for s, (values, covariance, _) in enumerate(slow):
         assert at.values[s, 0] == pytest.approx(values, abs=1e-9)
@@ -69,19 +69,19 @@ def test_filter_and_smoother_are_those_of_the_joint_distribution() -> None:
 def test_the_slope_is_that_of_the_likelihood() -> None:
     windows, _ = drawn(np.random.default_rng(2), 6, 2, 0.3)
     v = np.array([0.1, 0.05])
-    at = smoothed(windows, [Walk(v), *(Walk(v + each) for each in 1e-6 * np.eye(2))])
+    at = smoothed_walks(windows, [RandomWalk(v), *(RandomWalk(v + each) for each in 1e-6 * np.eye(2))])
     assert (at.likelihood[1:, 0] - at.likelihood[0, 0]) / 1e-6 == pytest.approx(at.slope[0, 0], rel=1e-3)
 
 
 def test_a_shock_is_the_step_of_generalised_least_squares() -> None:
     windows, _ = drawn(np.random.default_rng(3), 6, 2, 0.2)
-    walk = Walk(np.array([0.05, 0.02]))
-    at = smoothed(windows, [walk])
+    walk = RandomWalk(np.array([0.05, 0.02]))
+    at = smoothed_walks(windows, [walk])
     for k, j in ((1, 0), (3, 1), (5, 0)):
         column = np.zeros((6, 2))
         column[k:, j] = 1.0
         base, bent = windows.values, windows.values + 1e-3 * column
-        both = smoothed(windows, [walk], np.stack([base, bent, windows.values - 1e-3 * column]))
+        both = smoothed_walks(windows, [walk], np.stack([base, bent, windows.values - 1e-3 * column]))
         slope = (both.likelihood[0, 1] - both.likelihood[0, 2]) / 2e-3
         curve = (both.likelihood[0, 1] + both.likelihood[0, 2] - 2 * both.likelihood[0, 0]) / 1e-6
         assert at.pull[0, 0, k, j] == pytest.approx(-slope, rel=1e-5)
@@ -93,7 +93,7 @@ def test_windows_that_tell_nothing_of_a_number_are_bridged() -> None:
     information = windows.information.copy()
     information[3:5, 1] = information[3:5, :, 1] = 0.0
     blind = Windows(windows.start, windows.end, windows.values, information, np.zeros(2), np.zeros(2))
-    at = smoothed(blind, [Walk(np.array([0.0, 0.1]))])
+    at = smoothed_walks(blind, [RandomWalk(np.array([0.0, 0.1]))])
     sd = np.sqrt(at.covariance[0, :, 1, 1])
     assert np.all(sd[3:5] > np.max(sd[[2, 5]]))
     assert np.all(np.isfinite(at.values))
@@ -120,7 +120,7 @@ def test_a_step_is_found_in_its_place_and_a_given_walk_stays() -> None:
 
 def test_the_speed_is_found() -> None:
     windows, _ = drawn(np.random.default_rng(7), 60, 2, 0.8)
-    walk = likeliest(windows.scaled())
+    walk = likeliest_walk(windows.scaled())
     assert np.sqrt(walk.variance) * windows.scale == pytest.approx([0.8, 0.8], rel=0.35)
 
 

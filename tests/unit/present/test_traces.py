@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dashpot.present.figures.traces import bars_svg, lines_svg, thinned, trace_svg
+from dashpot.present.figures.traces import bars_svg, extremes_of, lines_svg, trace_svg
 
 NAME = "<b>&x"
 
@@ -11,12 +11,12 @@ NAME = "<b>&x"
 def test_a_single_peak_of_a_million_samples_is_kept() -> None:
     values = np.zeros(1_000_000)
     values[123_456], values[777_777] = 5.0, -3.0
-    low, high = thinned(values, 576)
+    low, high = extremes_of(values, 576)
     assert (low.min(), high.max()) == (-3.0, 5.0)
 
 
 def test_samples_that_are_no_numbers_leave_a_gap() -> None:
-    low, _ = thinned(np.r_[np.ones(10), np.full(10, np.nan)], 2)
+    low, _ = extremes_of(np.r_[np.ones(10), np.full(10, np.nan)], 2)
     assert np.array_equal(np.isfinite(low), [True, False])
 
 

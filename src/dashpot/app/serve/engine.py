@@ -1,6 +1,6 @@
 """The engine of the page: calls in JSON, answers in JSON, the same as those of Python and the command line.
 
-`answer` is the whole protocol and knows of no server: a page without one calls it in its own process.  As a program
+`carry_out` is the whole protocol and knows of no server: a page without one calls it in its own process.  As a program
 (`python -m dashpot.app.serve.engine`) it takes a call a line from stdin and writes a line for every event to stdout:
 
     {"call": "identify", "folder": "…", "rig": "rig.toml", "data": ["run1.csv"]}
@@ -43,7 +43,7 @@ SCRATCH = ".scratch"  # folder for files in between, in that of a call
 PRIVATE = ".dashpot"  # folder of the sessions, in the one that is served
 
 
-def answer(call: Call, tell: Tell) -> None:
+def carry_out(call: Call, tell: Tell) -> None:
     """Carry out one call; `tell` is called with every event, the last of which is "done" or "failed"."""
     from dashpot.app.cli import account
     from dashpot.app.workers import heard
@@ -680,7 +680,7 @@ def _own_stdout() -> Iterator[io.TextIOWrapper]:
         yield stream
 
 
-def main() -> None:
+def serve_calls() -> None:
     """Answer calls from stdin, one after the other; end with the process that makes them, whatever is under way."""
     import threading
     from queue import SimpleQueue
@@ -705,8 +705,8 @@ def main() -> None:
             stream.flush()
 
         while True:
-            answer(json.loads(calls.get()), tell)
+            carry_out(json.loads(calls.get()), tell)
 
 
 if __name__ == "__main__":
-    main()
+    serve_calls()

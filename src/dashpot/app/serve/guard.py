@@ -29,8 +29,13 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 SESSION = "dashpot.session"  # key of the session in the scope of a request
 MOST_UPLOAD = 1 << 30  # bytes of one file
 KEPT_FREE = 100 << 20  # bytes of the disk that uploads leave
-KINDS = {".svg": "image/svg+xml", ".html": "text/html; charset=utf-8", ".json": "application/json",
-         ".csv": "text/csv; charset=utf-8", ".toml": "text/plain; charset=utf-8"}  # fmt: skip
+KINDS = {
+    ".svg": "image/svg+xml",
+    ".html": "text/html; charset=utf-8",
+    ".json": "application/json",
+    ".csv": "text/csv; charset=utf-8",
+    ".toml": "text/plain; charset=utf-8",
+}
 NO_TOKEN = (
     "the address lacks its token, or the token is wrong: open the address that dashpot serve has printed"
 )
@@ -106,9 +111,15 @@ class Guard:
         return None if kept is None else kept.value
 
     async def _answer(
-        self, scope: Scope, receive: Receive, send: Send, session: Session, token: str,
-        headers: Mapping[str, str], query: Mapping[str, str],
-    ) -> None:  # fmt: skip
+        self,
+        scope: Scope,
+        receive: Receive,
+        send: Send,
+        session: Session,
+        token: str,
+        headers: Mapping[str, str],
+        query: Mapping[str, str],
+    ) -> None:
         path, method = str(scope["path"]), str(scope["method"])
         if path == "/upload" and method == "POST":
             # The token in the address proves that our own page sends it: another's has the cookie at most.

@@ -46,8 +46,15 @@ def application() -> Any:
     """The page as an ASGI application; requests carry their session in their scope."""
     app = FastAPI(openapi_url=None)
     ui.page("/", title="dashpot")(_page)
-    ui.run_with(app, title="dashpot", dark=None, tailwind=False, storage_secret=None, show_welcome_message=False,
-                reconnect_timeout=30.0)  # fmt: skip
+    ui.run_with(
+        app,
+        title="dashpot",
+        dark=None,
+        tailwind=False,
+        storage_secret=None,
+        show_welcome_message=False,
+        reconnect_timeout=30.0,
+    )
     return app
 
 
@@ -244,9 +251,14 @@ class Page:
         names = session.in_folder()
         if names:
             chosen = ui.select(
-                names, label=f"Open from {session.served.name}", with_input=True, clearable=True,
-                on_change=lambda event: self._later(session.open_in_folder, event.value) if event.value else None,
-            )  # fmt: skip
+                names,
+                label=f"Open from {session.served.name}",
+                with_input=True,
+                clearable=True,
+                on_change=lambda event: (
+                    self._later(session.open_in_folder, event.value) if event.value else None
+                ),
+            )
             chosen.props("dense outlined").style("width: 100%; margin-top: .4rem")
 
     def _options(self) -> None:
@@ -331,8 +343,13 @@ class Page:
                 form(entry)
                 return
 
-    def _form(self, title: str, fields: Mapping[str, Any], done: Callable[[Mapping[str, Any]], Mapping[str, Any]],
-              removal: Mapping[str, Any] | None = None) -> None:  # fmt: skip
+    def _form(
+        self,
+        title: str,
+        fields: Mapping[str, Any],
+        done: Callable[[Mapping[str, Any]], Mapping[str, Any]],
+        removal: Mapping[str, Any] | None = None,
+    ) -> None:
         """A dialog of fields; `done` makes the change of the rig of their values."""
         with ui.dialog() as dialog, ui.card().style("min-width: min(24rem, 90vw)"):
             dialog.props["aria-label"] = title
@@ -418,12 +435,18 @@ class Page:
             }
         elif section == "channels":
             fields["name"] = ("Name: the column of the data", name, None)
-            fields |= {"of": ("Point", points[0], points), "quantity": ("Quantity", "acceleration", list(QUANTITIES)),
-                       "unit": ("Unit", "m/s²", None)}  # fmt: skip
+            fields |= {
+                "of": ("Point", points[0], points),
+                "quantity": ("Quantity", "acceleration", list(QUANTITIES)),
+                "unit": ("Unit", "m/s²", None),
+            }
         else:
             whole = [*points, "ground"]
-            fields |= {"first": ("From", whole[0], whole), "second": ("To", whole[-1], whole),
-                       "value": ("Value (empty: unknown)", "", None)}  # fmt: skip
+            fields |= {
+                "first": ("From", whole[0], whole),
+                "second": ("To", whole[-1], whole),
+                "value": ("Value (empty: unknown)", "", None),
+            }
 
         def done(given: Mapping[str, Any]) -> Mapping[str, Any]:
             entry = {key: value for key, value in given.items() if key not in ("name", "first", "second")}
@@ -610,10 +633,16 @@ class Page:
             f'<div aria-label="Live verdict" role="group">{said}<p class="soft">{samples[-1]} samples</p></div>'
         )
         rows = [
-            [row["name"], row["value"], row["sd"], row["unit"], f"{100 * row['share']:.2g} %" if row["share"] else "",
-             "yes" if row["share"] is not None and row["share"] <= live["target"] else "not yet"]
+            [
+                row["name"],
+                row["value"],
+                row["sd"],
+                row["unit"],
+                f"{100 * row['share']:.2g} %" if row["share"] else "",
+                "yes" if row["share"] is not None and row["share"] <= live["target"] else "not yet",
+            ]
             for row in live["rows"]
-        ]  # fmt: skip
+        ]
         heads = ["Parameter", "Value", "±", "Unit", "± %", "Enough"]
         right = [False, True, True, False, True, False]
         _html(table_html("Live intervals", {"heads": heads, "rows": rows, "right": right}), "wide")
@@ -651,10 +680,14 @@ class Page:
                 _html('<p class="stale" role="status">Stale: rig or data have changed since.</p>')
             plan = session.plan["plan"]
             dwells = [
-                [f"{dwell['frequency_hz']:.4g}", f"{dwell['samples']}", f"{dwell['time_s']:.3g}",
-                 ", ".join(f"{name} {size:.3g}" for name, size in dwell["amplitudes"].items())]
+                [
+                    f"{dwell['frequency_hz']:.4g}",
+                    f"{dwell['samples']}",
+                    f"{dwell['time_s']:.3g}",
+                    ", ".join(f"{name} {size:.3g}" for name, size in dwell["amplitudes"].items()),
+                ]
                 for dwell in plan["dwells"]
-            ]  # fmt: skip
+            ]
             if dwells:
                 heads = ["Frequency, Hz", "Samples", "Time, s", "Amplitude, SI units"]
                 _html(

@@ -75,9 +75,16 @@ class Session:
         self.looking, self._wanted = False, 0
         self.start: dict[str, Any] | None = None  # questions of the form for a first rig
         self.state: dict[str, Any] = {
-            "rig": None, "at": -1, "data": [], "errors": [], "answers": {}, "limits": {}, "options": {}, "job": None,
+            "rig": None,
+            "at": -1,
+            "data": [],
+            "errors": [],
+            "answers": {},
+            "limits": {},
+            "options": {},
+            "job": None,
             **dict.fromkeys(KINDS.values()),
-        }  # fmt: skip
+        }
         self.history: list[str] = []
         self.result: dict[str, Any] | None = None
         self.plan: dict[str, Any] | None = None
@@ -297,8 +304,11 @@ class Session:
         for folder, folders, files in os.walk(self.served):
             depth = len(Path(folder).relative_to(self.served).parts)
             folders[:] = sorted(name for name in folders if not name.startswith(".") and depth < 2)
-            found += [os.path.relpath(os.path.join(folder, name), self.served) for name in sorted(files)
-                      if not name.startswith(".")]  # fmt: skip
+            found += [
+                os.path.relpath(os.path.join(folder, name), self.served)
+                for name in sorted(files)
+                if not name.startswith(".")
+            ]
             if folders_too:
                 found += [os.path.relpath(os.path.join(folder, name), self.served) for name in folders]
             if len(found) > 500:
@@ -351,8 +361,13 @@ class Session:
             if data:
                 seen, failure = self.engine.ask(self._call("inspect", text=text, rig=name, data=data))
                 if failure is not None:
-                    seen = {"files": [], "channels": [], "plots": [], "notes": [],
-                            "problems": [each["text"] for each in failure.problems]}  # fmt: skip
+                    seen = {
+                        "files": [],
+                        "channels": [],
+                        "plots": [],
+                        "notes": [],
+                        "problems": [each["text"] for each in failure.problems],
+                    }
                 if not text:
                     start = self._first_rig()
             with self.lock:

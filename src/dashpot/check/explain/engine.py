@@ -27,7 +27,7 @@ from dashpot.check.explain.problem import (
     LineProblem,
     fitted,
     fitted_each,
-    followed,
+    fitted_from_starts,
     glanced,
     judged,
     roughly_lost,
@@ -45,13 +45,31 @@ from dashpot.numerics.small_systems import scaled_inverse
 
 # The kinds of effects, each with its probability before the data: what people get wrong, by how often.
 KINDS: tuple[tuple[float, Effects], ...] = (
-    (0.08, channels.sign), (0.10, channels.unit), (0.08, channels.gain), (0.08, channels.delay),
-    (0.04, channels.derivative), (0.04, channels.conjugate), (0.01, channels.radians), (0.04, channels.filtered),
-    (0.02, channels.saturation), (0.01, channels.gain_step), (0.06, channels.swap), (0.02, channels.crosstalk),
-    (0.02, channels.place), (0.03, channels.left_out), (0.06, dwells.dwell), (0.04, dwells.clock),
-    (0.02, dwells.hold), (0.02, dwells.changed), (0.10, rigs.element), (0.08, rigs.value), (0.01, rigs.hysteretic),
-    (0.01, rigs.oscillator), (0.005, rigs.unmeasured), (0.005, rigs.residual),
-)  # fmt: skip
+    (0.08, channels.sign),
+    (0.10, channels.unit),
+    (0.08, channels.gain),
+    (0.08, channels.delay),
+    (0.04, channels.derivative),
+    (0.04, channels.conjugate),
+    (0.01, channels.radians),
+    (0.04, channels.filtered),
+    (0.02, channels.saturation),
+    (0.01, channels.gain_step),
+    (0.06, channels.swap),
+    (0.02, channels.crosstalk),
+    (0.02, channels.place),
+    (0.03, channels.left_out),
+    (0.06, dwells.dwell),
+    (0.04, dwells.clock),
+    (0.02, dwells.hold),
+    (0.02, dwells.changed),
+    (0.10, rigs.element),
+    (0.08, rigs.value),
+    (0.01, rigs.hysteretic),
+    (0.01, rigs.oscillator),
+    (0.005, rigs.unmeasured),
+    (0.005, rigs.residual),
+)
 LARGEST = 12  # coordinates of the rigs that are explained: fits of larger ones take too long to wait for
 OF_LAWS = 0.05  # that a nonlinear element is missing
 # Kinds that say how numbers of the data may be wrong, whatever the rig.
@@ -197,9 +215,13 @@ class Explanation:
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
 def explain(
-    problem: LineProblem, *, silent: Mapping[str, str] | None = None, of_samples: bool = False, seed: int = 0,
+    problem: LineProblem,
+    *,
+    silent: Mapping[str, str] | None = None,
+    of_samples: bool = False,
+    seed: int = 0,
     laws: bool = True,
-) -> Explanation:  # fmt: skip
+) -> Explanation:
     """What may be otherwise, so that the rig describes the data.
 
     silent      channels that measured nothing by their own numbers, with what they show
@@ -306,9 +328,13 @@ CALIBRATIONS = {"gain": (channels.sign, channels.unit, channels.gain), "delay": 
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
 def explain_records(
-    lines: LineProblem, problem: LineProblem, of_channel: Effects, *, silent: Mapping[str, str] | None = None,
+    lines: LineProblem,
+    problem: LineProblem,
+    of_channel: Effects,
+    *,
+    silent: Mapping[str, str] | None = None,
     seed: int = 0,
-) -> Explanation:  # fmt: skip
+) -> Explanation:
     """As `explain`, of whole records.
 
     lines       few lines of them without transients, in which gross mistakes are looked for
@@ -336,9 +362,20 @@ def explain_records(
 
 
 IN_TIME = (
-    channels.sign, channels.unit, channels.gain, channels.delay, channels.derivative, channels.filtered, channels.swap,
-    channels.crosstalk, channels.place, dwells.clock, dwells.hold, rigs.element, rigs.value,
-)  # fmt: skip
+    channels.sign,
+    channels.unit,
+    channels.gain,
+    channels.delay,
+    channels.derivative,
+    channels.filtered,
+    channels.swap,
+    channels.crosstalk,
+    channels.place,
+    dwells.clock,
+    dwells.hold,
+    rigs.element,
+    rigs.value,
+)
 STILL_FALLS = 0.9  # of χ², that a round leaves at the most where another is worth it
 INTEGRATED = 5  # effects on records in time that are fitted in full
 
@@ -374,7 +411,7 @@ def _follow(baseline: Baseline, trials: Sequence[Trial]) -> None:
     for each in trials:
         if each.effect.found is None:
             begun = each.fit.problem.from_starts((each.fit.psi, *each.fit.problem.starts))
-            each.fit = _on_the_same_data(baseline, followed(begun))
+            each.fit = _on_the_same_data(baseline, fitted_from_starts(begun))
 
 
 def _chosen(

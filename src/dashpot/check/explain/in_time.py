@@ -30,7 +30,7 @@ from dashpot.check.explain.laws import (
     laws_in_words,
     with_open_constants,
 )
-from dashpot.check.explain.problem import TimeProblem, followed, replaced
+from dashpot.check.explain.problem import TimeProblem, fitted_from_starts, replaced
 from dashpot.check.explain.records import channels_in_time
 from dashpot.check.explain.rigs import missing_elements, missing_in_words, points_of
 from dashpot.check.explain.score import PARTS, steadiness, sums_of_parts
@@ -161,9 +161,13 @@ def _settled(found: Explanation) -> bool:
 
 
 def _explained(
-    model: Model, records: Sequence[Record], trails: Sequence[FollowedRecord], estimate: Estimate,
-    called_for: Sequence[CalledFor], against: bool,
-) -> Explanation | None:  # fmt: skip
+    model: Model,
+    records: Sequence[Record],
+    trails: Sequence[FollowedRecord],
+    estimate: Estimate,
+    called_for: Sequence[CalledFor],
+    against: bool,
+) -> Explanation | None:
     """What may be otherwise, by the part of a record of which most is left over; None where that cannot be asked."""
     if model.n > LARGEST or not np.all(np.isfinite(estimate.values)):
         return None
@@ -204,7 +208,7 @@ def _begun(model: Model, record: Record, estimate: Estimate) -> Baseline:
     if np.count_nonzero(outputs) > 1:
         own = np.eye(len(outputs), dtype=bool)
         every += [problem.without(own[None, c]) for c in np.flatnonzero(outputs).tolist()]
-    fits = [followed(each) for each in every]
+    fits = [fitted_from_starts(each) for each in every]
     for c in np.flatnonzero(outputs).tolist():
         power = [
             smoothed(np.abs(fit.residual[:, c]) ** 2) for fit in fits if np.any(fit.problem.counted[:, c])
@@ -214,7 +218,7 @@ def _begun(model: Model, record: Record, estimate: Estimate) -> Baseline:
     every = [
         replace(each, noise=noise).from_starts((fit.psi,)) for each, fit in zip(every, fits, strict=True)
     ]
-    fits = [followed(each) for each in every]
+    fits = [fitted_from_starts(each) for each in every]
     pool = tuple({fit.psi.tobytes(): fit.psi for fit in fits if len(fit.psi) == len(fits[0].psi)}.values())
     begun = every[0].from_starts(pool)
     as_is = replace(fits[0], problem=begun)

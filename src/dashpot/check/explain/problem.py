@@ -174,9 +174,11 @@ class LineProblem:
         V = self.V if V is None else V
         kept = self.kept if kept is None else kept
         spectrum = replace(
-            self.data.spectrum, amplitudes=np.where(kept, y, np.nan)[None], covariance=np.nan_to_num(V)[None],
+            self.data.spectrum,
+            amplitudes=np.where(kept, y, np.nan)[None],
+            covariance=np.nan_to_num(V)[None],
             moments=None,
-        )  # fmt: skip
+        )
         return replace(self, data=replace(self.data, spectrum=spectrum, covariance=V[None], states=None))
 
     def scaled(self, channel: int, factor: Complex | complex) -> LineProblem:
@@ -737,9 +739,16 @@ class TimeProblem:
         whole = WholeRecord(samples * self.step_s, samples)
         many = np.full(lines, samples)
         return Spectrum(
-            self.channels, self.frequency_hz, self._measured, V, many, np.full(lines, np.inf), ("floor",) * lines,
-            np.zeros(lines, dtype=np.int64), stretches=(whole,),
-        )  # fmt: skip
+            self.channels,
+            self.frequency_hz,
+            self._measured,
+            V,
+            many,
+            np.full(lines, np.inf),
+            ("floor",) * lines,
+            np.zeros(lines, dtype=np.int64),
+            stretches=(whole,),
+        )
 
     def from_starts(self, starts: Sequence[Real]) -> TimeProblem:
         """Begun elsewhere."""
@@ -1024,7 +1033,7 @@ def glanced(problems: Sequence[FitProblem]) -> list[FittedProblem]:
     return fits
 
 
-def followed(problem: FitProblem) -> FittedProblem:
+def fitted_from_starts(problem: FitProblem) -> FittedProblem:
     """A problem from the best of its starts to its end."""
     return _fits([problem], _ended([problem], LONG))[0]
 

@@ -199,9 +199,13 @@ def _best_step(
 
 
 def _before_step(
-    whole: LineProblem | TimeProblem, chosen: Ints, c: int, change: TimeChange, problem: LineProblem | TimeProblem,
+    whole: LineProblem | TimeProblem,
+    chosen: Ints,
+    c: int,
+    change: TimeChange,
+    problem: LineProblem | TimeProblem,
     size: float,
-) -> FitProblem:  # fmt: skip
+) -> FitProblem:
     """The problem where channel c is from the step on what it was before."""
     spectrum, y = whole.spectrum, whole.y[:, c]
     at = spectrum.in_time(change.record)

@@ -15,7 +15,7 @@ from dashpot.arrays import Bools, Complex, Real
 WIDTH, HEIGHT, LEFT, BELOW = 640, 110, 64, 18  # of a picture, and what its labels take, in its units
 
 
-def thinned(values: Real, columns: int) -> tuple[Real, Real]:
+def extremes_of(values: Real, columns: int) -> tuple[Real, Real]:
     """The least and the greatest of (samples,) in each of so many columns, (columns,): no peak is lost.
 
     NaN where a column holds no finite sample.
@@ -35,7 +35,7 @@ def trace_svg(name: str, unit: str, stretches: Sequence[tuple[Real, Real, Bools 
         [np.zeros(len(values), bool) if marks is None else marks for _, values, marks in stretches]
     )
     columns = min(WIDTH - LEFT, len(values))
-    low, high = thinned(values, columns)
+    low, high = extremes_of(values, columns)
     marks = np.maximum.reduceat(masked, np.linspace(0, len(masked), columns + 1).astype(int)[:-1])
     bottom, top = _span(low, high)
     x = LEFT + (np.arange(columns) + 0.5) * (WIDTH - LEFT) / columns

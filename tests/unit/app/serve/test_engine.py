@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dashpot.app.serve.engine import answer
+from dashpot.app.serve.engine import carry_out
 from tests.two_masses import RIG, UNDETERMINED
 from tests.unit.app.conftest import Command
 
 
 def events(folder: Path, call: str, **more: Any) -> list[dict[str, Any]]:
     heard: list[dict[str, Any]] = []
-    answer({"call": call, "folder": str(folder), "rig": "rig.toml", **more}, heard.append)
+    carry_out({"call": call, "folder": str(folder), "rig": "rig.toml", **more}, heard.append)
     return heard
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from dashpot.app.serve.engine import answer
+from dashpot.app.serve.engine import carry_out
 from tests.unit.app.conftest import Command
 
 
@@ -35,6 +35,6 @@ def test_intervals_shrink_as_a_folder_fills(dashpot: Command, rig: Path, data: P
 
     call = {"call": "watch", "folder": str(rig.parent), "rig": rig.name, "out": "out", "source": "bench"}
     with pytest.raises(Stopped):
-        answer({**call, "target": "0.1%", "options": {"rate": 200}}, tell)
+        carry_out({**call, "target": "0.1%", "options": {"rate": 200}}, tell)
     assert steps[0][0] == 3 * each
     assert steps[-1][1] <= 0.001 < steps[0][1]
