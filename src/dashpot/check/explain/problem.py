@@ -795,7 +795,8 @@ class TimeProblem:
         """With two channels exchanged."""
         order = np.arange(len(self.channels))
         order[[first, second]] = second, first
-        return self._with_values(self.record.values[:, order])
+        status = None if self.record.status is None else self.record.status[:, order]
+        return replace(self, record=replace(self.record, values=self.record.values[:, order], status=status))
 
     def without(self, dropped: Bools) -> TimeProblem:
         """With channels left out, (lines, channels), which may have an error of any size."""

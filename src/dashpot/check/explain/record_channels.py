@@ -209,7 +209,8 @@ class _Recorded:
         """With two channels exchanged."""
         order = np.arange(len(self.channels))
         order[[first, second]] = second, first
-        return replace(self, record=replace(self.record, values=self.record.values[:, order]))
+        status = None if self.record.status is None else self.record.status[:, order]
+        return replace(self, record=replace(self.record, values=self.record.values[:, order], status=status))
 
 
 @dataclass(frozen=True)
@@ -242,10 +243,10 @@ class _Bench:
         """What of a record contradicts the rig; None where that cannot be told."""
         model = self.model
         try:
-            data = arranged(model, _first_samples(record, MOST))
+            data = arranged(model, record.part(slice(0, MOST)))
             at = recorded_motion(model, data)
             if at is None:
-                return self._beside_guesses(arranged(model, _first_samples(record, MOST_INTEGRATED)))
+                return self._beside_guesses(arranged(model, record.part(slice(0, MOST_INTEGRATED))))
             form = weak_form(model, data, at)
             with np.errstate(all="ignore"):
                 return _Contradiction(np.concatenate([_of_equations(form), _of_channels(form, data, at)]))
@@ -263,11 +264,6 @@ class _Bench:
         y = data.outputs - np.where(data.drift, np.mean(data.outputs, axis=0), 0.0)
         known = [c for c, gain in enumerate(data.gain) if gain < 0]
         return _Contradiction(np.array([_apart(y[:, c], shown[:, c]) for c in known]), True)
-
-
-def _first_samples(record: Record, count: int) -> Record:
-    """The first samples of a record, as many as it has."""
-    return replace(record, time=record.time[:count], values=record.values[:count])
 
 
 def _by_guesses(model: Model, data: RecordData) -> Real | None:

@@ -8,7 +8,7 @@ import pytest
 from dashpot.api import identify
 from dashpot.channel import Channel, Quantity
 from dashpot.check.explain.record_channels import channel_mistakes, require_sound_channels
-from dashpot.data.record import Record
+from dashpot.data.record import MISSING, Record
 from dashpot.errors import DataError
 from dashpot.estimate.assessment import Finding
 from dashpot.model.network import Model
@@ -122,3 +122,12 @@ def test_another_rig_than_the_stated_one_is_no_mistake_of_a_channel() -> None:
         other: Model = replace(model, elements=elements)
         assert channel_mistakes(other, data) == ()
     assert channel_mistakes(guessed(model, theta, 2.0), data) == ()
+
+
+def test_a_sample_that_is_missed_late_in_a_long_record_is_no_mistake_of_a_channel() -> None:
+    """Seen by an acceleration alone, which is laid beside the motion of the guesses: 1,000 samples of it."""
+    channels = (Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION), Channel("u", {"u": 1.0}))
+    model, theta, data = record("cubic", channels, noise=0.01, samples=1200)
+    status = np.zeros(data.values.shape, dtype=np.int64)
+    status[[300, 1100], 0] = MISSING
+    assert channel_mistakes(guessed(model, theta, 1.0), replace(data, status=status)) == ()
