@@ -392,9 +392,8 @@ def explain_in_time(baseline: Baseline, of_channel: Effects, laws: Effects) -> E
         unique.setdefault((each.effect.kind, each.effect.of), each)
     best = list(unique.values())[:INTEGRATED]
     _follow(baseline, best)
-    for _ in range(
-        ROUNDS
-    ):  # the way of the likeliest may be long: from where its size is found to be, it goes on
+    # The way of the likeliest may be long: from where its size is found to be, it goes on.
+    for _ in range(ROUNDS):
         likeliest = max(best, key=lambda each: each.roughly)
         before = likeliest.fit.chi2
         _closely(baseline.problem, [likeliest], glanced)

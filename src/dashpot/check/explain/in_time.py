@@ -38,7 +38,7 @@ from dashpot.check.verdict import powerless, rejected, settled_by_size, unphysic
 from dashpot.data.noise import smoothed
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError, IdentifiabilityError
-from dashpot.estimate.assessment import Assessment, Judgement, Misfit
+from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
 from dashpot.estimate.nonlinear.input_levels import all_linearised, cleared, drawn_noise
 from dashpot.estimate.nonlinear.record_inference import (
     CUT_RECORD,
@@ -121,9 +121,7 @@ def assess_records(
     if not estimate.fit.known_noise:  # what a remedy leaves has no measure
         findings = tuple(replace(each, remaining=None) for each in findings)
     if found is None:
-        findings = tuple(
-            each.effect(model).finding(each.value, explains=each.share) for each in (*certain, *in_place)
-        )
+        findings = tuple(each.finding(model) for each in (*certain, *in_place))
     motions = [motion.compared() for motion in trails]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(verdict, (*against, *doubts), _relative(motions), _worst(motions), findings)
@@ -131,10 +129,7 @@ def assess_records(
 
 def with_causes(error: IdentifiabilityError, model: Model, records: Sequence[Record]) -> IdentifiabilityError:
     """The error of a fit whose laws leave no trace, with the element that the records call for in their place."""
-    findings = [
-        each.effect(model).finding(each.value, explains=each.share) for each in _without_laws(model, records)
-    ]
-    return with_likely_causes(error, findings)
+    return with_likely_causes(error, [each.finding(model) for each in _without_laws(model, records)])
 
 
 def _without_laws(model: Model, records: Sequence[Record]) -> list[CalledFor]:
@@ -297,6 +292,10 @@ class CalledFor:
     share: float
     value: float
     in_place: bool = False
+
+    def finding(self, model: Model) -> Finding:
+        """As a cause, where the engine was not asked."""
+        return self.effect(model).finding(self.value, explains=self.share)
 
     def effect(self, model: Model) -> Effect:
         """As the rig `model` would have it."""

@@ -161,8 +161,7 @@ class LineProblem:
     @cached_property
     def sd(self) -> Real:
         """Of the noise of each amplitude as a complex number, (lines, channels); never 0."""
-        size = np.sqrt(np.mean(np.abs(self.y) ** 2, axis=0))
-        return np.sqrt(np.maximum(self.variance, (FAINTEST * np.where(size > 0, size, 1.0)) ** 2))
+        return _never_zero(self.variance, self.y)
 
     @property
     def variance(self) -> Real:
@@ -400,8 +399,7 @@ class ModalProblem:
     @property
     def sd(self) -> Real:
         """Its root, never 0, (modes, points + 2)."""
-        size = np.sqrt(np.mean(np.abs(self.y) ** 2, axis=0))
-        return np.sqrt(np.maximum(self.variance, (FAINTEST * np.where(size > 0, size, 1.0)) ** 2))
+        return _never_zero(self.variance, self.y)
 
     @cached_property
     def arranged(self) -> ModeProblem:
@@ -668,7 +666,7 @@ class TimeProblem:
     @property
     def step_s(self) -> float:
         """Sampling step, s."""
-        return float(np.ptp(self.record.time)) / (len(self.record.time) - 1)
+        return self.body.records[0].step_s
 
     @property
     def frequency_hz(self) -> Real:
@@ -728,8 +726,7 @@ class TimeProblem:
     @property
     def sd(self) -> Real:
         """Its root, never 0, (lines, channels)."""
-        size = np.sqrt(np.mean(np.abs(self._measured) ** 2, axis=0))
-        return np.sqrt(np.maximum(self.variance, (FAINTEST * np.where(size > 0, size, 1.0)) ** 2))
+        return _never_zero(self.variance, self._measured)
 
     @property
     def spectrum(self) -> Spectrum:
@@ -855,15 +852,12 @@ class TimeProblem:
     def glanced(self) -> tuple[Real, float]:
         """Where one step of Gauss and Newton leads from the best of the starts, ψ (M,), and χ² as it promises there."""
         best, least = self.starts[0], np.inf
-        precision, mean = self.body.priors()
         for k, psi in enumerate(self.starts):
             at = self.moved(psi, near=True) if k == 0 or self.there(psi) else None
             if at is None:
                 continue
             r, J = at[0].ravel(), at[1].reshape(-1, len(psi))
-            away = np.where(np.isnan(mean), 0.0, psi - mean)
-            step = solve_scaled(J.T @ J + np.diag(precision), J.T @ r - precision * away)
-            to = np.clip(psi + step, *self.body.bounds(psi))
+            to = np.clip(psi + solve_scaled(*self._normal(psi, r, J)), *self.body.bounds(psi))
             left = float(np.sum((r - J @ (to - psi)) ** 2))
             if left < least:
                 best, least = to, left
@@ -901,13 +895,17 @@ class TimeProblem:
 
     def slopes(self, psi: Real) -> tuple[Real, Real, float]:
         """Information (M, M), minus half the slope (M,) and χ² at ψ."""
-        precision, mean = self.body.priors()
         at = self.moved(psi)
         if at is None:
             return np.full((len(psi), len(psi)), np.nan), np.full(len(psi), np.nan), np.inf
         r, J = at[0].ravel(), at[1].reshape(-1, len(psi))
+        return *self._normal(psi, r, J), float(r @ r)
+
+    def _normal(self, psi: Real, r: Real, J: Real) -> tuple[Real, Real]:
+        """Information (M, M) and minus half the slope (M,) of residuals (k,) with slopes (k, M), priors included."""
+        precision, mean = self.body.priors()
         away = np.where(np.isnan(mean), 0.0, psi - mean)
-        return J.T @ J + np.diag(precision), J.T @ r - precision * away, float(r @ r)
+        return J.T @ J + np.diag(precision), J.T @ r - precision * away
 
     def by_priors(self, psi: Real) -> float:
         """ln of the probability of ψ (M,) by what is stated of the unknowns, 0 at the stated values."""
@@ -941,6 +939,12 @@ class TimeProblem:
 
 
 FitProblem = LineProblem | ModalProblem | TimeProblem  # what they have alike is what the engine asks
+
+
+def _never_zero(variance: Real, y: Complex) -> Real:
+    """Standard deviations of numbers y by their variance, (rows, columns): at the least FAINTEST of a column's size."""
+    size = np.sqrt(np.mean(np.abs(y) ** 2, axis=0))
+    return np.sqrt(np.maximum(variance, (FAINTEST * np.where(size > 0, size, 1.0)) ** 2))
 
 
 def _lifted(problem: FitProblem, names: Sequence[str], usual: Sequence[float]) -> tuple[Real, ...]:
