@@ -468,7 +468,7 @@ def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
     for rank, finding in enumerate(findings[:3]):  # the likeliest and two beside it
         group = findings[0].group is not None and finding.group == findings[0].group
         lead = "Likely cause" if rank == 0 else "Or, which these data cannot tell from it" if group else "Or"
-        odds = "" if finding.odds is None else f" ({_percent(finding.odds)})"
+        odds = "" if finding.odds is None else f" (odds {percent_of_odds(finding.odds)})"
         if finding.kind == "unexplained":
             lead, odds = ("Something not listed", odds) if len(findings) > 1 else ("No cause found", "")
         stop = "" if finding.change.endswith("}") else "."  # a line of a rig file is to be copied as it is
@@ -482,11 +482,9 @@ def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
     return lines
 
 
-def _percent(odds: float) -> str:
+def percent_of_odds(odds: float) -> str:
     """Odds in per cent, never more certain than they can be kept."""
-    return (
-        "odds over 99 %" if odds >= 0.99 else "odds under 1 %" if odds <= 0.01 else f"odds {100 * odds:.0f} %"
-    )
+    return "over 99 %" if odds >= 0.99 else "under 1 %" if odds <= 0.01 else f"{100 * odds:.0f} %"
 
 
 def remaining_in_words(finding: Finding) -> str:

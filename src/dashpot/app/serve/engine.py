@@ -554,11 +554,14 @@ def _causes(rig: Rig, findings: Sequence[object]) -> list[dict[str, Any]]:
     """What may be the matter, with the text of the rig file as each remedy would have it, where one does."""
     from dashpot.app.commands.identify import corrected, with_a_line
     from dashpot.estimate.assessment import Finding
+    from dashpot.present.estimate import percent_of_odds
 
     causes = []
     for finding in findings:
         if isinstance(finding, Finding):
             after = {"text_after": corrected(rig, finding)} if with_a_line([finding]) else {}
+            if finding.odds is not None:
+                after["chance"] = percent_of_odds(finding.odds)
             shown = ("text", "change", "kind", "odds", "explains")
             causes.append(
                 {**{name: getattr(finding, name) for name in shown}, "of": list(finding.of), **after}

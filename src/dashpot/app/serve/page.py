@@ -581,7 +581,7 @@ class Page:
         with self._card("Causes"):
             for number, cause in enumerate(causes):
                 with ui.element("div").classes("cause"):
-                    odds = "" if cause["odds"] is None else f"<b>{_percent(cause['odds'])}</b> "
+                    odds = f"<b>{cause['chance']}</b> " if "chance" in cause else ""
                     _html(
                         f"<p>{odds}{html.escape(cause['text'])}</p><p><code>{html.escape(cause['change'])}</code></p>"
                     )
@@ -726,7 +726,3 @@ class Page:
 
 def _size(bytes_: int) -> str:
     return f"{bytes_ / 1e6:.3g} MB" if bytes_ >= 1e6 else f"{bytes_ / 1e3:.3g} kB"
-
-
-def _percent(odds: float) -> str:
-    return "over 99 %" if odds >= 0.99 else "under 1 %" if odds <= 0.01 else f"{100 * odds:.0f} %"
