@@ -195,7 +195,7 @@ def test_a_model_that_cannot_be_found_is_refused_as_a_rig_is_and_all_its_unknown
     sines = dashpot.dwells(model, np.linspace(1, 20, 30), 16)
     p = model.parameters(theta)
     spectrum = dashpot.simulate_spectrum(model, p, channels, sines, np.random.default_rng(0))
-    with pytest.raises(dashpot.IdentifiabilityError, match="nothing is known") as refused:
+    with pytest.raises(dashpot.IdentifiabilityError, match="is known") as refused:
         dashpot.identify(free, spectrum)
     words = set(re.findall(r"\w+", str(refused.value)))
     assert words >= {element.name for element in free.elements}

@@ -87,7 +87,7 @@ def require_no_parallels(model: Model, channels: Sequence[Channel], where: str |
     problems = []
     for names in parallel_unknowns(model, channels):
         reason, more = _parallel(names, model)
-        what = f"of {_named(names)} only {' + '.join(names)} can be found: {reason}"
+        what = f"only {' + '.join(names)} can be found, not {_named(names)} separately: {reason}"
         problems.append(Problem(what, where, with_values(names, len(names) - 1) + more))
     if problems:
         raise IdentifiabilityError(problems)
@@ -133,17 +133,20 @@ def _said(one: Deficiency, found: Structure, model: Model, channels: Sequence[Ch
         M = len(found.names)
         at = "1 frequency" if frequencies == 1 else f"{frequencies} frequencies"
         held = f"{count} line{'' if count == 1 else 's'} at {at}"
-        what = f"{held} fix only {found.rank} combinations of the {M} unknowns: {_named(one.names)} stay open"
+        what = (
+            f"{held} determine only {found.rank} combinations of the {M} unknowns; {_named(one.names)} "
+            "cannot be determined"
+        )
         need = ""
         if missing is not None:
             need = f"measure at {missing} more frequenc{'y' if missing == 1 else 'ies'}, or "
         elif one.lines.without_base:
-            need = "measure the rig as it is without the experiments, too, or "
+            need = "also measure the rig without the changes of the experiments, or "
         return what, need + with_values(one.names, M - found.rank)
     if one.sort == "mixed" and len(names) == 1:
         return (
-            f"{names[0]} leaves no trace: its element never moves far enough for its law to show",
-            "drive the rig further, or give it a value",
+            f"no information on {names[0]}: its element never moves far enough for its law to show",
+            "increase the drive, or state a value",
         )
     if one.sort == "mixed":
         return _moves(one, found), give
@@ -152,7 +155,7 @@ def _said(one: Deficiency, found: Structure, model: Model, channels: Sequence[Ch
     only = combinations_in_words(one)
     what = f"of {_named(names)} only {_named(only)} can be found"
     if not only:
-        what = f"{_named(names)} can change by any amounts"
+        what = f"{_named(names)} are not determined at all"
     if one.sort == "sum" and elements.issuperset(names):
         reason, more = _parallel(names, model)
         return f"{what}: {reason}", f"{give}{more}"
@@ -170,12 +173,12 @@ def _parallel(names: tuple[str, ...], model: Model) -> tuple[str, str]:
     tied = {e.same_as for e in model.elements if e.same_as is not None}
     first = elements[0].along
     if len(matrices) > 1:
-        return "nothing that is measured tells them apart", ""
+        return "no measurement separates them", ""
     if not tied & set(names) and all(_alike(first, e.along) for e in elements):
         together = "both" if len(elements) == 2 else "all"
         verb = "move with" if elements[0].kind is Kind.MASS and len(first) == 1 else "join"
         return f"{together} {verb} {_place(first)}", ", or attach one elsewhere"
-    return "together they act as one element would", ", or attach one elsewhere"
+    return "together they act as one element", ", or attach one elsewhere"
 
 
 def _scaled(one: Deficiency, found: Structure, model: Model, give: str) -> tuple[str, str]:
@@ -186,10 +189,10 @@ def _scaled(one: Deficiency, found: Structure, model: Model, give: str) -> tuple
     exponents = _relative(one, found)
     even = len(exponents) == 1 and np.allclose(exponents[0], exponents[0, 0], rtol=1e-5)
     if even and set(names) == set(model.unknown_names):
-        why = " and only displacements go in" if model.inputs else " and no force is measured"
+        why = " and the drive is a displacement" if model.inputs else " and no force is measured"
         driven = "" if model.force_inputs else why
-        together = f"all forces scale together: only the ratios of {_named(names)} can be found"
-        return f"nothing is known{driven}, so {together}", cure
+        together = f"the scale of the forces is not fixed: only the ratios of {_named(names)} can be found"
+        return f"no mass, stiffness or force is known{driven}, so {together}", cure
     if even and not elements:
         return f"only the ratios of {_named(names)} can be found", give
     if even:
@@ -199,7 +202,7 @@ def _scaled(one: Deficiency, found: Structure, model: Model, give: str) -> tuple
         return f"of {_named(names)} only {_named(only)} can be found", cure
     up = [n for n, x in zip(names, exponents[0], strict=True) if x > 0]
     down = [n for n, x in zip(names, exponents[0], strict=True) if x < 0]
-    text = f"{_named(up)} may grow by any factor while {_named(down)} shrink by it (or a power of it)"
+    text = f"any factor on {_named(up)} is undone by its inverse (or a power of it) on {_named(down)}"
     return f"only products and ratios of {_named(names)} can be found: {text}", cure
 
 
@@ -217,8 +220,8 @@ def _moves(one: Deficiency, found: Structure) -> str:
     count = len(one.directions)
     more = "" if count <= 2 else f" and {count - 2} more"
     return (
-        f"{_named(one.names)} can change together without a trace "
-        f"(at about the nominal values {' or '.join(parts)}{more})"
+        f"{_named(one.names)} can change together and leave the response unchanged (near the nominal values "
+        f"{' or '.join(parts)}{more})"
     )
 
 
@@ -234,13 +237,14 @@ def _unseen(one: Deficiency, found: Structure, model: Model, channels: Sequence[
     quiet = [u for u in inputs if not any(u in channel.of for channel in channels)]
     if len(one.names) == len(found.names) and quiet:
         count = len(channels)
-        seen = "one channel" if count == 1 else f"{count} channels"
+        seen = "one channel is not enough" if count == 1 else f"{count} channels are not enough"
         what = (
-            f"{seen} cannot separate the rig from its unmeasured input{'s'[: len(quiet) - 1]} {_named(quiet)}"
+            f"{seen} while the input{'s'[: len(quiet) - 1]} {_named(quiet)} "
+            f"{'is' if len(quiet) == 1 else 'are'} unmeasured"
         )
-        return what, f"measure {quiet[0]}, or more points"
-    give = "give it a value or leave it out" if len(one.names) == 1 else "give them values or leave them out"
-    what = f"nothing that is measured depends on {_named(one.names)}"
+        return what, f"measure {quiet[0]}, or add sensors"
+    give = "state its value or remove it" if len(one.names) == 1 else "state their values or remove them"
+    what = f"no measured channel depends on {_named(one.names)}"
     # Coordinates that these elements join and no mass, which follow their neighbours without any force
     joined = {point for element in model.elements if element.name in one.names for point in element.along}
     heavy = {point for element in model.elements if element.kind is Kind.MASS for point in element.along}

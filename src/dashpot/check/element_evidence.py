@@ -120,7 +120,7 @@ def compare_in_dwells(model: Model, spectrum: Spectrum) -> ElementComparison:
         scored = scored_in_dwells(begun, candidate_elements(model, motions_of(begun), further=True), SOFT)
     chi2 = problem.balanced().slopes(estimate.values)[2]
     if not scored:
-        raise UsageError("no nonlinear element can be tried on these data", cure="measure every input")
+        raise UsageError("nonlinear elements cannot be tried on these data", cure="measure every input")
     ranked = []
     for candidate in scored[:FOLLOWED]:
         full = fitted_in_full(begun, candidate, chi2, 0.0 if candidate.psi is not None else SOFT)
@@ -156,7 +156,7 @@ def compare_in_records(
     scored = _scored(fitted, candidates)
     if scored is None or not candidates:
         raise UsageError(
-            "no nonlinear element can be tried on these records", cure="measure more coordinates"
+            "nonlinear elements cannot be tried on these records", cure="measure more coordinates"
         )
     trials = scored.trials()
     fits = []

@@ -128,8 +128,8 @@ def collinearity(base: Surface, covariance: Real) -> Collinearity:
     if not np.all(known):
         lost = [name for name, fine in zip(base.view.names, known, strict=True) if not fine]
         raise IdentifiabilityError(
-            f"at the estimated values the data say nothing about {listed(lost)}",
-            cure="check units and signs of the channels, or give values",
+            f"at the estimated values the data contain no information on {listed(lost)}",
+            cure="check units and signs of the channels, or state values",
         )
     sd = np.sqrt(np.diagonal(total))
     values, vectors = np.linalg.eigh(total / np.outer(sd, sd))
@@ -461,7 +461,9 @@ def known_errors(
     view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
     uncertain = [u for u in view.unknowns if u.sd is not None]
     if not exact and not uncertain:
-        raise UsageError("no parameter of the rig is known", cure="there is nothing whose error could matter")
+        raise UsageError(
+            "no parameter of the rig is known", cure="errors of known parameters cannot be propagated"
+        )
     rows: list[tuple[str, str, float | None, float | None]] = [
         *((e.name, model.unit(e), e.value, np.nan) for e in exact),
         *((u.name, u.unit, u.prior, u.sd) for u in uncertain),

@@ -50,7 +50,7 @@ class SeenColumn:
         """The same in a unit that somebody has said.  Raises UsageError where it is none."""
         if not is_unit(unit):
             raise UsageError(
-                f"{unit!r} is not a unit of what is measured", cure="write one such as mm, m/s, g, N or V"
+                f"{unit!r} is not a unit of a measured quantity", cure="use one such as mm, m/s, g, N or V"
             )
         quantity = next((q.value for q in Quantity if factors(unit, q.value)), self.quantity)
         return replace(self, unit=unit, quantity=quantity)
@@ -139,7 +139,7 @@ def first_rig(
     if base is not None:
         bases = [c for c in moving if c.name == base]
         if drive != "base" or not bases:
-            what = f"no motion is called {base}" if drive == "base" else f"{base} cannot be the base"
+            what = f"no motion channel is called {base}" if drive == "base" else f"{base} cannot be the base"
             raise UsageError(what, cure=f"there are {listed([c.name for c in moving])}, driven by the base")
     if drive == "base":
         moving = [c for c in moving if c not in bases]
@@ -147,12 +147,14 @@ def first_rig(
             bases, moving = bases[-1:], bases[:-1]
     if (drive == "force" and not forces) or (drive == "stand" and len(forces) != 1):
         what = f"{len(forces)} columns are forces" if forces else "no column is a force"
-        cure = "on a test stand one is" if drive == "stand" else "take another"
+        cure = "a test stand needs exactly one" if drive == "stand" else "choose another"
         raise UsageError(what, "--driven-by", cure)
     if drive != "stand" and not moving:
-        raise UsageError("no column shows a motion of the rig", "--driven-by", "take another")
+        raise UsageError("no column is a motion of the rig", "--driven-by", "choose another")
     if drive == "stand" and len(moving) != 1:
-        raise UsageError(f"{len(moving)} columns show a motion", "--driven-by", "on a test stand one does")
+        raise UsageError(
+            f"{len(moving)} columns are motions", "--driven-by", "a test stand needs exactly one"
+        )
     for column in data.columns:
         if column in forces:
             number = forces.index(column) + 1
@@ -176,6 +178,6 @@ def first_rig(
         at = "x1" if masses == 1 else PLACEHOLDER
     elif drive == "force" and at not in (places := [f"x{i + 1}" for i in range(masses)]):
         raise UsageError(
-            f"there is no mass {at} for the force to act on", cure=f"take one of {listed(places)}"
+            f"there is no mass {at} for the force to act on", cure=f"choose one of {listed(places)}"
         )
     return Chain(name, max(masses, 1), drive, known=known, at=at, forces=len(forces), sensors=tuple(sensors))

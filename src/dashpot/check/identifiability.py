@@ -126,8 +126,8 @@ def structure(
     """
     if len(model.nonlinear):
         raise UsageError(
-            "a rig with nonlinear elements cannot be checked before it is identified",
-            cure="identify it: its intervals say what the data determine",
+            "a rig with nonlinear elements cannot be checked without data",
+            cure="identify it: its intervals show what the data determine",
         )
     rng = random_generator(seed)
     view = view_of(model, channels)
@@ -311,7 +311,9 @@ def nonlinear_structure(
     where an input is not measured.
     """
     if not channels:
-        raise ModelError("no channels are listed", cure="say in [channels] of the rig file what is measured")
+        raise ModelError(
+            "no channels are listed", cure="list the measured channels under [channels] in the rig file"
+        )
     with np.errstate(all="ignore"):  # laws may overflow, which is refused below
         if not model.inputs and spectrum is None:
             view = view_of(model, channels)
@@ -330,8 +332,8 @@ def nonlinear_structure(
     rows = rows * scale
     if not np.all(np.isfinite(rows)):
         raise IdentifiabilityError(
-            "a law is no finite number in the motion at the nominal values of the rig",
-            cure="give the unknowns guesses, or write a law that is finite there",
+            "a law is not finite at the nominal values of the rig",
+            cure="give initial guesses of the unknowns, or use a law that is finite there",
         )
     known = np.diag(np.where(view.prior_precision > 0, np.linalg.norm(rows), 0.0))
     _, s, Vh = np.linalg.svd(np.concatenate([rows, known]), full_matrices=False)
@@ -431,7 +433,7 @@ def _slopes_let_go(model: Model, channels: Sequence[Channel], psi: Real) -> Real
     _, J = replace(problem, begun=(start,)).residual(0, at)
     if J is None:
         raise IdentifiabilityError(
-            "no motion is found at the nominal values of the rig", cure="give the unknowns guesses"
+            "no motion is found at the nominal values of the rig", cure="give initial guesses of the unknowns"
         )
     flat = J.reshape(-1, J.shape[-1])
     by_start = np.linalg.svd(flat[:, len(psi) :], full_matrices=False)[0]
@@ -446,7 +448,8 @@ def _slopes(model: Model, spectrum: Spectrum, part: NonlinearPart, psi: Real) ->
     lost = ~at.converged[part.dwells.dwell]
     if np.all(lost):
         raise IdentifiabilityError(
-            "no settled motion is found at the nominal values of the rig", cure="give the unknowns guesses"
+            "no steady state is found at the nominal values of the rig",
+            cure="give initial guesses of the unknowns",
         )
     J, y = at.J[0], at.predicted[0]
     there = np.isfinite(spectrum.amplitudes) & ~lost[:, None]

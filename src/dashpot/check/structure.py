@@ -89,13 +89,13 @@ def require_scale(model: Model, channels: Sequence[Channel], where: str | None =
             )
         elif whole:
             what = (
-                f"nothing is known and {'only displacements go in' if model.inputs else 'no force is measured'}, so "
-                "all forces scale together: "
-                f"{listed(group)} times any factor give the same motion"
+                "no mass, stiffness or force is "
+                f"known{' and the drive is a displacement' if model.inputs else ''}, so the scale of the forces "
+                f"is not fixed: {listed(group)} times any factor give the same motion"
             )
         else:
             what = f"the forces of {listed(group)} scale together: times any factor they give the same motion"
-        cure = f"{with_values(group)}, or measure a force (the one that moves an input, say)"
+        cure = f"{with_values(group)}, or measure a force (such as the one that moves an input)"
         problems.append(Problem(what, where, cure))
     raise IdentifiabilityError(problems)
 
@@ -365,8 +365,8 @@ def _channels(
         loose = np.flatnonzero(np.any(field.null_space(D[0]) != 0, axis=0))
         names = listed(model.coordinates[i] for i in loose)
         raise IdentifiabilityError(
-            f"the rig has no steady response: {names} can move with no force at all, whatever the parameters",
-            cure="attach another mass, spring or damper there, or remove a coordinate",
+            f"the rig has no steady-state response: {names} can move without any force, whatever the parameters",
+            cure="add a mass, spring or damper there, or remove a coordinate",
         )
     solved = solved * regular[:, None, None]
     X, adjoint = solved[..., : R.shape[-1]], solved[..., R.shape[-1] :]
@@ -517,7 +517,7 @@ def floating(
         g = g / np.where(size > 0, size, 1.0)
         if not np.all(np.isfinite(g)):
             raise ModelError(
-                "the rig's numbers differ too much in size for floating point",
+                "the rig's values differ too much in size for floating point",
                 cure="check units and sizes of the values",
             )
         u, s, _ = np.linalg.svd(g, full_matrices=False)

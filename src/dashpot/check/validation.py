@@ -177,7 +177,7 @@ def _predicted(
     data = measured(Prepared(view, single, V[None], None, True, np.ones(1, dtype=bool)))
     if data.q is None:
         raise DataError(
-            "some input is not measured, so nothing can be predicted",
+            "some input is not measured, so the motion cannot be predicted",
             cure="record the inputs as well",
         )
     return spectrum.amplitudes - predict(view, data, psi[None], sign[None]).r[0]
@@ -251,7 +251,11 @@ def _chi2(followed: FollowedRecord, noise: NoiseAtRest) -> tuple[Real, Real]:
     problem = replace(followed.problem, sd=noise.outputs, inputs=(known,))
     residual, J, V = problem.with_covariance(0, followed.psi)
     if J is None or V is None:
-        raise DataError("the motion cannot be followed", data.source, "check that it is a record of this rig")
+        raise DataError(
+            "the simulation does not follow the measured motion",
+            data.source,
+            "check that the record belongs to this rig",
+        )
     starts = np.arange(problem.inner, len(followed.psi))
     chi2, dof = np.empty(len(data.names)), np.empty(len(data.names))
     for c in range(len(data.names)):

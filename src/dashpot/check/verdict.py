@@ -59,7 +59,7 @@ def limited_channels(left: Residuals, spectrum: Spectrum, motions: Bools) -> lis
             end = clipped_at(at.history_of(y), at.history_of(p), 2 * len(at.lines))
             if end is not None:
                 name = left.channels[c]
-                text = f"{name} reads too little where it moves much, as if it ended at {end:.3g} {left.units[c]}"
+                text = f"{name} saturates at about {end:.3g} {left.units[c]}"
                 notices.setdefault(name, Notice(LIMITED, text, (name,)))
     return list(notices.values())
 
@@ -131,7 +131,7 @@ def standing_out(left: Residuals, spectrum: Spectrum, outputs: Bools, hum: Bools
     notices = []
     for c in np.flatnonzero(np.min(chance, axis=0) < IMPROBABLE_RECORD_RESIDUALS):
         name, line = left.channels[c], worst[c]
-        off = f"{np.sqrt(square[line, c]):.2g} sd off"
+        off = f"{np.sqrt(square[line, c]):.2g} standard deviations off"
         text = f"{name} at {left.frequency_hz[line]:.4g} Hz is {off}, more than noise explains"
         notices.append(Notice("standing_out", text, (name,)))
     return notices
@@ -146,7 +146,7 @@ def hum_notices(left: Residuals, outputs: Bools, hum: Bools) -> list[Notice]:
     at = np.unique(_multiple(left.frequency_hz[np.any(hums, axis=1)]))
     where = joined(f"{f:g}" for f in at)
     carry = "carries" if len(names) == 1 else "carry"
-    text = f"{joined(names)} {carry} a tone at {where} Hz that nothing drives: mains hum?"
+    text = f"{joined(names)} {carry} a tone at {where} Hz that no input drives: mains hum?"
     return [Notice("mains_hum", text, names)]
 
 
@@ -221,9 +221,9 @@ def silent_channels(model: Model, spectrum: Spectrum) -> dict[str, str]:
             continue
         y = Y[np.isfinite(Y[:, c]), c]
         if len(y) >= FEWEST and np.all(np.abs(y - y[0]) <= 1e-9 * np.abs(y[0])):  # of its size
-            shows[channel.name] = "reads the same at every line"
+            shows[channel.name] = "has the same value at every line"
         elif noisy[c]:
-            shows[channel.name] = "shows little but noise at most lines"
+            shows[channel.name] = "is mostly noise at most lines"
     return shows
 
 
@@ -231,7 +231,7 @@ def silent_channels(model: Model, spectrum: Spectrum) -> dict[str, str]:
 
 
 APART = 0.05  # relative difference of two motions
-MOST = 6  # frequencies that are named
+MOST = 6  # frequencies named in a message
 
 
 def several_motions(model: Model, spectrum: Spectrum, estimate: Estimate) -> list[Notice]:
@@ -263,7 +263,7 @@ def several_motions(model: Model, spectrum: Spectrum, estimate: Estimate) -> lis
     named = [f"{f:.4g}" for f in frequencies[:MOST]]
     more = f" and {len(frequencies) - MOST} more" if len(frequencies) > MOST else ""
     where = f"{joined(named)} Hz{more}"
-    text = f"folds lie around {where}: more than one motion is possible there; the measured one is used"
+    text = f"several steady states are possible near {where}; the measured one was used"
     return [Notice("several_motions", text)]
 
 
@@ -277,20 +277,20 @@ BY_SIZE = {"chi2", "smooth_residuals", "standing_out", "no_noise", "noise_from_r
 # What a change in the course of a record may be, and what to do about it, by its code.
 IN_TIME = {
     GAIN_STEP: (
-        "another range, a loose sensor, or a rig that changed?",
-        "give the parts before and after as two records, the gain of one of them unknown",
+        "Did the range change, a sensor come loose, or the rig change?",
+        'split the record there into two, and give one part gain = "unknown"',
     ),
     CLOCK_STEP: (
-        "samples of that channel lost, its clock set anew, or one of its own?",
-        "give the parts before and after as two records, the delay of one of them unknown",
+        "Lost samples, a clock reset, or an unsynchronised clock?",
+        'split the record there into two, and give one part delay = "unknown"',
     ),
     SPIKES: (
-        "spikes of a loose contact?",
-        "leave those samples out: the record is then used in pieces",
+        "Loose contact?",
+        "remove those samples: the record is then used in segments",
     ),
     JUMP: (
-        "samples lost, a spike, or a blow that no channel shows?",
-        "give the parts before and after it as two records",
+        "Lost samples, a spike, or an impact that no input channel measured?",
+        "split the record there into two",
     ),
 }
 
@@ -368,11 +368,11 @@ def settled_by_size(assessment: Assessment, asked: bool) -> Assessment:
     for name, share in assessment.discrepancy.items():
         if share is None:
             notices.append(
-                Notice("discrepancy_unknown", f"noise and misfit of {name} cannot be told apart", (name,))
+                Notice("discrepancy_unknown", f"noise and misfit of {name} cannot be separated", (name,))
             )
         elif share.upper95 > share.within:
             bound, limit = f"{100 * share.upper95:.3g} %", f"{100 * share.within:.3g} %"
-            text = f"the rig may miss up to {bound} of the motion at {name}, and {limit} is asked"
+            text = f"the model may miss up to {bound} of the motion at {name}; the limit asked for is {limit}"
             notices.append(Notice("discrepancy_bound", text, (name,)))
     others = (reason for reason in assessment.reasons if reason.code not in UNTESTED)
     return replace(assessment, verdict="cannot tell", reasons=(*notices, *others))
@@ -388,17 +388,20 @@ def too_far_off(shares: Mapping[str, Discrepancy | None]) -> list[Notice]:
     if not missed:
         return []
     name = max(missed, key=lambda each: missed[each])
-    text = f"the rig misses at least {100 * missed[name]:.3g} % of the motion at {name}"
+    text = f"the model misses at least {100 * missed[name]:.3g} % of the motion at {name}"
     return [Notice("discrepancy", text, tuple(missed))]
 
 
 def remedy_in_words(notice: Notice) -> Phrase:
     """A change in the course of a record, or a channel that ends, and what to do about it."""
     if notice.code == LIMITED:
-        change = f"drive less, widen the range, or leave {notice.of[0]} out if others show the motion"
-        return Phrase(f"{notice.text}: clipped, or saturated?", change)
+        change = (
+            f"reduce the drive, widen the range, or leave {notice.of[0]} out if other channels show the "
+            "motion"
+        )
+        return Phrase(f"{notice.text}. Clipped or saturated?", change)
     question, remedy = IN_TIME[notice.code]
-    return Phrase(f"{notice.text}: {question}", remedy)
+    return Phrase(f"{notice.text}. {question}", remedy)
 
 
 def _finding_of(notice: Notice) -> Finding:
@@ -435,10 +438,13 @@ def powerless(estimate: Estimate, *, of_residuals: bool = False) -> list[Notice]
     if not fit.known_noise:
         return [Notice("no_noise", "the noise is not known, so the size of the residuals cannot be judged")]
     if of_residuals:
-        text = "the noise is estimated from the residuals themselves; a record at rest would make the fit testable"
+        text = (
+            "the noise level was estimated from this fit's own residuals. Record the rig at rest and add "
+            "--noise-record"
+        )
         return [Notice("noise_from_residuals", text)]
     if fit.dof <= 0:
-        text = "there are no more data than unknowns, so that nothing is left to test the fit by"
+        text = "there are no more data than unknowns, so nothing is left to test the fit"
         return [Notice("few_degrees", text)]
     if fit.dof < FEWEST:
         return [Notice("few_degrees", f"{fit.dof} degrees of freedom are too few to test the fit")]
@@ -457,7 +463,7 @@ def unphysical(model: Model, estimate: Estimate) -> list[Notice]:
     points = np.concatenate([model.B, model.D], axis=1)
     others, every = (np.linalg.matrix_rank(points[chosen]) for chosen in (springs & ~named, springs))
     bending = not np.any(named & ~springs) and others == every
-    why = ", as springs are that stand for parts which bend" if bending else ""
+    why = ", typical of bending of the parts" if bending else ""
     return [Notice("negative", f"{joined(names)} {'is' if len(names) == 1 else 'are'} negative{why}", names)]
 
 
@@ -466,7 +472,13 @@ def unstable(estimate: Estimate) -> list[Notice]:
     where, several = _growing(estimate, BEYOND)
     if not where:
         return []
-    return [Notice("unstable", f"{where} grow{'' if several else 's'} instead of dying away")]
+    return [
+        Notice(
+            "unstable",
+            f"{where} {'are' if several else 'is'} unstable: "
+            f"{'they grow' if several else 'it grows'} instead of decaying",
+        )
+    ]
 
 
 def unstable_by_chance(estimate: Estimate) -> list[Notice]:
@@ -474,7 +486,7 @@ def unstable_by_chance(estimate: Estimate) -> list[Notice]:
     where, several = _growing(estimate, 0.0)
     if not where:
         return []
-    text = f"{where} come{'' if several else 's'} out unstable, though noise alone may do so"
+    text = f"{where} {'are' if several else 'is'} unstable as estimated, but possibly because of noise"
     return [Notice(PERHAPS_UNSTABLE, text)]
 
 
@@ -523,7 +535,9 @@ def _smooth(left: Residuals, motions: Bools, least: float, uneven: bool) -> list
         return []
     return [
         Notice(
-            "smooth_residuals", f"the residuals of {joined(names)} run smoothly over frequency", tuple(names)
+            "smooth_residuals",
+            f"the residuals of {joined(names)} follow a smooth trend over frequency instead of scattering",
+            tuple(names),
         )
     ]
 

@@ -57,7 +57,7 @@ def identify_with_noise(
         second = search(model, spectrum, plain)
         if second is None:
             raise
-        text = f"{first.name} finds no solution here; ml is used instead"
+        text = f"{first.name} finds no solution for these data; ml was used instead"
         return replace(second, warnings=(*second.warnings, Notice("another_method", text))), spectrum
     if not may_be_another_minimum(model, spectrum, estimate) or model.n > LARGEST:
         return estimate, spectrum
@@ -207,8 +207,8 @@ def _likelier(model: Model, first: Estimate, second: Estimate) -> Estimate:
     taken, rivals = _preferred(model, first, second)
     if not taken:
         return replace(first, warnings=(*rivals, *first.warnings))
-    failing = "ended in another minimum" if first_ended else "did not converge"
-    changed = Notice("another_method", f"{first.method} {failing}; ml, from many starts, is used instead")
+    failing = "reached a local minimum" if first_ended else "did not converge"
+    changed = Notice("another_method", f"{first.method} {failing}; ml with many starts was used instead")
     rest = (notice for notice in second.warnings if notice.code != "not_unique")
     return replace(second, warnings=(*rivals, *rest, changed))
 

@@ -119,7 +119,7 @@ def estimation_plan(
     """
     model.require_unknowns()
     if spectrum.lines == 0:
-        raise DataError("there are no lines in the data", cure="give at least one frequency")
+        raise DataError("the data contain no frequency lines", cure="give at least one frequency")
     diagnostics.require_motion(model, spectrum)
     if isinstance(method, str):
         method = suited_method(method, model, spectrum, seed=seed, positive=positive)
@@ -134,12 +134,12 @@ def estimation_plan(
         )
     if spectrum.carries_loads and len(model.nonlinear):
         raise UsageError(
-            "transients of whole records can be estimated for linear rigs only",
-            cure="give settled dwells with their frequencies, or leave the nonlinear elements out",
+            "transients of continuous records can be estimated for linear rigs only",
+            cure="give settled dwells with their frequencies, or leave out the nonlinear elements",
         )
     if spectrum.carries_loads and not method.traits.transients:
         raise UsageError(
-            f"the method {method.name} works on settled lines; whole records carry transients",
+            f"the method {method.name} needs settled dwells; continuous records contain transients",
             cure="use the method ml, or give settled dwells with their frequencies",
         )
     return with_heavy_tails(model, spectrum, method)

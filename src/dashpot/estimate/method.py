@@ -99,8 +99,8 @@ def require_suited(method: Method, data: Prepared) -> None:
         _ = data.seen_states
     if method.traits.needs_noise and not data.noise_known:
         raise UsageError(
-            f"{method.name} needs the size of the noise, and the noise of these data is not given",
-            cure="use tls, which finds its size, or give the channels their noise (a column NAME_sd)",
+            f"{method.name} needs the size of the noise, which these data do not state",
+            cure="use tls, which estimates it, or state the noise of the channels (a column NAME_sd)",
         )
 
 

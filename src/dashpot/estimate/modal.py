@@ -204,7 +204,7 @@ def _whitening(V: Complex | Real, what: str) -> Complex:
             L = np.linalg.cholesky(V / np.outer(sd, sd))
             return np.linalg.solve(L, np.diag(1 / sd)).astype(complex)
     raise DataError(
-        f"the covariance of the {what} is not positive definite", cure="give its standard deviations"
+        f"the covariance of the {what} is not positive definite", cure="state its standard deviations"
     )
 
 
@@ -375,17 +375,18 @@ def check_suited(model: Model, data: ModalData) -> None:
         if name not in model.coordinates:
             raise DataError(
                 f"the shapes have a point {name}, which is not a coordinate of the rig",
-                cure=f"there are {', '.join(model.coordinates)}",
+                cure=f"the coordinates are {', '.join(model.coordinates)}",
             )
     if not np.any(model.p0) and not np.any(model.prior_precision):
         raise IdentifiabilityError(
-            "modes alone do not fix the size of masses and stiffnesses: all of them times any factor have the same",
-            cure="give one mass or stiffness a value",
+            "modes alone do not fix the scale: all masses and stiffnesses times any factor have the "
+            "same modes",
+            cure="state one mass or stiffness",
         )
     if data.modes > model.n:
         raise DataError(
-            f"{data.modes} modes are measured, and the rig has no more than {model.n} that oscillate",
-            cure="leave modes out, or give the rig more coordinates",
+            f"{data.modes} modes are measured, but the rig has only {model.n} that oscillate",
+            cure="leave out modes, or give the rig more coordinates",
         )
 
 
@@ -432,12 +433,13 @@ def deepest_minima(
         minima = reached if minima is None else minima.improved(astray, reached)
     if minima is None:
         raise UsageError(
-            "there is no start for the search", cure="give the unknowns a guess, or allow starts"
+            "there is no initial guess for the search",
+            cure="give guesses of the unknowns, or allow random starts",
         )
     if not np.any(np.isfinite(minima.cost)):
         raise ConvergenceError(
-            "no start leads to a rig with these modes: the searches end far outside the scale of what is known",
-            cure="give the unknowns a guess, measure more modes, or more points of their shapes",
+            "the search finds no rig with these modes: it leaves the scale of the known values",
+            cure="give guesses of the unknowns, measure more modes, or more points of their shapes",
         )
     return minima, ends
 
@@ -589,6 +591,6 @@ def _rivals(model: Model, minima: OptimizeResult, ends: OptimizeResult, sd: Real
             above.append(float(ends.cost[k] - minima.cost[0]))
     if not others:
         return ()
-    cure = "measure shapes at more points, fix a parameter or give a guess of every unknown"
+    cure = "measure shapes at more points, state a value, or give an initial guess of every unknown"
     names, units = model.unknown_names, model.unknown_units
     return (not_unique(names, units, best, others[0], above[0], len(others) - 1, cure),)

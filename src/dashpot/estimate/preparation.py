@@ -188,7 +188,9 @@ class Prepared:
         """`states`.  Raises DataError, which names what is not seen, where there are none."""
         if self.states is None:
             require_seen(self.view, self.spectrum)
-            raise DataError("the channels do not show every coordinate and input", cure="use the method ml")
+            raise DataError(
+                "the channels do not measure every coordinate and input", cure="use the method ml"
+            )
         return self.states
 
 
@@ -425,8 +427,8 @@ def reconstruction(
 
 def _contradiction() -> DataError:
     return DataError(
-        "two exact channels measure the same thing, or some coordinate is not seen",
-        cure="give the channels their noise (a column NAME_sd), or leave one out",
+        "two exact channels measure the same thing, or some coordinate is not measured",
+        cure="state the noise of the channels (a column NAME_sd), or leave one out",
     )
 
 
@@ -452,6 +454,6 @@ def require_seen(view: ObservationModel, spectrum: Spectrum) -> None:
     missing = unseen(view, spectrum)
     if missing:
         raise DataError(
-            f"no channel sees {', '.join(missing)} at every line",
+            f"no channel measures {', '.join(missing)} at every line",
             cure="this method needs every coordinate and input: use the method ml, or add the channel",
         )

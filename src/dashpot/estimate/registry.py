@@ -36,7 +36,7 @@ def method_class(name: str) -> type[Method]:
     from dashpot.estimate.method import Method  # the names alone load neither NumPy nor an estimator
 
     if name not in METHODS:
-        raise UsageError(f"there is no method {name}", cure=f"there are {', '.join(METHODS)}")
+        raise UsageError(f"there is no method {name}", cure=f"the methods are {', '.join(METHODS)}")
     module, attribute = METHODS[name]
     try:
         kind = getattr(import_module(f"dashpot.estimate.{module}"), attribute)

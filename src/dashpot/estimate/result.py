@@ -54,12 +54,12 @@ def _faults(estimate: Estimate) -> Iterator[str]:
     for name in ("covariance", "noise_covariance"):
         matrix = getattr(estimate, name)
         if matrix.shape != (count, count):
-            yield f"{name}: {matrix.shape} numbers, and {count} unknowns"
+            yield f"{name}: {matrix.shape} numbers for {count} unknowns"
             return
         yield from _matrix_faults(name, matrix, names)
     for name, value, sd in estimate.stated:
         if name not in names or not (np.isfinite(value) and 0 < sd < np.inf):
-            yield f"stated: {name} as {value} ± {sd}, which no unknown can have"
+            yield f"stated: {name} as {value} ± {sd}, which is not possible"
     yield from _value_faults(estimate)
 
 
@@ -480,15 +480,15 @@ class Estimate(Printable):
         rest = self.names[len(names) :]
         if self.names[: len(names)] != tuple(names) or (others is not None and not set(rest) <= set(others)):
             raise DataError(
-                f"the estimate is of another rig: its unknowns are {', '.join(self.names)}, "
-                f"those of the rig file {', '.join(names)}",
+                f"the estimate belongs to another rig: its unknowns are {', '.join(self.names)}, those "
+                f"of the rig file {', '.join(names)}",
                 cure="give the rig file that the estimate was made with",
             )
 
     def to_json(self) -> str:
         """The estimate as JSON (no batch axes); `from_json` loads it again.  Raises DataError for a batch."""
         if self.values.ndim != 1:
-            raise DataError("a batch of estimates is not written as JSON", cure="save its arrays instead")
+            raise DataError("a batch of estimates cannot be written as JSON", cure="save its arrays instead")
         return to_json(content_of(self))
 
     def to_dataframe(self, level: float = 0.95) -> Any:

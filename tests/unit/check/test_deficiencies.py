@@ -29,15 +29,15 @@ SEEN_ALONE = '[channels]\nx1 = { of = "x1" }\nu = { of = "u" }\n'
 CASES: dict[str, tuple[Callable[[], Rig], str, str]] = {
     "side by side": (
         lambda: two_mass_rig(dampers='c5 = { between = ["ground", "x2"] }\n'),
-        "only c4 + c5 can be found: both join x2 to ground",
+        "both join x2 to ground",
         "give c4 or c5 a value",
     ),
     "three, one at a lever": (
         lambda: two_mass_rig(dampers='c5 = { between = ["ground", "x2"] }\nc6 = { along = { x2 = 0.5 } }\n'),
-        "only c4 + c5 + 0.25·c6 can be found",
+        "only c4 + c5 + 0.25·c6",
         "give 2 of c4, c5 and c6 a value",
     ),
-    "nothing known": (lambda: two_mass_rig(k1=""), "all forces scale together", "or measure the force that moves u"),
+    "nothing known": (lambda: two_mass_rig(k1=""), "only the ratios", "or measure the force that moves u"),
     "a force of unknown gain": (
         lambda: two_mass_rig(k1="", seen=SEEN + 'r = { of = "u", quantity = "force", gain = "unknown" }\n'),
         "m1·r.gain",
@@ -54,7 +54,7 @@ CASES: dict[str, tuple[Callable[[], Rig], str, str]] = {
         lambda: parse_rig(
             f'{SERIES}[springs]\nk1 = {{ between = ["x1", "j"] }}\nk2 = {{ between = ["j", "u"] }}\n{SEEN_ALONE}'
         ),
-        "only 1/k1 + 1/k2 can be found: they are in series through j",
+        "they are in series through j",
         "give k1 or k2 a value, or measure j",
     ),
     "delays": (
@@ -64,7 +64,7 @@ CASES: dict[str, tuple[Callable[[], Rig], str, str]] = {
         lambda: two_mass_rig(seen=f"[channels]\n{CALIBRATED.replace('delay', 'gain')}"), "only the ratios of x1", "",
     ),
     "an input that nobody measures": (
-        lambda: two_mass_rig(seen='[channels]\nx1 = { of = "x1" }\n'), "unmeasured input u", "measure u",
+        lambda: two_mass_rig(seen='[channels]\nx1 = { of = "x1" }\n'), "the input u is unmeasured", "measure u",
     ),
     "a mass on the base": (
         lambda: parse_rig(f'{LONE}[springs]\nk1 = {{ between = ["x1", "u"] }}\n{SEEN_ALONE}'),
@@ -89,7 +89,7 @@ def test_refusal_names_the_file() -> None:
     with pytest.raises(IdentifiabilityError) as refused:
         require_identifiable(free, channels(rig), "rig.toml")
     assert refused.value.exit_code == 3
-    assert str(refused.value).startswith("rig.toml: nothing is known")
+    assert str(refused.value).startswith("rig.toml: no mass, stiffness or force is known")
 
 
 def test_free_matrices_with_a_point_unseen_are_told_in_plain_numbers() -> None:
@@ -98,7 +98,7 @@ def test_free_matrices_with_a_point_unseen_are_told_in_plain_numbers() -> None:
         'x1 = { of = "x1" }\nx3 = { of = "x3" }\nf = { of = "f", quantity = "force" }\n'
     )
     ((what, cure),) = told(rig)
-    assert "can change together without a trace" in what
+    assert "can change together" in what
     assert "m_x2 +100 %" in what
     assert "e+" not in what
     assert cure == "give 3 of m_x1, m_x2, m_x3, m_x1_x2 and 14 others a value, or measure x2"
@@ -121,10 +121,11 @@ def long_chain(n: int, *, doubled: bool) -> tuple[Model, tuple[Channel, ...]]:
 def test_springs_side_by_side_are_named_in_rigs_of_any_size(n: int) -> None:
     with pytest.raises(IdentifiabilityError) as refused:
         require_identifiable(*long_chain(n, doubled=True))
-    assert [problem.what for problem in refused.value.problems] == [
-        "of k5, more4 only k5 + more4 can be found: both join x5 to x4",
-        "of k10, more9 only k10 + more9 can be found: both join x10 to x9",
-    ]
+    first, second = (problem.what for problem in refused.value.problems)
+    assert "k5 + more4" in first
+    assert "both join x5 to x4" in first
+    assert "k10 + more9" in second
+    assert "both join x10 to x9" in second
     require_identifiable(*long_chain(n, doubled=False))
 
 

@@ -59,7 +59,7 @@ def test_laws_that_no_drive_tells_apart_and_elements_that_do_not_move_are_named(
     with pytest.raises(IdentifiabilityError, match="q, kk can change together"):
         require_identifiable(twin, ALL, None, spectrum)
     far = replace(model, elements=(*model.elements, joined("kg", "gap", [Constant("gap", 1.0)])))
-    with pytest.raises(IdentifiabilityError, match="kg leaves no trace: its element never moves far enough"):
+    with pytest.raises(IdentifiabilityError, match="no information on kg"):
         require_identifiable(far, ALL, None, spectrum)
     assert blind_laws(model, spectrum) is None
 

@@ -34,8 +34,8 @@ def noise_alone(seed: int) -> Complex:
     ("x1", "shows"),
     [
         (np.zeros(12, dtype=complex), "no motion"),
-        (np.full(12, 1e-4 + 2e-5j), "the same at every line"),
-        (noise_alone(1), "little but noise"),
+        (np.full(12, 1e-4 + 2e-5j), "same value"),
+        (noise_alone(1), "mostly noise"),
     ],
     ids=["still", "stuck", "noise"],
 )

@@ -86,7 +86,7 @@ def test_a_change_in_the_course_of_a_record_is_reason_and_cause() -> None:
     assert "spikes" in [reason.code for reason in judged.reasons]
     (cause,) = judged.findings
     assert (cause.kind, cause.of, cause.remaining) == ("time", ("x1",), None)
-    assert cause.text == "x1 jumps at 3 s: spikes of a loose contact?"
+    assert cause.text.startswith("x1 jumps at 3 s.")
 
 
 def test_an_unstable_rig_does_not_fit_where_no_noise_is_given() -> None:
@@ -124,10 +124,12 @@ def test_a_misfit_excuses_no_negative_mass() -> None:
     (beyond,) = wrong_signs(PAPER.model, theta, noise)
     assert (beyond.code, beyond.of) == ("negative", ("m1",))
     (loose,) = wrong_signs(PAPER.model, theta, np.diag(np.full(6, 30.0**2)))
-    assert loose.text == "m1 is negative (-32.8 kg): the data say next to nothing about it (± 30 kg)"
+    assert (loose.code, loose.of) == ("negative_but_zero", ("m1",))
+    assert "± 30 kg" in loose.text
     theta[0] = -0.5
     (near,) = wrong_signs(PAPER.model, theta, np.diag(np.full(6, 30.0**2)))
-    assert near.text.endswith("0 is within its interval")
+    assert near.code == "negative_but_zero"
+    assert "consistent with zero" in near.text
 
 
 def test_a_forgotten_mass_is_named() -> None:

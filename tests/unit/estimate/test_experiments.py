@@ -134,7 +134,7 @@ def test_an_own_unknown_that_nothing_shows_is_told() -> None:
 
 def test_that_the_rig_as_it_stands_is_missing_is_told() -> None:
     rig = parse_rig(f"{SHAKEN}[experiments.added]\n{ADDED}\n")
-    with pytest.raises(IdentifiabilityError, match="without the experiments"):
+    with pytest.raises(IdentifiabilityError, match="without the changes"):
         dashpot.identify(rig, table(rig, "added", np.random.default_rng(1)))
 
 

@@ -99,5 +99,5 @@ def test_the_equation_needs_every_coordinate() -> None:
     assert isinstance(automatic(bench.model, spectrum), MaximumLikelihood)
     for name in METHODS:
         if not method_class(name).traits.by_output:
-            with pytest.raises(DataError, match="no channel sees"):
+            with pytest.raises(DataError, match="no channel measures"):
                 identify(bench.model, spectrum, name)

@@ -492,7 +492,7 @@ def left_out(baseline: Baseline) -> Iterator[Effect]:
         shows = baseline.silent.get(channel.name)
         name = channel.name
         why = shows or DISAGREES
-        phrase = Phrase(f"{name} {why}", f"leave {name} out, or check its sensor and where it is mounted")
+        phrase = Phrase(f"{name} {why}", f"leave {name} out, or check its sensor and mounting")
         fit = baseline.without[c]
         if shows and isinstance(fit.problem, LineProblem):  # what measured nothing need not show anything
             fit = replace(fit, problem=replace(fit.problem, lost=None))

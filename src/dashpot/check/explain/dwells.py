@@ -83,7 +83,7 @@ def dwell(baseline: Baseline) -> Iterator[Effect]:
                 if other != line and labels[other] != labels[line]:
                     pair = tuple(labels[i] for i in sorted((line, other)))
                     phrase = Phrase(
-                        f"the dwells labelled {pair[0]} and {pair[1]} are exchanged",
+                        f"the dwells labelled {pair[0]} and {pair[1]} are swapped",
                         f"label the dwell at {pair[0]} {pair[1]}, and the one at {pair[1]} {pair[0]}",
                     )
                     act = partial(_exchanged, line, other)
@@ -127,7 +127,7 @@ def _labelled(line: int, problem: LineProblem, ratio: float) -> LineProblem:
 
 def _relabelled(label: str, ratio: float) -> Phrase:
     own = float(label.split()[0]) * ratio
-    return Phrase(f"the dwell labelled {label} moves like one at {own:.4g} Hz", f"label it {own:.4g} Hz")
+    return Phrase(f"the dwell labelled {label} fits {own:.4g} Hz", f"label it {own:.4g} Hz")
 
 
 def _exchanged(first: int, second: int, problem: LineProblem, _: float) -> LineProblem:
@@ -190,9 +190,12 @@ def _held(c: int, problem: LineProblem | TimeProblem, step: float) -> FitProblem
 
 
 def _held_words(name: str, step: float) -> Phrase:
-    text = f"{name} looks held between its samples ({1e3 * step:.3g} ms). By a D/A converter, or a simulator?"
+    text = (
+        f"{name} looks held constant between samples ({1e3 * step:.3g} ms). Is it the output of a D/A "
+        "converter or a simulator?"
+    )
     return Phrase(
-        text, f"give {name} as it is between samples, or delay = {-step / 2:.3g} in its line as a first step"
+        text, f"give {name} as it is between samples, or try delay = {-step / 2:.3g} in its line first"
     )
 
 
@@ -233,8 +236,8 @@ def changed(baseline: Baseline) -> Iterator[Effect]:
         whole = FittedProblem(
             problem, first.psi, first.chi2 + second.chi2, first.dof + second.dof, (first, second)
         )
-        subject = f"{where} show{'s' if where.startswith('experiment') else ''} another rig than the others"
-        change = f"identify {where} by itself, or find out what was changed"
+        subject = f"{where} behave{'s' if where.startswith('experiment') else ''} like a different rig"
+        change = f"identify {where} separately, or find out what was changed"
         yield Effect(
             "changed", (), as_is, partial(said, Phrase(subject, change)), found=whole, more=len(first.psi),
             share=ALL_AT_ONCE / len(parts),
@@ -255,7 +258,7 @@ def changed(baseline: Baseline) -> Iterator[Effect]:
             own = element_line(replace(part, only="other", stands_for=part.name))
             if part.name not in {element.name for element in problem.model.elements}:
                 own = element_line(replace(part, only="other"))
-            cure = f"{change}; or let it differ there: {DIFFERENT}; {own}"
+            cure = f"{change}; or let it differ in that test: {DIFFERENT}; {own}"
             yield Effect(
                 "changed", points_of(part, problem.model), as_is, partial(said, Phrase(text, cure)), (step,),
                 found=single, more=1, share=1 / len(parts),

@@ -896,14 +896,14 @@ def unexplained(found: Explanation) -> Phrase:
     name = [*(channel.name for channel in left.problem.channels), "frequency", "damping ratio"][int(c)]
     largest = f"largest in {name} near {left.problem.frequency_hz[int(line)]:.4g} Hz"
     if found.causes:
-        text = f"each listed cause leaves too much of the misfit; what the nearest leaves is {largest}"
+        text = (
+            f"every listed cause leaves too much of the misfit; after the best one, the misfit is {largest}"
+        )
     else:
         text = f"no listed cause explains half of the misfit, which is {largest}"
     if not found.causes and nearest is not None:
-        text += (
-            f". Nearest, with {100 * nearest.explains:.0f} % of it: {nearest.effect.words(nearest.size).text}"
-        )
-    return Phrase(text, "look at the residuals there, and measure more points or fewer at a time")
+        text += f". The best one explains {100 * nearest.explains:.0f} %: {nearest.effect.words(nearest.size).text}"
+    return Phrase(text, "look at the residuals there; measure more points, or test fewer at a time")
 
 
 def _covariance(effect: Effect, fit: FittedProblem) -> Real:

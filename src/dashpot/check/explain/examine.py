@@ -299,7 +299,7 @@ def _looked_at_closely(
     findings = directed(model, spectrum, estimate)
     if not findings:
         return assessment
-    text = f"{findings[0].text}: too small for χ² to show, yet more than noise explains"
+    text = f"statistically significant although the overall χ² test passes: {findings[0].text}"
     reasons = (Notice("directed", text, findings[0].of), *assessment.reasons)
     return replace(assessment, verdict="does not fit", reasons=reasons, findings=findings)
 

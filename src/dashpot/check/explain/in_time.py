@@ -115,7 +115,7 @@ def assess_records(
     if against or not converged or (doubts and not uncertain):
         found = _explained(model, records, trails, estimate, [*certain, *in_place], bool(against))
     if found is not None and doubts and _settled(found):
-        text = f"{100 * found.causes[0].explains:.0f} % of what is left over has one cause"
+        text = f"{100 * found.causes[0].explains:.0f} % of the unexplained motion has one cause"
         against, doubts = [Notice("one_cause", text, found.causes[0].effect.of)], []
     findings = found.findings() if found is not None and (against or not converged) else ()
     if not estimate.fit.known_noise:  # what a remedy leaves has no measure

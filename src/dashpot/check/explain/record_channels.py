@@ -105,8 +105,8 @@ CLOSE = (
 )
 GROSS = 5.0  # factor of a unit beyond which guesses tell it from their own error
 ALIKE = 3.0  # times what the best leaves: others are named, too
-IN_ITS_LINE = "mend the channel that is named next, in its line of the rig file or in the data"
-IN_ITS_DATA = "mend the channel that is named next, in the data of this record"
+IN_ITS_LINE = "correct the channel named below, in the rig file or in the data"
+IN_ITS_DATA = "correct the channel named below, in the data of this record"
 KINDS = ("sign", "unit", "swap")
 SHARES = (0.1, 0.3)  # of the largest speed or elongation, at which the smooth laws bend
 
@@ -132,7 +132,7 @@ def require_sound_channels(model: Model, records: Sequence[Record]) -> None:
 
 
 def _contradiction(source: str, cure: str) -> DataError:
-    what = "the channels contradict each other: whatever its values, the rig does not move like this"
+    what = "the channels are inconsistent with this rig for any parameter values"
     return DataError(what, source, cure)
 
 

@@ -101,7 +101,7 @@ def _shown(whole: LineProblem | TimeProblem, c: int, predicted: Complex | None) 
     name = whole.channels[c].name
     plain = (
         "channel",
-        Phrase(f"{name} {DISAGREES}", f"leave {name} out, or check its sensor and where it is mounted"),
+        Phrase(f"{name} {DISAGREES}", f"leave {name} out, or check its sensor and mounting"),
     )
     if predicted is None:
         return plain
@@ -254,4 +254,4 @@ def _wander(away: Real, duration_s: float, unit: str) -> str | None:
         return (
             f"has a zero that shifts by {steps[k]:.3g} {unit} near {at:.3g} s. Range changed, or cable moved?"
         )
-    return f"has a zero that drifts by {size:.3g} {unit}. Is it its amplifier, or the temperature?"
+    return f"has a zero that drifts by {size:.3g} {unit}. Is the amplifier or the temperature drifting?"

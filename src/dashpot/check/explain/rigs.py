@@ -189,7 +189,7 @@ def other_value(model: Model, element: Element, found: float) -> Phrase:
     name = element.name
     stated = _stated(model, name)
     assert stated.value is not None
-    text = f"{name} would be {rounded(found)} {stated.unit(model.angles)}, not {stated.value:g}"
+    text = f"{name} fits best at {rounded(found)} {stated.unit(model.angles)}, not {stated.value:g}"
     quantity, usual = USUAL.get(stated.kind, ("", ()))
     for unit in () if model.angles else usual:
         if abs(found / (stated.value * units.scale(unit, quantity, False)) - 1) < CLOSE:
@@ -205,7 +205,7 @@ def _unit(model: Model, name: str, ratio: float) -> Phrase:
     unit = min(usual, key=lambda each: abs(np.log(units.scale(each, quantity, False) / ratio)))
     mended = replace(stated, value=float(f"{stated.value * ratio:.8g}"))
     meant = f"{mended.value:g} {stated.unit(model.angles)}"
-    text = f"{name} would be {meant}, not {stated.value:g}. Is it {stated.value:g} {unit}?"
+    text = f"{name} fits best at {meant}, not {stated.value:g}. Is it {stated.value:g} {unit}?"
     return Phrase(text, f"{element_section(mended)} {element_line(mended)}", (), (mended,))
 
 
@@ -265,7 +265,7 @@ def _beside_body(
 
 def _body(model: Model, parts: tuple[Element, ...], x: str, stiffness: float) -> Phrase:
     lines = "; ".join(f"{element_section(each)} {element_line(each)}" for each in parts)
-    text = f"a body on a spring at {x} is missing from the rig ({rounded(stiffness, '.3g')} N/m)"
+    text = f"a body on a spring is missing at {x} ({rounded(stiffness, '.3g')} N/m)"
     return Phrase(text, f'add a coordinate "{parts[0].name.removeprefix("m_")}"; {lines}', elements=parts)
 
 
@@ -283,7 +283,7 @@ def unmeasured(baseline: Baseline) -> Iterator[Effect]:
     name = next(each for each in ("disturbance", "disturbance_2") if each not in taken)
     for x in model.coordinates:
         larger = replace(model, inputs=(*model.inputs, Input(name, "force", {x: 1.0})))
-        text = f"a force at {x} that no channel measures explains the residuals"
+        text = f"an unmeasured force at {x} explains the residuals"
         phrase = Phrase(text, f'measure it, or add [inputs] {name} = {{ kind = "force", at = "{x}" }}')
         yield Effect("input", (x,), partial(_pushed, larger), partial(said, phrase), share=1 / model.n)
 
@@ -311,10 +311,8 @@ def residual(baseline: Baseline) -> Iterator[Effect]:
                 rms = float(np.sqrt(np.mean(np.abs(problem.omega**order * problem.y[:, source]) ** 2)))
                 if rms > 0 and size > 0:
                     names = channels[c].name, channels[source].name
-                    text = f"modes outside the band add a {word} to {names[0]}, driven by {names[1]}"
-                    change = (
-                        f"narrow the band, or model what is stiffer and heavier than the rig at {names[0]}"
-                    )
+                    text = f"modes outside the band add a {word} to the response of {names[0]} to {names[1]}"
+                    change = f"narrow the band, or model the stiffer and heavier parts at {names[0]}"
                     phrase = Phrase(text, change)
                     begun = tuple(share * size / rms for share in (-0.1, 0.1))
                     yield Effect(

@@ -56,14 +56,15 @@ def of_records(model: Model, theta: Real, covariance: Real, spectrum: Spectrum) 
     )
     if len(records) == len(spectrum.stretches) and longest * slowest < 1:
         text = (
-            f"the longest record, {longest:.4g} s, is shorter than one period of the slowest mode, "
-            f"{1 / slowest:.4g} s: its transient can hardly be separated from its motion"
+            f"the longest record ({longest:.4g} s) is shorter than one period of the slowest mode "
+            f"({1 / slowest:.4g} s), so its transient is poorly separated from the forced motion; "
+            "record for longer"
         )
         notices.append(Notice("short_record", text))
     notices += modes_outside(model, theta, covariance, frequency, spectrum)
     few = few_lines(model, spectrum)
     if few is not None:
-        notices.append(Notice("few_lines", f"{few}, hardly more; widen the band or record for longer"))
+        notices.append(Notice("few_lines", f"{few}: widen the band or record for longer"))
     return notices + unrelated_inputs(model, spectrum)
 
 
@@ -81,8 +82,8 @@ def modes_outside(
     if inside == len(moving) or not open_ones:
         return []
     text = (
-        f"the band from {low:.3g} to {high:.3g} Hz holds {inside} of the rig's {len(moving)} modes, which leaves "
-        f"{joined(open_ones)} open: widen the band to the others, or give values"
+        f"the band from {low:.3g} to {high:.3g} Hz contains {inside} of the rig's {len(moving)} modes, "
+        f"too few to determine {joined(open_ones)}: widen the band, or state values"
     )
     return [Notice("modes_outside", text, tuple(open_ones))]
 
@@ -100,7 +101,7 @@ def few_lines(model: Model, spectrum: Spectrum) -> str | None:
         return None
     whose = "records'" if len(records) > 1 else "record's"
     return (
-        f"the {lines} lines in the band carry {terms} terms of the {whose} ends beside the "
+        f"only {lines} frequency lines for {terms} transient terms of the {whose} ends and "
         f"{len(model.unknowns)} unknowns"
     )
 
@@ -126,8 +127,9 @@ def unrelated_inputs(model: Model, spectrum: Spectrum) -> list[Notice]:
     names = [channel.name for channel, given in zip(spectrum.channels, inputs, strict=True) if given]
     low, high = float(np.min(spectrum.frequency_hz)), float(np.max(spectrum.frequency_hz))
     text = (
-        f"from {low:.3g} to {high:.3g} Hz no channel moves with {joined(names)}: a dead sensor, another clock, no "
-        "drive in this band, or a free decay, where a resting input is ground"
+        f"no channel responds to {joined(names)} ({low:.3g} to {high:.3g} Hz), so the values mean "
+        "nothing: check the sensor, its clock and the band; for a free decay replace the input by "
+        '"ground"'
     )
     return [Notice("unrelated_inputs", text, tuple(names))]
 
@@ -226,9 +228,10 @@ def modes_unseen(data: Prepared, solution: Solution) -> tuple[Notice, ...]:
     if not names:
         return ()
     text = (
-        f"the free motion does not show the mode{'s' if len(unseen) > 1 else ''} found at "
-        f"{joined(f'{mode.frequency_hz:.4g}' for mode in unseen)} Hz above the noise, and {joined(names)} "
-        f"{'rest' if len(names) > 1 else 'rests'} on {'them' if len(unseen) > 1 else 'it'}: intervals do not hold"
+        f"the free decay does not show the mode{'s' if len(unseen) > 1 else ''} at "
+        f"{joined(f'{mode.frequency_hz:.4g}' for mode in unseen)} Hz above the noise, and "
+        f"{joined(names)} depend{'s' if len(names) == 1 else ''} on "
+        f"{'them' if len(unseen) > 1 else 'it'}: the intervals cannot be trusted"
     )
     return (Notice(MODES_UNSEEN, text, names),)
 
@@ -280,7 +283,7 @@ def require_motion(model: Model, spectrum: Spectrum) -> None:
 
 def _nothing_moves(what: str, dead: Sequence[str]) -> IdentifiabilityError:
     return IdentifiabilityError(
-        f"{what}, for {joined(dead)} show{'s' if len(dead) == 1 else ''} no motion at any line",
+        f"{what}, because {joined(dead)} show{'s' if len(dead) == 1 else ''} no motion at any line",
         cure="check that the sensor is connected, or leave the channel out of the rig file",
     )
 
@@ -302,8 +305,8 @@ def duplicated_lines(spectrum: Spectrum) -> list[Notice]:
     if not more:
         return []
     text = (
-        f"{more} of {spectrum.lines} lines repeat another line to the last digit and are counted as independent "
-        "measurements; if the same data were given twice, the intervals are too small"
+        f"{more} of {spectrum.lines} lines repeat another line to the last digit but count as "
+        "independent measurements; if the same data were given twice, the intervals are too small"
     )
     return [Notice("duplicated_lines", text)]
 
@@ -326,8 +329,9 @@ def prior_conflict(
             continue
         alone = stated + apart**2 * sd**2 / (value - stated)
         text = (
-            f"{name} is stated as {stated:.4g} ± {sd:.2g}{'' if unit == '1' else f' {unit}'}, but the data alone give "
-            f"{alone:.4g}, {abs(apart):.2g} standard deviations away: the statement, the data or the model is wrong"
+            f"{name} is stated as {stated:.4g} ± {sd:.2g}{'' if unit == '1' else f' {unit}'}, but the "
+            f"data alone give {alone:.4g}, {abs(apart):.2g} standard deviations away: check the stated "
+            "value, the data and the model"
         )
         notices.append(Notice("prior_conflict", text, (name,)))
     return notices
@@ -348,8 +352,8 @@ def reversed_phase(model: Model, theta: Real, noise_covariance: Real) -> list[No
     if np.all(beyond) and len(beyond) > len(dampers):  # what drives masses and springs counts backwards
         return []
     text = (
-        "all unknown dampers are negative: the phases may have the opposite sign; dashpot reads amplitudes as "
-        "x(t) = Re(X e^{jωt}), for data of the other convention change the sign of the imaginary parts"
+        "all unknown dampers came out negative: the phases may have the opposite sign; dashpot uses "
+        "x(t) = Re(X e^{jωt}), so for data with e^(−jωt) change the sign of the imaginary parts"
     )
     return [Notice("reversed_phase", text, tuple(model.unknowns[j].name for j in dampers))]
 
@@ -362,22 +366,22 @@ def of_estimate(model: Model, theta: Real, covariance: Real, noise: Real, fit: F
     notices = list[Notice]()
     if not fit.known_noise:
         text = (
-            "the noise of the amplitudes is not given: equal relative noise is assumed and its size taken from the "
-            "residuals"
+            "the noise is not given: it is assumed proportional to each amplitude and its size is "
+            "estimated from the residuals"
         )
         notices.append(Notice("unknown_noise", text))
     elif bool(fit.rejected):
         text = (
-            f"the model does not fit: residuals are {float(fit.misfit):.3g} times the sensors' noise "
-            f"(χ² {float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by that "
-            "factor, further where parts of the band disagree more"
+            f"the model does not fit: residuals are {float(fit.misfit):.3g} times the sensor noise (χ² "
+            f"{float(fit.chi2):.4g} with {fit.dof} degrees of freedom); intervals are widened by at "
+            "least that factor"
         )
         notices.append(Notice("model_misfit", text))
     notices += wrong_signs(model, theta, noise)
     lower, upper = model.bounds
     for name, value, low, high in zip(model.unknown_names, theta, lower, upper, strict=False):
         if value < low or value > high:
-            text = f"{name} lies beyond its bounds; of all methods only ml keeps to them"
+            text = f"{name} is outside its bounds; only the method ml enforces bounds"
             notices.append(Notice("beyond_bound", text, (name,)))
     return notices + reversed_phase(model, theta, noise)
 
@@ -387,7 +391,10 @@ def of_data(model: Model, spectrum: Spectrum) -> list[Notice]:
     notices, coloured = list[Notice](), spectrum.noise.count("blocks")
     # The tests of whiteness failed at more lines than the 5 % of white noise explain.
     if coloured and not bdtrc(coloured - 1, spectrum.lines, 0.05) > 0.05 * (1 + 1e-9):
-        text = f"coloured noise at {coloured} of {spectrum.lines} frequencies; the intervals include it"
+        text = (
+            f"the noise is not white at {coloured} of {spectrum.lines} frequencies; it was measured "
+            "next to each, and the intervals account for it"
+        )
         notices.append(Notice("coloured_noise", text))
     # Inputs that some lines measure and others leave empty are unknown there, which costs precision.
     for name in () if spectrum.complete else (*model.displacement_inputs, *model.force_inputs):
@@ -395,8 +402,8 @@ def of_data(model: Model, spectrum: Spectrum) -> list[Notice]:
         at = np.any(spectrum.present[:, direct], axis=-1)
         if np.any(at) and not np.all(at):
             text = (
-                f"the input {name} is not measured at {np.sum(~at)} of {len(at)} lines and is unknown there, which "
-                "widens the intervals; if it was at rest, write 0"
+                f"the input {name} is not measured at {np.sum(~at)} of {len(at)} lines; it is treated "
+                "as unknown there, which widens the intervals. If it was at rest, enter 0"
             )
             notices.append(Notice("input_not_measured", text, (name,)))
     return notices + duplicated_lines(spectrum)
@@ -434,10 +441,10 @@ def wrong_signs(model: Model, theta: Real, noise_covariance: Real) -> list[Notic
     for j, (unknown, value) in enumerate(zip(model.unknowns, theta, strict=False)):
         if value < 0 and unknown.name not in free and unknown.name not in any_sign:
             within = value > -ZERO * sd[j]
-            why = "0 is within its interval" if within else "the model or the data are wrong somewhere"
+            why = "consistent with zero" if within else "the model or the data are wrong"
             if within and -value > (of_kind.get(unknown.name) or np.inf):
-                why = f"the data say next to nothing about it (± {sd[j]:.2g} {unknown.unit})"
-            text = f"{unknown.name} is negative ({value:.4g} {unknown.unit}): {why}"
+                why = f"the data hardly determine it (± {sd[j]:.2g} {unknown.unit})"
+            text = f"{unknown.name} came out negative ({value:.4g} {unknown.unit}): {why}"
             notices.append(Notice("negative_but_zero" if within else "negative", text, (unknown.name,)))
     if not free:
         return notices
@@ -446,8 +453,8 @@ def wrong_signs(model: Model, theta: Real, noise_covariance: Real) -> list[Notic
         values = np.linalg.eigvalsh(getattr(parts, letter))
         if values[0] < -1e-9 * values[-1]:
             text = (
-                f"{letter} is not positive definite (eigenvalues from {values[0]:.3g} to {values[-1]:.3g}); "
-                "the method oiv+ finds the most likely matrices that are"
+                f"{letter} is not positive definite (eigenvalues {values[0]:.3g} to {values[-1]:.3g}); "
+                "--method oiv+ finds the most likely matrices that are"
             )
             notices.append(Notice("not_definite", text, (letter,)))
     return notices
@@ -458,7 +465,9 @@ def held(names: tuple[str, ...], theta: Real, bounds: HeldBounds) -> list[Notice
     at = (theta <= bounds.lower) | (theta >= bounds.upper)
     return [
         Notice(
-            "at_bound", f"{name} is at its bound; without the bound {float(free):.4g} would fit best", (name,)
+            "at_bound",
+            f"{name} is at its bound; without the bound the best fit is {float(free):.4g}",
+            (name,),
         )
         for name, bound, free in zip(names, at, bounds.free[0], strict=True)
         if bound
@@ -477,8 +486,8 @@ def bias(names: tuple[str, ...], theta: Real, best: Real, covariance: Real, meth
     if not away[worst] > 3.0:
         return []
     text = (
-        f"{method.name} is biased by the noise of these data: {names[worst]} lies {away[worst]:.3g} standard "
-        "deviations from the maximum-likelihood value, which oiv gives"
+        f"{method.name} is biased by noise in these data: {names[worst]} is {away[worst]:.3g} standard "
+        "deviations from the maximum-likelihood value; use oiv"
     )
     return [Notice("biased", text, (names[worst],))]
 
@@ -508,7 +517,9 @@ def require_determined(
     traces()
     raise IdentifiabilityError(
         what,
-        cure="give an unknown a value, add frequencies, or ask `dashpot check` which combinations can be found",
+        cure=(
+            "state a value, add frequencies, or run `dashpot check` to see which combinations can be found"
+        ),
     )
 
 
@@ -533,10 +544,12 @@ def require_traces(model: Model, names: Sequence[str], information: Real, least:
     silent = [name for name, told in zip(names, diagonal, strict=False) if told == 0 and name in nonlinear]
     if silent:
         raise IdentifiabilityError(
-            f"{joined(silent)} leave{'s' if len(silent) == 1 else ''} no trace: the element never moves far "
-            "enough for its law to show",
-            cure=f"drive the rig further, give {'it' if len(silent) == 1 else 'them'} a value, or leave the "
-            "element out",
+            f"the data contain no information on {joined(silent)}: the element never moves far enough "
+            "for its law to show",
+            cure=(
+                f"increase the drive, state a value for {'it' if len(silent) == 1 else 'them'}, or "
+                "remove the element"
+            ),
         )
     scale = np.where(diagonal > 0, np.sqrt(diagonal), 1.0)
     scaled = information / np.outer(scale, scale) + np.diag(1.0 * (diagonal == 0))
@@ -551,7 +564,8 @@ def require_traces(model: Model, names: Sequence[str], information: Real, least:
     together = [name for i, name in enumerate(names) if i in kept]
     if len(together) > 1:
         raise IdentifiabilityError(
-            f"the data do not tell {joined(together)} apart: they can change together without a trace",
+            f"the data cannot separate {joined(together)}: changing them together leaves the response "
+            "unchanged",
             cure=f"{with_values(together)}, or leave one out",
         )
 
@@ -575,18 +589,20 @@ def unseen_laws(model: Model, theta: Real, covariance: Real) -> list[Notice]:
             constants = [f"{name}.{c}" for c in law.constant_names if c in law.positive]
             rough = [c for c in constants if c in values and abs(values[c]) <= ZERO * sd[c]]
             if rough:
-                its, are = ("its interval", "is") if len(rough) == 1 else ("their intervals", "are")
+                its, are = (
+                    ("its interval includes", "is") if len(rough) == 1 else ("their intervals include", "are")
+                )
                 text = (
-                    f"the data hardly show {joined(rough)}: 0 is within {its}, which {are} rough then, as are those of "
-                    f"{name} and of what else its law holds; drive the rig further, or give a value"
+                    f"{joined(rough)} {are} poorly determined: {its} 0; intervals of {name} and its "
+                    "other constants are approximate: increase the drive, or state a value"
                 )
                 notices.append(Notice("constant_hardly_seen", text, tuple(rough)))
             continue
         inner = [f"{name}.{constant.name}" for constant in law.constants if constant.unknown]
-        then = f", and {joined(inner)} mean{'s' if len(inner) == 1 else ''} nothing then" if inner else ""
+        then = f", so {joined(inner)} mean{'s' if len(inner) == 1 else ''} nothing" if inner else ""
         text = (
-            f"the data do not show {name}: 0 is within its interval{then}; drive the rig further, "
-            "or leave the element out"
+            f"the data do not show {name}: its interval includes 0{then}; increase the drive, or remove "
+            "the element"
         )
         notices.append(Notice(UNSEEN_LAW, text, (name,)))
     return notices

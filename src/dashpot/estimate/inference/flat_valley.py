@@ -102,7 +102,7 @@ def require_end(valley: Valley, names: Sequence[str], units: Sequence[str], psi:
     ranges = ", ".join(f"{names[j]} from {low[j]:.3g} to {valley.high[j]:.3g} {units[j]}" for j in moving[:3])
     together = [name for j, name in enumerate(names) if j in moving]
     raise IdentifiabilityError(
-        f"the data do not tell {joined(together)} apart: χ² is as low all the way along {ranges}",
+        f"{joined(together)} cannot be determined: the fit is equally good for {ranges}",
         cure=f"{with_values(together)}, or add a sensor at another point",
     )
 

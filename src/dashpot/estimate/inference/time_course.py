@@ -402,23 +402,26 @@ def change_in_words(change: TimeChange, records: int) -> str:
     record = f" in record {change.record + 1}" if records > 1 else ""
     where = f"{change.time_s:.4g} s{record}"
     if change.kind == "block":
-        return f"the residuals jump near {where} and decay again"
+        return f"the residuals rise abruptly near {where} and die away again"
     names = joined(change.channels)
     if change.kind == "gain":
-        when = f"at the end as at the start{record}" if change.gradual else f"after {where} as before"
-        return f"{names} reads {change.size:.3g} × as much {when}"
+        when = f"from start to end{record}" if change.gradual else f"after {where}"
+        return f"the gain of {names} changes by a factor of {change.size:.3g} {when}"
     if change.kind == "clock":
         word = "later" if change.size > 0 else "earlier"
         when = f"at the end than at the start{record}" if change.gradual else f"after {where} than before"
         return f"{names} is {1e3 * abs(change.size):.3g} ms {word} {when}"
     several = len(change.channels) > 1
     again = f" and at {change.times - 1} more times" if change.times > 1 else ""
-    return f"{names} jump{'' if several else 's'} off the prediction at {where} ({change.size:.0f} sd){again}"
+    return (
+        f"{names} depart{'' if several else 's'} abruptly from the prediction at {where} "
+        f"({change.size:.0f} standard deviations){again}"
+    )
 
 
 def change_notice(change: TimeChange, records: int, more: int = 0) -> Notice:
     """The change as a warning of the estimate; of how many records it is one, and in how many more it is alike."""
-    again = f", and likewise in {more} more record{'s' if more > 1 else ''}" if more else ""
+    again = f", and the same in {more} more record{'s' if more > 1 else ''}" if more else ""
     said = change_in_words(change, records) + again, change.channels
     if change.kind in ("gain", "clock"):
         return Notice(GAIN_STEP, *said) if change.kind == "gain" else Notice(CLOCK_STEP, *said)
@@ -499,7 +502,7 @@ class NoiseInTime:
         """What is to be said of it."""
         return Notice(
             UNEVEN,
-            f"residuals change in time: at their loudest they have {np.max(self.power):.2g} times their mean power",
+            f"the noise varies in time: at its loudest, its power is {np.max(self.power):.2g} times the mean",
         )
 
     def _more(self, weight: Real) -> Real:
@@ -711,8 +714,8 @@ class BandStability:
         most = np.argsort(-self.apart[0])[:2]
         moves = joined(f"{names[int(j)]} by {self.apart[0, j]:.2g}" for j in most)
         text = (
-            "parts of the band disagree (leaving out a sixth of it moves "
-            f"{moves} standard deviations of the noise)"
+            "parts of the band disagree: leaving out one sixth of it changes the values by up to "
+            f"{moves} standard deviations of the noise"
         )
         return [Notice(DISAGREE, text, tuple(names[int(j)] for j in most))]
 

@@ -381,8 +381,8 @@ def _require_lines(
     worst = int(np.argmax(equations))
     value, lines = records[worst]
     raise DataError(
-        f"a record of {value.duration_s:.4g} s has {len(lines)} lines in the band, {equations[worst]} real equations "
-        f"for {columns[worst]} boundary loads and polynomials of its two ends",
+        f"a record of {value.duration_s:.4g} s has only {len(lines)} lines in the band: "
+        f"{equations[worst]} real equations for {columns[worst]} start and end transient terms",
         cure="widen the band, or record for longer",
     )
 

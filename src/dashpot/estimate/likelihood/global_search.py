@@ -421,7 +421,7 @@ def from_minima(
     for rows, end in ends:
         alike = end.converged & (end.cost - best.cost[rows] <= DOUBT * scale)
         rival[rows] |= alike & np.any(np.abs(end.x - best.x[rows]) > 3 * sd[rows], axis=-1)
-    text = f"not unique in {np.sum(rival)} of {repeats} repeats: there another minimum fits nearly as well"
+    text = f"not unique in {np.sum(rival)} of {repeats} repeats: another minimum fits nearly as well there"
     return best, sign, (Notice("not_unique", text),) if np.any(rival) else ()
 
 
@@ -482,7 +482,7 @@ def not_unique(
     other: Real,
     above: float,
     more: int = 0,
-    cure: str = "add a sensor at another point, fix a parameter or give a guess",
+    cure: str = "add a sensor at another point, state a value, or give an initial guess",
 ) -> Notice:
     """The notice that another minimum, whose χ² lies `above` that of `psi`, fits alike, and so many more; both (M,)."""
     change = np.abs(other - psi) / np.maximum(np.maximum(np.abs(psi), np.abs(other)), 1e-300)
@@ -491,7 +491,7 @@ def not_unique(
     values = ", ".join(f"{names[j]} = {other[j]:.4g} {units[j]}" for j in largest)
     worse = f"almost as well (χ² is {above:.3g} larger)" if above > TIE else "equally well"
     worse = f"better (χ² is {-above:.3g} smaller)" if above < -TIE else worse
-    many = f" ({more} more set{'' if more == 1 else 's'} of values likewise)" if more else ""
+    many = f" ({more} further set{'' if more == 1 else 's'} of values likewise)" if more else ""
     text = f"not unique: {values} fits {worse}{many}; {cure}"
     return Notice("not_unique", text, tuple(names[j] for j in largest))
 
@@ -588,7 +588,9 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
         before = minima.cost[0] if len(minima.cost) else np.inf
         minima = minima.with_ends(psi, sign, costs)
         if not len(minima.cost):
-            raise ConvergenceError("no start leads to a minimum", cure="give guesses of the unknowns")
+            raise ConvergenceError(
+                "the search converged from no initial guess", cure="give initial guesses of the unknowns"
+            )
         lowest = minima.cost[0]
         # Far from any fit a lower end counts only where it is another one, not the same creeping on.
         least = 0.1 * lowest if lowest > FAR * acceptable else 1e-3 * max(1.0, lowest / one.exact.rows)

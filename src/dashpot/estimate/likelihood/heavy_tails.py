@@ -130,8 +130,8 @@ def with_heavy_tails(model: Model, spectrum: Spectrum, method: Method) -> tuple[
     notes = [
         Notice(
             "heavy_tails",
-            f"the noise of {name} has the tails of Student's distribution with {freedom:.2g} degrees of freedom: large "
-            "errors count for less",
+            f"the noise of {name} has heavy tails (Student's t, {freedom:.2g} degrees of freedom): "
+            "large errors are given less weight",
             (name,),
         )
         for name, freedom in names.items()

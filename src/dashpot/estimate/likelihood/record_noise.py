@@ -160,8 +160,8 @@ def noise_counted(model: Model, spectrum: Spectrum, covariance: Complex) -> tupl
     if counted:
         sizes = joined(text for _, text in counted)
         text = (
-            f"noise counted for the inputs, of the rms of each: {sizes}, as far as records in motion tell it from that "
-            "of the outputs; one at rest would settle it"
+            f"input noise assumed in the fit (share of each input's rms): {sizes}; it was inferred from "
+            "the driven records: record the rig at rest to measure it"
         )
         notices.append(Notice(INPUT_NOISE, text, tuple(name for name, _ in counted)))
     return (*notices, *counted_as_exact(exact))
@@ -171,8 +171,8 @@ def counted_as_exact(names: Sequence[str]) -> tuple[Notice, ...]:
     """That inputs, if any, show no noise that matters."""
     if not names:
         return ()
-    count = "which counts" if len(names) == 1 else "which count"
-    text = f"no noise shows in {joined(names)}, {count} as exact; a record at rest would tell"
+    count = "so it is" if len(names) == 1 else "so they are"
+    text = f"no noise detected in {joined(names)}, {count} treated as exact; record the rig at rest to check"
     return (Notice(INPUT_NOISE, text, tuple(names)),)
 
 
@@ -267,10 +267,12 @@ def noise_from_residuals(
         share = float(np.median(_left(residual, exact)))
         if not model.inputs and share > UNEXPLAINED_MOST:
             raise DataError(
-                f"no free decay explains the motion ({100 * share:.0f} % of its power is left over): something drives "
-                "the rig that was not recorded",
-                cure="record what drives it, a force or the motion of the base, and name it as an input; a response "
-                "alone gives modes, not masses, dampers and springs",
+                f"this is no free decay: {100 * share:.0f} % of the power is unexplained, so something "
+                "drives the rig that was not recorded",
+                cure=(
+                    "record what drives it (a force or the base motion) and declare it as an input; "
+                    "the response alone gives modes, not masses, dampers and springs"
+                ),
             )
         used = (columns + len(view.names)) / (2 * np.sum(sought) * max(np.sum(outputs), 1))
         power, inputs = _own_power(likelihood, sought, residual, inputs, psi, sign)

@@ -55,9 +55,12 @@ def with_settling_decided(model: Model, spectrum: Spectrum, method: Method | Non
     dwells = "one dwell is" if count == 1 else f"{count} dwells are"
     others = tuple(note for note in spectrum.notes if note.code != "transient_undetectable")
     if p > LEVEL:
-        text = f"{dwells} too short to show a transient alone; all together show none (p = {p:.2g})"
+        text = f"{dwells} too short to show a transient individually; together they show none (p = {p:.2g})"
         return replace(as_settled, notes=(*others, Notice("settled_by_evidence", text)))
-    text = f"{dwells} not settled (p = {p:.2g}): all samples are used, the transients at both ends being estimated"
+    text = (
+        f"{dwells} not settled (p = {p:.2g}): all samples are used, and start and end transients are "
+        "estimated"
+    )
     return replace(whole, notes=(*others, Notice("dwells_with_transients", text)))
 
 
@@ -86,7 +89,7 @@ class _Fit:
         if not np.isfinite(fewer.cost):
             return 0.0
         if more < 1 or self.free < 1 or not np.isfinite(self.cost):
-            raise DataError("the boundary loads of the dwells cannot be tested")
+            raise DataError("the dwells cannot be tested for transients")
         return float(
             fdtrc(more, self.free, max(fewer.cost - self.cost, 0.0) / more / (self.cost / self.free))
         )

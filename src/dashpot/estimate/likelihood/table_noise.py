@@ -57,7 +57,7 @@ def with_table_noise(model: Model, spectrum: Spectrum, method: Method) -> Spectr
     if len(fitted) < len(each):
         return spectrum
     V = np.concatenate(fitted)
-    text = "no noise is given: its course over the lines is found for each channel from the residuals"
+    text = "no noise given: it is estimated from the residuals, per channel, as a function of frequency"
     return replace(
         spectrum,
         covariance=V.reshape(*spectrum.batch, *V.shape[1:]),

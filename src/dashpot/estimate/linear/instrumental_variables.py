@@ -251,10 +251,10 @@ def matrices_of(model: Model, estimate: Estimate) -> FreeMatrices:
     names = model.unknown_names
     m = len(names)
     if estimate.names[:m] != names:
-        raise ModelError("the estimate is of another model", cure="give the model that was identified")
+        raise ModelError("the estimate belongs to another model", cure="give the model that was identified")
     if len(model.by_matrix["H"]):
         raise ModelError(
-            "hysteretic dampers have no place in M, C or K", cure="take them out, or use dampers"
+            "hysteretic dampers do not fit into M, C or K", cure="remove them, or use viscous dampers"
         )
     p = model.parameters(estimate.values[..., :m])
     B = model.B

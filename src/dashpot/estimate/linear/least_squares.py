@@ -152,12 +152,12 @@ def sums_with_samples(observed: Sampled) -> tuple[Real, Real]:
     """N and r of (G) over samples with w = a: the paper's least squares (eq. 17, Q = I)."""
     if observed.moments is None:
         raise UsageError(
-            "ls is least squares on samples, as in the paper, and these data are amplitudes",
-            cure="give the records themselves, or use hls, least squares on amplitudes",
+            "ls is least squares on samples, as in the paper; these data are amplitudes",
+            cure="give the time records, or use hls (least squares on amplitudes)",
         )
     if observed.coefficients is None:
         raise DataError(
-            "ls reads dampers from velocity channels, and some velocity is not measured",
+            "ls needs the velocity of every coordinate, and some velocity is not measured",
             cure="add the velocity channels, or use hls, which works on amplitudes",
         )
     moments, coefficients = observed.moments, observed.coefficients

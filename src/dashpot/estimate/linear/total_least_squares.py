@@ -76,11 +76,11 @@ class TotalLeastSquares(Method):
             covariance = _covariance(data, sums, theta, size, total=True)
         warnings = tuple[Notice, ...]()
         if not np.all(converged):
-            text = "the noise factor did not converge: the noise hides at least one unknown"
+            text = "the noise factor did not converge: at least one unknown is hidden in the noise"
             warnings = (Notice("noise_factor_diverged", text),)
         # As close as this to the noise that makes least squares singular, the answer is worth nothing.
         elif np.any(size > 0.95 * sums.largest()):
-            text = "do not trust tls here: the noise almost hides a combination of unknowns"
+            text = "do not rely on tls here: one combination of unknowns is almost hidden in the noise"
             warnings = (Notice("noise_near_singular", text),)
         return Solution(theta, covariance, converged, iterations, np.array(history), warnings=warnings)
 

@@ -101,7 +101,7 @@ def dwells_of(model: Model, spectrum: Spectrum) -> DwellLines:
     """
     if any(isinstance(shared, WholeRecord) for shared in spectrum.stretches):
         raise DataError(
-            "a nonlinear element needs the samples of a whole record, not its lines",
+            "a nonlinear element needs the samples of a continuous record, not its frequency lines",
             cure="give the record itself, or settled dwells with their harmonics",
         )
     groups: dict[tuple[int, int], int] = {}
@@ -119,7 +119,7 @@ def dwells_of(model: Model, spectrum: Spectrum) -> DwellLines:
         multiple = 1 if base is None else frequency / base
         if abs(multiple - round(multiple)) > 1e-6 * max(multiple, 1) or round(multiple) < 1:
             raise DataError(
-                f"{frequency:g} Hz is not a multiple of the {base:g} Hz of its dwell",
+                f"{frequency:g} Hz is not a multiple of {base:g} Hz, the drive frequency of its dwell",
                 cure="give each dwell its own frequency",
             )
         dwell.append(groups[key])
@@ -303,7 +303,7 @@ def nonlinear_part(data: Prepared, y: Complex, q: Complex | None) -> NonlinearPa
         if np.any(np.linalg.matrix_rank(C) < C.shape[-1]):
             raise DataError(
                 "an input of a rig with nonlinear elements is not measured at every line",
-                cure="give its channel, with its calibration; where it was at rest, write 0",
+                cure="add its channel, with a known calibration; where it was at rest, enter 0",
             )
         q = np.einsum("lqc,klc->klq", np.linalg.pinv(C), y * alone)
     start = None if data.states is None else measured_elongations(data.model, dwells, data.states)

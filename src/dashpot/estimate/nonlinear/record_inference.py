@@ -104,7 +104,9 @@ def followed_record(model: Model, estimate: Estimate, record: Record) -> Followe
             if not np.isfinite(least):
                 source = problem.records[0].source
                 raise DataError(
-                    "the motion cannot be followed", source, "check that it is a record of this rig"
+                    "the simulation does not follow the measured motion",
+                    source,
+                    "check that the record belongs to this rig",
                 )
             step = step / 4
             continue
@@ -171,21 +173,21 @@ class FittedRecords:
         wider = float(np.median(np.sqrt(np.diagonal(covariance) / np.diagonal(bound))))
         if wider > 1.5:  # a smaller ratio is not worth a warning
             text = (
-                f"the residuals are coloured: intervals are {wider:.2g} times those of white noise; "
-                "the model or the measured input lacks something"
+                f"the residuals are coloured: intervals are {wider:.2g} times those for white noise; "
+                "something is unmodelled, or the measured input is incomplete"
             )
             warnings.append(Notice("coloured_residuals", text))
         warnings += unseen_laws(model, values, covariance)
         if self.held:
             text = (
-                "the motion depends too much on its inputs for their noise to be counted: they count as exact, so "
-                "noise in them biases the values and is not in the intervals"
+                "the response is too sensitive to the inputs to model their noise: they are treated as "
+                "exact; input noise may bias the values and is not in the intervals"
             )
             warnings.append(Notice("exact_inputs", text, tuple(source.name for source in model.inputs)))
         warnings += of_bounds(names, values, bounds)
         if problem.pieces > 1:
-            cut = "the motion depends too much on its start to be followed whole"
-            warnings.append(Notice(CUT_RECORD, f"{cut}: cut into {problem.pieces} pieces"))
+            cut = "the response is too sensitive to its initial state for one simulation"
+            warnings.append(Notice(CUT_RECORD, f"{cut}: the record was split into {problem.pieces} segments"))
         rms = ", ".join(f"{n} {s:.3g}" for n, s in zip(problem.records[0].names, problem.sd, strict=True))
         about = [] if self.held else counted_as_exact([source.name for source in model.inputs])
         return estimate_of(
@@ -205,7 +207,7 @@ class FittedRecords:
             bounds=bounds,
             warnings=warnings,
             notes=[
-                Notice("record_residuals", f"residuals of the whole records, rms in SI units: {rms}"),
+                Notice("record_residuals", f"residuals of the continuous records, rms in SI units: {rms}"),
                 *(about if noise is None else _input_notes(problem, noise)),
             ],
         )
@@ -241,7 +243,7 @@ def record_covariances(
     linear = all_linearised(problem, psi)
     if not linear:
         raise DataError(
-            "no motion follows from the start", cure="give guesses of the unknowns nearer to the truth"
+            "the simulation fails with the initial guesses", cure="give guesses closer to the true values"
         )
     prior, tiny = problem.priors()[0], np.finfo(float).tiny
     dof = max(total_samples(problem.records) - len(psi), 1)
@@ -292,15 +294,18 @@ def _input_notes(problem: RecordProblem, noise: InputSizes) -> list[Notice]:
     sources = [*problem.model.displacement_inputs, *problem.model.force_inputs]
     sd = np.sqrt(noise.variance)
     groups = (
-        (noise.at_rest & (sd > 0), "as the record at rest shows"),
-        (noise.from_spectrum, "as the quiet part of its record or spectrum shows"),
-        (~noise.from_spectrum & (sd > 0) & (not noise.at_rest), "as the residuals of the outputs show"),
+        (noise.at_rest & (sd > 0), "from the at-rest record"),
+        (noise.from_spectrum, "from the quiet part of the record or spectrum"),
+        (~noise.from_spectrum & (sd > 0) & (not noise.at_rest), "from the residuals of the outputs"),
     )
     notices = []
     for chosen, how in groups:
         names = [source for source, there in zip(sources, chosen, strict=True) if there]
         if names:
             sizes = ", ".join(f"{n} {s:.3g}" for n, s in zip(names, sd[chosen], strict=True))
-            text = f"noise of the inputs, sd in SI units: {sizes}, {how}; their true values are estimated too"
+            text = (
+                f"input noise, standard deviation in SI units: {sizes}, {how}; the true inputs are "
+                "estimated too"
+            )
             notices.append(Notice("input_noise", text, tuple(names)))
     return notices

@@ -703,8 +703,9 @@ def enough_substeps(model: Model, theta: Real, step_s: float, motion: tuple[Real
     steps = fastest * step_s / 0.8  # of a step times the fastest rate
     if not steps <= 1000:
         raise ConvergenceError(
-            f"the rig would move at {fastest:.3g} rad/s, far too fast for {1 / step_s:.3g} samples a second",
-            cure="check its values, and give guesses of the unknowns",
+            f"the rig would move at {fastest:.3g} rad/s, far too fast for {1 / step_s:.3g} samples per "
+            "second",
+            cure="check its values, and give initial guesses of the unknowns",
         )
     rough = any(e.force_law is not None and not e.force_law.smooth for e in model.elements)
     return max(1, int(np.ceil(steps))) * (2 if rough else 1)

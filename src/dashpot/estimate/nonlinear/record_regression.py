@@ -199,7 +199,9 @@ def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
     require_traces(model, names, information, 1e-6**2)
     if not np.all(np.isfinite(p)):
         raise DataError(
-            "the motion does not determine the unknowns", records[0].source, "give guesses in the rig file"
+            "the motion does not determine the unknowns",
+            records[0].source,
+            "give initial guesses in the rig file",
         )
     return theta_of(model, constants, p)
 
@@ -224,8 +226,8 @@ def _equations(model: Model, record: RecordData, open_names: Sequence[str]) -> W
     at = recorded_motion(model, record)
     if at is None:
         raise DataError(
-            f"{', '.join(open_names)} {'has' if len(open_names) == 1 else 'have'} no guess, and not all coordinates are"
-            " measured as displacements",
+            f"{', '.join(open_names)} {'has' if len(open_names) == 1 else 'have'} no initial guess, and "
+            "not all coordinates are measured as displacements",
             cure="write guess = … for the unknowns in the rig file",
         )
     return weak_equations(weak_form(model, record, at))

@@ -102,7 +102,8 @@ def arranged(model: Model, record: Record) -> RecordData:
     still = [record.channels[i].name for i in outputs if not np.ptp(record.values[:, i]) > 0]
     if still:
         raise DataError(
-            f"{joined(still)} show{'s' if len(still) == 1 else ''} no motion: the samples are all one number",
+            f"{joined(still)} show{'s' if len(still) == 1 else ''} no motion: all samples have the same "
+            "value",
             record.source,
             "check that the sensor is connected, or leave the channel out of the rig file",
         )
@@ -196,8 +197,8 @@ def _input_channels(model: Model, record: Record) -> tuple[Real, tuple[int, ...]
         raise DataError(
             "an input of the rig is not measured",
             record.source,
-            "give every moved point a channel of displacement, velocity or acceleration, and every force one of force, "
-            "with a known gain",
+            "give every moving input a channel of displacement, velocity or acceleration, and every "
+            "force a force channel, with a known gain",
         )
     return weights, tuple(orders.tolist())
 
@@ -216,7 +217,7 @@ def noise_of_channels(model: Model, record: Record, still: Still) -> NoiseAtRest
     Raises DataError where it has other channels, or one of the outputs shows no noise.
     """
     if still.power.shape[1] != len(record.channels):
-        raise DataError("the record at rest has other channels", record.source, "record all of them at rest")
+        raise DataError("the at-rest record has other channels", record.source, "record all of them at rest")
     factor = _calibration(record)
     covariance = np.mean(still.power, axis=0).real / (4 * np.outer(factor, factor))  # power is 4 σ²
     outputs = [i for i, channel in enumerate(record.channels) if not measures_input(model, channel)]
@@ -224,7 +225,7 @@ def noise_of_channels(model: Model, record: Record, still: Still) -> NoiseAtRest
     if not np.all(sd > 0):
         name = record.channels[outputs[int(np.argmin(sd))]].name
         raise DataError(
-            f"the record at rest shows no noise of {name}", cure="record it with the sensor connected"
+            f"the at-rest record shows no noise of {name}", cure="record it with the sensor connected"
         )
     weights, orders = _input_channels(model, record)
     inputs = np.einsum("qc,cd,qd->q", weights, covariance, weights)
@@ -239,7 +240,7 @@ def uniform_step(record: Record) -> float:
         raise DataError(
             "the samples are not evenly spaced",
             record.source,
-            "resample the record, or cut it where the clock slips",
+            "resample the record, or split it where the clock slips",
         )
     return step
 
@@ -252,8 +253,8 @@ def _calibration(record: Record) -> Real:
     for channel in record.channels:
         if channel.delay is None or channel.delay != 0 or (channel.sign is None and channel.gain is not None):
             raise DataError(
-                f"channel {channel.name} has a delay or an unknown sign, which whole records of nonlinear rigs "
-                "cannot have",
+                f"channel {channel.name} has a delay or an unknown sign, which continuous records of "
+                "nonlinear rigs do not support",
                 record.source,
                 'shift the record, or write gain = "unknown" for the sign',
             )

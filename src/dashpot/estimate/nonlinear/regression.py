@@ -48,14 +48,14 @@ def require_finite_laws(model: Model, d: Real, v: Real) -> None:
         else:
             continue
         reach = [
-            f"{name} goes from {np.min(motion):.3g} to {np.max(motion):.3g}"
+            f"{name} runs from {np.min(motion):.3g} to {np.max(motion):.3g}"
             for name, motion in (("d", elongation), ("v", rate))
             if name in law.expression.names
         ]
         raise DataError(
             f"the law {law.text!r} of {model.elements[int(index)].name} {what} within the measured motion "
             f"({joined(reach)}, in SI units)",
-            cure="write one that is finite there",
+            cure="use a law that is finite there",
         )
 
 
@@ -97,7 +97,7 @@ def measured_motion(data: Prepared) -> MeasuredMotion:
     model, states = data.model, data.states
     if states is None:
         raise UsageError(
-            "some coordinate or input is not seen, which least squares on harmonics needs",
+            "some coordinate or input is not measured, which least squares on harmonics needs",
             cure="use the method ml",
         )
     dwells = dwells_of(model, data.spectrum)
@@ -176,8 +176,8 @@ def require_known_constants(model: Model) -> None:
     unknown = [f"{element.name}.{constant.name}" for element, constant in model.constants if constant.unknown]
     if unknown:
         raise UsageError(
-            f"least squares on harmonics cannot find {', '.join(unknown)}, which is inside a law",
-            cure="give it a value, or use the method ml",
+            f"least squares on harmonics cannot find {', '.join(unknown)}, a constant inside a law",
+            cure="state its value, or use the method ml",
         )
 
 
@@ -357,8 +357,8 @@ def require_direct(data: Prepared) -> None:
     for channel, direct in zip(data.spectrum.channels, data.view.is_direct, strict=True):
         if not direct:
             raise UsageError(
-                f"channel {channel.name} measures a force of elements, or its calibration is unknown, which the"
-                " equation of motion of a nonlinear rig cannot take",
+                f"channel {channel.name} measures a force in elements or has an unknown calibration, "
+                "which this method does not support for a nonlinear rig",
                 cure="use the method ml",
             )
     _ = data.seen_states

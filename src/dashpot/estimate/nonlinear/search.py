@@ -103,7 +103,7 @@ def _by_regression(data: Prepared) -> Real:
     require_traces(model, names, weighted_normal_equations(motion, trials[0][None], weight)[0][0])
     raise IdentifiabilityError(
         "the measured motion does not determine the unknowns",
-        cure="give guesses of the unknowns, or drive the rig at more frequencies and in more sizes",
+        cure="give initial guesses of the unknowns, or drive the rig at more frequencies and levels",
     )
 
 
@@ -367,7 +367,8 @@ def _ends(
             break
     if not ends:
         raise ConvergenceError(
-            "harmonic balance finds no response near the start", cure="give guesses of the unknowns"
+            "harmonic balance finds no response near the initial guesses",
+            cure="give other guesses of the unknowns",
         )
     return ends
 

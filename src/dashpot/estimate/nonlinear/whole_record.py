@@ -70,23 +70,24 @@ def fit_records(
     """
     if method not in (None, "ml"):
         raise UsageError(
-            f"the method {method} cannot handle whole records of nonlinear rigs", cure="use the method ml"
+            f"the method {method} cannot handle continuous records of nonlinear rigs",
+            cure="use the method ml",
         )
     model.require_unknowns()
     if not len(model.nonlinear):
         raise UsageError(
             "the rig has no nonlinear element",
-            cure="use `identify`, which knows whole records of linear rigs",
+            cure="use `identify`, which handles continuous records of linear rigs",
         )
     if slow := [law.text for law in model.laws if law.states > 1]:
         raise UsageError(
-            f"the law {slow[0]} is identified from settled dwells, and these are continuous records",
-            cure="give dwells, with frequency_hz, or take jenkins or bouc-wen in its place",
+            f"the law {slow[0]} can be identified from settled dwells only; these are continuous records",
+            cure="give dwells, with frequency_hz, or use jenkins or bouc-wen instead",
         )
     data = tuple(arranged(model, record) for record in records)
     if len({(record.names, record.bases.names, record.bases.orders) for record in data}) > 1:
         raise DataError(
-            "the records have different channels", cure="identify those of one set of channels together"
+            "the records have different channels", cure="identify records with the same channels together"
         )
     data = data if exact_inputs else steadied(model, data)
     problem, psi = _begun(model, data)

@@ -55,7 +55,7 @@ def test_all_methods_that_suit_and_why_others_do_not(dashpot: Command, data: Pat
     assert done.code == 0, done.err
     for method in ("hls", "wls", "tls", "cls", "iv", "oiv", "ml"):
         row(done, method)
-    assert "ls: reads dampers from velocity channels" in done.out
+    assert "ls: needs the velocity" in done.out
     assert "oiv+" not in done.out  # of use for free matrices, and slower
 
 

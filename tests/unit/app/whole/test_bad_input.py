@@ -147,8 +147,8 @@ def test_bad_usage(dashpot: Command, data: Path, case: str) -> None:
 
 
 OF_AN_ESTIMATE = {
-    "drawn on another rig": (["draw", "other.toml", "-o", "o.svg", "--estimate", "e.json"], "is of another rig"),
-    "exported with another rig": (["export", "e.json", "--rig", "other.toml", "-o", "o.mat"], "is of another rig"),
+    "drawn on another rig": (["draw", "other.toml", "-o", "o.svg", "--estimate", "e.json"], "another rig"),
+    "exported with another rig": (["export", "e.json", "--rig", "other.toml", "-o", "o.mat"], "another rig"),
     "taken for data": (["identify", "rig.toml", "e.json"], "e.json: this is an estimate, not data"),
     "exported with data": (["export", "e.json", "data.csv", "-o", "o.json"], "no use for measured data"),
     "validated by nothing": (["validate", "e.json"], "no record to predict"),

@@ -64,7 +64,7 @@ def test_a_record_is_used_whole(dashpot: Command, rig: str) -> None:
     assert away() < 3.7  # one in a thousand for five unknowns
     written = json.loads(Path("e.json").read_text(encoding="utf-8"))
     assert written["fit"]["verdict"] == "fits"
-    (exact,) = [note for note in written["notes"] if "no noise shows in u, which counts as exact" in note]
+    (exact,) = [note for note in written["notes"] if "no noise detected in u" in note]
     said = f"{exact[0].upper()}{exact[1:]}"
     assert f"{said}." in " ".join(done.out.split())
     assert said in " ".join(Path("e.html").read_text(encoding="utf-8").split())
@@ -119,7 +119,7 @@ def bad(dashpot: Command, rig: str, *arguments: str) -> str:
 def test_what_cannot_be_used_is_named(dashpot: Command, rig: str) -> None:
     recorded("run.csv", seed=7)
     assert "no line of the record lies between" in bad(dashpot, rig, "run.csv", "--band", "60:70")
-    assert "the method oiv works on settled lines" in bad(dashpot, rig, "run.csv", "--method", "oiv")
+    assert "oiv needs settled dwells" in bad(dashpot, rig, "run.csv", "--method", "oiv")
     rows = Path("run.csv").read_text(encoding="utf-8").splitlines()
     slipped = [rows[0]]
     for k, row in enumerate(rows[1:]):
@@ -213,7 +213,7 @@ def test_a_response_that_something_unseen_drives_is_no_free_decay(dashpot: Comma
     held = RIG.replace('u = { kind = "displacement" }\n', "").replace('u = { of = "u", unit = "mm" }\n', "")
     Path("held.toml").write_text(held.replace("[inputs]\n", "").replace('"u"', '"ground"'), encoding="utf-8")
     said = bad(dashpot, "held.toml", "ambient.csv")
-    assert "no free decay explains the motion" in said
+    assert "no free decay" in said
     assert "record what drives it" in said
 
 

@@ -14,7 +14,7 @@ def test_two_dwells_with_each_others_label_are_named_together() -> None:
     f[[8, 14]] = f[[14, 8]]
     first = diagnose(model, replace(spectrum, frequency_hz=f))[0]
     assert (first.kind, set(first.of)) == ("frequency", {f"{f[8]:g} Hz", f"{f[14]:g} Hz"})
-    assert first.text.endswith("are exchanged")
+    assert first.text.endswith("are swapped")
 
 
 def test_a_dwell_with_its_phases_the_other_way_says_so() -> None:

@@ -72,7 +72,7 @@ def test_an_identification_ends_at_once_with_the_line_to_write() -> None:
     with pytest.raises(DataError) as caught:
         identify(model, [times(data, "a1", -1.0)])
     contradiction, cause = caught.value.problems
-    assert "contradict each other" in contradiction.what
+    assert "inconsistent" in contradiction.what
     assert cause.what.startswith("a likely cause: a1 ")
     assert cause.cure is not None
     assert "sign = -1.0" in cause.cure

@@ -67,7 +67,7 @@ def test_a_gain_that_steps_is_no_slip(test_of_three: tuple[Model, Record]) -> No
     estimate = dashpot.identify(model, replace(record, values=values), diagnose=True)
     first = estimate.assessment.findings[0]
     assert (first.kind, first.of) == ("time", ("x2_dis",))
-    assert first.text.startswith("x2_dis reads 0.7 × as much after")
+    assert first.text.startswith("the gain of x2_dis changes by a factor of 0.7")
 
 
 def test_the_ends_of_acceleration_records_are_no_change_of_a_channel() -> None:

@@ -46,7 +46,7 @@ def test_a_channel_that_shows_nothing_is_named():
     once = measured()
     dead = np.array(once.amplitudes)
     dead[:, 1] = 0
-    with pytest.raises(IdentifiabilityError, match="for x2 shows no motion at any line"):
+    with pytest.raises(IdentifiabilityError, match="x2 shows no motion"):
         identify(two(full=True).model, replace(once, amplitudes=dead))
 
 
@@ -117,10 +117,10 @@ def test_only_moving_points_are_silent():
     assert dead_channels(two(full=True).model, once) == []
 
 
-@pytest.mark.parametrize(("c3", "words"), [(0.0, "0 is within its interval"), (-30.0, "wrong somewhere")])
+@pytest.mark.parametrize(("c3", "words"), [(0.0, "consistent with zero"), (-30.0, "are wrong")])
 def test_a_damper_below_zero_is_held_against_the_model_only_beyond_its_uncertainty(c3, words):
     """Seed 2: a damper that is truly 0 comes out negative by less than its uncertainty."""
     found = identify(two(full=True).model, measured(2, c3=c3))
     assert found["c3"].value < 0
-    (warning,) = told(found, "c3 is negative")
+    (warning,) = told(found, "c3 came out negative")
     assert words in warning

@@ -80,7 +80,9 @@ def test_damping_in_proportion_to_stiffness_leaves_a_valley_without_end(seed: in
     """
     model, theta = chain(2, 0.03, seed=17)
     spectrum = seen_from_above(model, theta, 0.05, seed)
-    with pytest.raises(IdentifiabilityError, match=r"m2, k1, k2, c1 and c2 apart.*m2 from 0 to 1\.[12]"):
+    with pytest.raises(
+        IdentifiabilityError, match=r"m2, k1, k2, c1 and c2 cannot be determined.*m2 from 0 to 1\.[12]"
+    ):
         identify(model, spectrum, start_at(theta))
 
 
@@ -101,7 +103,7 @@ def test_a_hammer_seen_at_one_of_three_unknown_masses_ends_in_names() -> None:
     noise = 0.03 * np.std(record.values[:, 0]) * np.random.default_rng(2).normal(size=len(record.values))
     record = replace(record, values=record.values + np.stack([noise, 0 * noise], axis=-1))
     spectrum = spectrum_of([record])
-    with pytest.raises(IdentifiabilityError, match=r"m1, m2, m3, k2, k3, c2 and c3 apart: χ² is as low"):
+    with pytest.raises(IdentifiabilityError, match=r"m1, m2, m3, k2, k3, c2 and c3 cannot be determined"):
         identify_with_noise(model, spectrum)
 
 

@@ -70,7 +70,7 @@ def test_narrow_bands_are_named() -> None:
     assert "few_lines" not in codes(noisy)
     T = len(noisy) * (TEST.record.time[1] - TEST.record.time[0])
     middle = round(6.0 * T) / T
-    with pytest.raises(IdentifiabilityError, match="5 lines in the band carry 6 terms") as refused:
+    with pytest.raises(IdentifiabilityError, match="5 frequency lines for 6") as refused:
         codes(noisy, (middle - 2.2 / T, middle + 2.2 / T))
     assert "widen the band" in str(refused.value)
 
@@ -85,7 +85,7 @@ def test_a_band_without_some_modes_is_named_where_that_leaves_unknowns_open() ->
         return modes_outside(model, theta, covariance, frequency, whole_record(record, band_hz=band))
 
     (notice,) = named((2.0, 6.0), np.diag(sd**2))
-    assert "1 of the rig's 3 modes, which leaves k3 open" in notice.text
+    assert "1 of the rig's 3 modes" in notice.text
     assert named((2.0, 30.0), np.diag(sd**2)) == []
     assert named((2.0, 6.0), np.diag((0.01 * theta) ** 2)) == []
 

@@ -58,7 +58,7 @@ def test_the_estimate_is_that_of_students_likelihood() -> None:
     model, _, data = table(1, 3.0, known=True)
     found = dashpot.identify(replace(model, distribution="student"), data, method="ml")
     freedom = [
-        float(note.text.partition("with ")[2].split()[0])
+        float(note.text.partition(" degrees")[0].split()[-1])
         for note in found.notes
         if note.code == "heavy_tails"
     ]

@@ -118,7 +118,7 @@ def test_one_call_does_it_all() -> None:
     away = (estimate.values - test.theta) / np.sqrt(np.diagonal(estimate.covariance))
     assert np.max(np.abs(away)) < 3.5
     assert np.max(np.abs(estimate.values / test.theta - 1)) < 0.05
-    with pytest.raises(UsageError, match="the method oiv works on settled lines"):
+    with pytest.raises(UsageError, match="oiv needs settled dwells"):
         identify(test.model, lines, "oiv")
 
 

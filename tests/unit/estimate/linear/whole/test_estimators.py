@@ -268,7 +268,7 @@ def test_what_cannot_be_done_is_refused() -> None:
     model = _rig()
     with pytest.raises(UsageError, match="every parameter"):
         identify(Model(("x1",), (Input("u"),), (between("k", Kind.SPRING, "x1", "u", value=1.0),)), spectrum)
-    with pytest.raises(DataError, match="no lines"):
+    with pytest.raises(DataError, match="no frequency lines"):
         identify(model, spectrum.select([]))
     half = Spectrum(
         CHANNELS[2:], HZ, spectrum.amplitudes[..., 2:], spectrum.covariance[:, 2:, 2:], spectrum.samples,
@@ -277,7 +277,7 @@ def test_what_cannot_be_done_is_refused() -> None:
     assert isinstance(automatic(model, half), MaximumLikelihood)
     assert isinstance(automatic(model, spectrum), OptimalIV)
     for method in (OptimalIV(), HarmonicLeastSquares(), WeightedLeastSquares(), InstrumentalVariables()):
-        with pytest.raises(DataError, match="no channel sees x1") as caught:
+        with pytest.raises(DataError, match="no channel measures x1") as caught:
             identify(model, half, method)
         assert "ml" in caught.value.problems[0].cure
     with pytest.raises(UsageError, match="hls"):
