@@ -73,5 +73,5 @@ def test_an_archive_of_very_many_arrays_is_refused_at_once(tmp_path: Path) -> No
     with zipfile.ZipFile(path, "w") as archive:
         for k in range(20_001):
             archive.writestr(f"c{k}.npy", b"")
-    with pytest.raises(DataError, match="there are 20001 arrays; give a file with fewer"):
+    with pytest.raises(DataError, match="there are 20001"):
         read(path, parse_rig(corpus.BASE).channels)

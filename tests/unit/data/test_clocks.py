@@ -50,7 +50,7 @@ def test_offset_and_drift_are_found_with_their_uncertainty():
 def test_a_single_sine_cannot_set_a_clock():
     rng = np.random.default_rng(5)
     reference, sensor = sensors(rng, lambda t: np.sin(2 * np.pi * t), 1.0, 0.0)
-    with pytest.raises(DataError, match="repeats itself too regularly"):
+    with pytest.raises(DataError, match="repeats itself too"):
         estimated_clock(reference, sensor, "test")
 
 

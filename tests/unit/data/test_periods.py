@@ -46,9 +46,9 @@ def test_noise_is_as_large_as_it_is():
     ("samples", "period", "orders", "what"),
     [
         (400, N * STEP, ODD, "shorter than its period"),
-        (N, N * STEP * 1.0007, ODD, "not a whole number of samples"),
+        (N, N * STEP * 1.0007, ODD, "not a whole"),
         (N, N * STEP, ODD[:9], "nothing shows the noise"),
-        (N, N * STEP, [1, 3, 300], "beyond half the sampling rate"),
+        (N, N * STEP, [1, 3, 300], "beyond half the sampling"),
     ],
 )
 def test_what_cannot_be_is_said(samples, period, orders, what):

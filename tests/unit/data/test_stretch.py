@@ -91,12 +91,12 @@ def test_a_table_that_contradicts_itself(tmp_path: Path) -> None:
     text = path.read_text().splitlines()
     text[4] = text[4].replace("10.0", "11.0")
     path.write_text("\n".join(text) + "\n")
-    with pytest.raises(DataError, match=r"record 2 is described differently at .*:5"):
+    with pytest.raises(DataError, match=r"record 2 is described"):
         read(path, mixed().channels)
 
 
 def test_refusals() -> None:
-    with pytest.raises(DataError, match="a line belongs to stretch 4 of 4"):
+    with pytest.raises(DataError, match="a line belongs"):
         replace(mixed(), stretch=np.array([0, 1, 1, 2, 2, 4]))
     with pytest.raises(DataError, match="must be positive"):
         WholeRecord(0.0, 10)

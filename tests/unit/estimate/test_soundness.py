@@ -40,7 +40,7 @@ def _drop(*path: Any) -> Callable[[dict[str, Any]], None]:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (_put("covariance", 0, 0, value=-1e-4), "the variance of m1 is negative"),
+        (_put("covariance", 0, 0, value=-1e-4), "the variance of m1"),
         (_put("covariance", 0, 1, value=1.0), "covariance: not symmetric"),
         (_put("parameters", "m1", "value", value=None), "m1: no value"),
         (_put("parameters", "m1", "value", value=10**400), "not a dashpot estimate"),
@@ -54,10 +54,10 @@ def _drop(*path: Any) -> Callable[[dict[str, Any]], None]:
         (_put("parameters", "m1", "bound_sd", value=-1.0), "m1: bound_sd is negative"),
         (_put("parameters", "m1", "min", value=5.0), None),
         (_put("parameters", value=[]), "not a dashpot estimate"),
-        (_put("rig", value={}), "a name, a unit or the rig is not text"),
-        (_put("intervals_count", value=None), "a name, a unit or the rig is not text"),
-        (_put("parameters", "m1", "value", value=1e308), "m1: 1e\\+308 is out of range"),
-        (_put("tied", value=[["k9", "k8", 2.0, "N/m"]]), "tied: k8 is not among the unknowns"),
+        (_put("rig", value={}), "a name, a unit"),
+        (_put("intervals_count", value=None), "a name, a unit"),
+        (_put("parameters", "m1", "value", value=1e308), "m1: 1e\\+308"),
+        (_put("tied", value=[["k9", "k8", 2.0, "N/m"]]), "tied: k8"),
         (_put("stated", value=[["k8", 2.0, 0.1]]), "stated: k8"),
         (_put("stated", value=[["k1", 2.0, 0.0]]), "stated: k1"),
     ],

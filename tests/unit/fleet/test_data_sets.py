@@ -23,7 +23,7 @@ def test_patterns_in_natural_order(tmp_path: Path) -> None:
     (tmp_path / "more" / "in" / "run3.csv").symlink_to(tmp_path / "run1.csv")
     assert expanded([str(tmp_path / "**/run3.csv")]) == [str(tmp_path / "more" / "in" / "run3.csv")]
     for pattern in (str(tmp_path / "*.parquet"), str(tmp_path / "mor*")):
-        with pytest.raises(DataError, match="no file fits this pattern"):
+        with pytest.raises(DataError, match="no file fits"):
             expanded([pattern])
 
 
@@ -34,7 +34,7 @@ def test_a_pattern_does_not_go_through_the_whole_file_system(
         expanded(["/**/none.csv"])
     (tmp_path / "a" / "b" / "c").mkdir(parents=True)
     monkeypatch.setattr(manifest, "DEEPEST", 1)
-    with pytest.raises(DataError, match="name the folder more closely"):
+    with pytest.raises(DataError, match="name the folder"):
         expanded([str(tmp_path / "**/none.csv")])
 
 

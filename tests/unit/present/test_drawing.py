@@ -82,7 +82,7 @@ def test_files(tmp_path: Path, good: Estimate, end: str, head: bytes) -> None:
     assert path.read_bytes() == content
     RIG.draw(good, mode=1).save(path)
     assert path.read_bytes().startswith(head)
-    with pytest.raises(UsageError, match=r"end it in \.svg, \.png or \.pdf"):
+    with pytest.raises(UsageError, match=r"end it in \.svg"):
         drawing.save(tmp_path / "rig.jpg")
 
 
@@ -117,7 +117,7 @@ def test_modes_of_stated_values_and_modes_that_are_not_there() -> None:
         ("x",), (), (mass("m", "x", value=1.0), between("k", Kind.SPRING, "x", "ground", guess=4.0))
     )
     assert numbered_mode(model, None, 1)[0] == "Mode 1: 0.3183 Hz, damping ratio 0"
-    with pytest.raises(UsageError, match="there is no mode 2"):
+    with pytest.raises(UsageError, match="there is no mode"):
         numbered_mode(model, None, 2)
 
 

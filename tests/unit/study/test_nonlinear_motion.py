@@ -58,5 +58,5 @@ def test_studies_draw_nonlinear_rigs():
     assert np.all(repeats.converged)
     ratio = np.std(repeats.values, axis=0) / scenario.bound_sd()
     assert np.all((ratio > 0.65) & (ratio < 1.35))
-    with pytest.raises(UsageError, match="need the noise to be given"):
+    with pytest.raises(UsageError, match="need the noise"):
         run_scenarios([replace(scenario, noise="estimated")], 3)

@@ -81,7 +81,7 @@ def test_modes_become_data(dashpot: Command, table: Path) -> None:
         (["frf", "t.csv", "--input", "q"], "no channel q"),
         (["frf", "t.csv", "--input", "f", "--band", "30:40"], "lies in the band"),
         (["modes", "t.csv", "--input", "f", "--output", "f"], "input and output"),
-        (["modes", "t.csv", "--input", "f", "--shapes", "s.svg"], "give its file with --rig"),
+        (["modes", "t.csv", "--input", "f", "--shapes", "s.svg"], "give its file"),
     ],
 )
 def test_bad_input_is_one_line(dashpot: Command, table: Path, words: list[str], line: str) -> None:

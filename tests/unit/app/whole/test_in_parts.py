@@ -55,10 +55,10 @@ def test_a_report_of_merged_parts_says_what_it_rests_on(dashpot: Command, files:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--workers", "2"), "--workers shares out the parts of --in-parts"),
-        (("--dask", "local"), "--dask shares out the parts of --in-parts"),
-        (("--in-parts", "--figure", "fit.png"), "--figure needs all data at once"),
-        (("--in-parts", "--hold-out", "25%"), "--hold-out needs all data at once"),
+        (("--workers", "2"), "--workers shares out"),
+        (("--dask", "local"), "--dask shares out"),
+        (("--in-parts", "--figure", "fit.png"), "--figure needs all"),
+        (("--in-parts", "--hold-out", "25%"), "--hold-out needs all"),
         (("--in-parts", "part0.csv"), "is given 2 times"),
     ],
 )

@@ -180,5 +180,5 @@ def test_what_cannot_be_solved_is_said(samples, rate, f, match):
 def test_a_harmonic_beyond_half_the_sampling_rate_is_refused():
     time = np.arange(200) / 40
     record = Record((X1,), time, np.cos(4 * np.pi * time)[:, None], 2.0)
-    with pytest.raises(DataError, match="order 25 of 2 Hz is 50 Hz, beyond half the sampling rate of 40 Hz"):
+    with pytest.raises(DataError, match="order 25"):
         fit_harmonics(record, orders=(1, 25))

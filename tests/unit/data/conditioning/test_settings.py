@@ -41,14 +41,14 @@ def test_keywords_change_what_is_given():
     ("treatments", "match"),
     [
         ({"orders": ()}, "no orders"),
-        ({"orders": (0,)}, "orders of harmonics are 1, 2, 3"),
+        ({"orders": (0,)}, "orders of harmonics"),
         ({"harmonics": (-1,)}, "harmonics"),
         ({"drift": -2}, "drift of degree"),
         ({"drift": 10**6}, "drift of degree"),
         ({"settle": -1.0}, "settling time"),
         ({"settle": float("nan")}, "settling time"),
         ({"moments": True, "orders": (1, 3)}, "fundamental alone"),
-        ({"band_hz": (5.0, 2.0)}, "a band from 5 to 2 Hz"),
+        ({"band_hz": (5.0, 2.0)}, "a band from"),
     ],
 )
 def test_what_makes_no_sense_is_refused(treatments, match):

@@ -67,7 +67,7 @@ def test_switches_are_passed_over(tmp_path):
     (part,) = famos.read_famos(open_file(path))
     assert part.header == ("time_s", "x")
     path.write_bytes(HEAD + switch)
-    with pytest.raises(DataError, match="no channels with samples of motion or force"):
+    with pytest.raises(DataError, match="no channels with samples"):
         list(famos.read_famos(open_file(path)))
 
 
@@ -78,7 +78,7 @@ def test_samples_between_others_are_refused(tmp_path, layout):
     path = tmp_path / "a.dat"
     raw = channel(1, "x", "", np.arange(4.0).tobytes(), 8, 8, 0.5)
     path.write_bytes(HEAD + raw.replace(b",64,0,0,1,0;", layout))
-    with pytest.raises(DataError, match="the samples of x lie between others"):
+    with pytest.raises(DataError, match="the samples of x"):
         list(famos.read_famos(open_file(path)))
 
 

@@ -149,7 +149,7 @@ class TestLabview:
             with pytest.raises(DataError, match=what):
                 read(path, AF)
         path.write_text(text.replace("Delta_X", "Step"))
-        with pytest.raises(DataError, match=r"column time_s: missing; .*give rate_hz in a manifest"):
+        with pytest.raises(DataError, match=r"column time_s: missing"):
             read(path, AF)
         manifest = tmp_path / "test.toml"
         manifest.write_text('[[files]]\nname = "a.lvm"\nrate_hz = 100\n')
@@ -187,8 +187,8 @@ class TestLabview:
         [
             (LVM_HEAD, "a header and no rows"),
             (LVM_HEAD[: LVM_HEAD.index("X_Value")], "no header row"),
-            (lvm() + LVM_HEAD + "0\t1\t2\n", "the block has one sample"),
-            (lvm().replace("Force (Trigger)\tComment", "X_Value\tForce (Trigger)"), "column of time for"),
+            (lvm() + LVM_HEAD + "0\t1\t2\n", "the block has one"),
+            (lvm().replace("Force (Trigger)\tComment", "X_Value\tForce (Trigger)"), "column of time"),
             (lvm().replace("0.010000\t", "0.010000\tbad", 1), "test_3Hz.txt:12: column Acceleration"),
             (lvm()[:-12], "test_3Hz.txt:110"),
         ],

@@ -46,9 +46,7 @@ def test_nodes_in_order_by_channels_and_by_name(tmp_path: Path) -> None:
 def test_what_has_no_node_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "modes.uff"
     two_modes(path)
-    with pytest.raises(
-        DataError, match=r"no node is a coordinate of the rig: there are 7\+Y, 9\+Z; list channels"
-    ):
+    with pytest.raises(DataError, match=r"no node is a coordinate"):
         read_modes(path, ("a", "b", "c"))
     write_universal_file(path, (), [NodalMode(-1 - 5j, (1,), np.ones((1, 3)))])
     with pytest.raises(DataError, match="no oscillating mode"):

@@ -84,7 +84,7 @@ def test_points_have_the_names_of_channels(tmp_path: Path) -> None:
         assert found.points == ("x1", "x3")
         assert found.shapes[0] == pytest.approx([-1, 0.25 - 0.05j])
         assert found.shape_covariance[0] == pytest.approx(np.diag([2 * 0.01**2, 2 * 0.01**2]))
-    with pytest.raises(DataError, match="the same point twice"):
+    with pytest.raises(DataError, match="the same point"):
         read_modes(csv(tmp_path, ROWS, header.replace("a1", "b3")), X, channels)
 
 

@@ -228,8 +228,8 @@ def test_other_datasets_are_passed_over(tmp_path):
     path.write_bytes(other + path.read_bytes())
     assert len(list(functions_of(open_file(path)))) == 2
     path.write_bytes(other)
-    with pytest.raises(DataError, match="holds no samples, spectra or frequency responses; export"):
+    with pytest.raises(DataError, match="holds no samples"):
         read(path, CHANNELS)
     path.write_bytes(other + other.replace(b"   151", b"    55"))
-    with pytest.raises(DataError, match=r"but modes \(dataset 55\); identify a rig"):
+    with pytest.raises(DataError, match=r"but modes \(dataset 55\)"):
         read(path, CHANNELS)

@@ -141,5 +141,5 @@ def test_raw_numbers_of_another_kind_are_refused(tmp_path: Path, of_file: str, o
     gain = "bits = 16, full_scale" if of_rig == "counts" else "gain"
     size = '"20 mm"' if of_rig == "counts" else '"1 V/mm"'
     channels = f'x = {{ of = "x", unit = "{of_rig}", {gain} = {size} }}\nf = {{ of = "f" }}\n'
-    with pytest.raises(DataError, match=r"column x: in .*, the rig file says"):
+    with pytest.raises(DataError, match=r"column x: in .*, the rig"):
         read(path, rig_of(channels).channels)

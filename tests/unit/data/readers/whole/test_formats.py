@@ -52,7 +52,7 @@ def test_wav_by_a_manifest(tmp_path):
     sound = (tmp_path / "int.wav").read_bytes()
     for length in (13, 44, 45, 100, len(sound) - 1):  # SciPy warns only
         (tmp_path / "int.wav").write_bytes(sound[:length])
-        with pytest.raises(DataError, match="damaged or cut off"):
+        with pytest.raises(DataError, match="damaged or cut"):
             list(reader_of(open_file(tmp_path / "int.wav")).parts(open_file(tmp_path / "int.wav")))
 
 
@@ -96,7 +96,7 @@ def test_units_of_files_count(tmp_path):
 
     (record,) = read(path, (Channel("x1", {"x1": 1}),)).records
     assert record.values[:, 0] == pytest.approx(0.0254 * np.arange(1, 9))
-    with pytest.raises(DataError, match="column x1: in in, the rig file says mm"):
+    with pytest.raises(DataError, match="column x1: in in, the rig"):
         read(path, CHANNELS[:1])
 
 
