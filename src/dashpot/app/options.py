@@ -619,6 +619,14 @@ def true_values(rig: Rig, settings: Mapping[str, Amount]) -> dict[str, float]:
     return {name: _in_si(name, amount, unit.get(name, "1"), "--truth") for name, amount in settings.items()}
 
 
+def changed_values(units: Mapping[str, str], settings: Sequence[Mapping[str, Amount]]) -> dict[str, float]:
+    """Values of --set beside an estimate, in SI units, by the units of its parameters.  Raises UsageError."""
+    return {
+        name: _in_si(name, amount, units.get(name, "1"), "--set")
+        for name, amount in merged(settings, "--set").items()
+    }
+
+
 def _in_si(name: str, amount: Amount, unit: str, option: str) -> float:
     kind = quantity_of_unit(unit)
     if amount.unit is None:

@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from dashpot.app import options as opt
-from dashpot.app.options import input_amplitudes, parameter_values
+from dashpot.app.options import changed_values, input_amplitudes, parameter_values
 from dashpot.app.workers import progress
 from dashpot.errors import DataError, UsageError, printable
 from dashpot.quantities import Amount
@@ -46,7 +46,7 @@ def command(
         str | None,
         opt.Option("--estimate FILE.json", opt.INPUT_FILE, "The rig"),
         "Take the values of an estimate, with --input: writes its prediction without noise, and the uncertainty of "
-        "each predicted output as NAME_sd.",
+        "each predicted output as NAME_sd.  With --set the values named there are exact, the others as estimated.",
     ],
     samples: Annotated[
         int, opt.Option("--samples N", opt.Count(4, 100_000_000), TEST, default=200), "Samples of each dwell."
@@ -105,13 +105,12 @@ def command(
     read = read.in_experiment(experiment) if estimate is None else read.standing_in(experiment)
     told = ""
     if estimate is not None:
-        if input_file is None or values:
-            raise UsageError(
-                "an estimate predicts the response to a record",
-                cure="give --input, and no --set beside --estimate",
-            )
+        if input_file is None:
+            raise UsageError("an estimate predicts the response to a record", cure="give --input as well")
+        found = Estimate.load(estimate)
+        changes = changed_values({name: value.unit for name, value in found.parameters().items()}, values)
         with progress("simulate", quiet):
-            [predicted] = predicted_motion(Estimate.load(estimate), _input_record(read, input_file), read)
+            [predicted] = predicted_motion(found, _input_record(read, input_file), read, **changes)
         assert predicted.sd is not None
         write_records([predicted], out, [predicted.sd])
         what, told = f"{len(predicted.time)} samples", ", with ± of the estimate as NAME_sd"

@@ -268,6 +268,18 @@ def test_what_an_estimate_predicts_carries_its_uncertainty(dashpot: Command, rig
         np.mean(np.std(drawn, axis=0)[late] ** 2, axis=0) / np.mean((1e-3 * band[late]) ** 2, axis=0)
     )
     np.testing.assert_allclose(ratio, 1.0, rtol=0.2)
+    alike = f"m1={found['parameters']['m1']['value']!r}"
+    for name, change in (("same", alike), ("heavier", "m1=100kg")):
+        what = ("simulate", rig, "--estimate", "e.json", "--set", change, "--input", "run.csv")
+        assert dashpot(*what, "-o", f"{name}.csv").code == 0
+    same, heavier = (np.genfromtxt(f"{name}.csv", delimiter=",", names=True) for name in ("same", "heavier"))
+    np.testing.assert_allclose(same["x1"], shown[:, 0], rtol=1e-6, atol=1e-9)
+    assert np.all(same["x1_sd"][late] < band[late, 0] + 1e-12)
+    assert np.std(heavier["x1"]) < 0.5 * np.std(same["x1"])
+    refused = dashpot(
+        "simulate", rig, "--estimate", "e.json", "--set", "zeta=1", "--input", "run.csv", "-o", "no.csv"
+    )
+    assert refused.code == 2
     refused = dashpot("simulate", rig, "--estimate", "e.json", "--frequencies", "1,2", "-o", "no.csv")
     assert refused.code == 2
     assert "an estimate predicts the response to a record" in refused.err[-1]
