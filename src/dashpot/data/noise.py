@@ -306,16 +306,18 @@ def moderated(spectrum: Spectrum, told: Real | None = None, *, kind: str = "whit
     total = nu + d0
     weight = (nu / total)[:, None, None]
     V = weight * lines.covariance + (1 - weight) * prior
-    # Too few samples in all for a weight that has a mean: the line counts for little, but counts.
-    enough = np.maximum(total, channels + LEAST)
+    # Too few samples in all for a weight that has a mean: the line counts for little, but counts.  The scatter of
+    # amplitudes has two degrees of freedom for each complex number.
+    enough = np.maximum(total, (1 if kind == "white" else 2) * channels + LEAST)
     V = V * (enough / total)[:, None, None]
     covariance, dof = np.array(spectrum.covariance), np.array(spectrum.dof)
     covariance[..., chosen, :, :] = V
     dof[chosen] = enough
     few = int(np.sum(short))
+    what = ("short dwell" if kind == "white" else "line") + ("s" if few > 1 else "")
     text = (
-        f"the noise of {few} short dwell{'s' if few > 1 else ''} ({np.min(nu):.3g} degrees of freedom) is pooled with "
-        f"that of all {len(nu)}, as if each had {d0:.3g} more"
+        f"the noise of {few} {what} ({np.min(nu):.3g} degrees of freedom) is pooled with that of all {len(nu)}, as if "
+        f"each had {d0:.3g} more"
     )
     note = Notice("noise_moderated", text)
     return replace(spectrum, covariance=covariance, dof=dof, notes=(*spectrum.notes, note))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import fft
 from scipy.ndimage import uniform_filter1d
-from scipy.special import fdtrc
+from scipy.special import chdtrc, fdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
@@ -287,8 +287,8 @@ def averaged_periods(record: Record, inputs: int = 0) -> tuple[Spectrum, Real] |
     """The mean of the settled periods of a record that repeats, and its distortion at even and at odd multiples.
 
     Where the first `inputs` channels drive, they repeat, and the lines are those that one of them shows; else all
-    channels repeat, and all show a line.  Distortion (channels, 2) as of `distortion`.  None for other records; one of
-    a stated frequency that moves at that frequency is a dwell.
+    channels repeat, and all show a line.  Distortion (channels, 2) as of `distortion`.  None for other records, and for
+    one that goes on settling; one of a stated frequency that moves at that frequency is a dwell.
     """
     samples = period_of(record.values[..., : inputs or None])
     if samples is None:
@@ -299,6 +299,8 @@ def averaged_periods(record: Record, inputs: int = 0) -> tuple[Spectrum, Real] |
         :, : (samples + 1) // 2
     ]
     skip = unsettled_periods(X[:, 1:])
+    if still_settling(X[skip:, 1:]):
+        return None
     there = _repeating(X[skip:, 1:], DISTORTED if inputs else ROUNDING)
     lines = np.flatnonzero(np.any(there[:, :inputs], axis=1) if inputs else np.all(there, axis=1)) + 1
     # lines in every channel: fewer are a sine, a decay or their harmonics
@@ -362,6 +364,34 @@ def unsettled_periods(X: Complex) -> int:
     p = fdtrc(2 * alike, 2 * alike * (count - 1), away / (1 + 1 / count))
     late = np.flatnonzero(np.any(p < SIGNIFICANT / p.size, axis=1))
     return int(late[-1]) + 1 if len(late) else 0
+
+
+def still_settling(X: Complex) -> bool:
+    """Whether the periods of (periods, lines, channels) go on approaching a last one.
+
+    A decaying mode turns and shrinks by one complex factor from period to period, alike at all lines: neighbouring
+    deviations e_k from the mean correlate.  Of noise, e/|e| is uniform on the sphere of P − 1 complex dimensions, so
+    that r = Σ ē_k e_k+1 / Σ |e_k|² has known moments; the sum of r over lines is normal.
+    """
+    count = len(X)
+    if count < 3:
+        return False
+    e = X - np.mean(X, axis=0)
+    size = np.sum(np.abs(e) ** 2, axis=0)
+    usable = size > (ROUNDING * np.max(np.abs(X), axis=(0, 1))) ** 2
+    weight = np.where(usable, np.sqrt(size), 0.0)
+    r = np.sum(np.conj(e[:-1]) * e[1:], axis=0) / np.where(usable, size, 1.0)
+    apart = np.eye(count) - 1 / count
+    A, d = apart @ np.eye(count, k=1) @ apart, count - 1
+    mean = np.trace(A) / d
+    both = (np.trace(A) ** 2 + np.array([np.sum(A**2), np.trace(A @ A)])) / (d * (d + 1)) - mean**2
+    away = np.sum(weight * (r - mean), axis=0)
+    shared = np.sum(weight**2, axis=0)
+    variance = (
+        np.stack([both[0] + both[1], both[0] - both[1]])[:, None] / 2 * np.where(shared > 0, shared, 1.0)
+    )
+    chi2 = np.sum(np.stack([away.real, away.imag]) ** 2 / np.maximum(variance, 1e-300), axis=0)
+    return bool(np.any(chdtrc(2, chi2) < SIGNIFICANT / X.shape[-1]))
 
 
 def _repeating(X: Complex, least: float) -> Bools:

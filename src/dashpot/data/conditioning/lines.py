@@ -238,7 +238,7 @@ def spectrum(
         if mean is None:
             rest.append(record)
         else:
-            parts.append(mean[0])
+            parts.append(moderated(mean[0], kind="periods") if settings.noise == "auto" else mean[0])
     whole = [record for record in rest if record.frequency_hz is None]
     dwells = [record for record in rest if record.frequency_hz is not None]
     if dwells:

@@ -38,6 +38,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from dashpot.channel import RESERVED_NAMES, Channel
 from dashpot.data.clocks import ClockedRecords, Sensor, aligned_sensors, joined_sensors
 from dashpot.data.conditioning.settings import Treatments
+from dashpot.data.noise import moderated
 from dashpot.data.periods import average_periods, one_period, samples_of_period
 from dashpot.data.readers.columns import Columns, is_unit
 from dashpot.data.readers.datafile import open_file
@@ -585,7 +586,7 @@ def _averaged(found: Interpreted, lines: tuple[int, ...], group: FileGroup) -> I
         period, skip = 1 / record.frequency_hz, group.entry.skip_periods
         whole = len(record.time) // samples_of_period(record, period)
         if whole - skip > 1:
-            spectra.append(average_periods(record, period, lines, skip=skip))
+            spectra.append(moderated(average_periods(record, period, lines, skip=skip), kind="periods"))
         else:
             spectra.append(one_period(record, period, lines))
     return replace(found, records=(), spectra=tuple(spectra))

@@ -18,6 +18,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
+from dashpot.data.noise import moderated
 from dashpot.data.readers.amplitudes import AmplitudeColumns, coherent_variance, phase_factor, phase_notices
 from dashpot.data.readers.columns import Columns, bare, frequency_scale
 from dashpot.data.readers.records import check_frequency
@@ -187,7 +188,7 @@ def joined_responses(
         noise = "unknown" if "unknown" in kinds else "periods" if "periods" in kinds else "given"
         if noise == "unknown":
             V, dof = np.full_like(V, np.nan), np.inf
-        yield Spectrum(
+        joined = Spectrum(
             tuple(channels),
             frequency,
             *calibrated(channels, frequency, X * scale, V * np.outer(scale, scale)),
@@ -197,6 +198,7 @@ def joined_responses(
             np.full(lines, experiment + number),
             stretches=(SettledDwell(per_unit=True),),
         )
+        yield moderated(joined, kind="periods")
 
 
 def _averaged(repeats: Sequence[Response]) -> tuple[Complex, Real, float]:

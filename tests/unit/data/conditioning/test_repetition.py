@@ -6,6 +6,7 @@ import pytest
 from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.lines import spectrum
+from dashpot.data.noise import moderated
 from dashpot.data.periods import average_periods, averaged_periods
 from dashpot.data.record import Record
 
@@ -40,11 +41,11 @@ def other(kind: str) -> Real:
 def test_the_period_and_its_lines_are_found() -> None:
     record = multisine()
     lines = spectrum([record])
-    known = average_periods(record, SAMPLES * STEP, EXCITED.tolist())
+    known = moderated(average_periods(record, SAMPLES * STEP, EXCITED.tolist()), kind="periods")
     assert np.allclose(lines.frequency_hz, known.frequency_hz)
     assert np.allclose(lines.amplitudes, known.amplitudes)
     assert np.allclose(lines.covariance, known.covariance)
-    assert [note.code for note in lines.notes] == ["periods_averaged"]
+    assert [note.code for note in lines.notes] == ["periods_averaged", "noise_moderated"]
     assert spectrum([record], transients="estimate").records
 
 
@@ -55,6 +56,17 @@ def test_periods_that_have_not_settled_are_left_out(transient: float) -> None:
     assert lines.samples[0] < 12 * SAMPLES
     settled, _ = averaged_periods(multisine())
     assert settled.samples[0] == 12 * SAMPLES
+
+
+def test_a_record_that_goes_on_settling_is_taken_whole() -> None:
+    """A mode that rings on over periods had been averaged in: its values were ten standard deviations off."""
+    record = multisine(noise=0.02)
+    t = np.asarray(record.time)
+    for decay, averaged in ((0.05 * SAMPLES * STEP, True), (3 * SAMPLES * STEP, False)):
+        ringing = 0.5 * np.std(record.values[:, 1]) * np.exp(-t / decay) * np.cos(2 * np.pi * 31.3 * t)
+        values = record.values + ringing[:, None] * [0, 1]
+        lines = spectrum([Record(CHANNELS, record.time, values)])
+        assert bool(lines.records) != averaged
 
 
 @pytest.mark.parametrize("kind", ["noise", "sine", "decay", "sweep"])
