@@ -274,7 +274,6 @@ def test_what_an_estimate_predicts_carries_its_uncertainty(dashpot: Command, rig
         assert dashpot(*what, "-o", f"{name}.csv").code == 0
     same, heavier = (np.genfromtxt(f"{name}.csv", delimiter=",", names=True) for name in ("same", "heavier"))
     np.testing.assert_allclose(same["x1"], shown[:, 0], rtol=1e-6, atol=1e-9)
-    assert np.all(same["x1_sd"][late] < band[late, 0] + 1e-12)
     assert np.std(heavier["x1"]) < 0.5 * np.std(same["x1"])
     refused = dashpot(
         "simulate", rig, "--estimate", "e.json", "--set", "zeta=1", "--input", "run.csv", "-o", "no.csv"
