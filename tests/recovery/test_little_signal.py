@@ -29,7 +29,7 @@ def test_an_earthquake_passed_as_multiples_of_a_low_frequency_is_no_fit() -> Non
 def test_an_earthquake_given_as_a_dwell_is_said_to_be_none() -> None:
     lines = spectrum([replace(QUAKE, frequency_hz=TENTH)], transients="none")
     (note,) = [note for note in lines.notes if note.code == "other_motion"]
-    assert "no steady sine" in note.text
+    assert "not a steady sine" in note.text
     several = spectrum([replace(QUAKE, frequency_hz=TENTH * k) for k in (1, 1.3, 1.6)], transients="none")
     (note,) = [note for note in several.notes if note.code == "other_motion"]
     assert note.text.endswith("so 2 dwells more")

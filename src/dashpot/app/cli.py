@@ -17,7 +17,7 @@ from importlib import import_module
 import click
 from click.shell_completion import CompletionItem
 
-from dashpot.app.commands import COMMANDS
+from dashpot.app.commands import COMMANDS, GROUPS, OTHER
 from dashpot.app.memory import (
     CURE,
     EXIT_CODE,
@@ -86,8 +86,14 @@ class Commands(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The list of commands, without importing them."""
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+        width = max(map(len, COMMANDS))
+        headings = {name: title for title, commands in GROUPS for name in commands}
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for name, text in COMMANDS.items():
+            groups.setdefault(headings.get(name, OTHER), []).append((name.ljust(width), text))
+        for title, rows in groups.items():
+            with formatter.section(title):
+                formatter.write_dl(rows)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Where to go on."""

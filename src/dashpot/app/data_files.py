@@ -259,9 +259,9 @@ def tell_notes(notes: Sequence[Notice], quiet: bool) -> None:
     """What was noticed, on stderr: the first of those that differ in numbers alone, and how many follow."""
     if quiet:
         return
-    groups: dict[str, list[str]] = {}
-    for note in dict.fromkeys(printable(str(notice)) for notice in notes):
-        groups.setdefault(re.sub(r"\d[\d.]*(e[-+]?\d+)?", "#", note), []).append(note)
-    for first, *others in groups.values():
+    groups: dict[tuple[str, str], list[str]] = {}
+    for note, code in dict.fromkeys((printable(str(notice)), notice.code) for notice in notes):
+        groups.setdefault((code, re.sub(r"\d[\d.]*(e[-+]?\d+)?", "#", note)), []).append(note)
+    for (code, _), (first, *others) in groups.items():
         more = f" (and {len(others)} more like this)" if others else ""
-        click.echo(f"note: {first}{more}", err=True)
+        click.echo(f"note: {first}{more} [{code}]", err=True)

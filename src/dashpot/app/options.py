@@ -331,6 +331,7 @@ class Count(click.ParamType[int]):
 # Commands made of functions: --help shows options in groups, in the order they are declared, and examples.
 
 
+EVERYTHING = "dashpot.help_all"  # in the context's meta, where all options are asked for
 GENERAL = "General"
 OUTPUT = "Output"
 RECORDS = "Time records (tables of amplitudes are used as they are)"
@@ -396,12 +397,15 @@ def _declared(hints: Mapping[str, Any]) -> Iterator[click.Parameter]:
 class GroupedCommand(click.Command):
     """A command made of a function, whose parameters say how they are typed; `examples` are printed below its options.
 
-    A parameter that is a dataclass holds options that go together; its other fields are parameters of the function.
+    `usual`: the options that --help shows, where they are many; --help-all then shows them all.  A parameter that is a
+    dataclass holds options that go together; its other fields are parameters of the function.
     Of options of the same name the one that is declared first is the command's; the other is never given.
     """
 
-    def __init__(self, function: Callable[..., Any], examples: Sequence[str] = ()) -> None:
-        self.examples = tuple(examples)
+    def __init__(
+        self, function: Callable[..., Any], examples: Sequence[str] = (), usual: Sequence[str] = ()
+    ) -> None:
+        self.examples, self.usual = tuple(examples), tuple(usual)
         self.function, self.hints = function, get_type_hints(function, include_extras=True)
         self.hints.pop("return", None)
         params: list[click.Parameter] = []
@@ -410,6 +414,8 @@ class GroupedCommand(click.Command):
             if taken.isdisjoint(each.opts):
                 params.append(each)
                 taken.update(each.opts)
+        if self.usual:
+            params.append(_help_all())
         name = function.__module__.rpartition(".")[2]
         super().__init__(name, callback=self.called, params=params, help=function.__doc__)
 
@@ -439,12 +445,23 @@ class GroupedCommand(click.Command):
         groups: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx) if isinstance(parameter, click.Option) else None
-            if record is not None:
+            if record is not None and self._shows(ctx, parameter):
                 groups.setdefault(getattr(parameter, "group", GENERAL), []).append(record)
         groups[GENERAL] = groups.pop(GENERAL, [])
         for title, records in groups.items():
             with formatter.section(title):
                 formatter.write_dl(records)
+
+    def _shows(self, ctx: click.Context, parameter: click.Parameter) -> bool:
+        """Whether an option stands in this help: all do but where the usual ones of many are shown."""
+        general = getattr(parameter, "group", GENERAL) == GENERAL and len(parameter.opts) > 0
+        chosen = general and not isinstance(parameter, GroupedOption)  # --help, --help-all
+        return (
+            not self.usual
+            or EVERYTHING in ctx.meta
+            or chosen
+            or not set(self.usual).isdisjoint(parameter.opts)
+        )
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Examples; a long one goes on in the next line as a shell reads it, for they are to be copied."""
@@ -460,6 +477,21 @@ class GroupedCommand(click.Command):
                 formatter.write(indent + f" \\\n{indent}    ".join(lines) + "\n")
 
 
+def _help_all() -> click.Option:
+    """--help-all: the help with all options."""
+
+    def show(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
+        if wanted and not ctx.resilient_parsing:
+            ctx.meta[EVERYTHING] = True
+            click.echo(ctx.get_help(), color=ctx.color)
+            ctx.exit()
+
+    help_text = "Show all options and exit."
+    return click.Option(
+        ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=show, help=help_text
+    )
+
+
 def _complete(option: GroupedOption, ctx: click.Context, word: str, following: str) -> str:
     """The option with its value where it stands alone; every other word as it is."""
     if word not in option.opts:
@@ -471,9 +503,11 @@ def _complete(option: GroupedOption, ctx: click.Context, word: str, following: s
     return word
 
 
-def dashpot_command(*examples: str) -> Callable[[Callable[..., Any]], GroupedCommand]:
-    """Decorator: the function as a command of its module's name."""
-    return partial(GroupedCommand, examples=examples)
+def dashpot_command(
+    *examples: str, usual: Sequence[str] = ()
+) -> Callable[[Callable[..., Any]], GroupedCommand]:
+    """Decorator: the function as a command of its module's name; of many options --help shows the `usual` ones."""
+    return partial(GroupedCommand, examples=examples, usual=usual)
 
 
 # Options that several commands take: the same name, type, words and meaning in each.
@@ -570,6 +604,11 @@ Level = Annotated[
     float, Option("--level LEVEL", LEVEL, OUTPUT, default="95%"), "Confidence level of the intervals."
 ]
 Quiet = Annotated[bool, Option("--quiet -q"), "Print no results and no notes, only errors."]
+Verbose = Annotated[
+    bool,
+    Option("--verbose"),
+    "Print more: the bound, χ² and p, method and iterations, the largest residuals, what ± means.",
+]
 
 
 def merged(settings: Sequence[Mapping[str, Amount]], option: str) -> dict[str, Amount]:

@@ -81,7 +81,7 @@ def estimated_clock(reference: Sensor, sensor: Sensor, source: str) -> Clock:
     coarse, margin = _coarse_lag(reference, sensor, step)
     if margin > 0.95:  # a second peak nearly as high: the lag is ambiguous
         raise DataError(
-            f"the clock of {sensor.name} cannot be aligned: the motion repeats itself too regularly",
+            f"the clock of {sensor.name} cannot be synchronised: the motion repeats itself too regularly",
             source,
             TOGETHER,
         )
@@ -90,7 +90,7 @@ def estimated_clock(reference: Sensor, sensor: Sensor, source: str) -> Clock:
         lags, variances, centres = _lags_of_pieces(reference, sensor, clock, step)
         if len(lags) < 3:
             raise DataError(
-                f"the clock of {sensor.name} cannot be set: it and {reference.name} share no motion",
+                f"cannot synchronise {sensor.name} with {reference.name}: they share no motion",
                 source,
                 TOGETHER,
             )
@@ -98,8 +98,8 @@ def estimated_clock(reference: Sensor, sensor: Sensor, source: str) -> Clock:
     spread = _spread_over_bands(reference, sensor, clock, step)
     if spread is None:
         raise DataError(
-            f"the clock of {sensor.name} cannot be set: it and {reference.name} share motion of one frequency alone, "
-            "whose phase is the rig's as well",
+            f"cannot synchronise {sensor.name} with {reference.name}: they share a single frequency, where a "
+            "clock offset cannot be separated from the rig's own phase",
             source,
             TOGETHER,
         )
@@ -293,7 +293,7 @@ def joined_sensors(
         raise DataError(
             "the sensors did not record at the same time",
             source,
-            'give files of one recording, or say clock = "own" where each sensor has a clock of its own',
+            'give files of one recording, or say clock = "own" where each sensor has its own clock',
         )
     reference = sensors[0].time
     step = float(np.median(np.diff(reference)))
@@ -313,7 +313,7 @@ def joined_sensors(
         return ClockedRecords(tuple(parts), (Clock(),) * len(parts)), [Notice("own_times", text, (source,))]
     notes = []
     if common < shortest:
-        text = f"{source}: {counted(shortest - common, 'sample')} left out that not all sensors have"
+        text = f"{source}: {counted(shortest - common, 'sample')} not present in all sensor files left out"
         notes.append(Notice("samples_not_shared", text, (source,)))
     values = np.concatenate(
         [sensor.values[at[shared]] for sensor, at in zip(sensors, nearest, strict=True)], axis=-1
@@ -335,7 +335,7 @@ def _between(
     inside = (sensor.time >= start) & (sensor.time <= end)
     name = f"{source} ({sensor.name})"
     if np.sum(inside) < 2:
-        raise DataError("the sensors have fewer than two samples in common", name)
+        raise DataError("the sensors share fewer than two samples", name)
     time = sensor.time[inside] - zero
     return Record(sensor.channels, time, sensor.values[inside], frequency_hz, experiment, name)
 
@@ -368,17 +368,18 @@ def aligned_sensors(
         phase = 0.0 if frequency_hz is None else 360 * frequency_hz * clock.offset_sd
         if phase > 10:  # degrees of the drive that a clock may leave open
             raise DataError(
-                f"the clock of {sensor.name} is known to ± {1e3 * clock.offset_sd:.2g} ms, {phase:.2g}° of the drive: "
-                f"it and {sensors[0].name} do not move alike, and their phases are the rig's as well",
+                f"the clock of {sensor.name} is known to ± {1e3 * clock.offset_sd:.2g} ms only ({phase:.2g}° of "
+                f"the drive): it and {sensors[0].name} move differently, and a clock offset cannot be separated "
+                "from the rig's phase",
                 source,
                 TOGETHER,
             )
         moved.append(replace(sensor, time=clock.on_reference(sensor.time)))
         clocks.append(whole)
         text = (
-            f"{source}: the clock of {sensor.name} is set by that of {sensors[0].name}: "
-            f"{1e3 * clock.offset:+.4g} ± {1e3 * clock.offset_sd:.2g} ms, "
-            f"{1e6 * clock.drift:+.3g} ± {1e6 * clock.drift_sd:.2g} ppm"
+            f"{source}: the clock of {sensor.name} was synchronised with {sensors[0].name}: "
+            f"{1e3 * clock.offset:+.4g} ± {1e3 * clock.offset_sd:.2g} ms, {1e6 * clock.drift:+.3g} ± "
+            f"{1e6 * clock.drift_sd:.2g} ppm"
         )
         notes.append(Notice("clock_estimated", text, (sensor.name,)))
     start, end = max(s.time[0] for s in moved), min(s.time[-1] for s in moved)
@@ -413,7 +414,7 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
     if settings.moments:
         cure = "choose a method that works on amplitudes"
         raise DataError(
-            "sensors with clocks of their own have no sample moments", joint.parts[0].source, cure
+            "sensors with their own clocks have no common sample times", joint.parts[0].source, cure
         )
     parts = _treated(joint.parts, settings)
     fits = [fit_harmonics(part, None, settings) for part in parts]

@@ -91,7 +91,7 @@ def at_coordinates(
     for i, name in enumerate(modes.points):
         if name not in names:
             what = f"{shown(name)} is not a coordinate of the rig, nor a channel that shows one alone"
-            raise DataError(what, source, f"there are {listed(coordinates)}")
+            raise DataError(what, source, f"the coordinates are {listed(coordinates)}")
         point, factor = names[name]
         if point in found:
             both = f"{shown(modes.points[found[point][0]])} and {shown(name)}"

@@ -95,7 +95,7 @@ def noise_at_rest(records: Sequence[Record], half_window: int = HALF_WINDOW) -> 
     dof = 0.0
     for part in parts:
         if part.power.shape[1:] != total.shape[1:]:
-            raise DataError("the records at rest have different channels", longest.source)
+            raise DataError("the at-rest records have different channels", longest.source)
         total += part.dof * part.covariance(grid, 1)
         dof += part.dof
     return Still(grid, total / dof, dof)
@@ -107,7 +107,9 @@ def _periodogram(record: Record, half_window: int) -> Still:
     lines = (samples - 1) // 2
     if lines < 2 * half_window + 1:
         raise DataError(
-            f"the record at rest has {samples} samples", record.source, f"{4 * half_window + 4} are the least"
+            f"the at-rest record has only {samples} samples",
+            record.source,
+            f"at least {4 * half_window + 4} are needed",
         )
     centred = record.values - record.values.mean(axis=0)
     Y = fft.rfft(centred, axis=0)[1 : lines + 1] * (2 / samples)
@@ -225,9 +227,7 @@ def with_local_noise(spectrum: Spectrum) -> Spectrum:
         dof[lines] = behind
     if not np.any(covariance):
         return spectrum
-    text = (
-        "no noise is given: it is taken from the scatter of the amplitudes about smooth curves over frequency"
-    )
+    text = "no noise given: it is estimated from the scatter of the amplitudes about smooth curves over frequency"
     notes = (*spectrum.notes, Notice("noise_from_neighbours", text))
     return replace(spectrum, covariance=covariance, dof=dof, noise=(SMOOTH,) * spectrum.lines, notes=notes)
 

@@ -25,7 +25,7 @@ from dashpot.errors import DataError
 from dashpot.notices import Notice
 
 UNEVEN = 1e-3  # of a sampling step
-UNAVERAGED = "leave out lines and frequency_hz, and it is used whole"
+UNAVERAGED = "leave out lines and frequency_hz, and the record is used whole"
 NEIGHBOURS = 10  # lines beside an excited one that show the noise there
 
 
@@ -89,8 +89,8 @@ def driven_note(source: str, asked: int, driven: Ints) -> tuple[Notice, ...]:
     steps = np.unique(np.diff(driven))
     each = "some" if len(steps) != 1 else "every second" if steps[0] == 2 else f"one in {steps[0]}"
     text = (
-        f"{source}: {len(driven)} of {asked} lines are driven, {each} from {driven[0]} to {driven[-1]}; the others "
-        "tell noise and distortion alone"
+        f"{source}: {len(driven)} of {asked} lines are driven, {each} from {driven[0]} to {driven[-1]}; the "
+        "others show only noise and distortion"
     )
     return (Notice("lines_driven", text, (source,)),)
 
@@ -134,7 +134,10 @@ def _distortion_note(record: Record, X: Complex, driven: Ints, between: Ints) ->
         " and ".join(f"{100 * size:.2g} %{kind}" for kind, size in zip(classes, shares[c], strict=True))
         for c in told
     )
-    text = f"{record.source}: distortion at lines that are not driven, of the motion at those that are: "
+    text = (
+        f"{record.source}: distortion at lines that are not driven, relative to the motion at those that "
+        "are: "
+    )
     of = ", ".join(f"{name} {share}" for name, share in zip(names, texts, strict=True))
     return (Notice("distortion", text + of, names),)
 
@@ -147,7 +150,7 @@ def samples_of_period(record: Record, period_s: float) -> int:
         raise DataError(
             "the samples are not evenly spaced",
             record.source,
-            f"periods cannot be averaged then: {UNAVERAGED}",
+            f"periods cannot be averaged: {UNAVERAGED}",
         )
     each = round(period_s / step) if np.isfinite(period_s) and period_s > 0 else 0
     if each < 2 or abs(each * step - period_s) * len(time) / each > UNEVEN * step * len(time) ** 0.5:
@@ -179,7 +182,7 @@ def one_period(record: Record, period_s: float, orders: Sequence[int]) -> Spectr
     silent = np.union1d(beside[beside < wanted[0]], between) if len(between) else np.setdiff1d(beside, wanted)
     if len(silent) < NEIGHBOURS:
         cure = f"record at least two periods, or leave {NEIGHBOURS} lines unexcited"
-        raise DataError("nothing shows the noise of a single period", record.source, cure)
+        raise DataError("the noise of a single period cannot be estimated", record.source, cure)
     start = np.clip(np.searchsorted(silent, wanted) - NEIGHBOURS // 2, 0, len(silent) - NEIGHBOURS)
     J = F[silent[start[:, None] + np.arange(NEIGHBOURS)]]
     V = np.einsum("lnc,lnd->lcd", J, np.conj(J)) / NEIGHBOURS
@@ -264,7 +267,7 @@ def _notes(source: str, period_s: float, skip: int, mean: Complex, away: Complex
     count = len(away)
     variance = np.sum(np.abs(away) ** 2, axis=0) / (count * (count - 1))
     if np.median(np.abs(mean) ** 2 / np.maximum(variance, 1e-300)) < 4:  # chance alone makes it 1
-        text = f"{source}: its periods of {period_s:g} s hardly agree with one another: is it periodic?"
+        text = f"{source}: its periods of {period_s:g} s hardly agree with one another. Is it periodic?"
         notes.append(Notice("periods_differ", text, (source,)))
     return tuple(notes)
 

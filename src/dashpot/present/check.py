@@ -37,7 +37,7 @@ def check_document(
         sections.append(_hardly_separated(found, spectrum))
         sections.append(section("Profiles", *map(profile_in_words, found.profiles)))
         if found.known_errors is not None:
-            said = "How far an error of 1 % of each known parameter moves the estimates:"
+            said = "How far a 1 % error of each known parameter changes the estimates:"
             sections.append(section("", said, known_columns(found.known_errors)))
             if found.estimate.stated:
                 sections.append(section(STATED, STATED_TEXT, stated_columns(found.estimate)))
@@ -83,7 +83,7 @@ def _steps(found: DataFindings | None) -> list[str]:
             "Then: dashpot identify RIG DATA --report report.html.",
         ]
     steps = [
-        f"Know {entry.best} from elsewhere, or add a sensor that separates {joined(entry.names)}."
+        f"Measure {entry.best} separately, or add a sensor that separates {joined(entry.names)}."
         for entry in found.collinearity.combinations[:3]
     ]
     if found.collinearity.idle:
@@ -114,18 +114,18 @@ def _hardly_separated(found: DataFindings, spectrum: Spectrum) -> Section:
     # Strong collinearities and frequencies without information, one paragraph each
     said = [combination_in_words(combination, units) for combination in found.collinearity.combinations]
     if not said:
-        said.append("No strong collinearity: no interval is inflated tenfold.")
+        said.append("No strong correlation between parameters.")
     every = spectrum.frequency_hz.tolist()
     idle = [every[line] for line in found.collinearity.idle]
     if len(idle) > 20:  # fewer are listed one by one
         telling = sorted(set(every) - set(idle))
-        where = f"; the most informative lie from {telling[0]:.4g} to {telling[-1]:.4g} Hz" if telling else ""
+        where = f"; the most informative are {telling[0]:.4g} to {telling[-1]:.4g} Hz" if telling else ""
         text = f"{len(idle)} of the {len(every)} frequencies add almost no information on any unknown{where}."
         said.append(text)
     elif idle:
         named = joined(f"{f:.4g}" for f in idle)
         said.append(f"Frequencies that add almost no information on any unknown: {named} Hz.")
-    return section("What the data hardly separate", *said, whole=True)
+    return section("What is strongly correlated", *said, whole=True)
 
 
 def shares_section(weak: Collinearity, spectrum: Spectrum) -> list[Section]:
@@ -158,11 +158,11 @@ def structure_in_words(structure: Structure, channels: Sequence[str], lines: int
         f"Identifiable: {unknowns} ({listed(structure.names)}) can be found from {listed(channels)}{at}."
     ]
     if structure.prior_dependent:
-        paragraphs.append(f"Identifiable only through the prior on {listed(structure.prior_dependent)}.")
+        paragraphs.append(f"Identifiable only with the prior on {listed(structure.prior_dependent)}.")
     for first, other in structure.permutation_ambiguities:
         paragraphs.append(
-            f"{first} and {other} are unmeasured and interchangeable: the data cannot say which is which. "
-            "Give an element of one of them a min or max."
+            f"{first} and {other} are unmeasured and interchangeable. Give an element at one of them a min or "
+            "max."
         )
     return paragraphs
 
@@ -172,16 +172,19 @@ def combination_in_words(combination: Combination, units: dict[str, str]) -> str
     wide = short(max(combination.widening.tolist()), 2)
     if len(combination.names) == 1:
         name = combination.names[0]
-        return f"{name} can hardly be separated from the other unknowns: that makes its interval {wide} times wider."
+        return (
+            f"{name} is strongly correlated with the other unknowns, which makes its interval {wide} times "
+            "wider."
+        )
     moves = ", ".join(
         f"{name} {x:+.2g}" + (" s" if units.get(name) == "s" else "")
         for name, x in zip(combination.names, combination.direction.tolist(), strict=True)
     )
     return (
-        f"{joined(combination.names)} can hardly be separated: changed together in proportion ({moves}) they are "
-        f"uncertain by {short(100 * combination.spread, 2)} % (1 sd), and their intervals are up to {wide} times "
-        f"wider for it. If {combination.best} were known, the intervals of the others would shrink to "
-        f"{short(100 * combination.narrowing, 2)} %."
+        f"{joined(combination.names)} are strongly correlated: a joint change in proportion ({moves}) is known "
+        f"to {short(100 * combination.spread, 2)} % (standard deviation), which widens their intervals up to "
+        f"{wide} times. If {combination.best} were known, the intervals of the others would shrink to "
+        f"{short(100 * combination.narrowing, 2)} % of their present width."
     )
 
 
@@ -202,10 +205,13 @@ def profile_in_words(profile: Profile) -> str:
         f"normal {left} … {right}"
     )
     if bool(profile.improved):
-        return f"{text}. On the way there is a better fit than the estimate: give guesses, or more starting values."
+        return (
+            f"{text}. The profile found a better fit than the estimate: give initial guesses, or more random "
+            "starts."
+        )
     if math.isinf(ends[0]) or math.isinf(ends[1]):
-        return f"{text}. The normal interval misleads: the data set no limit on one side."
+        return f"{text}. The normal interval is wrong here: the interval is open on one side."
     if bool(profile.misleads):
         off = f"{100 * float(profile.difference):.0f} %"
-        return f"{text}. The normal interval misleads (an end is off by {off} of its length)."
+        return f"{text}. The normal interval is wrong here (an end is off by {off} of its length)."
     return f"{text}. They agree."

@@ -84,10 +84,12 @@ def _best_in_words(comparison: Comparison) -> str:
     """Which values to use, in one sentence."""
     best = comparison.most_likely[0] if comparison.most_likely else None
     if best is None or not bool(comparison.estimates[best].converged):
-        return "None of these methods makes full use of the data: compare the intervals."
+        return "None of these methods uses all the information in the data: compare the intervals."
     if bool(comparison.estimates[best].fit.rejected):
-        return f"The model does not fit the data: do not sign these values as they are, even those of {best}."
-    return f"Use the values of {best}: of these methods it makes the fullest use of the data."
+        return (
+            f"The model does not fit the data: do not rely on these values as they are, even those of {best}."
+        )
+    return f"Use the values of {best}: of these methods it uses the data best."
 
 
 def comparison_columns(comparison: Comparison, level: float = 0.95) -> list[TableColumn]:
@@ -188,13 +190,14 @@ def elements_document(comparison: ElementComparison) -> Document:
     texts = ["Residuals and ln evidence are relative to the rig as it is."]
     chosen = comparison.chosen
     if chosen is None:
-        texts.append("The data call for none of them.")
+        texts.append("The data call for none of these elements.")
     else:
         named = " and ".join(_named(chosen))
-        texts.append(f"The data call for {named}. Nothing has been added; to add it, write")
+        texts.append(f"The data call for {named}. Nothing has been added to the rig file; to add it, write")
         texts += [f"  {element_section(element)} {element_line(element)}" for element in chosen.elements]
         texts += [
-            f"{name} comes out negative. No passive damper is: it corrects what other dampers take for too much."
+            f"{name} comes out negative, which no passive damper is: it compensates for other dampers that are "
+            "too large."
             for name in _negative_dampers(chosen)
         ]
     return Document("", (section("", columns_of(["added", "residuals>", "ln evidence>"], rows), *texts),))

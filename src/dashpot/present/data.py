@@ -22,10 +22,10 @@ NOISE_FROM = {
     "blocks": "frequencies beside each harmonic",
     "periods": "the scatter of the periods",
     "given": "what was given",
-    "rest": "a record at rest",
-    "floor": "where nothing moves",
+    "rest": "an at-rest record",
+    "floor": "lines without motion",
     "smooth": "the scatter about smooth curves",
-    "residual": "what the fit leaves over",
+    "residual": "the residuals of the fit",
 }
 
 

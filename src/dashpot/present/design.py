@@ -28,7 +28,7 @@ from dashpot.present.words import alike, capitalised, names_of, percent, sentenc
 
 WASTE = 0.05  # of the information: what waiting for the steady state may cost
 NOTHING = "–"
-NO_TEST = "No test is needed: what is already known reaches the target."
+NO_TEST = "Target reached without a test: what is already known is enough."
 _SCENARIOS = {"worst": "worst of", "average": "average over"}
 
 
@@ -107,7 +107,7 @@ def design_report(answer: Answer, provenance: Provenance | None = None) -> str:
         headline = f"{counted(len(plan.dwells), 'dwell')}, {plan.samples} samples. {said}"
         dwells = section("Dwells", dwell_columns(plan, drive_units(model)))
         figure = planned_test_figure(answer)
-        shown = "Dwells, what each frequency tells, and the expected intervals"
+        shown = "Dwells, information by frequency, and the expected intervals"
         evidence = (
             section("Expected intervals", expected_columns(answer)),
             section("Why these frequencies", figure_picture(figure, shown)),
@@ -152,9 +152,9 @@ def plan_in_words(answer: Answer, plan: Plan) -> list[str]:
     if len(predicted.names) > 1:
         rms = short(100 * predicted.rms())
         known = [unknown.name for unknown in answer.setup.model.unknowns if unknown.sd is not None]
-        including = f", {joined(known)} included, whose sd is stated" if known else ""
+        including = f", {joined(known)} with its stated sd included" if known else ""
         lines.append(
-            f"Rms of the relative standard deviations of all {len(predicted.names)} parameters{including}: {rms} %."
+            f"Rms relative standard deviation of the {len(predicted.names)} parameters{including}: {rms} %."
         )
     if answer.worst is not None:
         where = "found by search" if answer.setup.over == "worst" else "of these scenarios"
@@ -179,18 +179,20 @@ def _used_whole(plan: Plan, whole: UnsettledTest) -> str:
     gives = figure_in_words(plan.criterion, whole.predicted.figure)
     if not any(dwell.settle_s for dwell in plan.dwells):
         return (
-            f"No dwell waits for the steady state: with the transients in it the test gives {gives}, and the motion "
-            "would have to be settled for the figures above."
+            f"No dwell waits for the steady state: with transients included the test gives {gives}; the figures "
+            "above assume steady state."
         )
     if whole.thrown_away > WASTE:
         return (
-            f"Waiting for the steady state is a waste: recorded from the first sample on and used whole, transients "
-            f"included, the same test gives {gives}; the settled parts alone throw away "
-            f"{100 * whole.thrown_away:.0f} % of the information."
+            "Do not wait for steady state: record from the start and keep the transients. The same test then "
+            f"gives {gives}; discarding them loses {100 * whole.thrown_away:.0f} % of the information."
         )
     if whole.thrown_away < -WASTE:
-        return f"Waiting pays: used whole, with noise in proportion to the transients, the same test gives {gives}."
-    return f"Waiting costs little: used whole, transients included, the same test gives {gives}."
+        return (
+            "Waiting for steady state pays: with the transients, whose noise is in proportion, the same "
+            f"test gives {gives}."
+        )
+    return f"Waiting for steady state costs little: with the transients, the same test gives {gives}."
 
 
 def _optimality(plan: Plan) -> str:
@@ -200,8 +202,8 @@ def _optimality(plan: Plan) -> str:
         best = "better by more than 0.01 %"
         return f"Optimal: no test of {plan.samples:,.0f} samples in this band is {best} ({gap})."
     return (
-        f"The best test of as many samples in this band gives {figure_in_words(plan.criterion, plan.ideal)} ({gap}); "
-        f"whole periods and limits cost {short(cost, 2)} %."
+        f"The best test with as many samples in this band gives {figure_in_words(plan.criterion, plan.ideal)} "
+        f"({gap}); whole periods and limits cost {short(cost, 2)} %."
     )
 
 
@@ -224,9 +226,10 @@ def stopping_in_words(answer: Answer) -> str:
         return f"Not enough yet: {verdict.reason}."
     best = ""
     if answer.plan is not None and answer.plan.predicted.figure <= 1.0001:
-        best = f", or the test below with {answer.plan.samples:,.0f}"
+        best = f", or use the test below with {answer.plan.samples:,.0f}"
     return (
-        f"Not enough yet: {verdict.reason}; {verdict.more:,.0f} more samples of the same kind would do{best}."
+        f"Not enough yet: {verdict.reason}; {verdict.more:,.0f} more samples of the same kind would be "
+        f"enough{best}."
     )
 
 
@@ -234,7 +237,7 @@ def sensors_in_words(answer: Answer) -> list[str]:
     """The sensors chosen, then the next best sets."""
     choice = answer.choice
     assert choice is not None
-    how = "all sets were tried" if choice.complete else "by exchange; perhaps not the very best set"
+    how = "all sets were tried" if choice.complete else "by exchange; possibly not the very best set"
     lines = [f"Sensors: {joined(choice.best)} ({how})."]
     lines += [
         f"  {joined(names)}: {figure_in_words(answer.criterion, figure)}"

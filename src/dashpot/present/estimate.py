@@ -15,6 +15,7 @@ from dashpot.estimate.linear.instrumental_variables import FreeMatrices
 from dashpot.estimate.result import MISFIT, RESIDUALS, Cycle, Estimate, Fit, ModeValues
 from dashpot.io.words import joined
 from dashpot.model.matrix_elements import Letter
+from dashpot.notices import Notice
 from dashpot.present.document import (
     Document,
     Paragraph,
@@ -50,30 +51,81 @@ Entry = TypeVar("Entry")
 
 
 def estimate_document(
-    estimate: Estimate, level: float = 0.95, *, untried: Collection[str] = tuple(OPTIONS)
+    estimate: Estimate,
+    level: float = 0.95,
+    *,
+    untried: Collection[str] = tuple(OPTIONS),
+    verbose: bool = False,
 ) -> Document:
-    """What is printed of an estimate (no batch axes); `untried` as `warnings_in_words` has it."""
+    """What is printed of an estimate (no batch axes): verdict, causes, values, modes, warnings.
+
+    `verbose` adds the bound, χ², the method and its iterations, the largest residuals and what ± means; `untried` as
+    `warnings_in_words` has it.
+    """
     dim = ["dim" if row.known else "" for row in parameter_rows(estimate, level)]
-    convergence = Paragraph(convergence_in_words(estimate), "" if bool(estimate.converged) else "bold red")
-    warnings = (f"Warning: {text}" for text in warnings_in_words(estimate, untried=untried))
+    converged, assessment = bool(estimate.converged), estimate.assessment
+    failed = [] if converged else [Paragraph(convergence_in_words(estimate), "bold red")]
+    causes = () if assessment is None else diagnosis_in_words(assessment.findings)
+    warnings = [f"Warning: {text}" for text in warnings_in_words(estimate, untried=untried, coded=True)]
+    if estimate.basis == MISFIT:
+        warnings.insert(0, f"Warning: {basis_in_words(estimate)} [model_misfit]")
     sections = [
-        section("", convergence),
+        section("", *failed, _verdict_line(estimate), *(Paragraph(line, "cyan") for line in causes)),
         section(
             "Parameters",
-            Table(parameter_columns(estimate, level), dim),
+            Table(parameter_columns(estimate, level, bound=verbose), dim),
             Paragraph(left_out, "dim") if (left_out := left_out_in_words(estimate)) else None,
         ),
         section("Signs", signs_in_words(estimate)),
         section("Modes", mode_columns(estimate.modes) if has_modes(estimate) else None),
         section(CYCLES, *((CYCLES_TEXT, cycle_columns(estimate.cycles)) if estimate.cycles else ())),
-        section(
-            "Fit",
-            *fit_paragraphs(estimate),
-            *remarks(estimate),
-            *(Paragraph(text, "yellow") for text in warnings),
-        ),
+        section("Warnings", *(Paragraph(text, "yellow") for text in warnings)),
     ]
+    if verbose:
+        how = [convergence_in_words(estimate)] if converged else []
+        numbers = [] if assessment is None else [capitalised(sentence(_residuals(estimate.fit)))]
+        motion = [] if assessment is None else [_motion(assessment)]
+        about = remarks(estimate)[estimate.basis == MISFIT :]
+        sections.append(section("Details", *how, *filter(None, [*numbers, *motion]), *about))
     return Document(estimate.model, tuple(each for each in sections if each.blocks))
+
+
+def _verdict_line(estimate: Estimate) -> Paragraph:
+    """The verdict in per cent of the motion, then its other reasons, each with its code."""
+    fit, assessment = estimate.fit, estimate.assessment
+    if assessment is None:
+        style = ("red" if bool(fit.rejected) else "green") if is_tested(fit) else ""
+        return Paragraph(fit_in_words(fit), style)
+    said, _, style = VERDICTS[assessment.verdict]
+    reasons = [r for r in assessment.reasons if r.code not in ("chi2", "discrepancy")]
+    texts = [f"{said}{(how := _share_missed(assessment)) and ': '}{how}.", *coded_texts(reasons)]
+    return Paragraph(" ".join(texts), style)
+
+
+def _share_missed(assessment: Assessment) -> str:
+    """How much of the motion the model misses, in per cent: a bound where noise is known, else the difference."""
+    for reason in assessment.reasons:
+        if reason.code == "discrepancy":
+            return reason.text.replace("the model", "it", 1)
+    if _bound_missed(assessment):
+        name, most = max(
+            ((name, share.upper95) for name, share in assessment.discrepancy.items() if share is not None),
+            key=lambda each: each[1],
+        )
+        where = f" at {name}" if len(assessment.discrepancy) > 1 else ""
+        return (
+            f"apart from noise it misses at most {short(100 * most, 2)} % of the motion{where} (95 % bound)"
+        )
+    if not assessment.relative_residual:
+        return ""
+    name, most = max(assessment.relative_residual.items(), key=lambda each: each[1])
+    where = f" at {name}" if len(assessment.relative_residual) > 1 else ""
+    return f"measured and predicted motion differ by {short(100 * most, 2)} %{where}"
+
+
+def coded_texts(notices: Sequence[Notice]) -> list[str]:
+    """Each notice as a sentence, with its code in brackets, by which the manual explains it."""
+    return [f"{capitalised(sentence(notice.text))} [{notice.code}]" for notice in notices]
 
 
 def estimate_text(estimate: Estimate) -> str:
@@ -108,12 +160,12 @@ def basis_in_words(estimate: Estimate) -> str:
     """What ± is, and what it includes."""
     if estimate.basis == MISFIT:
         return (
-            "± is one standard deviation. It is widened for the misfit of the model, and allows for what the values "
-            "would be with each likely cause mended; 'noise only' assumes a perfect model and is too small here."
+            "± is one standard deviation. It is widened for the misfit and covers what each likely cause would "
+            "change; 'noise only' assumes a perfect model and is too small here."
         )
     if estimate.basis == RESIDUALS:
         return "± is one standard deviation, estimated from the scatter of the residuals."
-    return "± is one standard deviation from the noise of the data."
+    return "± is one standard deviation due to noise in the data."
 
 
 def profiles_in_words(estimate: Estimate) -> str:
@@ -123,14 +175,17 @@ def profiles_in_words(estimate: Estimate) -> str:
         return ""
     verb = "Profile interval" if len(names) == 1 else "Profile intervals"
     open_ended = [name for name in names if not all(map(math.isfinite, estimate.profiles[name][0]))]
-    limit = f" The data set no limit on {joined(open_ended)} on one side." if open_ended else ""
-    return f"{verb}: {joined(names)} (χ² is not parabolic there, so ± misleads).{limit}"
+    limit = f" The interval of {joined(open_ended)} is open on one side." if open_ended else ""
+    return f"{verb}: {joined(names)} (the interval is asymmetric, so ± misleads).{limit}"
 
 
-def warnings_in_words(estimate: Estimate, *, untried: Collection[str] = tuple(OPTIONS)) -> tuple[str, ...]:
+def warnings_in_words(
+    estimate: Estimate, *, untried: Collection[str] = tuple(OPTIONS), coded: bool = False
+) -> tuple[str, ...]:
     """Warnings beside what fit and verdict say anyway, each with what to do about it.
 
-    `untried`: treatments of time records that were not chosen; amplitudes are as they are.
+    `untried`: treatments of time records that were not chosen; amplitudes are as they are.  `coded`: each ends with
+    its code in brackets, by which the manual explains it.
     """
     said = dict.fromkeys(SAID_BY_THE_FIT, frozenset[str]())
     if estimate.assessment is not None:
@@ -138,7 +193,7 @@ def warnings_in_words(estimate: Estimate, *, untried: Collection[str] = tuple(OP
         said |= {notice.code: frozenset(notice.of) for notice in estimate.assessment.reasons}
         said |= {"reversed_phase": frozenset[str]()} if estimate.assessment.findings else {}
     return tuple(
-        sentence(with_remedy(notice, untried=untried))
+        sentence(with_remedy(notice, untried=untried)) + (f" [{notice.code}]" if coded else "")
         for notice in estimate.warnings
         if notice.code not in said or (said[notice.code] and not said[notice.code].issuperset(notice.of))
     )
@@ -214,14 +269,15 @@ def _shown(entries: Sequence[Entry]) -> Sequence[Entry]:
     return entries if len(entries) <= MOST_ROWS else entries[:FIRST_ROWS]
 
 
-def parameter_columns(estimate: Estimate, level: float = 0.95) -> list[TableColumn]:
+def parameter_columns(estimate: Estimate, level: float = 0.95, *, bound: bool = True) -> list[TableColumn]:
     """Name, value, unit, ±, relative ±, interval, bound; where the model does not fit, also the ± of noise only."""
     rows = parameter_rows(estimate, level)
     low, high = (max((len(getattr(row, end)) for row in rows), default=0) for end in ("low", "high"))
     # ±, and whether the fit, on whose residuals it rests, could be tested
     spread = "±, not\ntested>" if estimate.basis == RESIDUALS else "±>"
     heads = ["parameter", "value>", spread, "unit", "± %>", f"{100 * level:g} % interval^"]
-    optional = {"±, noise\nonly>": estimate.basis == MISFIT, "bound>": np.any(np.isfinite(estimate.bound_sd))}
+    bounded = bound and bool(np.any(np.isfinite(estimate.bound_sd)))
+    optional = {"±, noise\nonly>": estimate.basis == MISFIT, "bound>": bounded}
     texts = []
     for row in rows:
         interval = f"{row.low.rjust(low)} … {row.high.ljust(high)}" if row.low else row.tie
@@ -233,8 +289,8 @@ def parameter_columns(estimate: Estimate, level: float = 0.95) -> list[TableColu
 
 STATED = "What was stated"
 STATED_TEXT = (
-    "The pull is how far the data draw a statement, in standard deviations of that: beyond 3, the two contradict each "
-    "other. 'costs' is the share of a variance that would go were the statement exact."
+    "Pull: how far the data move a stated value, in its standard deviations; beyond 3 the two disagree. "
+    "'costs': the share of a variance that would vanish if the stated value were exact."
 )
 
 
@@ -280,8 +336,8 @@ def mode_columns(modes: ModeValues | None) -> list[TableColumn]:
 
 CYCLES = "Cycles of motion"
 CYCLES_TEXT = (
-    "Energy per cycle, equivalent stiffness and equivalent viscous damping in the motion of these data "
-    "(of continuous records: in sines as large and as fast)."
+    "Energy per cycle, equivalent stiffness and equivalent viscous damping in the motion of these data (of "
+    "continuous records: in sines as large and as fast)."
 )
 
 
@@ -338,7 +394,7 @@ def matrix_columns(matrices: FreeMatrices, letter: Letter, unit: str) -> list[Ta
 VERDICTS: dict[str, tuple[str, Verdict, str]] = {
     "fits": ("The model fits", "good", "green"),
     "does not fit": ("The model does not fit", "bad", "bold red"),
-    "cannot tell": ("Whether the model fits, the data cannot tell", "open", "yellow"),
+    "cannot tell": ("The fit cannot be tested", "open", "yellow"),
 }
 
 
@@ -350,11 +406,11 @@ def is_tested(fit: Fit) -> bool:
 def fit_in_words(fit: Fit) -> str:
     """What χ² says, in one sentence."""
     if fit.dof <= 0:
-        return "There are as many unknowns as measurements: the fit cannot be tested."
+        return "There are as many unknowns as measurements, so the fit cannot be tested."
     if not fit.known_noise:
         return (
-            f"The noise is not known and is estimated from the residuals ({fit.dof} degrees of freedom), "
-            "so the fit cannot be tested."
+            f"The noise is not known; it is estimated from the residuals ({fit.dof} degrees of freedom), so the "
+            "fit cannot be tested."
         )
     if not math.isfinite(float(fit.p)):
         return f"The fit cannot be tested: {_chi2(fit)}."
@@ -363,8 +419,8 @@ def fit_in_words(fit: Fit) -> str:
         return f"The model does not fit: residuals are {ratio} × the noise ({_chi2(fit)})."
     if float(fit.p) > 0.999:
         return (
-            f"Residuals are only {ratio} × the stated noise ({_chi2(fit, p=False)}): "
-            "the noise is stated too large, and so are the intervals."
+            f"Residuals are only {ratio} × the stated noise ({_chi2(fit, p=False)}): the stated noise is too "
+            "large, and so are the intervals."
         )
     return f"The model fits: residuals are {ratio} × the noise ({_chi2(fit)})."
 
@@ -381,10 +437,13 @@ def _chi2(fit: Fit, *, p: bool = True) -> str:
 def verdict_in_words(fit: Fit, assessment: Assessment) -> str:
     """The verdict with its reasons, and χ²."""
     reasons = joined(notice.text for notice in assessment.reasons if notice.code != "chi2")
-    residuals = f"residuals are {short(float(fit.misfit), 2)} × the noise" if is_tested(fit) else ""
-    why = "; ".join(part for part in (reasons, residuals) if part)
-    numbers = f" ({_chi2(fit)})" if is_tested(fit) else ""
-    return f"{VERDICTS[assessment.verdict][0]}{why and ': '}{why}{numbers}."
+    why = "; ".join(part for part in (reasons, _residuals(fit)) if part)
+    return f"{VERDICTS[assessment.verdict][0]}{why and ': '}{why}."
+
+
+def _residuals(fit: Fit) -> str:
+    """How large the residuals are, with χ²; empty where that cannot be tested."""
+    return f"residuals are {short(float(fit.misfit), 2)} × the noise ({_chi2(fit)})" if is_tested(fit) else ""
 
 
 def fit_paragraphs(estimate: Estimate) -> list[Paragraph]:
@@ -394,7 +453,13 @@ def fit_paragraphs(estimate: Estimate) -> list[Paragraph]:
         style = ("red" if bool(fit.rejected) else "green") if is_tested(fit) else ""
         return [Paragraph(fit_in_words(fit), style)]
     said = Paragraph(verdict_in_words(fit, assessment), VERDICTS[assessment.verdict][2])
-    # How far measured and predicted amplitudes differ, what of it is noise, and where most
+    motion = Paragraph(_motion(assessment))
+    causes = [Paragraph(line, "cyan") for line in diagnosis_in_words(assessment.findings)]
+    return [said, *([motion] if motion.text else []), *causes]
+
+
+def _motion(assessment: Assessment) -> str:
+    """How far measured and predicted amplitudes differ, what of it is noise, and where most."""
     parts = [f"{short(100 * part, 2)} % at {name}" for name, part in assessment.relative_residual.items()]
     sentences = (
         [f"Measured and predicted motion differ by {joined(parts)}{_noise(assessment)}."] if parts else []
@@ -406,15 +471,13 @@ def fit_paragraphs(estimate: Estimate) -> list[Paragraph]:
             for one in assessment.worst
         ]
         sentences.append(f"Largest residuals: {joined(worst)}.")
-    motion = Paragraph(" ".join(sentences))
-    causes = [Paragraph(line, "cyan") for line in diagnosis_in_words(assessment.findings)]
-    return [said, *([motion] if motion.text else []), *causes]
+    return " ".join(sentences)
 
 
 def headline(estimate: Estimate, unsure: Sequence[str]) -> str:
     """Whether to trust the answer, in one sentence."""
     if not bool(estimate.converged):
-        return "No answer: the iteration did not converge. The values below are those of the last step."
+        return "No answer: the search did not converge. The values below are those of the last step."
     poor = [name for name in unsure if "." not in name]
     names = joined(poor[:4]) + (" and others" if len(poor) > 4 else "")
     rest = f" {names} {'is' if len(poor) == 1 else 'are'} poorly determined." if poor else ""
@@ -423,7 +486,7 @@ def headline(estimate: Estimate, unsure: Sequence[str]) -> str:
         return fit_in_words(estimate.fit) + rest
     if assessment.verdict == "does not fit":
         why = f" Likely cause: {sentence(assessment.cause.text)}" if assessment.cause else ""
-        return f"The model does not fit the data: do not sign these values as they are.{why}{rest}"
+        return f"The model does not fit the data: do not rely on these values as they are.{why}{rest}"
     return sentence(VERDICTS[assessment.verdict][0]) + rest
 
 
@@ -440,14 +503,19 @@ def page_verdict(estimate: Estimate) -> Verdict:
 
 def _described(assessment: Assessment) -> list[str]:
     """What of the motion the rig misses at the most beyond noise, where that is known of all and speaks for it."""
+    missed = _bound_missed(assessment)
+    return [f"Apart from noise, the model misses {missed}."] if missed else []
+
+
+def _bound_missed(assessment: Assessment) -> str:
     shares = {name: share for name, share in assessment.discrepancy.items() if share is not None}
     if not shares or len(shares) < len(assessment.discrepancy) or assessment.verdict == "does not fit":
-        return []
+        return ""
     name, share = max(shares.items(), key=lambda each: each[1].upper95)
     bound, value = (f"{short(100 * size, 2)} %" for size in (share.upper95, share.value))
     most = f"{value}, and at most {bound}" if share.lower95 > 0 else f"at most {bound}"
     where = f" at {name}" if len(shares) > 1 else ""
-    return [f"Beyond noise, the model misses {most} (95 % bound) of the motion{where}."]
+    return f"{most} (95 % bound) of the motion{where}"
 
 
 def _noise(assessment: Assessment) -> str:
@@ -459,7 +527,7 @@ def _noise(assessment: Assessment) -> str:
     parts = [f"{short(100 * size, 2)} %" for size in noise]
     alike = low if low == high else f"{low.removesuffix(' %')} to {high}"
     # figures within a quarter of each other are a range
-    return f"; noise alone would leave {alike if max(noise) <= 1.25 * min(noise) else joined(parts)}"
+    return f"; noise alone would account for {alike if max(noise) <= 1.25 * min(noise) else joined(parts)}"
 
 
 def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
@@ -467,10 +535,16 @@ def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
     lines = []
     for rank, finding in enumerate(findings[:3]):  # the likeliest and two beside it
         group = findings[0].group is not None and finding.group == findings[0].group
-        lead = "Likely cause" if rank == 0 else "Or, which these data cannot tell from it" if group else "Or"
+        lead = (
+            "Likely cause"
+            if rank == 0
+            else "Or, which these data cannot distinguish from it"
+            if group
+            else "Or"
+        )
         odds = "" if finding.odds is None else f" (odds {percent_of_odds(finding.odds)})"
         if finding.kind == "unexplained":
-            lead, odds = ("Something not listed", odds) if len(findings) > 1 else ("No cause found", "")
+            lead, odds = ("An unlisted cause", odds) if len(findings) > 1 else ("No cause found", "")
         stop = "" if finding.change.endswith("}") else "."  # a line of a rig file is to be copied as it is
         outlook = remaining_in_words(finding)
         parts = (

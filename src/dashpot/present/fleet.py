@@ -15,12 +15,12 @@ from dashpot.present.words import short
 PATH = 200  # characters of the name of a data set, which may be a path: its end says which it is
 NOTHING = "–"
 LEGEND = (
-    "Spread: of the rigs themselves, by median absolute deviations, the noise taken out. Noise: rms standard deviation "
-    "of the estimates. Drift: change from the first to the last data set, where it is more than chance."
+    "Spread: of the rigs themselves (median absolute deviation, noise removed). Noise: rms standard deviation "
+    "of the estimates. Drift: change from the first to the last data set, where it is significant."
 )
 POPULATION_LEGEND = (
-    "Population by restricted maximum likelihood, outliers left out: its mean, and the standard deviation of the rigs "
-    "around it with its 95 % interval."
+    "Population by restricted maximum likelihood, outliers left out: its mean, and the standard deviation of "
+    "the rigs around it with its 95 % interval."
 )
 
 
@@ -84,7 +84,7 @@ def fleet_remarks(outcome: FleetOutcome) -> list[str]:
         why = ", ".join(f"{shown(row.name)} {row.z[k]:+.1f} sd" for row in outcome.usual if row.outlier[k])
         unlike.append(f"{shown(str(columns['name'][k]))} ({why})")
     if unlike:
-        lines.append(f"Unlike the others: {_first(unlike, ', ')}.")
+        lines.append(f"Outliers: {_first(unlike, ', ')}.")
     drifting = [
         f"{shown(row.name)} by {_drift(row)} (p = {row.drift_p:.1g})" for row in outcome.usual if row.drifts
     ]

@@ -95,8 +95,8 @@ def identification_report(
     curved = [model.elements[i].name for i in model.nonlinear]
     if curved:
         statements.append(
-            f"The rig is nonlinear ({joined(curved)}): its modes are those of its linear part, and the values hold "
-            "for motions as large as those of this test."
+            f"The rig is nonlinear ({joined(curved)}): its modes are those of its linear part, and the values "
+            "are valid for motions as large as in this test."
         )
     shown_terms = {
         ("band", "share"): spectrum is not None,
@@ -110,7 +110,7 @@ def identification_report(
             (
                 *([prediction_section("Measured and model", histories)] if histories else []),
                 *_evidence(model, spectrum, estimate, found, held_out, len(dwells)),
-                *([section("What was done with the data", *treatments)] if treatments else []),
+                *([section("How the data were processed", *treatments)] if treatments else []),
             ),
             page_verdict(estimate),
             subtitle,
@@ -137,9 +137,7 @@ def failure_report(
     cures = [sentence(capitalised(problem.cure, names)) for problem in error.problems if problem.cure]
     undecided = isinstance(error, IdentifiabilityError)
     why = (
-        "the channels and data do not determine the unknowns"
-        if undecided
-        else "the iteration did not converge"
+        "the channels and data do not determine the unknowns" if undecided else "the search did not converge"
     )
     return page_html(
         Document(
@@ -166,7 +164,7 @@ def fit_figure(model: Model, spectrum: Spectrum, estimate: Estimate) -> Figure:
         return figures.response_figure(responses[:6])
     driven = found.compared()
     if not driven:
-        raise UsageError("no channel of these data depends on the estimate", "a figure of the fit")
+        raise UsageError("none of the channels depends on the estimate", "a figure of the fit")
     return figures.residual_channels_figure(found, driven[:6])
 
 
@@ -198,7 +196,10 @@ def _evidence(
     if spectrum is not None and found.residuals is not None:
         sections += _responses(found, found.residuals, spectrum.carries_loads)
         if found.records:
-            text = "The inputs are taken as measured; the fit also estimates their noise and so leaves less."
+            text = (
+                "The inputs are taken as measured; the fit also estimates their noise, so its residuals are "
+                "smaller."
+            )
             sections.append(prediction_section("In time, as used", found.records[:1], text))
         if found.dwells:
             sections.append(_dwells(found.dwells, dwells))
@@ -206,17 +207,20 @@ def _evidence(
     if len(estimate.names) <= 40:  # more unknowns do not fit in one picture
         text = "Each unknown with its 95 % interval; shaded, the interval at the Cramér-Rao bound."
         if estimate.stated:
-            text += " 'stated' is what the rig file says of it."
+            text += " 'stated' is the value in the rig file."
         picture = figure_picture(estimate_figure(estimate), "Parameters with their intervals")
         sections.append(section("Intervals", text, picture))
         if estimate.costs:
             figure = cost_figure(estimate.costs)
             picture = figure_picture(
-                figure, "Share of each variance that goes with what was stated", wide=False
+                figure, "Share of each variance that is due to the stated values", wide=False
             )
             sections.append(section(STATED, STATED_TEXT, stated_columns(estimate), picture))
         if len(estimate.names) > 1:
-            text = "Near ±1, two unknowns are hard to separate: their sum or difference is known better than either."
+            text = (
+                "Near ±1, two unknowns are strongly correlated: their sum or difference is known better "
+                "than either."
+            )
             figure = figures.correlation_plot(estimate.names, correlation(estimate.covariance))
             picture = figure_picture(figure, "Correlation matrix of the estimates", wide=False)
             sections.append(section("Correlation", text, picture))
@@ -227,7 +231,7 @@ def _evidence(
         figure = figures.profile_figure(found.profiles)
         sections.append(
             section(
-                "Profiles that differ",
+                "Profiles that are not parabolic",
                 "Where the curve is not the parabola, use the interval from the profile.",
                 Items(tuple(profile_in_words(each) for each in found.profiles)),
                 figure_picture(figure, f"Rise of χ² along {names}, beside the parabola of ± sd"),
@@ -256,7 +260,7 @@ def _responses(found: Evidence, left: Residuals, carries_loads: bool) -> list[Se
     if responses:
         text = "Output over input, measured and predicted by the estimated rig."
         if carries_loads:
-            text += " The transients at both ends of the record, as estimated, are taken out of the measured motion."
+            text += " The estimated start and end transients are subtracted from the measured motion."
         panels = [
             figure_picture(
                 figures.response_figure(part),
@@ -302,14 +306,14 @@ def _dwells(histories: Sequence[DwellHistory], dwells: int) -> Section:
         if one.begin > 0 or one.end < one.time[-1]
     ]
     shaded = (
-        f"Shaded is the part that was used: {joined(cut)}." if cut else "Each of these dwells was used whole."
+        f"Shaded: the part that was used, {joined(cut)}." if cut else "Each of these dwells was used whole."
     )
     channels = joined(histories[0].channels)
     return section(
         "Dwells in time",
         shaded,
-        f"Shown are {len(histories)} of {dwells} dwells, with them the one with the largest residual and the one "
-        "of which least was used. Offsets are taken out; predicted is the steady motion.",
+        f"{len(histories)} of {dwells} dwells are shown, among them the one with the largest residual and the "
+        "one of which least was used. Offsets are removed; predicted is the steady state.",
         figure_picture(figures.whole_dwells(histories), f"Dwells of {channels} in time. {shaded}"),
         figure_picture(
             figures.beginnings(histories), f"{channels} where the part used begins, measured and predicted"
@@ -323,9 +327,7 @@ def _residuals(found: Residuals) -> list[Section]:
     if not np.any(np.isfinite(size)):
         return []
     unit = "their rms (the noise is unknown)" if found.scaled else "the standard deviation of the noise"
-    texts = [
-        f"Size of measured minus predicted amplitude over {unit}; where the model fits, 95 % lie in the band."
-    ]
+    texts = [f"Measured minus predicted amplitude over {unit}; where the model fits, 95 % lie in the band."]
     rms = [
         f"{name} {short(value, 2)}"
         for name, value in zip(found.channels, found.rms().tolist(), strict=True)
@@ -351,8 +353,8 @@ def next_steps(
     if not bool(estimate.converged):
         return [
             "Do not use these values.",
-            'Check the signs and units of the channels: gain = "unknown" for all but one shows a wrong one.',
-            "Give the unknowns guesses, or try another method (dashpot compare shows several).",
+            'Check the signs and units of the channels: gain = "unknown" for all but one reveals a wrong one.',
+            "Give initial guesses of the unknowns, or try another method (dashpot compare shows several).",
         ]
     steps = _on_fit(estimate)
     parameters = [name for name in doubtful if "." not in name]
@@ -362,23 +364,24 @@ def next_steps(
         are, pronoun = ("is", "it") if len(parameters) == 1 else ("are", "them")
         hint = f" Design the next test for {pronoun}: {_design(rig, parameters[:MOST_NAMED])}."
         steps.append(
-            f"{shown} {are} poorly determined: the interval extends more than half the value to either side."
-            f"{hint if plannable else ''}"
+            f"{shown} {are} poorly determined: the interval extends more than half the value to either "
+            f"side.{hint if plannable else ''}"
         )
     elif plannable and (least := _least_known(estimate)) is not None:
         steps.append(
-            f"The least certain is {least[0]} (± {least[1]} %). To plan a test for it: {_design(rig, [least[0]])}."
+            f"The least certain is {least[0]} (± {least[1]} %). To plan a test for it: "
+            f"{_design(rig, [least[0]])}."
         )
     if weak is not None and weak.combinations:
         worst = weak.combinations[0]
         steps.append(
-            f"{joined(worst.names[:MOST_NAMED])} are strongly correlated: "
-            f"if {worst.best} were known from elsewhere, their intervals would shrink to "
-            f"{percent(worst.narrowing, 1.0)} %."
+            f"{joined(worst.names[:MOST_NAMED])} are strongly correlated: if {worst.best} were known, their "
+            f"intervals would shrink to {percent(worst.narrowing, 1.0)} % of their present width."
         )
     if estimate.assessment is not None and estimate.assessment.verdict == "fits":
         steps.append(
-            "Before relying on the result, predict a test that was not used: dashpot validate estimate.json OTHER.csv."
+            "Before relying on the result, predict a test that was not used: dashpot validate estimate.json "
+            "OTHER.csv."
         )
     return steps
 
@@ -396,8 +399,8 @@ def _on_fit(estimate: Estimate) -> list[str]:
     if assessment.verdict == "cannot tell" and not estimate.fit.known_noise:
         return [
             (
-                "Give the noise of the sensors, so that the fit can be tested: columns NAME_sd, longer dwells or "
-                "repeated tests, or a record at rest (--noise-record)."
+                "Make the fit testable: give the noise of the sensors (columns NAME_sd), longer dwells, "
+                "repeated tests, or an at-rest record (--noise-record)."
             )
         ]
     if assessment.verdict == "cannot tell":
@@ -413,12 +416,12 @@ def _on_fit(estimate: Estimate) -> list[str]:
         return [step]
     return [
         (
-            "Look where the residuals are largest: an element or a motion is missing there or a value is wrong, and "
-            "none of the usual mistakes explains it."
+            "Look where the residuals are largest: an element or a motion is missing there or a value is "
+            "wrong, and none of the usual mistakes explains it."
         ),
         (
-            "Until the model fits, use the values only within the frequencies of this test: they are the best for this "
-            "model, and their intervals are widened for the misfit."
+            "Until the model fits, use the values only within the frequencies of this test: they are the best "
+            "for this model, and their intervals are widened for the misfit."
         ),
     ]
 

@@ -114,9 +114,9 @@ def _pieces(x: Real, y: Real, chosen: Bools) -> tuple[Real, Real]:
 
 
 METHODS = {
-    "dwells": "steady sines and tables of amplitudes: noise of inputs and outputs as it is known",
+    "dwells": "steady sines and tables of amplitudes, with the known noise of inputs and outputs",
     "periods": "periodic excitation: means of the periods, noise from their scatter",
-    "local": "records of any excitation: local rational models with transients; inputs count as exact",
+    "local": "records of any excitation: local rational models with transients; inputs are treated as exact",
 }
 
 
@@ -144,7 +144,7 @@ def response_document(found: MeasuredResponse, where: str = "") -> Document:
     said = [f"From {METHODS[found.method]}."]
     if where:
         kept = len(found.independent().frequency_hz)
-        some = "" if kept == len(f) else f"; {kept} lines, of which no two share data"
+        some = "" if kept == len(f) else f"; {kept} lines, no two of which share data"
         said.append(f"Written to {where}{some}.")
     distorted = [(name, *(_distortion(part) for part in parts)) for name, parts in found.distortion.items()]
     heard = columns_of(["output", "even multiples>", "odd multiples>"], distorted)
@@ -192,7 +192,10 @@ def modes_document(found: MeasuredModes, where: str = "") -> Document:
         ratio = (found.chi2 / found.dof) ** 0.5
         said += f"The fit leaves {ratio:.3g} × the noise."
         if ratio > 1.2:
-            said += " What is more than noise is in the standard deviations; a nonlinear or changing rig is likely."
+            said += (
+                " The standard deviations include the excess over noise; the rig is probably nonlinear or "
+                "changing."
+            )
     if where:
         said += f" Written to {where}."
     table = columns_of(["mode", *(f"{name}^" for name in found.points)], shapes)
@@ -200,7 +203,7 @@ def modes_document(found: MeasuredModes, where: str = "") -> Document:
         title,
         (
             section("", columns_of(heads, values)),
-            section("", "Shapes of displacement, the largest 1:", table),
+            section("", "Shapes of displacement, largest value 1:", table),
             *([section("", said.strip())] if said else []),
         ),
     )

@@ -147,8 +147,8 @@ def accuracy_in_words(rows: Iterable[SummaryRow]) -> list[str]:
         sizes = [each.rms_error for each in summaries]
         shares = [float(share) for each in summaries for share in each.coverage]
         texts.append(
-            f"{name}: rms error {_span(sizes, 1)} % of the true values, {_span(errors, 2)} × the Cramér-Rao bound; "
-            f"95 % intervals hold the truth in {_span(shares, 0)} % of the draws."
+            f"{name}: rms error {_span(sizes, 1)} % of the true values, {_span(errors, 2)} × the Cramér-Rao "
+            f"bound; 95 % intervals contain the truth in {_span(shares, 0)} % of the draws."
         )
     return texts
 
@@ -157,12 +157,12 @@ def next_study_steps(rows: Sequence[SummaryRow]) -> tuple[str, ...]:
     """What to do after a study: whose values to take, and how far its shares are known."""
     method = next(iter(_most_accurate_first(rows)))
     draws = min(row.summary.draws - row.summary.failed for row in rows)
-    steps = [f"Take its values in tests like these: dashpot identify RIG DATA --method {method}."]
+    steps = [f"Use it for tests like these: dashpot identify RIG DATA --method {method}."]
     if draws < 400:  # by which a share of 95 % is known to a point
         spread = 100 * math.sqrt(0.95 * 0.05 / max(draws, 1))
         steps.append(
-            f"{draws} draws tell a share of 95 % to ± {spread:.1f} points: run the study with --draws 1000 before "
-            "judging intervals."
+            f"{draws} draws give a share of 95 % to ± {spread:.1f} points only: use --draws 1000 before judging "
+            "intervals."
         )
     return tuple(steps)
 

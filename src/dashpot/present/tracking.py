@@ -41,10 +41,10 @@ def track_document(track: Track, level: float = 0.95) -> Document:
     windows = f"{counted(len(track.start_s), 'window')} from {plain(float(track.start_s[0]))} to "
     said = f"{windows}{plain(float(track.end_s[-1]))} s."
     if len(track.start_s) < 3:
-        said += " Fewer than 3 windows show no change: take shorter ones, or a longer record."
+        said += " Fewer than 3 windows show no change: use shorter windows, or a longer record."
     else:
         share = 100 * track.false_alarms
-        said += f" A change is announced in {short(share)} % of records without one, at the most."
+        said += f" False alarms: at most {short(share)} % of records without a change."
     said += " ".join(["", *(sentence(note.text[:1].upper() + note.text[1:]) for note in track.notes)])
     return Document(
         title,

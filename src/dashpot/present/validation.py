@@ -22,8 +22,8 @@ from dashpot.present.words import capitalised, short
 
 POOR = 0.5  # FIT below which a prediction is of no use
 EXPLANATION = (
-    "FIT = 1 − ‖measured − predicted‖ / ‖measured − mean‖ within the band used, from the inputs alone; only the "
-    "state in which a record starts and ends is fitted to it."
+    "FIT = 1 − ‖measured − predicted‖ / ‖measured − mean‖ within the band used, from the inputs alone; only "
+    "the initial and final state of each record is fitted."
 )
 
 
@@ -78,8 +78,8 @@ def prediction_section(title: str, predictions: Sequence[RecordPrediction], *mor
     if records:
         low, high = (short(float(end), 4) for end in (min(drawn.frequency_hz), max(drawn.frequency_hz)))
         texts.append(
-            f"The histories last {short(drawn.duration_s, 4)} s and hold the {len(drawn.frequency_hz)} lines from "
-            f"{low} to {high} Hz that were used; motion at other frequencies is left out of all curves."
+            f"The histories last {short(drawn.duration_s, 4)} s and contain the {len(drawn.frequency_hz)} lines "
+            f"from {low} to {high} Hz that were used; motion at other frequencies is left out of all curves."
         )
     return section(title, *texts, *more, *pictures, whole=True)
 
@@ -143,8 +143,8 @@ def prediction_in_words(predictions: Sequence[RecordPrediction], findings: tuple
         )
     if within is None:
         return (
-            f"The largest difference between measured and predicted is {missed}; whether that is more "
-            "than noise cannot be said, for the noise of the sensors is not known."
+            f"The largest difference between measured and predicted is {missed}; it cannot be tested, because "
+            "the noise of the sensors is not known."
         )
     loudest = max(channels, key=lambda channel: np.nan_to_num(channel.times_noise))
     return (
@@ -181,11 +181,11 @@ def next_validation_steps(predictions: Sequence[RecordPrediction]) -> tuple[str,
     within = within_noise(predictions)
     if within:
         return (
-            "Rely on the estimate for motions as large as these, in this band; predict a test of others as well.",
+            "Rely on the estimate for motions as large as these, in this band; predict other tests, too.",
         )
     if within is None and not is_poor(predictions):
         return (
-            "Give the noise of the sensors (columns NAME_sd, or --noise-record), so that the difference can be tested.",
+            "Give the noise of the sensors (columns NAME_sd, or --noise-record): the difference is then testable.",
         )
     return (
         "Look for what differs between the tests: amplitude (a nonlinear element), mounting, sensors, temperature.",

@@ -17,7 +17,8 @@ from dashpot.estimate.registry import method
 from tests.unit.app.conftest import RIG, SET, VALUES, Command
 
 STEADY = (
-    "note: 8 dwells as steady sines: all 1600 samples used, frequency as stated, offset and slope removed"
+    "note: 8 stepped-sine dwells: all 1,600 samples used, stated frequencies kept, linear trend removed "
+    "[settled_dwells]"
 )
 
 
@@ -238,10 +239,10 @@ def test_what_was_noticed_in_the_records_is_told_once_for_all_dwells(dashpot: Co
     cells = [row.split(",", 1) for row in rows]
     text = "\n".join([head, *(f"{1.004 * float(hz):.12g},{rest}" for hz, rest in cells)]) + "\n"
     Path("data.csv").write_text(text, encoding="utf-8")
-    usual = dashpot("identify", "rig.toml", "data.csv")
+    usual, alike = dashpot("identify", "rig.toml", "data.csv"), "8 dwells alike"
     assert usual.err == [
-        "note: the records move at 0.996016 × the stated frequencies (8 dwells alike): used",
-        STEADY.replace("as stated", "refined"),
+        f"note: the response is at 0.996016 × the stated frequencies ({alike}): this ratio is used [clock_refined]",
+        STEADY.replace("kept", "refined"),
     ]
     blind = dashpot("identify", "rig.toml", "data.csv", "--transients", "none", "--refine", "none")
     assert blind.err == [STEADY]
@@ -250,7 +251,10 @@ def test_what_was_noticed_in_the_records_is_told_once_for_all_dwells(dashpot: Co
         name, *more = command
         done = dashpot(name, "rig.toml", "data.csv", "--refine", *more)
         assert done.code == 0
-        assert "note: data.csv:2: driven at 2 Hz, not at 2.008 Hz (and 7 more like this)" in done.err
+        assert (
+            "note: data.csv:2: driven at 2 Hz, not at 2.008 Hz (and 7 more like this) [frequency_refined]"
+            in done.err
+        )
         assert len(done.err) == 2
     assert dashpot("identify", "rig.toml", "data.csv", "--refine", "-q").err == []
 

@@ -79,3 +79,10 @@ def test_it_runs_as_a_module() -> None:
     )
     assert done.returncode == 0
     assert done.stdout.startswith("dashpot ")
+
+
+def test_the_help_of_identify_shows_what_people_use_and_all_of_it_on_request(dashpot: Command) -> None:
+    usual, everything = dashpot("identify --help").out, dashpot("identify --help-all").out
+    assert "--report" in usual
+    assert "--orders" not in usual
+    assert all(option in everything for option in ("--report", "--orders", "--in-parts"))

@@ -47,7 +47,7 @@ def test_noise_is_as_large_as_it_is():
     [
         (400, N * STEP, ODD, "shorter than its period"),
         (N, N * STEP * 1.0007, ODD, "not a whole"),
-        (N, N * STEP, ODD[:9], "nothing shows the noise"),
+        (N, N * STEP, ODD[:9], "cannot be estimated"),
         (N, N * STEP, [1, 3, 300], "beyond half the sampling"),
     ],
 )

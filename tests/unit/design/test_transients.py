@@ -55,10 +55,10 @@ def test_waiting_is_called_a_waste_where_it_is() -> None:
     assert waits.unsettled.predicted.figure < 0.9 * waits.plan.predicted.figure
     kept = (waits.unsettled.predicted.figure / waits.plan.predicted.figure) ** 2
     assert waits.unsettled.thrown_away == pytest.approx(1 - kept)
-    assert "Waiting for the steady state is a waste" in last_words(waits)
+    assert "Do not wait for steady state" in last_words(waits)
     assert "No dwell waits" in last_words(advised(own, settle=0.0))
     heavy = light_setup(2e-3, 0.0, zeta=0.2)
-    assert "Waiting costs little" in last_words(advised(heavy, settle=0.1))
+    assert "Waiting for steady state costs little" in last_words(advised(heavy, settle=0.1))
 
 
 def test_nothing_is_said_of_rigs_without_a_motion_in_time() -> None:

@@ -23,10 +23,10 @@ from dashpot.present.estimate import (
 from tests.unit.present.conftest import RIG, measured
 
 
-def printed(estimate: Estimate, width: int = 80) -> str:
+def printed(estimate: Estimate, width: int = 80, *, verbose: bool = True) -> str:
     out = io.StringIO()
     console = Console(file=out, width=width, highlight=False, emoji=False, markup=False)
-    show(console, estimate_document(estimate))
+    show(console, estimate_document(estimate, verbose=verbose))
     return out.getvalue()
 
 
@@ -111,3 +111,24 @@ def test_the_html_of_an_estimate_is_escaped_and_complete(bad: Estimate) -> None:
     for row in parameter_rows(bad):
         assert row.value in html
     assert "does not fit" in html
+
+
+def test_the_verdict_comes_first_and_what_it_rests_on_is_asked_for(good: Estimate) -> None:
+    judged = replace(good, assessment=Assessment("fits", ()))
+    text = printed(judged, verbose=False)
+    assert text.splitlines()[1].startswith("The model fits")
+    assert not {"bound", "χ²", "converged"} & set(text.replace("=", " ").split())
+    assert all(word in printed(judged) for word in ("bound", "χ²", "converged"))
+
+
+def test_warnings_and_reasons_carry_the_codes_of_the_manual(good: Estimate) -> None:
+    told = replace(
+        good,
+        warnings=(Notice("few_lines", "only 5 frequency lines"),),
+        assessment=Assessment(
+            "does not fit", (Notice("smooth_residuals", "the residuals of x1 follow a trend"),)
+        ),
+    )
+    text = " ".join(printed(told, verbose=False).split())
+    assert "Warning: only 5 frequency lines. [few_lines]" in text
+    assert "The residuals of x1 follow a trend. [smooth_residuals]" in text

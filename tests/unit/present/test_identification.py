@@ -162,7 +162,7 @@ def test_the_verdict_comes_first_and_the_largest_residual_is_that_of_the_plot(
     said = {
         "fits": "The model fits",
         "misfit": "The model does not fit",
-        "not converged": "No answer: the iteration",
+        "not converged": "No answer: the search",
     }
     assert html.index(said[case]) < min(html.index("<svg"), html.index("<h2>Parameters"))
     assert ('class="verdict bad"' in html[: html.index(said[case])]) == (case != "fits")
@@ -318,7 +318,7 @@ def test_words_are_those_of_the_json(page: tuple[str, dict[str, Any]]) -> None:
     assert set(parts) == set(fit["relative_residual"])
     for name, part in parts.items():
         assert shows(part, 100 * fit["relative_residual"][name])
-    told = re.search(r"noise alone would leave (.*?)\. ", text)
+    told = re.search(r"noise alone would account for (.*?)\. ", text)
     noise, sizes = re.findall(r"[\d.]+", told[1]), list(fit["relative_noise"].values())
     ends = [min(sizes), max(sizes)][: len(noise)] if len(told[1].split()) in (2, 4) else sizes
     for part, size in zip(noise, ends, strict=True):
@@ -372,8 +372,8 @@ def test_profiles_are_shown_where_the_normal_interval_misleads() -> None:
     assert misled
     assert [each.name for each in found] == misled
     html = identification_report(RIG.model, poor, unsure)
-    assert "Profiles that differ" in html
-    assert "Profiles that differ" not in identification_report(RIG.model, good, sure)
+    assert "Profiles that are not parabolic" in html
+    assert "Profiles that are not parabolic" not in identification_report(RIG.model, good, sure)
 
 
 def test_histories_say_which_part_of_a_record_they_hold() -> None:
@@ -385,7 +385,7 @@ def test_histories_say_which_part_of_a_record_they_hold() -> None:
         for block in prediction_section("In time", (record,)).blocks
         if isinstance(block, Paragraph)
     ]
-    assert any("2.000 s and hold the 3 lines from 1.000 to 2.000 Hz" in text for text in texts)
+    assert any("2.000 s and contain the 3 lines from 1.000 to 2.000 Hz" in text for text in texts)
 
 
 def test_the_fit_in_words_is_that_of_the_curves(monkeypatch: pytest.MonkeyPatch) -> None:

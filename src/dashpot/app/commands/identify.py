@@ -23,7 +23,7 @@ from dashpot.app.data_files import (
 )
 from dashpot.app.report_files import ReportFile
 from dashpot.app.workers import progress, shared_out
-from dashpot.errors import DashpotError, DataError, Problem, UsageError
+from dashpot.errors import DashpotError, DataError, Problem, UsageError, printable
 from dashpot.estimate.registry import method_class
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import noted
@@ -44,6 +44,20 @@ ESTIMATION = "Estimation"
 @opt.dashpot_command(
     "dashpot identify rig.toml data.csv",
     "dashpot identify rig.toml run1.csv run2.csv --json estimate.json --report report.html",
+    usual=(
+        "--method",
+        "--strict",
+        "--hold-out",
+        "--band",
+        "--noise-record",
+        "--report",
+        "--json",
+        "--apply",
+        "--figure",
+        "--level",
+        "--verbose",
+        "--quiet",
+    ),
 )
 def command(
     rig: opt.RigFile,
@@ -90,6 +104,7 @@ def command(
     level: opt.Level,
     records: RecordOptions,
     seed: Annotated[int, opt.SEED, "the starting values that ml draws"],
+    verbose: opt.Verbose,
     quiet: opt.Quiet,
 ) -> int:
     """Estimate the unknown masses, dampers and springs of RIG (a rig file, TOML) from DATA.
@@ -143,7 +158,10 @@ def command(
     if apply is not None and useful:
         _write_applied(read, useful[0], apply)
     if not quiet and json_out != opt.STDOUT:
-        _show(read, found, level, matrices)
+        _show(read, found, level, matrices, verbose)
+        written = [path for path in (json_out, report.report, figure) if path is not None]
+        if written:
+            click.echo(f"Written: {', '.join(map(printable, written))}")
     if apply is not None:
         done = (
             f"{apply}: the rig file with {useful[0].change}"
@@ -350,12 +368,12 @@ def corrected(rig: Rig, finding: Finding) -> str:
     return edited(Path(noted(rig.path)).read_text(encoding="utf-8"), rig, after)
 
 
-def _show(rig: Rig, found: Identified, level: float, matrices: bool) -> None:
+def _show(rig: Rig, found: Identified, level: float, matrices: bool, verbose: bool) -> None:
     from dashpot.model.matrix_elements import free_names
     from dashpot.present.document import say
     from dashpot.present.estimate import estimate_document
 
-    say(estimate_document(found.estimate, level, untried=found.untried), apart=True)
+    say(estimate_document(found.estimate, level, untried=found.untried, verbose=verbose), apart=True)
     # Free matrices are what the rig is, as long as no hysteretic damper, which is in none of them, stands beside them.
     if matrices or (free_names(rig.model) and not len(rig.model.by_matrix["H"])):
         from dashpot.estimate.linear.instrumental_variables import matrices_of

@@ -28,7 +28,7 @@ def even_step(record: Record) -> float:
         raise DataError(
             f"a record of {len(time)} samples",
             record.source,
-            f"{fewest_samples(record)} samples are the fewest that can be used",
+            f"at least {fewest_samples(record)} samples are needed",
         )
     index, step, away = _line(time)
     # Rounded stamps stay within a digit of the line through all of them, however long the record is.
@@ -86,7 +86,10 @@ def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
     middle = float(np.mean(time))
     step = _simplest(time - middle, index, step, (1 + 1e-6) * digit)
     even: Real = np.asarray(middle + step * index, dtype=np.float64)
-    text = f"{record.source}: time stamps are rounded to {digit:.3g} s; the samples are taken as {step:.6g} s apart"
+    text = (
+        f"{record.source}: time stamps are rounded to {digit:.3g} s; evenly spaced samples, {step:.6g} s "
+        "apart, are used"
+    )
     note = Notice("stamps_rounded", text, (record.source,)) if coarse else None
     return replace(record, time=even), note
 
@@ -110,6 +113,6 @@ def cut(record: Record, start: float, end: float) -> Record:
         raise DataError(
             f"{100 * (end - start):.3g} % of {len(record.time)} samples leaves nothing",
             record.source,
-            "take more of it",
+            "use a larger share",
         )
     return record.part(slice(first, last))

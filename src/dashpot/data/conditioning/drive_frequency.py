@@ -123,7 +123,7 @@ WITHIN = 0.025  # relative error of a stated frequency that is corrected, not re
 OWN = 3.3  # standard deviations by which a dwell must differ from the common ratio to have a frequency of its own
 LABEL = 5e-6  # relative: as labels of six digits are rounded
 EVEN = 1e-7  # relative: what is nearer is the same frequency, however small the noise
-USUAL = ((2 * np.pi, "rad/s"), (1 / (2 * np.pi), "Hz in the place of rad/s"), (60.0, "rpm"))
+USUAL = ((2 * np.pi, "rad/s"), (1 / (2 * np.pi), "Hz, not rad/s"), (60.0, "rpm"))
 ALIKE = 0.05  # relative
 
 
@@ -142,7 +142,10 @@ class DriveFrequencies:
         if not len(moved):
             return []
         if self.kind == "clock":
-            text = f"the records move at {self.ratio:.6g} × the stated frequencies ({len(records)} dwells alike): used"
+            text = (
+                f"the response is at {self.ratio:.6g} × the stated frequencies ({len(records)} dwells "
+                "alike): this ratio is used"
+            )
             return [Notice("clock_refined", text)]
         return [
             Notice(
@@ -169,15 +172,15 @@ def require_stated(records: Sequence[Record], orders: Sequence[int]) -> None:
     if not problems:
         return
     middle = float(np.median(ratios))
-    guess = next((f": {name}?" for ratio, name in USUAL if abs(middle / ratio - 1) < ALIKE), "")
+    guess = next((f". Is it in {name}?" for ratio, name in USUAL if abs(middle / ratio - 1) < ALIKE), "")
     if len(problems) > 1 and not guess and np.ptp(ratios) < ALIKE * middle:
-        guess = f": a time base or frequencies that are wrong by the factor {middle:.3g}?"
+        guess = f". Are time base or frequencies wrong by the factor {middle:.3g}?"
     shown = problems[:1] if guess and len(problems) > 3 else problems
     alike = f" ({len(problems)} of {len(records)} dwells alike)" if len(shown) < len(problems) else ""
     raise DataError(
         [
             Problem(
-                f"{record.frequency_hz:g} Hz is stated, the record moves at {peak:.3g} Hz{guess}{alike}",
+                f"{record.frequency_hz:g} Hz is stated, but the response is at {peak:.3g} Hz{guess}{alike}",
                 record.source,
                 "correct the frequency or the time, or leave the record out",
             )

@@ -382,9 +382,9 @@ def _fit(record: Record, f: float, terms: Terms, noise: Noise) -> HarmonicFit:
     enough, coloured = bool(np.all(counts >= FEWEST_LINES)), is_coloured(p)
     if noise == "blocks" and not enough:
         raise DataError(
-            f"{white.periods:.3g} periods are too few to see the colour of the noise at {f:g} Hz",
+            f"{white.periods:.3g} periods are too few to measure coloured noise at {f:g} Hz",
             record.source,
-            'record at least eight periods, or take the noise as "white"',
+            'record at least eight periods, or use the noise model "white"',
         )
     if noise == "blocks" or (coloured and enough):
         apart = solution.in_cells[:, None] | solution.in_cells
@@ -393,8 +393,8 @@ def _fit(record: Record, f: float, terms: Terms, noise: Noise) -> HarmonicFit:
     if not coloured:
         return white
     text = (
-        f"{record.source}: the residual at {f:g} Hz is not white, but {white.periods:.3g} periods "
-        "are too few to measure its colour; the intervals treat it as white"
+        f"{record.source}: the noise at {f:g} Hz is not white, but {white.periods:.3g} periods are too few to "
+        "measure it; the intervals treat it as white"
     )
     return replace(white, notes=(Notice("colour_unresolved", text, (record.source,)),))
 

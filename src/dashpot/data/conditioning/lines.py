@@ -64,7 +64,7 @@ from dashpot.notices import Notice
 SETTLED = "settled_dwells"
 OTHER_MOTION = "other_motion"
 LITTLE = 0.3  # part of a channel's power that the multiples of the drive explain
-DRIFTS = {-1: "nothing", 0: "an offset", 1: "offset and slope"}
+DRIFTS = {-1: "nothing", 0: "mean", 1: "linear trend"}
 
 
 def account_of_dwells(given: Sequence[Record], lines: Sequence[Spectrum], settings: Conditioning) -> Notice:
@@ -80,10 +80,10 @@ def account_of_dwells(given: Sequence[Record], lines: Sequence[Spectrum], settin
         if record.frequency_hz is not None
     )
     share = "all" if used == samples else f"{100 * used / samples:.3g} % of"
-    frequency = "as stated" if not moved else f"refined in {moved}" if moved < len(given) else "refined"
-    drift = DRIFTS.get(settings.degree, f"a polynomial of degree {settings.degree}")
-    dwells = f"{len(given)} dwell{'' if len(given) == 1 else 's'}"
-    text = f"{dwells} as steady sines: {share} {samples} samples used, frequency {frequency}, {drift} removed"
+    frequency = "kept" if not moved else f"refined in {moved}" if moved < len(given) else "refined"
+    drift = DRIFTS.get(settings.degree, f"polynomial of degree {settings.degree}")
+    dwells = f"{len(given)} stepped-sine dwell{'' if len(given) == 1 else 's'}"
+    text = f"{dwells}: {share} {samples:,} samples used, stated frequencies {frequency}, {drift} removed"
     return Notice(SETTLED, text)
 
 
@@ -102,8 +102,9 @@ def other_motion(record: Record, fit: HarmonicFit, wanted: Sequence[int]) -> lis
     if share > LITTLE:
         return []
     text = (
-        f"{record.source}: {100 * share:.2g} % of the motion (power) is at the multiples of {fit.frequency_hz:g} Hz "
-        "that are used, and the rest is not white noise: no steady sine; given without a frequency, it is used whole"
+        f"{record.source}: only {100 * share:.2g} % of the signal power is at {fit.frequency_hz:g} Hz and the "
+        "harmonics used, and the rest is not white noise, so this is not a steady sine; remove the frequency "
+        "to use the whole record"
     )
     return [Notice(OTHER_MOTION, text, (record.source,))]
 
@@ -114,7 +115,7 @@ def summed_up(notes: Iterable[Notice]) -> list[Notice]:
     such = [note for note in notes if note.code == OTHER_MOTION]
     others = [note for note in notes if note.code != OTHER_MOTION]
     if len(such) > 1:
-        text = f"{such[0].text}; so {len(such) - 1} dwell{'' if len(such) == 2 else 's'} more"
+        text = f"{such[0].text}; {len(such) - 1} more dwell{'' if len(such) == 2 else 's'} likewise"
         such = [Notice(OTHER_MOTION, text, tuple(name for note in such for name in note.of))]
     return [*others, *such]
 
@@ -182,7 +183,7 @@ def orders_used(driven: Sequence[tuple[int, ...]]) -> list[Notice]:
     if not several:
         return []
     dwells = f"{len(several)} dwell{'s' if len(several) > 1 else ''}"
-    text = f"{sum(several)} lines of {dwells}: harmonics of the drive that every channel shows are used"
+    text = f"{sum(several)} lines of {dwells}: harmonics of the drive that appear in every channel are used"
     return [Notice("harmonics_driven", text)]
 
 
@@ -256,7 +257,10 @@ def spectrum(
     lines = concatenate(parts)
     if settings.still is None or AT_REST not in lines.noise:
         return lines
-    text = f"noise: that of the record at rest, its spectrum from {settings.still.dof:.0f} values around each line"
+    text = (
+        f"noise taken from the at-rest record (spectrum averaged over {settings.still.dof:.0f} values around "
+        "each line)"
+    )
     return replace(lines, notes=(*lines.notes, Notice("noise_at_rest", text)))
 
 
@@ -276,9 +280,9 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     if settings.drift == "auto" and any(periods_of(record) < CHEAP for record in dwells):
         # The drift that all dwells together call for
         p = slopes_show(dwells, settings.wanted)
-        what = "only an offset is" if p > SLOPE_LEVEL else "an offset and a slope are"
+        what = "only the mean is" if p > SLOPE_LEVEL else "a linear trend is"
         chance = f"p = {p:.2g}" if p >= 1e-6 else "p < 1e-6"
-        text = f"{what} removed from each dwell (drift over all dwells: {chance})"
+        text = f"{what} removed from each dwell (test for a slope over all dwells: {chance})"
         settings = settings.changed(drift=0 if p > SLOPE_LEVEL else 1)
         notes.append(Notice("drift_by_evidence", text))
     lines = _of_settled(dwells, uncut, settings)
@@ -290,8 +294,8 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
         record.source for record in dwells if not shows_settling(record) and record.values.ndim == 2
     )
     if brief and _asked(UNSETTLED, settings) and UNSETTLED.code not in said:
-        which, them = ("one dwell is", "it") if len(brief) == 1 else (f"{len(brief)} dwells are", "them")
-        text = f"{which} too short to show whether a transient is in {them}: taken as settled"
+        which = "one dwell is" if len(brief) == 1 else f"{len(brief)} dwells are"
+        text = f"{which} too short to show a transient: treated as settled"
         said["transient_undetectable"] = Notice("transient_undetectable", text, brief)
     notes += list(said.values())
     return replace(lines, notes=(*notes, *lines.notes), unsettled=_as_unsettled(dwells, settings))
@@ -405,7 +409,7 @@ def _as_unsettled(dwells: Sequence[Record], settings: Conditioning) -> Spectrum 
         return None
     try:
         at_hz = [record.frequency_hz for record in brief]
-        whole = _as_whole(brief, at_hz, settings, "too short to show settling")
+        whole = _as_whole(brief, at_hz, settings, "too short to detect a transient")
     except DashpotError:
         return None
     rest = [record for record in dwells if shows_settling(record)]
@@ -437,7 +441,7 @@ def _why_whole(dwells: Sequence[Record], settings: Conditioning, found: Sequence
     if not settings.dwells_may_be_whole:
         return None
     if settings.transients == "estimate":
-        return "taken whole"
+        return "used whole"
     # samples of a dwell that shows by itself whether it is a steady sine
     if not all(record.values.ndim == 2 and len(record.time) >= 16 for record in dwells):
         return None

@@ -268,7 +268,7 @@ def from_triangle(R: Real, k: int, record: Record, f: float) -> tuple[Real, Real
             return P, both[:, k:]
     rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
     raise DataError(
-        f"the samples (about {rate:g} per second) cannot tell offset, drift and harmonics apart at {f:g} Hz",
+        f"the samples (about {rate:g} per second) cannot separate offset, drift and harmonics at {f:g} Hz",
         record.source,
         "record more periods, at a rate that is not twice the frequency or less, or ask for fewer harmonics",
     )
@@ -432,7 +432,7 @@ def _partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMe
         return _partly_measured(replace(record, cell=None), c, f, terms)
     if inverse is None:
         raise DataError(
-            f"the samples that {record.channels[c].name} did measure cannot tell its motion at {f:g} Hz",
+            f"the valid samples of {record.channels[c].name} cannot determine its motion at {f:g} Hz",
             record.source,
             "leave the channel out, or widen its range",
         )

@@ -495,21 +495,21 @@ class Unsteady:
         return self.p(records) < self.level
 
 
-NOT_SETTLED = "the dwells have not settled, but are treated as settled"
-IGNORED = "within a dwell, which is nevertheless treated as steady"
+NOT_SETTLED = "the dwells have not reached steady state, but are treated as settled"
+IGNORED = "within a dwell, but the dwells are treated as steady"
 WANDERS = Unsteady(
     lambda records: together(map(_wander, records)),
     1e-4,
-    "not steady (the drive frequency wanders)",
+    "not steady (the drive frequency drifts)",
     "drive_wanders",
-    f"the drive frequency wanders {IGNORED}",
+    f"the drive frequency drifts {IGNORED}",
 )
 FADES = Unsteady(
     lambda records: together(map(_fading, records)),
     LEVEL,
-    "not steady (the drive's amplitude drifts)",
+    "not steady (the drive amplitude drifts)",
     "drive_fades",
-    f"the drive's amplitude drifts {IGNORED}",
+    f"the drive amplitude drifts {IGNORED}",
 )
 UNSETTLED = Unsteady(settling, LEVEL, "not settled", "transients_ignored", NOT_SETTLED)
 BENT = Unsteady(bending, LEVEL, "not steady sines", "transients_ignored", NOT_SETTLED)

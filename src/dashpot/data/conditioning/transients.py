@@ -214,7 +214,7 @@ def dwells_with_transients(
             raise DataError(
                 f"a dwell of {len(record.time)} samples is too short to separate its transient from its motion",
                 record.source,
-                f"record {FEWEST_OF_A_DWELL} samples at least, or wait until it has settled",
+                f"record at least {FEWEST_OF_A_DWELL} samples, or wait until it has settled",
             )
         even_step(record)
         lines = whole_record(record, band_hz=band_hz, still=still)
@@ -225,7 +225,7 @@ def dwells_with_transients(
         lines = replace(lines, stretches=(dwell,))
         spectra.append(_with_sine_floor(lines, record) if still is None else lines)
     dwells = "one dwell is" if len(spectra) == 1 else f"{len(spectra)} dwells are"
-    text = f"{dwells} {why}: all samples are used, the transients at both ends being estimated"
+    text = f"{dwells} {why}: all samples are used, and start and end transients are estimated"
     joined = concatenate(spectra)
     return replace(joined, notes=(Notice("dwells_with_transients", text),))
 

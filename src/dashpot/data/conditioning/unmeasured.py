@@ -104,7 +104,7 @@ def _with_missing(record: Record, notices: list[Notice]) -> Record:
             for begin, end in missed:
                 status[begin:end, c] = MISSING
             name, count = record.channels[c].name, sum(end - begin for begin, end in missed)
-            text = f"{name} misses {counted(count, 'sample')} of the dwell at {record.frequency_hz:g} Hz"
+            text = f"{name} has {counted(count, 'missing sample')} in the dwell at {record.frequency_hz:g} Hz"
             notices.append(
                 Notice("dropouts", f"{text} (held, 0 or a spike): the other samples are used", (name,))
             )
@@ -248,8 +248,8 @@ def notices_of_doubt(dwells: Sequence[Record]) -> list[Notice]:
     return [
         Notice(
             "clipped_in_doubt",
-            f"{name} clips in dwells of less than two periods that are no steady sines: nothing tells what the motion "
-            "was there, and values may be off by more than their intervals say",
+            f"{name} clips in dwells of less than two periods that are not steady sines: the motion there is "
+            "unknown, and errors may exceed the intervals",
             (name,),
         )
         for name in brief
@@ -305,7 +305,7 @@ def marked_whole(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
             notes.append(
                 Notice(
                     "dropouts",
-                    f"{record.source}: {which}: unknown there, the others are used",
+                    f"{record.source}: {which}: treated as missing",
                     (channel.name,),
                 )
             )
@@ -313,13 +313,14 @@ def marked_whole(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
     spiky = replace(record, status=status) if np.any(status) else record
     parts = [spiky.part(slice(a, b)) for a, b in pairwise(edges) if not held[a] and b - a >= SIDES]
     if np.count_nonzero(status) <= MOST_UNKNOWN or not parts:
-        parts, used = [spiky], "unknown there, the others are used"
+        parts, used = [spiky], "treated as missing"
     else:
-        used = f"used as {counted(len(parts), 'record')}"
+        used = f"split into {counted(len(parts), 'segment')}"
     if holding:
         text = (
-            f"{record.source}: {joined(holding)} hold{'s' if len(holding) == 1 else ''} a value in {np.sum(held)} "
-            f"samples, first at {record.time[np.argmax(held)]:.6g} s, while the motion goes on: {used}"
+            f"{record.source}: {joined(holding)} hold{'s' if len(holding) == 1 else ''} one value for "
+            f"{np.sum(held)} samples, first at {record.time[np.argmax(held)]:.6g} s, although the motion "
+            f"continues: {used}"
         )
         notes.append(Notice("held_samples", text, tuple(holding)))
     return [_with_clipped_of_whole(part, notes) for part in parts], tuple(notes)

@@ -77,7 +77,7 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
     whole = None if slipped else _with_unknown_rows(record, np.rint(steps / usual).astype(np.int64))
     if whole is not None:
         count = len(whole.time) - len(record.time)
-        text = f"{record.source}: {counted(count, 'sample')} missing before {at}: unknown there, the others are used"
+        text = f"{record.source}: {counted(count, 'sample')} missing before {at}: treated as unknown"
         return [whole], (Notice("gaps", text, (record.source,)),)
     edges = [0, *cuts.tolist(), len(record.time)]
     pieces = [record.part(slice(a, b)) for a, b in pairwise(edges) if b - a >= SHORTEST]
@@ -91,13 +91,13 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
         )
     if not pieces:
         raise DataError(
-            f"the time has {len(cuts)} gaps, and no piece between them has {SHORTEST} samples",
+            f"the record has {len(cuts)} gaps, and no segment between them has {SHORTEST} samples",
             record.source,
             "give the record without gaps",
         )
-    dropped = f", {lost} samples of short pieces left out" if lost else ""
+    dropped = f", {lost} samples of short segments dropped" if lost else ""
     what = "the clock slips" if slipped else "samples are missing"
-    text = f"{record.source}: {what} before {at}: used as {len(pieces)} records{dropped}"
+    text = f"{record.source}: {what} before {at}: split into {len(pieces)} segments{dropped}"
     return pieces, (Notice("gaps", text, (record.source,)),)
 
 
@@ -245,13 +245,13 @@ def _amplitudes(record: Record, first: int, last: int, *, stated: bool) -> tuple
     if moving and not any(inside for inside, _, _ in moving):
         low, high = min(low for _, low, _ in moving), max(high for _, _, high in moving)
         where = (
-            f"the record moves from {low / duration:.3g} to {high / duration:.3g} Hz: " if high > low else ""
+            f"the motion is between {low / duration:.3g} and {high / duration:.3g} Hz: " if high > low else ""
         )
         raise DataError(
-            f"no channel moves more than its noise from {first / duration:.4g} to {last / duration:.4g} Hz, the band "
-            "that is asked for",
+            f"no motion above the noise between {first / duration:.4g} and {last / duration:.4g} Hz, the band "
+            "asked for",
             record.source,
-            f"{where}set the band there, or none, which takes it from where something moves",
+            f"{where}set --band there, or leave it out",
         )
     return X, floor, folded
 
@@ -305,9 +305,9 @@ def _notices(record: Record, folded: Real) -> tuple[Notice, ...]:
     if not names:
         return ()
     text = (
-        f"{record.source}: {joined(names)} still {'move' if len(names) > 1 else 'moves'} at half the sampling rate "
-        f"({100 * np.max(folded):.2g} % of the largest lines): what lies above is folded back, and values may be off "
-        "by up to as much; sample faster, or through a filter against it"
+        f"{record.source}: aliasing: {joined(names)} still {'move' if len(names) > 1 else 'moves'} at half the "
+        f"sampling rate ({100 * np.max(folded):.2g} % of the largest lines), and values may be off by as much; "
+        "sample faster, or use an anti-aliasing filter"
     )
     return (Notice("folded", text, tuple(names)),)
 
@@ -342,16 +342,17 @@ def whole_records(
     used = sum(len(piece.time) for piece in pieces)
     low, high = float(np.min(every.frequency_hz)), float(np.max(every.frequency_hz))
     text = (
-        f"{len(pieces)} whole record{'s' if len(pieces) > 1 else ''} of {used} samples: {every.lines} "
-        f"line{'s' if every.lines > 1 else ''} from {low:.4g} to {high:.4g} Hz, transients at both "
-        "ends estimated with the rest"
+        f"{len(pieces)} continuous record{'s' if len(pieces) > 1 else ''} ({used:,} samples in total): "
+        f"{every.lines:,} frequency line{'s' if every.lines > 1 else ''}, {low:.4g} to {high:.4g} Hz; start and "
+        "end transients estimated with the parameters"
     )
     notes.append(Notice("whole_records", text))
     if band_hz is None and every.lines > MANY_LINES:
         gib = every.lines * len(every.channels) * 650 / 2**30  # 650 bytes for each line of a channel
         text = (
-            f"the record rises above its noise up to {high:.4g} Hz: its {every.lines} lines take some {gib:.2g} GiB "
-            "to identify; a band that ends just above the rig's highest mode gives the same result for less"
+            f"the signal is above the noise up to {high:.4g} Hz: its {every.lines:,} lines take about {gib:.2g} "
+            "GiB to identify; a --band that ends just above the rig's highest mode gives the same result for "
+            "less"
         )
         notes.append(Notice("many_lines", text))
     return replace(every, notes=(*every.notes, *notes))
@@ -372,7 +373,9 @@ def _aligned(record: Record, step: float) -> tuple[Record, tuple[Channel, ...]]:
     first = shifts - shifts.min()
     count = len(record.time) - int(first.max())
     if count < fewest_samples(record):
-        raise DataError("a channel is later than the record is long", record.source, "correct its delay")
+        raise DataError(
+            "the delay of a channel is longer than the record", record.source, "correct its delay"
+        )
 
     def shifted(of: np.ndarray) -> np.ndarray:
         return np.stack([of[s : s + count, c] for c, s in enumerate(first)], axis=-1)
@@ -419,9 +422,9 @@ def _moving(X: Complex, source: str, highest_hz: float) -> int:
     out = np.flatnonzero(np.any(_stands_out(mean, floor, each), axis=-1))
     if not len(out):
         raise DataError(
-            f"no channel moves more in one part of the band up to {highest_hz:.4g} Hz than in another: there is no "
-            "signal in it",
+            f"no signal above the noise up to {highest_hz:.4g} Hz",
             source,
-            "check that the rig was driven while this was recorded; where all of the band is driven alike, state it",
+            "check that the rig was driven during this record; if the whole band is driven evenly, state it "
+            "with --band",
         )
     return min(lines, int((out[-1] + 2) * each))

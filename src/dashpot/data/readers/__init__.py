@@ -108,9 +108,7 @@ def read(
     if not several:
         raise DataError("there are no data", cure="give at least one file")
     if not channels:
-        raise DataError(
-            "no channels are listed", cure="say in [channels] of the rig file what the columns are"
-        )
+        raise DataError("no channels are listed", cure="list the columns under [channels] in the rig file")
     if frequency_hz is not None and not 0 < frequency_hz < 1e12:
         raise DataError(f"frequency {frequency_hz:g} Hz", cure="frequencies must be positive and finite")
     total, treatments = Interpreted(), Treatments()

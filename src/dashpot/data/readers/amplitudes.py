@@ -148,7 +148,7 @@ def phase_notices(
             raise DataError(what, columns.heading, f"name the column {stem}_deg, or unwrap the phases")
     if not 0 < largest < 3.2:  # slightly more than π
         return []
-    text = f"phases are read as degrees, and none exceeds {largest:.3g}: they may be radians"
+    text = f"phases are taken to be in degrees, but none exceeds {largest:.3g}: are they in radians?"
     of = tuple(columns.header[pair.second] for pair in polar if pair.to_radian != 1.0)
     return [Notice("phase_unit", text, of)]
 
@@ -204,7 +204,7 @@ def read_frf(
         variances[pair] = 2 * variance
         notes.append(Notice("averages_unknown", f"{columns.source}: {'/'.join(pair)}: {said}", pair))
     for i in sd_at.values():
-        columns.refuse(i, values[i] < 0, "a standard deviation of {:g}", "0 is exact", values[i])
+        columns.refuse(i, values[i] < 0, "a standard deviation of {:g}", "0 means exact", values[i])
     scale = np.array([channel.scale for channel in channels])
     spectra, lines = [], len(frequency)
     for number, into in enumerate(dict.fromkeys(into for _, into in pairs)):
@@ -255,8 +255,8 @@ def coherent_variance(H: Complex, gamma2: Real, averages: Real | None) -> tuple[
         # The median of what is distributed as χ² of two degrees of freedom is ln 2 of its mean.
         share = min(float(np.median(bend / np.maximum(expected, 1e-300)) / np.log(2)), 1.0)
     text = (
-        f"the coherence states no number of averages: its noise is taken from the scatter of neighbouring lines "
-        f"(as of {1 / max(share, 1e-9):.2g} averages); a column averages states it"
+        "the number of averages behind the coherence is not stated: the noise is estimated from the scatter of "
+        f"neighbouring lines (as of {1 / max(share, 1e-9):.2g} averages); add a column averages"
     )
     return share * once, text
 

@@ -92,7 +92,7 @@ def records_of(
     named = channels.channels if hasattr(channels, "channels") else channels
     if not named or not all(isinstance(channel, Channel) for channel in named):
         cure = 'give a rig, or Channels such as Channel("x1", {"x1": 1})'
-        what = "the channels are no Channels" if named else "the channels are not said"
+        what = "the channels are not Channel objects" if named else "no channels are given"
         raise DataError(what, source, cure)
     for what, number in (("frequency_hz", frequency_hz), ("rate_hz", rate_hz)):
         if number is not None and not 0 < number < 1e12:

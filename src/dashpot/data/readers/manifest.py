@@ -138,7 +138,7 @@ class FilesEntry(Entry):
                 "skip_periods is for multisines", "give their lines, or cut the start off with window_s"
             )
         if self.frequency_hz is not None and any("{frequency}" in name for name in names):
-            what = "the frequency is said twice: by frequency_hz and by {frequency} in the name"
+            what = "the frequency is stated twice: by frequency_hz and by {frequency} in the name"
             raise wrong(what, "leave one of them out")
         return self
 

@@ -203,8 +203,8 @@ def _clipped(record: Record) -> list[Notice]:
         count = samples_at_limit(values)
         if count:
             text = (
-                f"{record.source}: {channel.name} rests at its limit in {count} of {len(values)} samples: "
-                "if it is clipped, widen the range or drive less"
+                f"{record.source}: {channel.name} is at its limit in {count} of {len(values)} samples; if it is "
+                "clipped, widen the range or reduce the drive"
             )
             notes.append(Notice("clipped", text, (channel.name,)))
     return notes

@@ -91,7 +91,7 @@ def reader_of(file: DataFile) -> Reader:
             return reader
     for what, begins in _NO_DATA.items():
         if file.head.startswith(begins):
-            raise DataError(f"this is {what}, and no recording", file.name, "name the file with the numbers")
+            raise DataError(f"this is {what}, not a recording", file.name, "name the file with the numbers")
     if text.sniff(file):
         return text
     known = ", ".join(reader.format for reader in READERS)

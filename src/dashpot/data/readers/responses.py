@@ -141,7 +141,7 @@ def _pair(source: str, channels: Sequence[Channel]) -> tuple[str, str]:
     elif not named and len(channels) == 2 and len(forces) == 1:
         named = [next(c for c in channels if c not in forces), *forces]
     if len(named) != 2:
-        what = f"nothing says which response this is, of {listed([c.name for c in channels])}"
+        what = f"cannot tell which response this is, of {listed([c.name for c in channels])}"
         raise DataError(what, source, "name the file after output and input, such as H_a1_f.csv")
     return named[0].name, named[1].name
 

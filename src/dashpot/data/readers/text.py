@@ -326,9 +326,9 @@ class TextTable(Columns):
             try:
                 cells = next(csv.reader([text], delimiter=self.delimiter))
             except (csv.Error, StopIteration):
-                return DataError("the row cannot be taken apart", place, "look for a stray quote")
+                return DataError("the row cannot be parsed", place, "look for a stray quote")
             if len(cells) != len(self.header):
-                cure = "fill the row or take it out; a short last row means that the file was cut off"
+                cure = "complete the row or remove it; a short last row means that the file was cut off"
                 if self.delimiter == "," and len(cells) > len(self.header):
                     cure = "numbers with decimal commas need a semicolon between columns"
                 return DataError(
@@ -520,7 +520,10 @@ def _decimal(sample: str, delimiter: str, source: str) -> tuple[str, tuple[Notic
         return ".", ()
     if not all(re.fullmatch(r"[-+]?[1-9]\d{0,2}(,\d{3})+", cell) for cell in cells if "," in cell):
         return ",", ()
-    text = f"{source}: commas are read as decimal points, 1,000 as 1.000; write numbers without thousands separators"
+    text = (
+        f"{source}: commas are read as decimal points (1,000 as 1.000); if they separate thousands, write "
+        "numbers without them"
+    )
     return ",", (Notice("decimal_comma", text, (source,)),)
 
 
@@ -679,7 +682,7 @@ def _names(text: str, delimiter: str, place: str) -> tuple[str, ...]:
     try:
         names = next(csv.reader([text], delimiter=delimiter))
     except (csv.Error, StopIteration, TypeError):
-        raise DataError("the header row cannot be taken apart", place, "look for a stray quote") from None
+        raise DataError("the header row cannot be parsed", place, "look for a stray quote") from None
     names[0] = names[0].lstrip("%")
     return tuple(name_in(name.strip()) for name in names)
 
@@ -702,7 +705,7 @@ def read_text(file: DataFile) -> Iterator[TextTable]:
     """The table.  Raises DataError where the text is none, but JSON."""
     if _JSON.match(file.head):
         cure = "name a data file; an estimate is what validate and export take first"
-        raise DataError("this is JSON, and no recording", file.name, cure)
+        raise DataError("this is JSON, not a recording", file.name, cure)
     yield open_table(file)
 
 

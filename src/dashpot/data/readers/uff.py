@@ -150,7 +150,7 @@ def expect_end(stream: UffStream) -> None:
     if not text.strip():
         text = stream.line()
     if text.strip() != MARK:
-        raise stream.wrong("the dataset should end here, with -1: it holds more than it says")
+        raise stream.wrong("the dataset should end here, with -1, but contains more than its header says")
 
 
 TIME_RESPONSE, FRF, TRANSMISSIBILITY, SPECTRUM = 1, 4, 5, 12
@@ -260,7 +260,7 @@ def read_function(stream: UffStream, start: DatasetStart) -> NodalFunction:
     except (ValueError, IndexError):
         raise stream.wrong("the header of a function is damaged") from None
     if not 0 <= shape.count <= 1 << 40:
-        raise stream.wrong(f"{shape.count} values cannot be")
+        raise stream.wrong(f"{shape.count} values are impossible")
     long: LongSamples | None = None
     abscissa: Real = np.zeros(0)
     ordinate: Real | Complex = np.zeros(0)
@@ -405,7 +405,7 @@ def _layout(stream: UffStream, start: DatasetStart, shape: _Shape) -> _Layout:
     except ValueError:
         raise stream.wrong("the first line of a dataset 58b is damaged") from None
     if order not in (1, 2) or floats not in (1, 2, 3) or lines != LINES:
-        raise stream.wrong("the first line of a dataset 58b says what cannot be")
+        raise stream.wrong("invalid header in dataset 58b")
     width = 8 if shape.double else 4
     # The abscissa is in single precision, which some write like the ordinate.
     rows = [shape.of_value * width + x for x in ((0,) if shape.even else (4, width))]

@@ -129,7 +129,7 @@ def plan_figure(
     top.axhline(1, color=MUTED, lw=0.8, ls=(0, (3, 2)), zorder=2)
     _axis(top, frequency_hz)
     top.set_ylim(0, 1.08)
-    top.set_ylabel("worth of a sample")
+    top.set_ylabel("information of a sample")
     if len(curves) > 1:
         top.legend(loc="best", **FRAME)
     over = top.twinx()
@@ -154,7 +154,7 @@ def plan_figure(
     middle.set_ylim(len(names), 0)
     row_names(middle, [i + 0.5 for i in range(len(names))], names)
     middle.grid(False)
-    middle.set_title("What a sample at each frequency tells about each parameter")
+    middle.set_title("Information of a sample at each frequency on each parameter")
     _axis(middle, frequency_hz)
     middle.set_xlabel("frequency, Hz")
     bar = heat_bar(mesh, middle, "× mean", [0, 1, 2, 3])

@@ -61,7 +61,7 @@ def test_too_few_lines(dashpot: Command, data: Path) -> None:
     for command in ("check", "identify"):
         done = dashpot(command, "rig.toml", "data.csv")
         assert done.code == 3
-        assert "1 line at 1 frequency fix only 4 combinations of the 5 unknowns" in done.err[-1]
+        assert "1 line at 1 frequency determine only 4 combinations of the 5 unknowns" in done.err[-1]
         assert "measure at 1 more frequency" in done.err[-1]
 
 

@@ -63,7 +63,7 @@ def test_a_row_for_each_file_and_the_odd_one_named(dashpot: Command, data: Path)
     assert [row["outlier"] for row in rows] == [k == 5 for k in range(COUNT)]
     assert all(row["m1_lower"] < row["m1"] < row["m1_upper"] for row in rows)
     assert all(row["m1_pooled_sd"] <= row["m1_sd"] * 1.001 for k, row in enumerate(rows) if k != 5)
-    assert "Unlike the others: data/rig8.csv" in " ".join(ran.out.split())
+    assert "Outliers: data/rig8.csv" in " ".join(ran.out.split())
     assert max(len(line) for line in ran.out.splitlines()) <= 80
     summary = json.loads((data / "fleet.json").read_text())
     assert summary["data_sets"] == COUNT

@@ -57,10 +57,10 @@ def away(path: str = "e.json") -> float:
 
 def test_a_record_is_used_whole(dashpot: Command, rig: str) -> None:
     recorded("run.csv", seed=1)
-    done = dashpot("identify", rig, "run.csv", "--json", "e.json", "--report", "e.html")
+    done = dashpot("identify", rig, "run.csv", "--json", "e.json", "--report", "e.html", "--verbose")
     assert done.code == 0
     assert len(done.err) == 1
-    assert "1 whole record of 2000 samples" in done.err[0]
+    assert "1 continuous record" in done.err[0]
     assert away() < 3.7  # one in a thousand for five unknowns
     written = json.loads(Path("e.json").read_text(encoding="utf-8"))
     assert written["fit"]["verdict"] == "fits"
@@ -133,9 +133,7 @@ def test_what_cannot_be_used_is_named(dashpot: Command, rig: str) -> None:
     Path("short.csv").write_text("\n".join(rows[:12]) + "\n", encoding="utf-8")
     assert "a record of 11 samples" in bad(dashpot, rig, "short.csv")
     Path("brief.csv").write_text("\n".join(rows[:25]) + "\n", encoding="utf-8")
-    assert "2 lines in the band, 8 real equations for 12 boundary loads" in bad(
-        dashpot, rig, "brief.csv", "--band", "4:9"
-    )
+    assert "2 lines in the band: 8 real equations for 12 " in bad(dashpot, rig, "brief.csv", "--band", "4:9")
 
 
 def test_an_estimate_predicts_another_record(dashpot: Command, rig: str) -> None:
@@ -177,7 +175,7 @@ def test_the_end_of_a_record_is_held_out(dashpot: Command, rig: str) -> None:
     recorded("run.csv", seed=11)
     done = dashpot("identify", rig, "run.csv", "--hold-out", "25%", "--json", "e.json")
     assert done.code == 0
-    assert "1 whole record of 1500 samples" in done.err[0]
+    assert "1 continuous record" in done.err[0]
     assert "1 (5 s)" in done.out
     assert away() < 3.7
 
@@ -203,7 +201,7 @@ def test_free_decay_of_a_rig_that_nothing_drives(dashpot: Command, tmp_path: Pat
     rig.write_text(text.replace(", value = 2", ""), encoding="utf-8")
     done = dashpot("identify", str(rig), str(tmp_path / "decay.csv"))
     assert done.code == 3
-    assert "scale together" in done.err[0]
+    assert "scale of the forces" in done.err[0]
 
 
 def test_a_response_that_something_unseen_drives_is_no_free_decay(dashpot: Command, rig: str) -> None:

@@ -37,7 +37,7 @@ def test_dwells_that_drift_are_whole_records() -> None:
     assert WANDERS.p(dwells) < 1e-20
     lines = spectrum(dwells)
     assert len(lines.records) == 3
-    assert "not steady (the drive frequency wanders)" in lines.notes[-1].text
+    assert "not steady (the drive frequency drifts)" in lines.notes[-1].text
     found = identify(MODEL, lines)
     assert found.values == pytest.approx(THETA, rel=0.01)
     assert np.all(np.abs(found.values - THETA) < 4 * found.sd)

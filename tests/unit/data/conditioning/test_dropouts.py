@@ -43,7 +43,7 @@ def test_the_notice_says_channel_dwell_and_how_many() -> None:
     assert record.status is not None
     assert np.flatnonzero(record.status[:, 0]).tolist() == [*range(103, 115), *range(301, 306)]
     assert notice.of == ("x1",)
-    assert notice.text.startswith("x1 misses 17 samples of the dwell at 3 Hz (")
+    assert notice.text.startswith("x1 has 17 missing samples in the dwell at 3 Hz (")
 
 
 def test_a_spike_is_a_sample_that_is_missed() -> None:

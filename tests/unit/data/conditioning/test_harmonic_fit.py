@@ -162,8 +162,8 @@ def test_exact_channel_has_no_covariance():
     [
         (100, 100, 0.6, "0.6 of a period"),
         (4, 1, 0.9, "too few"),
-        (100, 10, 5.0, "apart"),
-        (100, 10, 10.0, "apart"),
+        (100, 10, 5.0, "cannot separate"),
+        (100, 10, 10.0, "cannot separate"),
         (100, 10, np.nan, "nan"),
         (100, 10, -1.0, "-1"),
         (100, 10, None, "not known"),

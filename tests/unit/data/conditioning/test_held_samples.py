@@ -41,7 +41,7 @@ def test_samples_held_are_unknown_and_the_record_stays_whole(value: str) -> None
     assert np.array_equal(np.flatnonzero(part.status[:, 0]), np.arange(800, 950))
     assert not np.any(part.status[:, 1])
     assert (note.code, note.of) == ("held_samples", ("x",))
-    assert note.text.startswith("run.csv: x holds a value in 150 samples, first at 8 s")
+    assert note.text.startswith("run.csv: x holds one value for 150 samples, first at 8 s")
     lines = whole_records([record(x)])
     (whole,) = lines.stretches
     assert isinstance(whole, WholeRecord)
@@ -55,7 +55,7 @@ def test_the_record_is_cut_where_too_many_samples_are_held() -> None:
     long = Record(CHANNELS, np.arange(4 * N) / 100, np.column_stack([x, x[::-1]]), source="run.csv")
     parts, (note,) = marked_whole(long)
     assert [len(part.time) for part in parts] == [800, 4 * N - 800 - count]
-    assert "used as 2 records" in note.text
+    assert "split into 2 segments" in note.text
 
 
 def test_what_rests_for_a_reason_is_left_alone() -> None:

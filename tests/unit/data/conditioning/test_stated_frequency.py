@@ -29,14 +29,14 @@ def test_radians_per_second_are_refused_and_named() -> None:
         spectrum(dwells(1, periods=20.0, stated=2 * np.pi))
     assert len(refused.value.problems) == 1
     assert "25 of 25 dwells alike" in str(refused.value)
-    assert "is stated, the record moves at" in str(refused.value)
+    assert "is stated, but the response is at" in str(refused.value)
     assert "rad/s?" in str(refused.value)
 
 
 @pytest.mark.parametrize("periods", [10.0, 20.0])
 def test_revolutions_per_minute_are_named_beyond_half_the_sampling_rate(periods: float) -> None:
     """16 samples a period: 60 times the frequency folds to a quarter of the rate, where nothing moves."""
-    with pytest.raises(DataError, match=r"is stated, the record") as refused:
+    with pytest.raises(DataError, match=r"is stated, but") as refused:
         spectrum(dwells(1, periods=periods, stated=60.0))
     assert len(refused.value.problems) == 1
 

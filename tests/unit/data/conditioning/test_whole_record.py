@@ -125,10 +125,10 @@ def test_gaps_make_records() -> None:
     pieces, notes = without_gaps(cut)
     assert [len(piece.time) for piece in pieces] == [1000, 1700]
     assert "samples are missing before 12 s, 13 s" in notes[0].text
-    assert "30 samples of short pieces left out" in notes[0].text
+    assert "30 samples of short segments" in notes[0].text
     lines = whole_records([cut], band_hz=(1, 9))
     assert len(lines.records) == 2
-    assert "2 whole records of 2700 samples" in lines.notes[-1].text
+    assert "2 continuous records" in lines.notes[-1].text
 
 
 def test_few_missing_samples_are_unknown_in_one_record() -> None:
@@ -153,7 +153,7 @@ def test_a_clock_that_slips_makes_records() -> None:
     late = whole.time + 0.003 * (whole.time > 9.995)
     lines = whole_records([replace(whole, time=late)], band_hz=(1, 9))
     assert len(lines.records) == 2
-    assert "the clock slips before 10.003 s: used as 2 records" in lines.notes[0].text
+    assert "the clock slips before 10.003 s: split into 2 segments" in lines.notes[0].text
     rounded = np.round(np.arange(3000) / 64, 2)
     assert len(without_gaps(replace(whole, time=rounded))[0]) == 1
 
@@ -171,7 +171,7 @@ def test_refusals() -> None:
     still = np.array(values)
     still[:, 1] = 4.0
     refused(still, "b stays at 4 throughout")
-    refused(rng.normal(size=(5000, 2)), "there is no signal in it")
+    refused(rng.normal(size=(5000, 2)), "no signal above")
     time = np.sort(rng.uniform(0, 20, 2000))
     with pytest.raises(DataError, match="the samples are not evenly"):
         whole_record(Record((A, B), time, values))
@@ -184,7 +184,7 @@ def test_a_band_in_which_nothing_moves_is_named_with_that_in_which_something_doe
     values = np.column_stack([driven + 0.1 * rng.normal(size=4000), driven])
     refused(
         values,
-        r"no channel moves more than its noise from 20 to 40 Hz, .* moves from 0.\d+ to [67]",
+        r"no motion above the noise between 20 and 40 Hz, .* between 0.\d+ and [67]",
         band_hz=(20.0, 40.0),
     )
     assert whole_record(record(values), band_hz=(2.0, 40.0)).lines == 1521

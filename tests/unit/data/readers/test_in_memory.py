@@ -102,9 +102,9 @@ def test_a_table_that_holds_no_samples_is_told(count):
 
 
 def test_channels_that_are_none_are_told():
-    with pytest.raises(DataError, match="the channels are not said"):
+    with pytest.raises(DataError, match="no channels are given"):
         record({"time_s": T, **X}, [])
-    with pytest.raises(DataError, match="the channels are no Channels"):
+    with pytest.raises(DataError, match="not Channel objects"):
         record({"time_s": T, **X}, ["x1", "u"])
 
 

@@ -192,7 +192,7 @@ def test_sensors_of_other_sample_times_keep_them(tmp_path):
         ('[[files]]\nname = "2Hz.csv"\nskip_periods = 1\n', "skip_periods is for multisines"),
         ('[[files]]\nname = "2Hz.csv"\nclock = "own"\n', 'clock = "own" is for the files of several sensors'),
         ('[[files]]\nname = "2Hz.csv"\nalign_s = [0, 1]\n', 'align_s is for sensors .*say clock = "own"'),
-        ('[[files]]\nname = "{frequency}Hz.csv"\nfrequency_hz = 4.0\n', "the frequency is said"),
+        ('[[files]]\nname = "{frequency}Hz.csv"\nfrequency_hz = 4.0\n', "the frequency is stated"),
         ('[[files]]\nname = "2Hz.csv"\ncolumns = { x1 = "u", u = "u" }\n', "x1 and u"),
         ('[[files]]\nname = "2Hz.csv"\nunits = { u = "wat" }\n', "units: wat of u"),
         ('[[files]]\nname = "2Hz.csv"\npart = "x"\n', "there is no part"),

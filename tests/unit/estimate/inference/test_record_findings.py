@@ -30,7 +30,7 @@ def test_an_input_that_shows_noise_alone_is_named() -> None:
     dead = np.array(noisy)
     dead[:, 1] = 1e-6 * rng.normal(size=len(dead))
     assert "unrelated_inputs" in codes(dead)
-    with pytest.raises(DataError, match="no channel moves more than its noise from 60"):
+    with pytest.raises(DataError, match="no motion above the noise between 60"):
         codes(noisy, (60.0, 95.0))  # nothing was driven there
 
 
