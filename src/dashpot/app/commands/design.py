@@ -78,6 +78,13 @@ class DesignOptions:
         opt.Option("--after DATA|FILE.json", opt.INPUT_FILE, BASIS, multiple=True),
         "Existing data or estimate to build on.  May be repeated.",
     ]
+    # Also the value of the field of this name in RecordOptions, whose --band would mean another thing here.
+    record_band: Annotated[
+        tuple[float, float] | None,
+        opt.Option("--record-band LOWER:UPPER", opt.BAND, BASIS),
+        "Frequencies of the continuous records of --after that are used, Hz.  "
+        "[default: the band in which the rig moves]",
+    ]
     relative_noise: Annotated[opt.RelativeNoise, BASIS]
     band: Annotated[
         tuple[float, float] | None,
@@ -143,6 +150,9 @@ class DesignOptions:
         """Raises UsageError where two options contradict each other."""
         if self.samples is not None and self.time is not None:
             raise UsageError("both --samples and --time are given", cure="give one of them as the budget")
+        if self.record_band is not None and not self.after and self.against is None:
+            cure = "give --after, or leave it out"
+            raise UsageError("--record-band is for the records of --after, and there are none", cure=cure)
 
 
 @opt.dashpot_command(
@@ -235,6 +245,7 @@ def _releases(
         "--against": wanted.against,
         "--after": wanted.after or None,
     }
+    driven |= {"--record-band": wanted.record_band}
     driven |= {"--band": wanted.band, "--grid": wanted.grid, "--max-frequencies": wanted.max_frequencies}
     driven |= {
         "--min-dwell": wanted.min_dwell,
