@@ -26,6 +26,7 @@ class Ledger:
     """Inputs and outputs of a run, by the places and the inodes that their paths lead to.
 
     allows  whether a file may be read, by its real path; None: any
+    beside  a folder in which files are found that are not where a relative path leads; None: nowhere
     """
 
     read: set[Key] = field(default_factory=set)
@@ -33,6 +34,14 @@ class Ledger:
     claimed: dict[Key, object] = field(default_factory=dict)
     written: set[Key] = field(default_factory=set)
     allows: Callable[[str], bool] | None = None
+    beside: str | None = None
+
+    def found(self, path: Path) -> Path:
+        """The path of an input, or that of its namesake in `beside` where it alone is there."""
+        if self.beside is None or os.path.isabs(path) or os.path.exists(path):
+            return path
+        other: Path = type(path)(os.path.join(self.beside, path))  # type: ignore[call-arg]
+        return other if os.path.exists(other) else path
 
     def note_read(self, path: AnyPath) -> None:
         """An input.  Raises UsageError where it is an output of this run, DataError where it may not be read."""
@@ -71,10 +80,12 @@ _current: ContextVar[Ledger | None] = ContextVar("ledger", default=None)
 
 
 @contextmanager
-def opened(allows: Callable[[str], bool] | None = None) -> Iterator[Ledger]:
-    """A ledger for all that is read and written inside; one opened in another allows what that does."""
+def opened(allows: Callable[[str], bool] | None = None, beside: str | None = None) -> Iterator[Ledger]:
+    """A ledger for all that is read and written inside; one opened in another allows and finds what that does."""
     outer = _current.get()
-    ledger = Ledger(allows=outer.allows if allows is None and outer is not None else allows)
+    if allows is None and outer is not None:
+        allows, beside = outer.allows, outer.beside
+    ledger = Ledger(allows=allows, beside=beside)
     before = _current.set(ledger)
     try:
         yield ledger
@@ -96,6 +107,7 @@ def noted(path: Path) -> Path:
         raise DataError("is a device, not a file", os.fspath(path), "give a file")
     ledger = current()
     if ledger is not None:
+        path = ledger.found(path)
         ledger.note_read(path)
     return path
 

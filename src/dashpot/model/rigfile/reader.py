@@ -169,9 +169,10 @@ def _matrix(path: Path, array: str | None) -> Any:
     name, kind = shown(path.name, 60), path.suffix.lower()
     try:
         if kind == ".npz":
-            with np.load(noted(path), allow_pickle=False) as arrays:
+            found = noted(path)
+            with np.load(found, allow_pickle=False) as arrays:
                 if "format" in arrays.files and array is None:
-                    return sparse.load_npz(path)
+                    return sparse.load_npz(found)
                 return _one_of(dict(arrays), array, name)
         if kind == ".mat":
             from scipy.io import loadmat
