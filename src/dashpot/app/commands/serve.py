@@ -32,6 +32,11 @@ def command(
         opt.Option("--host ADDRESS", None, PAGE, default="127.0.0.1"),
         "Address to serve at; 0.0.0.0 lets other machines in, who need the token.",
     ],
+    rows_at: Annotated[
+        int | None,
+        opt.Option("--socket PORT", opt.Count(0, 65535), PAGE),
+        "TCP port for rows of a running test: text with the names of the channels in its first line.",
+    ],
 ) -> None:
     """Serve a page on which rigs are described and identified in a browser, with files of FOLDER and others.
 
@@ -42,4 +47,4 @@ def command(
         raise UsageError("the page needs NiceGUI", cure='install it: pip install "dashpot[web]"')
     from dashpot.app.serve.server import serve
 
-    serve(Path(folder).resolve(), host, port, not no_browser)
+    serve(Path(folder).resolve(), host, port, not no_browser, rows_at)

@@ -9,6 +9,7 @@
     {"done": true}                       or {"failed": {"problems": […], "code": 3}}
 
 Paths are those in `folder`, the working directory; no file outside `folder` and the folders of `reads` is read.
+Files that a rig names, such as matrices of [blocks], are also found in the folder `beside`, from which it came.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError,
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from dashpot.app.data_files import RecordOptions
     from dashpot.channel import Channel
     from dashpot.estimate.result import Estimate
     from dashpot.model.rigfile import Rig
@@ -63,7 +65,7 @@ def carry_out(call: Call, tell: Tell) -> None:
         # Files in between, too, are in the folder: what a call that is ended leaves goes with the session.
         tempfile.tempdir = os.path.join(call["folder"], SCRATCH)
         os.makedirs(tempfile.tempdir, exist_ok=True)
-        with opened(_readable(call["folder"], call.get("reads", ()))):
+        with opened(_readable(call["folder"], call.get("reads", ())), call.get("beside")):
             work(call, told)
     except Exception as error:
         lines, code = account(error)
@@ -442,7 +444,6 @@ def _identify(call: Call, tell: Tell) -> None:
 
     from dashpot.app import options as opt
     from dashpot.app.commands.identify import Identified, identified, of_modes, require_answer
-    from dashpot.app.data_files import RecordOptions
     from dashpot.app.workers import progress
     from dashpot.data.readers.modes import holds_modes
     from dashpot.io.atomic import write_text
@@ -461,8 +462,7 @@ def _identify(call: Call, tell: Tell) -> None:
     if options.get("within"):
         rig = replace(rig, within=opt.PART.convert(options["within"], None, None))
     chosen = str(options.get("method") or "auto")
-    band = opt.BAND.convert(options["band"], None, None) if options.get("band") else None
-    records = replace(RecordOptions.usual(), record_band=band, noise_record=tuple(call.get("rest", ())))
+    records = _records(call)
     command = " ".join(["dashpot identify", call["rig"], *data, *words])
     try:
         if len(data) == 1 and holds_modes(data[0]):
@@ -497,6 +497,18 @@ def _identify(call: Call, tell: Tell) -> None:
         write_text(out / "report.html", found.report(rig, 0.95, provenance_of(command)))
     result["files"] = _files(out)
     tell({"result": result})
+
+
+def _records(call: Call) -> RecordOptions:
+    """How the records of a call are read: its band, and its records at rest."""
+    from dataclasses import replace
+
+    from dashpot.app import options as opt
+    from dashpot.app.data_files import RecordOptions
+
+    stated = call.get("options", {}).get("band")
+    band = opt.BAND.convert(stated, None, None) if stated else None
+    return replace(RecordOptions.usual(), record_band=band, noise_record=tuple(call.get("rest", ())))
 
 
 def _files(folder: Path) -> list[str]:
@@ -598,7 +610,10 @@ def _table(columns: Sequence[TableColumn]) -> dict[str, Any]:
 
 
 def _design(call: Call, tell: Tell) -> None:
-    """The next test after the data at hand, within what the shaker can do: options as of `dashpot design`."""
+    """The next test after the data at hand, within what the shaker can do: options as of `dashpot design`.
+
+    `rest`: records at rest among the files, as `identify` takes them.
+    """
     out = Path(call["out"])
     tell({"result": {"plan": _planned(call, out, call.get("data", ())), "files": _files(out)}})
 
@@ -611,6 +626,7 @@ def _planned(call: Call, out: Path, data: Sequence[str]) -> dict[str, Any]:
         f"--{name}={value}" for name, value in call.get("options", {}).items() if value not in (None, "")
     ]
     after = [f"--after={name}" for name in data]
+    after += [f"--noise-record={name}" for name in call.get("rest", ())]
     files = [
         "--json",
         str(out / "plan.json"),
@@ -625,7 +641,10 @@ def _planned(call: Call, out: Path, data: Sequence[str]) -> dict[str, Any]:
 
 
 def _watch(call: Call, tell: Tell) -> None:
-    """A test that still runs, until the call is ended: of `source`, a file or folder, with a `target` such as 1%."""
+    """A test that still runs, until the call is ended: of `source`, a file or folder, with a `target` such as 1%.
+
+    `options` are those of the next dwell; `band` and `rest` are those of the data, as `identify` takes them.
+    """
     from dashpot.app.serve.live import watch
     from dashpot.io.ledger import opened
     from dashpot.model.rigfile import read_rig
@@ -633,7 +652,8 @@ def _watch(call: Call, tell: Tell) -> None:
 
     rig, out, source = read_rig(call["rig"]), Path(call["out"]), Path(call["source"])
     target = str(call.get("target") or "2%")
-    options = {**call.get("options", {}), "target": target}
+    band = call.get("band")
+    options = {**call.get("options", {}), "target": target, "record-band": band}
 
     def plan(files: Sequence[str]) -> Mapping[str, Any]:
         with opened():  # written anew every time
@@ -645,6 +665,7 @@ def _watch(call: Call, tell: Tell) -> None:
         rig,
         source,
         out / "live",
+        _records({"options": {"band": band}, "rest": call.get("rest", ())}),
         fraction(target),
         plan,
         lambda told: tell({"result": {**told, "files": []}}),

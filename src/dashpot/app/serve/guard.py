@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, quote, urlsplit
 
+from dashpot.app.serve.feed import LiveFile
 from dashpot.app.serve.session import MOST_RIG, Session, Sessions, safe_name
-from dashpot.errors import printable
+from dashpot.errors import UsageError, printable
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -225,16 +226,15 @@ async def _take(
 
 async def _append(receive: Receive, session: Session, name: str) -> None:
     """Add what a recorder sends to a live file, as it comes.  Raises RefusedError where that is too large."""
-    place = session.live_place(name)
-    with place.open("ab") as file:
-        while True:
-            message = await receive()
-            file.write(message.get("body", b""))
-            file.flush()
-            if file.tell() > MOST_UPLOAD:
-                raise RefusedError(413, f"{printable(name)}: at most {_size(MOST_UPLOAD)} are taken")
-            if message["type"] != "http.request" or not message.get("more_body", False):
-                return
+    try:
+        with LiveFile(session.live_place(name)) as live:
+            while True:
+                message = await receive()
+                live.write(message.get("body", b""))
+                if message["type"] != "http.request" or not message.get("more_body", False):
+                    return
+    except UsageError as error:
+        raise RefusedError(409, str(error)) from None
 
 
 def _is_rig(path: Path) -> bool:

@@ -9,9 +9,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from dashpot.errors import DashpotError, DataError
+from dashpot.io.words import counted
 
 if TYPE_CHECKING:
+    from dashpot.app.data_files import RecordOptions
+    from dashpot.data.record import Record
     from dashpot.estimate.result import Estimate
     from dashpot.model.rigfile import Rig
 
@@ -32,10 +37,40 @@ LOST = (
 )
 
 
+def lost_samples(records: Sequence[Record]) -> list[str]:
+    """What dwells lack: rows that are missing between others, and a channel that holds one value too long.
+
+    A regression takes such dwells as they are, and only while the rig is mounted can they be recorded again.  A channel
+    that moves at the drive frequency holds no value for half a period.  Of continuous records conditioning says it.
+    """
+    from dashpot.data.conditioning.steadiness import periods_of
+    from dashpot.data.conditioning.whole_record import GAP
+    from dashpot.data.record import runs_of_one_value
+
+    said = []
+    for record in records:
+        if record.frequency_hz is None or record.values.ndim != 2 or len(record.time) < 3:
+            continue
+        where = f"in the dwell at {record.frequency_hz:.4g} Hz"
+        steps = np.diff(record.time) / np.median(np.diff(record.time))
+        gaps = np.flatnonzero(steps > GAP)
+        if len(gaps):
+            missing = int(np.sum(np.rint(steps[gaps]) - 1))
+            at = f"first after {record.time[gaps[0]]:.6g} s"
+            said.append(f"{counted(max(missing, 1), 'sample')} missing {where}, {at}")
+        half = len(record.time) / max(periods_of(record), 1e-9) / 2
+        for channel, column in zip(record.channels, record.values.T, strict=True):
+            longest = max((end - begin for begin, end in runs_of_one_value(column, 3)), default=0)
+            if longest > half:
+                said.append(f"{channel.name} holds one value for {longest} samples {where}")
+    return said
+
+
 def watch(
     rig: Rig,
     source: Path,
     into: Path,
+    records: RecordOptions,
     target: float,
     plan: Callable[[Sequence[str]], Mapping[str, Any]],
     tell: Callable[[dict[str, Any]], None],
@@ -44,14 +79,16 @@ def watch(
 
     source  a file, or a folder whose files are data
     into    a folder for copies of what is still being written
+    records how records are read: band, records at rest
     target  the relative standard deviation that is enough
     plan    the next test after data files, as `dashpot design --json` has it
 
     `tell` is called with all that is known at every step: `history` (samples, and the interval of each unknown),
-    `rows`, `verdict`, `enough`, `next` (dwells), `bad` and `lost` (texts), and `waiting` where nothing can be said yet.
+    `rows`, `verdict`, `enough`, `next` (dwells), `bad` and `lost` (texts), `waiting` where nothing can be said yet, and
+    `damaged` where a file holds what cannot be read.
     """
+    from dashpot.api import read
     from dashpot.app.commands.identify import identified
-    from dashpot.app.data_files import RecordOptions
 
     history: list[dict[str, Any]] = []
     told: dict[str, Any] = {"history": history, "waiting": "Waiting for the first samples", "target": target}
@@ -68,8 +105,9 @@ def watch(
         if not files:
             continue
         try:
-            found = identified(rig, files, RecordOptions.usual(), "auto", False, 0, 0.0, False, False)
+            found = identified(rig, files, records, "auto", False, 0, 0.0, False, False)
             told = {"history": history, "target": target, **_words(found.estimate, target)}
+            told["lost"] = list(dict.fromkeys([*told["lost"], *lost_samples(read([*files], rig).records)]))
             samples = _samples(files)
             history[:] = [
                 *(each for each in history if each["samples"] < samples),
@@ -78,7 +116,10 @@ def watch(
             told["pictures"] = [_picture(history, i) for i in range(min(len(told["rows"]), MOST_DRAWN))]
             tell(told)
         except DashpotError as error:
-            tell({**told, "waiting": str(error.problems[0])})
+            first = error.problems[0]
+            damaged = re.search(r":\d+$", first.where or "") is not None  # a line of a file cannot be read
+            text = str(first).replace(f"{source.parent}{os.sep}", "")
+            tell({**told, "damaged" if damaged else "waiting": text})
             continue
         try:
             told |= {"next": plan(files)["dwells"]}
@@ -102,7 +143,7 @@ def _readable(path: Path, into: Path) -> str | None:
     from dashpot.io.atomic import write_bytes
     from dashpot.io.ledger import noted, opened
 
-    if time.time() - path.stat().st_mtime > STILL:
+    if time.time() - path.stat().st_mtime > STILL and _ends_whole(path):
         return str(path)
     if path.suffix.lower() not in TEXTS:
         return None
@@ -115,6 +156,19 @@ def _readable(path: Path, into: Path) -> str | None:
     with opened():  # written anew at every look
         write_bytes(into / path.name, text)
     return str(into / path.name)
+
+
+def _ends_whole(path: Path) -> bool:
+    """Whether the last row of a text has as many cells as the first: else its recorder is in the middle of one."""
+    from dashpot.io.ledger import noted
+
+    if path.suffix.lower() not in TEXTS:
+        return True
+    with open(noted(path), "rb") as file:
+        head = file.readline()
+        file.seek(max(len(head), file.seek(0, os.SEEK_END) - max(4 * len(head), 1 << 16)))
+        last = file.read().rpartition(b"\n")[2]
+    return not last or all(last.count(mark) >= head.count(mark) for mark in (b",", b";", b"\t"))
 
 
 def _whole_dwells(text: bytes) -> bytes:

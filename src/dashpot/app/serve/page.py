@@ -39,6 +39,13 @@ LIMITS = {
     "max-acceleration": ("Acceleration", "1gn"),
     "max-force": ("Force", "50N"),
 }
+# Seen while scripts and styles load, and of the page as it will be: its head and its first cards.
+FIRST = (
+    '<div id="first" aria-busy="true"><div class="top"><div><h1>dashpot</h1></div></div><div class="sheet">'
+    '<div><div class="card"><h2>Files</h2></div><div class="card"><h2>Rig</h2></div></div>'
+    '<div><div class="card"><p role="status" class="soft">Opening the page</p></div></div></div></div>'
+)
+LATER = b"""<style id="styles" media="print" onload="this.media='all'" onerror="this.media='all'">"""
 EXPORTS = {"fmu": "FMU", "mat": "MATLAB", "xml": "MuJoCo"}
 
 
@@ -55,7 +62,36 @@ def application() -> Any:
         show_welcome_message=False,
         reconnect_timeout=30.0,
     )
-    return app
+    return _painted_at_once(app)
+
+
+def _painted_at_once(app: Any) -> Any:
+    """The application, whose page browsers paint before its styles are loaded: a style for print blocks nothing."""
+
+    async def answer(scope: Any, receive: Any, send: Any) -> None:
+        if scope["type"] != "http" or scope["path"] != "/":
+            await app(scope, receive, send)
+            return
+        begun: dict[str, Any] = {}
+        content = bytearray()
+
+        async def sent(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                begun.update(message)
+                return
+            content.extend(message.get("body", b""))
+            if message.get("more_body"):
+                return
+            body = bytes(content).replace(b"<style>", LATER, 1)
+            kept = [pair for pair in begun["headers"] if pair[0] != b"content-length"]
+            begun["headers"] = [*kept, (b"content-length", str(len(body)).encode())]
+            await send(begun)
+            await send({"type": "http.response.body", "body": body})
+
+        plain = [pair for pair in scope["headers"] if pair[0] != b"accept-encoding"]
+        await app({**scope, "headers": plain}, receive, sent)
+
+    return answer
 
 
 def _page() -> None:
@@ -111,6 +147,7 @@ class Page:
             "result": ui.refreshable(self._result),
             "plan": ui.refreshable(self._plan),
             "live": ui.refreshable(self._live),
+            "alarm": ui.refreshable(self._alarm),
         }
 
     def build(self) -> None:
@@ -119,7 +156,7 @@ class Page:
         script = (STATIC / "page.js").read_text(encoding="utf-8")
         given = f"const TOKEN = {json.dumps(self.token)}, MOST = {MOST_UPLOAD};"
         ui.add_head_html(f"<style>{style}</style><script>{given}</script>")
-        ui.add_body_html(f"<script>{script}</script>")
+        ui.add_body_html(f"{FIRST}<script>{script}</script>")
         ui.on("part", lambda event: self._clicked(str(event.args)))
         ui.on("refused", lambda event: self.session.complain([str(event.args)[:300]]))
         ui.on("identify", lambda _: self._later(self.session.identify))
@@ -136,6 +173,8 @@ class Page:
             self.report = self._button("Report", lambda: self._download("report.html"), "outline")
             _html('<button type="button" class="chip" data-new>New session</button>')
             self._button("Dark", lambda: dark.set_value(not dark.value), "flat")
+            with ui.element("div").classes("alarms"):
+                self._view("alarm")
         with ui.element("main").classes("sheet"):
             with ui.element("div"):
                 with self._card("Files"):
@@ -292,7 +331,7 @@ class Page:
                 field.on("change", partial(self._replied, key, field))
             field.props("dense outlined").style("width: 100%; margin-bottom: .4rem")
         for text in start.get("problems", ()):
-            _html(f'<p role="alert" class="at-line">{html.escape(text)}</p>')
+            self._trouble(text)
         if start["text"]:
             self._button("Use this rig", lambda: self._later(self.session.take_first_rig), "color=primary")
 
@@ -306,8 +345,7 @@ class Page:
     def _rig(self) -> None:
         session, rig = self.session, self.session.rig
         for problem in session.problems:
-            line = f' data-line="{problem["line"]}"' if problem["line"] else ""
-            _html(f'<button type="button" class="at-line"{line}>{html.escape(problem["text"])}</button>')
+            self._trouble(problem["text"], problem["line"])
         if rig is None:
             if not session.text:
                 _html('<p class="soft">No rig yet: give a rig file, or data to begin one from.</p>')
@@ -478,7 +516,7 @@ class Page:
             return
         with self._card("Channels"):
             for problem in seen["problems"]:
-                _html(f'<p class="trouble" role="alert">{html.escape(problem)}</p>')
+                self._trouble(problem)
             if seen["channels"]:
                 heads = ["Column", "", "Point", "Quantity", "Unit in the file", "Unit of the rig"]
                 rows = []
@@ -511,16 +549,23 @@ class Page:
 
     def _work(self) -> None:
         for error in self.session.state["errors"]:
-            with ui.element("div").classes("trouble").props("role=alert"):
-                _html(html.escape(error["text"]))
-                with ui.element("div").classes("row-of"):
-                    copied = html.escape(error["text"], quote=True)
-                    _html(f'<button type="button" class="chip" data-copy="{copied}">Copy</button>')
-                    if error.get("line"):
-                        _html(
-                            f'<button type="button" class="chip" data-line="{error["line"]}">Show line</button>'
-                        )
-                    self._chip("Close", partial(self._later, self.session.close_error, error["id"]))
+            self._trouble(
+                error["text"], error.get("line"), partial(self._later, self.session.close_error, error["id"])
+            )
+
+    def _trouble(
+        self, text: str, line: int | None = None, close: Callable[[], Any] | None = None, head: str = ""
+    ) -> None:
+        """What is wrong, with a button that copies it, and others that show its line or close it."""
+        with ui.element("div").classes("trouble").props("role=alert"):
+            _html((f"<b>{html.escape(head)}:</b> " if head else "") + html.escape(text))
+            with ui.element("div").classes("row-of"):
+                copied = html.escape(f"{head}: {text}" if head else text, quote=True)
+                _html(f'<button type="button" class="chip" data-copy="{copied}">Copy</button>')
+                if line:
+                    _html(f'<button type="button" class="chip" data-line="{line}">Show line</button>')
+                if close is not None:
+                    self._chip("Close", close)
 
     # The answer.
 
@@ -597,7 +642,8 @@ class Page:
         session = self.session
         with self._card("Live test"):
             _html(
-                '<p class="soft">Follow a file that grows, or a folder that fills, while the test runs.</p>'
+                '<p class="soft" id="live">Follow a file that grows, a folder that fills, or rows that a recorder '
+                "sends, while the test runs.</p>"
             )
             with ui.element("div").classes("row-of"):
                 source = ui.select([], label="File or folder", with_input=True)
@@ -605,7 +651,7 @@ class Page:
                 source.on("focus", lambda _: source.set_options(session.in_folder(folders_too=True)))
                 source.set_options(session.in_folder(folders_too=True))
                 target = ui.input("Enough at ±", value="2%").props("dense outlined").style("width: 8rem")
-                rate = ui.input("Sampling rate, Hz", value="").props("dense outlined").style("width: 9rem")
+                rate = ui.input("Sampling rate, Hz", value="").props("dense outlined").style("width: 11rem")
 
                 def begin() -> Any:
                     return self._later(
@@ -615,15 +661,25 @@ class Page:
                 self._button("Start live test", begin)
             self._view("live")
 
+    def _alarm(self) -> None:
+        """What must not be missed while the rig is still mounted, in the head of the page and in its title."""
+        job, live = self.session.job, self.session.live
+        heads = [title for title, texts in _alarms(live or {}) if texts and job and job.call == "watch"]
+        if heads:
+            _html(
+                f'<p class="alarm" role="alert">{html.escape(" · ".join(heads))} <a href="#live">Show</a></p>'
+            )
+        ui.page_title(f"{heads[0]} – dashpot" if heads else "dashpot")
+
     def _live(self) -> None:
         live = self.session.live
         if live is None:
             return
         if live.get("waiting"):
             _html(f'<p role="status">{html.escape(live["waiting"])}</p>')
-        for title, texts in (("Repeat now", live.get("bad", ())), ("Samples lost", live.get("lost", ()))):
+        for title, texts in _alarms(live):
             for text in texts:
-                _html(f'<p class="trouble" role="alert"><b>{title}:</b> {html.escape(text)}</p>')
+                self._trouble(text, head=title)
         if not live["history"]:
             return
         samples = [step["samples"] for step in live["history"]]
@@ -722,6 +778,15 @@ class Page:
                 for name in session.plan["files"]:
                     if name.startswith("plan."):
                         self._button(name, partial(self._download, name))
+
+
+def _alarms(live: Mapping[str, Any]) -> tuple[tuple[str, Sequence[str]], ...]:
+    damaged = (live["damaged"],) if "damaged" in live else ()
+    return (
+        ("Samples lost", live.get("lost", ())),
+        ("Rows that cannot be read", damaged),
+        ("Repeat now", live.get("bad", ())),
+    )
 
 
 def _size(bytes_: int) -> str:

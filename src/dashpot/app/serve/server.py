@@ -10,6 +10,7 @@ from pathlib import Path
 
 import click
 
+from dashpot.app.serve.feed import listening
 from dashpot.app.serve.guard import Guard
 from dashpot.app.serve.jobs import Engine
 from dashpot.app.serve.session import Sessions
@@ -19,10 +20,10 @@ from dashpot.io.atomic import locked
 USUAL_PORT = 8420
 
 
-def serve(folder: Path, host: str, port: int | None, browser: bool) -> None:
-    """Serve the page for a folder until it is interrupted.
+def serve(folder: Path, host: str, port: int | None, browser: bool, rows_at: int | None = None) -> None:
+    """Serve the page for a folder until it is interrupted; `rows_at` is the port for rows of a running test.
 
-    Raises UsageError where the port is taken, or another server works in the folder.
+    Raises UsageError where a port is taken, or another server works in the folder.
     """
     engine = Engine()
     sessions = Sessions(folder, engine)
@@ -32,6 +33,9 @@ def serve(folder: Path, host: str, port: int | None, browser: bool) -> None:
         shown = f"[{shown}]" if ":" in shown else shown
         address = f"http://{shown}:{number}/?token={sessions.first()}"
         print(address, flush=True)
+        if rows_at is not None:
+            feed = listening(host, rows_at, sessions)
+            print(f"rows of a running test: {shown}:{feed.server_address[1]}", flush=True)
         if browser:
             threading.Timer(0.5, click.launch, (address,)).start()
         try:

@@ -26,7 +26,7 @@ from dashpot.app.serve.jobs import Engine, Failure, Job
 from dashpot.errors import DashpotError, UsageError, printable
 from dashpot.io.atomic import write_text
 
-PARTS = ("files", "start", "rig", "channels", "work", "result", "plan", "live")
+PARTS = ("files", "start", "rig", "channels", "work", "result", "plan", "live", "alarm")
 STREAM = "sent: "  # before the names of what recorders send
 KINDS = {"identify": "result", "design": "plan", "watch": "live"}  # what calls of the engine leave
 MOST_RESULTS = 10  # whose files are kept beside those that are shown
@@ -76,6 +76,7 @@ class Session:
         self.start: dict[str, Any] | None = None  # questions of the form for a first rig
         self.state: dict[str, Any] = {
             "rig": None,
+            "beside": None,
             "at": -1,
             "data": [],
             "errors": [],
@@ -186,9 +187,13 @@ class Session:
         """Whether there is a later text."""
         return bool(self.state["at"] < len(self.history) - 1)
 
-    def put_rig(self, name: str, text: str) -> None:
-        """A rig file in place of the one that is there; undo brings that back."""
+    def put_rig(self, name: str, text: str, beside: Path | None = None) -> None:
+        """A rig file in place of the one that is there; undo brings that back.
+
+        beside  the folder from which it came, where the files that it names are found
+        """
         with self.lock:
+            self.state["beside"] = None if beside is None else str(beside)
             self.state["rig"] = str(Path(safe_name(name, "rig")).with_suffix(".toml"))
             self.start = None
         self.write(text)
@@ -330,7 +335,7 @@ class Session:
         if place.suffix.lower() == ".toml":
             text = place.read_bytes()[: MOST_RIG + 1].decode("utf-8", errors="replace")
             if re.search(r"^\s*(coordinates\s*=|\[(inputs|springs|masses)\b)", text, re.MULTILINE):
-                self.put_rig(place.name, text)
+                self.put_rig(place.name, text, place.parent)
                 return
         self.add_data(place)
 
@@ -407,7 +412,8 @@ class Session:
     # Jobs: one at a time.
 
     def _call(self, call: str, **more: Any) -> dict[str, Any]:
-        return {"call": call, "folder": str(self.folder), "reads": [str(self.served)], **more}
+        places = {"folder": str(self.folder), "reads": [str(self.served)], "beside": self.state["beside"]}
+        return {"call": call, **places, **more}
 
     def stamp(self) -> dict[str, Any]:
         """What a result is made of: checksums of the rig's text, and what tells every data file from another."""
@@ -447,7 +453,8 @@ class Session:
         """Design the next test within the limits of the shaker."""
         with self.lock:
             self.state["limits"] = dict(options)
-        self._begin({"call": "design", "options": dict(options)})
+        band = self.state["options"].get("band", "")
+        self._begin({"call": "design", "options": {**options, "record-band": band}, "rest": self.rest})
 
     def watch(self, name: str, target: str, options: Mapping[str, str]) -> None:
         """Follow a test that still runs: a file of the served folder that grows, or a folder of it that fills."""
@@ -462,7 +469,9 @@ class Session:
             )
         else:
             self.live = None
-            self._begin({"call": "watch", "source": str(place), "target": target, "options": dict(options)})
+            read = {"band": self.state["options"].get("band", ""), "rest": self.rest}
+            wanted = {"source": str(place), "target": target, "options": dict(options)}
+            self._begin({"call": "watch", **wanted, **read})
 
     def live_place(self, name: str) -> Path:
         """Where what a recorder sends under that name is kept: a live test follows it."""
@@ -513,7 +522,7 @@ class Session:
                 with self.lock:
                     setattr(self, kind, event["result"])
                     self.state[kind] = {"folder": call["out"], "made": made}
-                self._changed(kind)
+                self._changed(kind, "alarm")
 
         try:
             failure = self.engine.run(call, hears, job)
@@ -527,7 +536,7 @@ class Session:
             names = {*self.result["files"], call["name"]}
             self.result = {**self.result, "files": sorted(names)}
             write_text(self.folder / call["out"] / KEPT, json.dumps(self.result))
-        self._changed("work", "result", "plan", "live")
+        self._changed("work", "result", "plan", "live", "alarm")
 
     def download(self, name: str) -> Path | None:
         """The file of that name among the rig file and the results; None for any other name."""

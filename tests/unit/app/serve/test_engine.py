@@ -181,3 +181,17 @@ def test_where_there_is_no_answer_the_verdict_and_a_report_say_so(tmp_path: Path
     found = result(tmp_path, "identify", data=["data.csv"], out="out")
     assert (found["verdict"], found["estimate"], found["files"]) == ("bad", None, ["report.html"])
     assert found["statements"]
+
+
+def test_matrices_of_a_rig_are_found_in_the_folder_from_which_it_came(tmp_path: Path) -> None:
+    session, frame = tmp_path / "served" / ".dashpot" / "1", tmp_path / "served" / "frame"
+    session.mkdir(parents=True)
+    frame.mkdir()
+    (frame / "K.csv").write_text("2,-1\n-1,1\n", encoding="utf-8")
+    text = 'coordinates = ["x", "y"]\n[masses]\nm = { at = "x", value = 1 }\nn = { at = "y" }\n'
+    text += '[inputs]\nf = { kind = "force", at = "x" }\n[blocks]\nb = { matrix = "K", file = "K.csv", value = 9 }\n'
+    reads = {"text": text, "reads": [str(frame.parent)]}
+    assert result(session, "open", **reads, beside=str(frame))["coordinates"] == ["x", "y"]
+    assert "K.csv" in events(session, "open", **reads)[-1]["failed"]["problems"][0]["text"]
+    elsewhere = events(session, "open", **{**reads, "reads": []}, beside=str(frame))[-1]
+    assert "outside the folder" in elsewhere["failed"]["problems"][0]["text"]

@@ -3,10 +3,39 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dashpot.app.serve.engine import carry_out
+from dashpot.app.serve.live import lost_samples
+from dashpot.channel import Channel
+from dashpot.data.record import Record
 from tests.unit.app.conftest import Command
+
+
+def dwell(lost: range = range(0), held: range = range(0)) -> Record:
+    """Four periods of 5 Hz at 200 Hz, of which some rows are lost, or hold one value."""
+    time = np.arange(160) / 200
+    x = np.sin(2 * np.pi * 5 * time)
+    x[held] = x[held[:1]]
+    kept = np.setdiff1d(np.arange(160), lost)
+    return Record((Channel("x", {"x": 1}),), time[kept], x[kept, None], frequency_hz=5.0)
+
+
+@pytest.mark.parametrize(
+    ("record", "said"),
+    [
+        (dwell(), []),
+        (dwell(range(40, 52)), ["12 samples missing"]),
+        (dwell(range(40, 41)), ["1 sample missing"]),
+        (dwell(held=range(60, 90)), ["x holds one value for 30 samples"]),
+        (dwell(held=range(60, 70)), []),  # a coarse converter near a turning point
+    ],
+)
+def test_what_a_dwell_lacks_is_said(record: Record, said: list[str]) -> None:
+    found = lost_samples([record])
+    assert len(found) == len(said)
+    assert all(text.startswith(start) for text, start in zip(found, said, strict=True))
 
 
 class Stopped(BaseException):

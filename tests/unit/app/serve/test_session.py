@@ -113,3 +113,21 @@ def test_a_second_computation_is_refused_while_one_is_under_way(session: Session
     session.job = session_job()
     session.design({})
     assert len(session.state["errors"]) == 1
+
+
+def test_the_next_test_takes_band_and_rest_of_identify_and_a_rig_its_folder(session: Session) -> None:
+    calls: list[Any] = []
+    session.engine.run = lambda call, hears, job=None: calls.append(call)  # type: ignore[method-assign, assignment, return-value]
+    (session.served / "sub").mkdir()
+    (session.served / "sub" / "rig.toml").write_text('coordinates = ["x"]\n', encoding="utf-8")
+    session.open_in_folder("sub/rig.toml")
+    for name in ("run.csv", "still.csv"):
+        session.add_data(session.data_place(name))
+    session.set_rest("data/still.csv", True)
+    session.choose("band", "2:150")
+    session.design({"samples": "100"})
+    while session.job is not None:
+        pass
+    call = calls[-1]
+    assert (call["options"]["record-band"], call["rest"]) == ("2:150", ["data/still.csv"])
+    assert (call["data"], call["beside"]) == (["data/run.csv"], str(session.served / "sub"))

@@ -1,5 +1,15 @@
 // Uploads, drops and clicks in drawings: what a browser must do itself.  TOKEN and MOST are set by the page.
 (() => {
+  // The page is shown when it is built and its styles are there; until then #first stands in its place.
+  const first = document.getElementById("first"), styles = document.getElementById("styles");
+  if (matchMedia("(prefers-color-scheme: dark)").matches) document.body.classList.add("body--dark");
+  const ready = () => {
+    if ((styles && styles.media !== "all") || !document.querySelector("#app header")) return;
+    built.disconnect();
+    first.remove();
+  };
+  const built = new MutationObserver(ready);
+  built.observe(document.documentElement, { childList: true, subtree: true, attributeFilter: ["media"] });
   const say = text => { const at = document.getElementById("moved"); if (at) at.textContent = text; };
   const size = bytes => bytes > 1e9 ? (bytes / 2 ** 30).toFixed(2) + " GB" : (bytes / 2 ** 20).toFixed(1) + " MB";
   let waiting = [], running = null;
@@ -44,7 +54,11 @@
       fetch(`/new?token=${encodeURIComponent(TOKEN)}`, { method: "POST" }).then(answer => answer.json())
         .then(made => window.open(`/?token=${encodeURIComponent(made.token)}`, "_blank"));
     const copied = event.target.closest && event.target.closest("[data-copy]");
-    if (copied) copy(copied.dataset.copy);
+    if (copied) {
+      copy(copied.dataset.copy);
+      copied.textContent = "Copied";
+      setTimeout(() => { copied.textContent = "Copy"; }, 1500);
+    }
   });
   document.addEventListener("keydown", event => {
     if (event.key === "Enter" && event.ctrlKey) emitEvent("identify", "");
