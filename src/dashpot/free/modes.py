@@ -268,7 +268,7 @@ def _of_response(found: MeasuredResponse) -> list[_Set]:
 def _of_records(records: Sequence[Record], nu: int, band_hz: Band | None) -> list[_Set]:
     """Lines of records in the band, with the noise that local models show."""
     if nu and band_hz is None:
-        f = local_response(records, nu).frequency_hz
+        f = local_response(records, nu, every_line=False).frequency_hz
         band_hz = float(f[0]), float(f[-1])
     parts = [record_lines(record, nu) for record in records]
     low, high = band_hz or (0.0, 0.9 * float(min(part.frequency_hz[-1] for part in parts)))
@@ -370,44 +370,28 @@ def _design(sets: Sequence[_Set], poles: Complex, powers: Sequence[int]) -> list
     return designs
 
 
-def _sums(sets: Sequence[_Set], left: Sequence[Complex], right: Sequence[Complex]) -> Real:
-    """Σ over lines of Re(leftᴴ P right), (q·a, q·b), of columns (lines, a) and (lines, b) that all outputs share."""
-    q, a, b = sets[0].outputs.shape[1], left[0].shape[1], right[0].shape[1]
-    total = np.zeros((q, a, q, b))
-    for one, A, B in zip(sets, left, right, strict=True):
+def _sums(sets: Sequence[_Set], X: Sequence[Complex]) -> Real:
+    """Σ over lines of Re(Xᴴ P X), (q·a, q·a), of columns (lines, a) that all outputs share."""
+    q, a = sets[0].outputs.shape[1], X[0].shape[1]
+    total = np.zeros((q, a, q, a))
+    for one, A in zip(sets, X, strict=True):
         P = one.precision
+        rows = _stacked([A])
         for i in range(q):
-            for j in range(q):
+            for j in range(i + 1):
                 if np.any(P[:, i, j]):
-                    total[i, :, j] += (np.conj(A.T) @ (P[:, i, j, None] * B)).real
-    return total.reshape(q * a, q * b)
+                    total[i, :, j] += rows.T @ _stacked([P[:, i, j, None] * A])
+    for i in range(q):
+        for j in range(i):
+            total[j, :, i] = total[i, :, j].T
+    return total.reshape(q * a, q * a)
 
 
-def _solved(
-    sets: Sequence[_Set], poles: Complex, powers: tuple[int, ...], full: bool = False
-) -> tuple[_Fit, Real]:
-    """The coefficients for given poles, and the Gauss-Newton step and information of the poles as (2m, 2m + 1)."""
-    X = _design(sets, poles, powers)
-    q, count, m = sets[0].outputs.shape[1], X[0].shape[1], len(poles)
-    size = np.sqrt(sum(np.sum(np.abs(A) ** 2, axis=0) for A in X)) + 1e-300
-    X = [A / size for A in X]
-    N = _sums(sets, X, X)
-    weighed = [np.einsum("lij,lj->li", one.precision, one.outputs) for one in sets]
-    rhs = sum((np.conj(A.T) @ w).real for A, w in zip(X, weighed, strict=True)).T.ravel()
-    scale = np.sqrt(np.maximum(np.diagonal(N), 1e-300))
-    N = N / np.outer(scale, scale) + 1e-13 * np.eye(len(N))
-    inverse = np.linalg.inv(N) / np.outer(scale, scale)
-    theta = (inverse @ rhs).reshape(q, count)
-    residuals = [one.outputs - A @ theta.T for one, A in zip(sets, X, strict=True)]
-    chi2 = 2 * sum(
-        float(np.einsum("li,lij,lj->", np.conj(e), one.precision, e).real)
-        for one, e in zip(sets, residuals, strict=True)
-    )
-    # How the outputs move with Re λ and Im λ of each pole
-    per_input = 2 * m + len(powers)
-    slopes = []
-    nu, number = sets[0].inputs.shape[1], 0
-    coefficients = theta / size
+def _slopes(sets: Sequence[_Set], poles: Complex, coefficients: Real, powers: int) -> list[Complex]:
+    """How the outputs of each set move with Re λ and Im λ of each pole, (lines, q, 2m)."""
+    m, q, nu = len(poles), len(coefficients), sets[0].inputs.shape[1]
+    slopes, number = [], 0
+    per_input = 2 * m + powers
     for one in sets:
         plain, ends = _pairs(one, poles, slope=True)
         J = np.zeros((len(one.s), q, m, 2), dtype=np.complex128)
@@ -421,6 +405,30 @@ def _solved(
             J[..., 0] += np.einsum("lmk,qmk->lqm", basis, R)
             J[..., 1] += np.einsum("lmk,qmk->lqm", basis, np.stack([-R[..., 1], R[..., 0]], axis=-1))
         slopes.append(J.reshape(len(one.s), q, 2 * m))
+    return slopes
+
+
+def _solved(
+    sets: Sequence[_Set], poles: Complex, powers: tuple[int, ...], full: bool = False
+) -> tuple[_Fit, Real]:
+    """The coefficients for given poles, and the Gauss-Newton step and information of the poles as (2m, 2m + 1)."""
+    X = _design(sets, poles, powers)
+    q, count, m = sets[0].outputs.shape[1], X[0].shape[1], len(poles)
+    size = np.sqrt(sum(np.sum(np.abs(A) ** 2, axis=0) for A in X)) + 1e-300
+    X = [A / size for A in X]
+    N = _sums(sets, X)
+    weighed = [np.einsum("lij,lj->li", one.precision, one.outputs) for one in sets]
+    rhs = sum((np.conj(A.T) @ w).real for A, w in zip(X, weighed, strict=True)).T.ravel()
+    scale = np.sqrt(np.maximum(np.diagonal(N), 1e-300))
+    N = N / np.outer(scale, scale) + 1e-13 * np.eye(len(N))
+    inverse = np.linalg.inv(N) / np.outer(scale, scale)
+    theta = (inverse @ rhs).reshape(q, count)
+    residuals = [one.outputs - A @ theta.T for one, A in zip(sets, X, strict=True)]
+    chi2 = 2 * sum(
+        float(np.einsum("li,lij,lj->", np.conj(e), one.precision, e).real)
+        for one, e in zip(sets, residuals, strict=True)
+    )
+    slopes = _slopes(sets, poles, theta / size, len(powers))
     weighed_J = [np.einsum("lij,ljp->lip", one.precision, J) for one, J in zip(sets, slopes, strict=True)]
     pp = sum(
         np.einsum("lip,lir->pr", np.conj(J), W, optimize=True).real
@@ -448,7 +456,7 @@ def _solved(
         back = np.concatenate([np.ones(2 * m), np.tile(1 / size, q)])
         covariance = joint * np.outer(back, back) / 2
     unknowns = 2 * m + q * count
-    fit = _Fit(poles, coefficients, chi2, data, unknowns, residuals, powers, covariance, count)
+    fit = _Fit(poles, theta / size, chi2, data, unknowns, residuals, powers, covariance, count)
     return fit, np.column_stack([S, gradient]) if m else np.zeros((0, 1))
 
 
@@ -562,30 +570,42 @@ def _gains(sets: Sequence[_Set], fit: _Fit, candidates: Complex) -> Real:
     """By how much χ² falls with each candidate beside the present poles, the noise between outputs left out, (k,)."""
     X = _design(sets, fit.poles, fit.powers)
     size = np.sqrt(sum(np.sum(np.abs(A) ** 2, axis=0) for A in X)) + 1e-300
-    q = sets[0].outputs.shape[1]
+    q, nu = sets[0].outputs.shape[1], sets[0].inputs.shape[1]
     gains = np.zeros(len(candidates))
     factors = []
     for i in range(q):
         w = [np.sqrt(one.precision[:, i, i].real)[:, None] for one in sets]
         Q, _ = np.linalg.qr(_stacked([a * A / size for a, A in zip(w, X, strict=True)]))
         factors.append(
-            (w, Q, _stacked([a * e[:, i, None] for a, e in zip(w, fit.residuals, strict=True)])[:, 0])
+            (
+                w,
+                Q.astype(np.float32),
+                _stacked([a * e[:, i, None] for a, e in zip(w, fit.residuals, strict=True)])[:, 0].astype(
+                    np.float32
+                ),
+            )
         )
-    for k, pole in enumerate(candidates):
-        Z = _design(sets, np.array([pole]), ())
-        if any(one.step for one in sets):  # without the polynomials of the ends
-            nu = sets[0].inputs.shape[1]
-            keep = [c for c in range(Z[0].shape[1]) if c < 2 * nu or (c - 2 * nu) % (2 + ENDS) < 2]
-            Z = [A[:, keep] for A in Z]
+    for first in range(0, len(candidates), TOGETHER):
+        some = candidates[first : first + TOGETHER]
+        m = len(some)
+        # Of each input and each record the residues of every candidate, without the polynomials of the ends
+        each = [2 * m] * nu + [2 * m + ENDS] * sum(1 for one in sets if one.step)
+        starts = np.cumsum([0, *each])[:-1]
+        of = (starts[None, :, None] + 2 * np.arange(m)[:, None, None] + np.arange(2)).reshape(-1)
+        Z = [A[:, of] for A in _design(sets, some, ())]
         for w, Q, e in factors:
             z = _stacked([a * A for a, A in zip(w, Z, strict=True)])
+            z = (z / np.maximum(np.linalg.norm(z, axis=0), 1e-300)).astype(np.float32)  # ranks need no more
             z = z - Q @ (Q.T @ z)
-            norm = np.linalg.norm(z, axis=0)
-            z = z / np.maximum(norm, 1e-300)
-            G = z.T @ z + 1e-9 * np.eye(z.shape[1])
-            b = z.T @ e
-            gains[k] += 2 * float(b @ np.linalg.solve(G, b))
+            z = z / np.maximum(np.linalg.norm(z, axis=0), np.float32(1e-6))
+            z3 = np.moveaxis(z.reshape(len(z), m, -1), 1, 0)
+            G = np.swapaxes(z3, 1, 2) @ z3 + np.float32(1e-5) * np.eye(z3.shape[2], dtype=np.float32)
+            b = (z.T @ e).reshape(m, -1, 1)
+            gains[first : first + m] += 2 * np.sum(b * np.linalg.solve(G, b), axis=(1, 2))
     return gains
+
+
+TOGETHER = 20  # candidates: memory of a few records
 
 
 def _stacked(parts: Sequence[Complex]) -> Real:
@@ -625,11 +645,11 @@ def _by_evidence(sets: list[_Set], most: int) -> tuple[_Fit, Stabilisation, tupl
             fit = other
     first = (fit.chi2, float(fit.dof)) if known else (np.nan, float(fit.dof))
     for _ in range(2):
-        sets[:] = _with_noise_of(sets, fit)
+        sets[:] = _with_noise_of(sets, _solved(sets, fit.poles, fit.powers, full=True)[0])
         fit = _refined(sets, fit.poles, fit.powers)
     fit, _ = _solved(sets, fit.poles, fit.powers, full=True)
-    scale = fit.chi2 / fit.dof
-    scale = max(1.0, scale) if known and not sets[0].step else scale
+    # Where the noise is that of residuals already, they say nothing more
+    scale = max(1.0, fit.chi2 / fit.dof) if known and not sets[0].step else 1.0
     return replace(fit, covariance=fit.covariance * scale), stabilisation, first
 
 
@@ -641,23 +661,70 @@ def _pays(larger: _Fit, smaller: _Fit, known: bool) -> bool:
 
 
 def _with_noise_of(sets: Sequence[_Set], fit: _Fit) -> list[_Set]:
-    """The sets with the noise that the fit leaves, where it was not known or where lines are many.
+    """The sets with the noise that the fit (with its covariance) leaves, where it was not known, and of records.
 
-    Of records its mean over 61 lines, about half of whose freedom a mode may take: more than local models have.
+    E[Δ Δᴴ] of a line is that of its residual and of what the fit took, J Σ Jᴴ; its mean over neighbouring lines, so
+    many that each line is likeliest by the mean of the others, between outputs or without.  An inverse of such a mean
+    over n lines of q outputs is n / (n − q) too large, and what it weighs scatters by as much more (moments of the
+    inverse complex Wishart distribution: Maiwald and Kraus, IEE Proceedings Radar 147, 2000): both are in the noise.
     """
-    out = []
-    for one, e in zip(sets, fit.residuals, strict=True):
-        lines = len(e)
-        free = max(0.1, fit.dof / fit.data)
-        outer = np.einsum("li,lj->lij", e, np.conj(e)) / free
-        if one.step and lines > 122:
-            out.append(replace(one, noise=smoothed(outer)))
-        elif not one.known or one.step:
-            level = np.diag(np.mean(np.diagonal(outer, axis1=1, axis2=2).real, axis=0)).astype(np.complex128)
-            out.append(replace(one, noise=np.broadcast_to(level, outer.shape)))
-        else:
-            out.append(one)
-    return out
+    if sets[0].known and not sets[0].step:
+        return list(sets)
+    shown = []
+    for one, e, taken in zip(sets, fit.residuals, _taken(sets, fit), strict=True):
+        floor = 1e-24 * np.mean(np.abs(one.outputs) ** 2) + 1e-300
+        outer = np.einsum("li,lj->lij", e, np.conj(e)) + taken * (fit.chi2 / fit.dof)
+        shown.append(outer + floor * np.eye(e.shape[1]))
+    longest, q = max(map(len, shown)), shown[0].shape[1]
+    apart = [outer * np.eye(q) for outer in shown]
+    choices = []
+    for half in [*_doubled(NARROWEST, longest), longest]:
+        for outers, size in ((apart, 1), (shown, q)):
+            counts = [min(2 * half + 1, len(outer)) for outer in outers]
+            if min(counts) < 4 * size + 2:  # of the others too few for an inverse
+                continue
+            levels = [smoothed(outer, half) for outer in outers]
+            likely = sum(map(_likelihood_by_others, outers, levels, counts))
+            choices.append(
+                (likely, [n_l * (n / (n - size)) ** 2 for n_l, n in zip(levels, counts, strict=True)])
+            )
+    _, best = max(choices, key=lambda choice: choice[0])
+    return [replace(one, noise=noise) for one, noise in zip(sets, best, strict=True)]
+
+
+NARROWEST = 7  # lines on either side
+
+
+def _doubled(first: int, end: int) -> list[int]:
+    """first, 2 first, 4 first, … below the end."""
+    return [first << k for k in range(max(0, end.bit_length())) if first << k < end]
+
+
+def _likelihood_by_others(outer: Complex, level: Complex, count: int) -> float:
+    """Log-likelihood of each line's noise under the mean of the other lines that `level` is of, summed."""
+    others = (count * level - outer) / (count - 1)
+    spread = np.einsum("lij,lji->l", np.linalg.inv(others), outer).real
+    return -float(np.sum(np.linalg.slogdet(others)[1] + spread))
+
+
+def _taken(sets: Sequence[_Set], fit: _Fit) -> list[Complex]:
+    """J Σ Jᴴ of each line (lines, q, q): the part of its noise that went into poles and coefficients."""
+    q, count = fit.coefficients.shape
+    m2 = 2 * len(fit.poles)
+    X = _design(sets, fit.poles, fit.powers)
+    pp, pc = fit.covariance[:m2, :m2], fit.covariance[:m2, m2:].reshape(m2, q, count)
+    cc = fit.covariance[m2:, m2:].reshape(q, count, q, count)
+    found = []
+    for A, J in zip(X, _slopes(sets, fit.poles, fit.coefficients, len(fit.powers)), strict=True):
+        taken = np.einsum("lip,ljp->lij", J @ pp, np.conj(J))
+        for j in range(q):
+            crossed = np.einsum("lip,lp->li", J, np.conj(A) @ pc[:, j].T)
+            taken[:, :, j] += crossed
+            taken[:, j, :] += np.conj(crossed)
+            for i in range(q):
+                taken[:, i, j] += np.einsum("la,la->l", A @ cc[i, :, j, :], np.conj(A))
+        found.append(taken)
+    return found
 
 
 def _modes_among(fit: _Fit, sets: Sequence[_Set]) -> tuple[Ints, int]:

@@ -424,12 +424,15 @@ def record_lines(record: Record, nu: int) -> RecordLines:
     return RecordLines(frequency, X[:, :nu], X[:, nu:], samples * step, samples)
 
 
-def local_response(records: Sequence[Record], nu: int, band_hz: Band | None = None) -> MeasuredResponse:
+def local_response(
+    records: Sequence[Record], nu: int, band_hz: Band | None = None, *, every_line: bool = True
+) -> MeasuredResponse:
     """H by local models: about each line H and the transient of each record are quadratics, over one where that pays.
 
     Windows are as narrow as their degrees of freedom allow: those that are widened where the data seem to allow it have
     intervals that are too short at the resonances.  Estimates half a window apart share next to nothing.  Inputs count
-    as exact: noise on them biases H towards 0 by its share of their power.  Raises DataError.
+    as exact: noise on them biases H towards 0 by its share of their power.  Of not `every_line`, those alone of which
+    no two share data.  Raises DataError.
     """
     channels = records[0].channels
     parts = sorted((record_lines(record, nu) for record in records), key=lambda part: -part.duration_s)
@@ -443,10 +446,11 @@ def local_response(records: Sequence[Record], nu: int, band_hz: Band | None = No
     if not len(grid):
         ends = f"{first.frequency_hz[0]:.4g} to {first.frequency_hz[-1]:.4g} Hz"
         raise DataError("no line of the records lies in the band", cure=f"they reach from {ends}")
-    stride = -(-len(grid) // MOST_LINES)
+    stride = -(-len(grid) // MOST_LINES) if every_line else half
     grid = grid[::stride]
-    H, covariance, between = _windows(parts, grid, half)
-    power = _mean_beside(np.abs(np.einsum("lic,lc->li", H, first.inputs[grid])) ** 2, half)
+    apart = -(-half // stride)
+    H, covariance, between = _windows(parts, grid, half, apart)
+    power = _mean_beside(np.abs(np.einsum("lic,lc->li", H, first.inputs[grid])) ** 2, apart)
     noise = np.diagonal(between, axis1=1, axis2=2).real
     units = in_units(channels[:nu], channels[nu:])
     found = MeasuredResponse(
@@ -456,7 +460,7 @@ def local_response(records: Sequence[Record], nu: int, band_hz: Band | None = No
         H * units,
         covariance * np.outer(units.ravel(), units.ravel()),
         power / np.maximum(power + noise, 1e-300),
-        np.full(len(grid), -(-half // stride)),
+        np.full(len(grid), apart),
         "local",
     )
     return _where_it_shows(found, stated=band_hz is not None)
@@ -480,11 +484,12 @@ def line_noise(parts: Sequence[RecordLines], low: float, high: float) -> list[Co
                 f"{counted(len(grid), 'line')} of the record in the band",
                 cure="record longer, or take a wider band",
             )
-        noise = _windows(ordered, grid, half)[2]
+        stride = max(1, half // 3)  # of windows that share most of their data
+        noise = _windows(ordered, grid[::stride], half, -(-half // stride))[2]
         for part in group:
             f = part.frequency_hz[(part.frequency_hz >= low) & (part.frequency_hz <= high)]
-            at = np.clip(np.rint(f * first.duration_s).astype(np.int64) - 1 - grid[0], 0, len(grid) - 1)
-            found[id(part)] = noise[at]
+            at = np.rint((f * first.duration_s - 1 - grid[0]) / stride).astype(np.int64)
+            found[id(part)] = noise[np.clip(at, 0, len(noise) - 1)]
     return [found[id(part)] for part in parts]
 
 
@@ -537,9 +542,11 @@ def _mean_beside(values: Real, half: int) -> Real:
     return mean
 
 
-def _windows(parts: Sequence[RecordLines], grid: Ints, half: int) -> tuple[Complex, Complex, Complex]:
+def _windows(
+    parts: Sequence[RecordLines], grid: Ints, half: int, beside: int
+) -> tuple[Complex, Complex, Complex]:
     """H (lines, ny, nu), its covariance (lines, pairs, pairs) and the outputs' noise (lines, ny, ny), from windows of
-    2·half + 1 lines; the noise is smoothed over as many."""
+    2·half + 1 lines; the noise is smoothed over 2·beside + 1 of the grid's."""
     first = parts[0]
     nu, ny = first.inputs.shape[1], first.outputs.shape[1]
     numbers = sum(_lines_of(part, first, half) for part in parts) * (3 * (nu + len(parts)) + 2)
@@ -548,7 +555,7 @@ def _windows(parts: Sequence[RecordLines], grid: Ints, half: int) -> tuple[Compl
         _fitted(*_window_rows(parts, grid[k : k + chunk], half), nu, ny) for k in range(0, len(grid), chunk)
     ]
     H, gain, noise = (np.concatenate([one[k] for one in found]) for k in range(3))
-    noise = _mean_beside(noise.real, half) + 1j * _mean_beside(noise.imag, half)
+    noise = _mean_beside(noise.real, beside) + 1j * _mean_beside(noise.imag, beside)
     covariance = (noise[:, :, None, :, None] * gain).reshape(len(grid), ny * nu, ny * nu)
     return H, covariance, noise
 

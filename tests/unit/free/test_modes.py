@@ -15,6 +15,7 @@ from dashpot.arrays import Real
 from dashpot.data.record import Record
 from dashpot.errors import DataError, UsageError
 from dashpot.free.modes import MeasuredModes, _Set, _solved
+from dashpot.free.response import record_lines
 from dashpot.io.json_document import to_json
 from tests import rigs
 from tests.unit.free.bench import Bench
@@ -66,6 +67,31 @@ def test_random_records(bench: Bench, seconds: float, inputs: int, records: int)
     at = np.arange(len(lam))
     true = bench.shapes[largest, at] * bench.shapes[0, at] / (2j * lam.imag)
     assert np.all(np.abs(found.participation[:, 0] - true) < 5 * found.participation_sd[:, 0] * 2**0.5)
+
+
+def test_deviations_are_those_of_the_bound_though_the_noise_is_that_of_residuals() -> None:
+    """Of three outputs with white noise, against the information of the model with this noise given."""
+    bench, rng, noise = Bench((4.0, 9.0), (0.01, 0.02), 3), np.random.default_rng(4), 0.02
+    test = bench.record(bench.noise(rng, 40.0, 1), rng, noise)
+    found = dashpot.modes(test, "u0", band=(0.5, 30.0))
+    lines = record_lines(test, 1)
+    inside = (lines.frequency_hz >= 0.5) & (lines.frequency_hz <= 30)
+    level = np.diag((2 * noise * np.std(test.values[:, 1:], axis=0)) ** 2).astype(complex)
+    unit = 2 * np.pi * 30
+    known = _Set(
+        lines.frequency_hz[inside],
+        lines.inputs[inside],
+        lines.outputs[inside],
+        np.broadcast_to(level, (int(np.sum(inside)), 3, 3)),
+        lines.duration_s / lines.samples,
+        unit,
+    )
+    zeta = np.array(bench.damping)
+    bound, _ = _solved(
+        [known], bench.omega / unit * (-zeta + 1j * np.sqrt(1 - zeta**2)), (-2, 0, 2), full=True
+    )
+    told = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2)).ravel()
+    assert told == pytest.approx(np.sqrt(np.diagonal(bound.covariance)[:4]) * unit, rel=0.05)
 
 
 def test_free_decays() -> None:
