@@ -32,8 +32,11 @@ def _records(path: Path, stamps: list[float]) -> Path:
 
 @pytest.mark.parametrize(
     "stamps",
-    [[0.5] * 40_000, [0.001 * (i % 4) for i in range(40_000)], [0.001 * (i // 2) for i in range(40_000)]],
-    ids=["equal", "restarts", "pairs"],
+    [
+        pytest.param([0.5] * 40_000, id="equal"),
+        pytest.param([0.001 * (i % 4) for i in range(40_000)], id="restarts", marks=pytest.mark.long),
+        pytest.param([0.001 * (i // 2) for i in range(40_000)], id="pairs"),
+    ],
 )
 def test_time_stamps_that_stand_still_or_start_again(tmp_path: Path, stamps: list[float]) -> None:
     path = _records(tmp_path / "records.csv", stamps)

@@ -28,7 +28,9 @@ def test_the_late_sensor_is_named_first(rig_file: str) -> None:
 SCALED = {"sign": ("x1", -1.0), "unit": ("x2", 1000.0)}
 
 
-@pytest.mark.parametrize("mistake", [*SCALED, "swap", "dwell"])
+@pytest.mark.parametrize(
+    "mistake", ["sign", "dwell", *(pytest.param(m, marks=pytest.mark.long) for m in ("unit", "swap"))]
+)
 def test_mistakes_in_the_frames_amplitudes_are_named_first(mistake: str) -> None:
     # The chain lacks the springs that represent bending, which explain more than an exchange of channels does.
     rig = read_rig(EXAMPLE / ("rig_bending.toml" if mistake == "swap" else "rig.toml"))

@@ -188,7 +188,12 @@ CASES = [(law, kind) for law in LAWS for kind in ("dwells", "record") if (law, k
 
 @pytest.mark.parametrize(
     ("law", "kind"),
-    [pytest.param(*case, marks=() if case[0] in QUICK else pytest.mark.long) for case in CASES],
+    [
+        pytest.param(
+            *case, marks=() if case[0] in QUICK[: 3 if case[1] == "dwells" else 2] else pytest.mark.long
+        )
+        for case in CASES
+    ],
 )
 def test_every_law_is_found_without_guesses(law: str, kind: str) -> None:
     """One draw each; five standard deviations at most (p = 6e-7 of each of some 40 values)."""
@@ -221,7 +226,7 @@ def grid_cycle(law: str, values: dict[str, float], amplitude: float, frequency: 
 
 @pytest.mark.parametrize(
     ("law", "kind"),
-    [pytest.param(*case, marks=() if case[0] == "maxwell" else pytest.mark.long) for case in CASES],
+    [pytest.param(*case, marks=() if case == ("maxwell", "dwells") else pytest.mark.long) for case in CASES],
 )
 def test_cycles_are_those_of_forces_on_a_grid_with_deviations_by_differences(law: str, kind: str) -> None:
     """At the estimate, with slopes by central differences of the grid's numbers; and the truth is held."""
@@ -396,7 +401,7 @@ def test_a_stand_without_its_force_is_refused() -> None:
         rig.identify({"time_s": np.arange(100) / 1e3, "u": np.arange(100) % 7, "G": np.arange(100) % 5})
 
 
-@pytest.mark.parametrize(("friction", "seed"), [(10.0, 6), (3.0, 7)])
+@pytest.mark.parametrize(("friction", "seed"), [(10.0, 6), pytest.param(3.0, 7, marks=pytest.mark.long)])
 def test_noise_of_a_record_is_no_more_than_what_was_measured(friction: float, seed: int) -> None:
     """A linear stand that rubs: its residuals had come to count for so little that k was -5e6 and 2e5."""
     truth = {"k": 2e4, "c": 100.0, "q": friction, "q.v0": 0.005}

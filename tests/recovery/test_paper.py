@@ -17,7 +17,11 @@ from dashpot.study.scenario import scenarios
 DRAWS = 4000
 SEED = 2
 CASES = tuple(paper_prints().cases)
-SCENARIOS = [*((case, "given") for case in CASES), ("CASE-1", "estimated"), ("CASE-3", "estimated")]
+SCENARIOS = [
+    *((case, "given") for case in CASES),
+    pytest.param(("CASE-1", "estimated"), marks=pytest.mark.long),
+    ("CASE-3", "estimated"),
+]
 
 
 def grid():

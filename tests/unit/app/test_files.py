@@ -156,7 +156,7 @@ def _process(*args: str, **options: object) -> subprocess.CompletedProcess[bytes
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no /dev/full")
 def test_a_full_standard_output_is_told(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
-    for args in (["check", "rig.toml", "--json", "-"], ["--version"], []):
+    for args in (["check", "rig.toml", "--json", "-"], ["--version"]):
         with open("/dev/full", "wb") as full:
             done = _process(*args, stdout=full, cwd=tmp_path)
         assert done.returncode == 2, args

@@ -117,13 +117,10 @@ def test_a_whole_record_of_another_rig_does_not_fit(shaken: WholeTest) -> None:
         for element in lighter
     )
     wrong = replace(shaken.model, elements=heavier)
-    for seed in range(2):
-        assessment = _judged(wrong, _whole(shaken, 0.01, seed)).assessment
-        assert assessment is not None
-        assert assessment.verdict == "does not fit"
-        assert any(
-            each is not None and each.lower95 > each.within for each in assessment.discrepancy.values()
-        )
+    assessment = _judged(wrong, _whole(shaken, 0.01, 0)).assessment
+    assert assessment is not None
+    assert assessment.verdict == "does not fit"
+    assert any(each is not None and each.lower95 > each.within for each in assessment.discrepancy.values())
 
 
 def test_what_is_asked_decides(shaken: WholeTest) -> None:

@@ -1,6 +1,7 @@
 """What is read and written in a run goes through one place."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -25,15 +26,20 @@ OWN = {
 # Of an archive that has been opened through the ledger.
 MEMBERS = ("archive.open(", "whole.open(", "self.h5py.h5o.open(")
 READS = {"open", "read_bytes", "read_text", "memory_map"}
+TOUCHES = re.compile(
+    r"(open|(read|write)_(bytes|text)|memory_map|os\.replace|rename|te?mp|Temporary\w+)\(|tempfile"
+)
 
 
 @pytest.fixture(scope="module")
 def calls() -> list[tuple[str, ast.Call]]:
-    """All calls of the package, with the places of their modules."""
+    """All calls of modules in which something is opened, written or moved, with the places of the modules."""
+    sources = {path: path.read_text(encoding="utf-8") for path in SOURCES.rglob("*.py")}
     return [
         (path.relative_to(SOURCES).as_posix(), node)
-        for path in SOURCES.rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for path, source in sources.items()
+        if TOUCHES.search(source)
+        for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.Call)
     ]
 

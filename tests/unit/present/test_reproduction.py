@@ -61,6 +61,7 @@ def test_it_can_be_shown_and_written(found, tmp_path):
         write_reproduction(found, figures=tmp_path / "file" / "deeper")
 
 
+@pytest.mark.long
 def test_the_report_does_not_replace_a_figure(found, tmp_path):
     with ledger.opened(), pytest.raises(UsageError, match="two outputs have"):
         write_reproduction(found, tmp_path / "figure2.png", tmp_path)

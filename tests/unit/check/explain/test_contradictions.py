@@ -46,7 +46,7 @@ def in_two(f: Real, y: Complex) -> Complex:
     ("change", "kind", "truth"),
     [
         (filtered, "filter", lambda f, y: 0.7 * np.max(f)),
-        (coupled, "filter", lambda f, y: 0.5 * np.min(f)),
+        pytest.param(coupled, "filter", lambda f, y: 0.5 * np.min(f), marks=pytest.mark.long),
         (limited, "saturation", lambda f, y: 0.4 * np.max(np.abs(y))),
         (in_two, "gain", lambda f, y: 1.25),
     ],

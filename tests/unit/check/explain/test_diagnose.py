@@ -425,7 +425,7 @@ def test_the_verdict_of_a_record_tells_the_story_of_its_causes() -> None:
 @pytest.mark.parametrize(
     ("rig", "kind", "of"),
     [
-        ("02_shake_table/rig.toml", "element", {("x3", "base")}),
+        pytest.param("02_shake_table/rig.toml", "element", {("x3", "base")}, marks=pytest.mark.long),
         ("03_tip_mass/rig.toml", "value", {("m1",), ("m2",)}),
     ],
 )

@@ -112,7 +112,13 @@ def test_stops_on_one_side_are_told_from_those_on_both_by_even_harmonics_alone()
     assert (first.force_law.text, first.along) == ("one-sided", {"x2": 1.0, "u": -1.0})
 
 
-@pytest.mark.parametrize(("law", "words"), [("cubic", "odd, stiffening"), ("v*abs(v)", "grows with speed")])
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        ("cubic", "odd, stiffening"),
+        pytest.param("v*abs(v)", "grows with speed", marks=pytest.mark.long),
+    ],
+)
 def test_harmonics_that_are_mostly_noise_do_not_silence_the_channels_that_show_the_element(law, words):
     """Its own harmonics are small: at most lines the channels are noise, and runs of two levels seem of two rigs."""
     model, theta = two_masses(law)

@@ -3,6 +3,7 @@
 import runpy
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,13 @@ def recorded(law: Law | None, noise: float = 0.01, sweep: bool = False) -> Recor
     return Record(CHANNELS, time, np.stack([seen, base], axis=1))
 
 
+@cache
+def under(name: str) -> tuple[Record, Estimate]:
+    """A record with that law, and the linear rig fitted to it and judged."""
+    record = recorded(LAWS[name][0])
+    return record, fitted(record)
+
+
 def fitted(record: Record) -> Estimate:
     """The linear rig, judged."""
     return identify(shaken(), [record], "ml", diagnose=True)
@@ -83,13 +91,12 @@ def nonlinear(estimate: Estimate) -> list[Finding]:
     "name",
     [
         "cubic",
-        "friction",
-        *(pytest.param(name, marks=pytest.mark.long) for name in ("square", "speed", "gap", "stop")),
+        *(pytest.param(name, marks=pytest.mark.long) for name in LAWS if name != "cubic"),
     ],
 )
 def test_the_element_that_a_whole_record_calls_for_is_named_first(name: str) -> None:
-    law, short, words = LAWS[name]
-    estimate = fitted(recorded(law))
+    _, short, words = LAWS[name]
+    _, estimate = under(name)
     assert estimate.assessment.verdict == "does not fit"
     assert estimate.assessment.reasons[0].code == "nonlinear"
     first = estimate.assessment.findings[0]
@@ -109,8 +116,8 @@ def test_friction_below_zero_is_damping_that_grows_with_speed_and_the_line_says_
 
 
 def test_the_remedy_makes_the_record_fit() -> None:
-    record = recorded(LAWS["cubic"][0])
-    best = nonlinear(fitted(record))[0]
+    record, linear = under("cubic")
+    best = nonlinear(linear)[0]
     mended, _ = applied(shaken(), CHANNELS, best)
     estimate = fit_records(mended, [record]).estimate()
     k3 = estimate.names.index("k3")
@@ -190,6 +197,7 @@ def test_a_missing_damper_is_named_first_in_an_earthquake(quake: Path) -> None:
     assert "dampers" in first.change
 
 
+@pytest.mark.long
 def test_a_wrong_mass_passes_for_no_nonlinear_element(quake: Path) -> None:
     """Its residuals go with the motion: a clearance explained half of them and led to a fit as bad as before."""
     rig = frame(quake, "1.2 kg", "1.8 kg")

@@ -55,9 +55,9 @@ def test_equals_textbook_least_squares_on_non_uniform_times(degree, samples):
     )
 
 
-def test_two_million_samples_with_offset_drift_and_second_harmonic():
+def test_many_samples_with_offset_drift_and_second_harmonic():
     rng = np.random.default_rng(2)
-    t, f, X = 17.3 + np.arange(2_000_000) / 2000, 7.7713, np.array([2 - 1j, 0.5 + 0.2j])
+    t, f, X = 17.3 + np.arange(400_000) / 400, 7.7713, np.array([2 - 1j, 0.5 + 0.2j])
     y = (
         wave(t, f, X)
         + wave(t, 2 * f, [0.05, 0.01j])
@@ -69,7 +69,7 @@ def test_two_million_samples_with_offset_drift_and_second_harmonic():
     assert fit.orders == (1, 2)
     assert fit.noise == "white"
     sd = np.sqrt(np.diagonal(fit.real_covariance[0], axis1=-2, axis2=-1))
-    np.testing.assert_allclose(sd, 0.5 * np.sqrt(2 / 2e6), rtol=0.01)
+    np.testing.assert_allclose(sd, 0.5 * np.sqrt(2 / 4e5), rtol=0.01)
     error = np.stack([(fit.amplitudes[0] - X).real, (fit.amplitudes[0] - X).imag], axis=-1)
     assert np.all(np.abs(error) < 3.5 * sd)  # misses once in 500 seeds
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -18,6 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
+from dashpot.app.cli import run
 from dashpot.data.inspection import inspect_file
 from dashpot.data.readers.datafile import UNPACKED
 from dashpot.errors import DashpotError, DataError
@@ -44,26 +44,8 @@ class Answer:
         """Nothing is open."""
 
 
-def dashpot(
-    *arguments: object, unpacked: str = "", folder: Path | None = None
-) -> subprocess.CompletedProcess[str]:
-    """The command, as a process."""
-    return subprocess.run(
-        [sys.executable, "-m", "dashpot", *map(str, arguments)],
-        capture_output=True, text=True, env=os.environ | {UNPACKED: unpacked}, timeout=60, check=False,
-    )  # fmt: skip
-
-
-def refused(path: Path, unpacked: str = "") -> str:
-    """The one line in which the command refuses a file."""
-    answer = dashpot("inspect", path, unpacked=unpacked)
-    assert answer.returncode == 2
-    (line,) = answer.stderr.strip().splitlines()
-    return line
-
-
-def refused_here(path: Path, monkeypatch: pytest.MonkeyPatch, unpacked: str) -> str:
-    """The same without a process for the command; readers have theirs."""
+def refused(path: Path, monkeypatch: pytest.MonkeyPatch, unpacked: str) -> str:
+    """The one line in which a file is refused whose reader has a process of its own."""
     monkeypatch.setenv(UNPACKED, unpacked)
     with pytest.raises(DashpotError) as error:
         inspect_file(path)
@@ -116,12 +98,15 @@ def test_a_process_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
         os.kill(process, signal.SIGCONT)
 
 
-def test_a_workbook_whose_reader_aborts_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_workbook_whose_reader_aborts_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A cell in the last corner makes the library ask for 549 GB, and abort."""
-    assert "corner.xlsx" in refused(workbook(tmp_path / "corner.xlsx", {"XFD1048576": 1.0}))
+    path = workbook(tmp_path / "corner.xlsx", {"XFD1048576": 1.0})
+    assert "corner.xlsx" in refused(path, monkeypatch, "")
 
 
-def test_a_fleet_loses_that_file_alone(tmp_path: Path) -> None:
+def test_a_fleet_loses_that_file_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(
         'name = "one"\ncoordinates = ["x1"]\n[inputs]\nf = { kind = "force", at = "x1" }\n'
@@ -143,19 +128,22 @@ def test_a_fleet_loses_that_file_alone(tmp_path: Path) -> None:
             book.active["XFD1048576"] = 1.0
         book.save(tmp_path / f"rig{number}.xlsx")
     files = [tmp_path / f"rig{number}.xlsx" for number in range(3)]
-    answer = dashpot("fleet", rig, *files, "--out", tmp_path / "fleet.parquet")
-    assert answer.returncode == 0, answer.stderr
-    assert "rig1.xlsx" in "".join(answer.stdout.split())  # lines end at the width of the terminal
-    assert "2 identified" in answer.stdout
+    words = ["fleet", str(rig), *map(str, files), "--out", str(tmp_path / "fleet.parquet")]
+    assert run(words) == 0
+    told = capsys.readouterr().out
+    assert "rig1.xlsx" in "".join(told.split())  # lines end at the width of the terminal
+    assert "2 identified" in told
 
 
-def test_what_unpacks_without_end_is_refused_while_it_unpacks(tmp_path: Path) -> None:
+def test_what_unpacks_without_end_is_refused_while_it_unpacks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "bomb.csv.gz"
     with gzip.open(path, "wb") as file:
         file.write(b"time_s,x1\n")
         for _ in range(64):
             file.write(b"0.000000,0.0\n" * 8192)
-    line = refused(path, unpacked="0.001")
+    line = refused(path, monkeypatch, "0.001")
     assert "bomb.csv.gz" in line
     assert UNPACKED in line
 
@@ -167,14 +155,14 @@ def test_chunks_that_unpack_to_more_than_there_may_be_are_refused(
     path = tmp_path / "bomb.h5"
     with h5py.File(path, "w") as file:
         file.create_dataset("x1", (1 << 20,), "f8", chunks=(1 << 16,), compression="gzip")
-    assert UNPACKED in refused_here(path, monkeypatch, "0.001")
+    assert UNPACKED in refused(path, monkeypatch, "0.001")
 
 
 def test_room_for_unpacked_data_is_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.csv.gz"
     with gzip.open(path, "wb") as file:
         file.write(b"time_s,x1\n0,1\n1,2\n")
-    assert UNPACKED in refused_here(path, monkeypatch, "much")
+    assert UNPACKED in refused(path, monkeypatch, "much")
 
 
 @pytest.mark.parametrize("kind", ["npz", "mat", "parquet", "feather"])
@@ -191,13 +179,13 @@ def test_zeros_of_every_packed_format_are_counted(
             pq.write_table(pa.table({"time_s": zeros, "x1": zeros}), path)
         case "feather":
             feather.write_feather(pa.table({"time_s": zeros, "x1": zeros}), str(path), compression="zstd")
-    assert UNPACKED in refused_here(path, monkeypatch, "0.01")
+    assert UNPACKED in refused(path, monkeypatch, "0.01")
 
 
 def test_texts_that_unpack_to_more_than_there_may_be_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, count = tmp_path / "bomb.parquet", 1 << 14
+    path, count = tmp_path / "bomb.parquet", 1 << 12
     names = pa.chunked_array([pa.array(["a" * (1 << 16)] * 2048)] * (count // 2048))
     pq.write_table(pa.table({"time_s": np.arange(count) / 100, "x1": np.zeros(count), "name": names}), path)
-    assert "more memory" in refused_here(path, monkeypatch, "0.001")
+    assert "more memory" in refused(path, monkeypatch, "0.001")
