@@ -15,7 +15,6 @@ from dashpot.estimate.linear.instrumental_variables import FreeMatrices
 from dashpot.estimate.result import MISFIT, RESIDUALS, Cycle, Estimate, Fit, ModeValues
 from dashpot.io.words import joined
 from dashpot.model.matrix_elements import Letter
-from dashpot.notices import Notice
 from dashpot.present.document import (
     Document,
     Paragraph,
@@ -98,8 +97,10 @@ def _verdict_line(estimate: Estimate) -> Paragraph:
         return Paragraph(fit_in_words(fit), style)
     said, _, style = VERDICTS[assessment.verdict]
     reasons = [r for r in assessment.reasons if r.code not in ("chi2", "discrepancy")]
-    texts = [f"{said}{(how := _share_missed(assessment)) and ': '}{how}.", *coded_texts(reasons)]
-    return Paragraph(" ".join(texts), style)
+    how = _share_missed(assessment)
+    names = {*estimate.names, *assessment.relative_residual, *(name for r in reasons for name in r.of)}
+    texts = [f"{capitalised(sentence(reason.text), names)} [{reason.code}]" for reason in reasons]
+    return Paragraph(" ".join([f"{said}{how and ': '}{how}.", *texts]), style)
 
 
 def _share_missed(assessment: Assessment) -> str:
@@ -112,20 +113,13 @@ def _share_missed(assessment: Assessment) -> str:
             ((name, share.upper95) for name, share in assessment.discrepancy.items() if share is not None),
             key=lambda each: each[1],
         )
-        where = f" at {name}" if len(assessment.discrepancy) > 1 else ""
-        return (
-            f"apart from noise it misses at most {short(100 * most, 2)} % of the motion{where} (95 % bound)"
-        )
+        where = f" (at {name})" if len(assessment.discrepancy) > 1 else ""
+        return f"apart from noise it misses at most {short(100 * most, 2)} % of the motion{where}"
     if not assessment.relative_residual:
         return ""
     name, most = max(assessment.relative_residual.items(), key=lambda each: each[1])
     where = f" at {name}" if len(assessment.relative_residual) > 1 else ""
     return f"measured and predicted motion differ by {short(100 * most, 2)} %{where}"
-
-
-def coded_texts(notices: Sequence[Notice]) -> list[str]:
-    """Each notice as a sentence, with its code in brackets, by which the manual explains it."""
-    return [f"{capitalised(sentence(notice.text))} [{notice.code}]" for notice in notices]
 
 
 def estimate_text(estimate: Estimate) -> str:
