@@ -441,7 +441,8 @@ def wrong_signs(model: Model, theta: Real, noise_covariance: Real) -> list[Notic
     for j, (unknown, value) in enumerate(zip(model.unknowns, theta, strict=False)):
         if value < 0 and unknown.name not in free and unknown.name not in any_sign:
             within = value > -ZERO * sd[j]
-            why = "consistent with zero" if within else f"{-value / sd[j]:.2g} standard deviations of the noise below 0; check the model and the data"
+            below = f"{-value / sd[j]:.2g} standard deviations of the noise below 0"
+            why = "consistent with zero" if within else f"{below}; check the model and the data"
             if within and -value > (of_kind.get(unknown.name) or np.inf):
                 why = f"the data hardly determine it (± {sd[j]:.2g} {unknown.unit})"
             text = f"{unknown.name} came out negative ({value:.4g} {unknown.unit}): {why}"
