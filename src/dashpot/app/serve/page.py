@@ -46,6 +46,7 @@ FIRST = (
     '<div><div class="card"><p role="status" class="soft">Opening the page</p></div></div></div></div>'
 )
 LATER = b"""<style id="styles" media="print" onload="this.media='all'" onerror="this.media='all'">"""
+LESS = ("± %", "±, noise only", "bound")
 EXPORTS = {"fmu": "FMU", "mat": "MATLAB", "xml": "MuJoCo"}
 
 
@@ -109,8 +110,11 @@ def _html(text: str, classes: str = "") -> None:
 
 
 def table_html(label: str, table: Mapping[str, Any], known: str = "") -> str:
-    """A table with its name for screen readers."""
-    right = ["right" if each else "" for each in table["right"]]
+    """A table with its name for screen readers; columns of less weight are left out on a phone."""
+    right = [
+        " ".join(["right"] * side + ["less"] * (head in LESS))
+        for head, side in zip(table["heads"], table["right"], strict=True)
+    ]
     heads = "".join(
         f'<th scope="col" class="{side}">{html.escape(head)}</th>'
         for head, side in zip(table["heads"], right, strict=True)
