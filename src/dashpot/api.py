@@ -943,7 +943,7 @@ def _has_columns(data: object) -> bool:
     """Whether it is a table: columns by name."""
     if isinstance(data, Mapping) or (isinstance(data, np.ndarray) and data.dtype.names):
         return True
-    return hasattr(data, "columns") or hasattr(data, "data_vars") or hasattr(data, "dims")
+    return any(hasattr(data, name) for name in ("columns", "data_vars", "dims", "sampling_time"))
 
 
 def _listed(named: Mapping[str, Channel], name: str) -> Channel:

@@ -47,8 +47,9 @@ def record(
 ) -> Record:
     """One record of the channels that are named in `data`.
 
-    data      a mapping of names to arrays (samples,), a pandas or polars data frame, an xarray Dataset, or a
-              structured NumPy array; numbers in the units of the channels
+    data      a mapping of names to arrays (samples,), a pandas or polars data frame, an xarray Dataset, a structured
+              NumPy array, or an Input_output_data of the package nonlinear_benchmarks (columns u and y); numbers in
+              the units of the channels
     channels  of a rig, or the rig
     experiment  a number, or the name of one of the rig's experiments
     time      (samples,), s; else the column `time_s` (or an index or coordinate of that or a usual name), else
@@ -192,6 +193,8 @@ def _variables(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | 
         return variables, dict(getattr(data, "attrs", {}).get("units") or {})
     if module == "polars" and frame:
         return {name: data[name].to_numpy() for name in data.columns}, {}
+    if all(hasattr(data, name) for name in ("u", "y", "sampling_time")):
+        return _benchmark(data), {}
     if isinstance(data, Mapping):
         return {str(name): values for name, values in data.items()}, {}
     if isinstance(data, np.ndarray) and data.dtype.names:
@@ -201,6 +204,16 @@ def _variables(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | 
         source,
         "give a mapping of names to arrays, a data frame, an xarray Dataset or a structured array",
     )
+
+
+def _benchmark(data: Any) -> dict[str, Any]:
+    """Columns of an Input_output_data of the package nonlinear_benchmarks: u and y, of several u1, u2 and y1, y2."""
+    columns: dict[str, Any] = {}
+    for name in ("u", "y"):
+        signals = np.asarray(getattr(data, name)).reshape(len(data.y), -1).T
+        columns |= {name if len(signals) == 1 else f"{name}{i}": each for i, each in enumerate(signals, 1)}
+    step = data.sampling_time
+    return columns if step is None else {TIME: np.arange(len(data.y)) * float(step), **columns}
 
 
 def _naive(series: Any) -> Any:

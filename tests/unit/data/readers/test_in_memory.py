@@ -1,6 +1,8 @@
 """Records from what a program holds: mappings, data frames, datasets, structured arrays."""
 
 import inspect
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -146,3 +148,34 @@ def test_a_column_that_comes_twice_is_named():
         record(pandas.concat([table, table[["x1"]]], axis=1), TWO)
     with pytest.raises(DataError, match="Series is not a table"):
         record(table["x1"], TWO)
+
+
+class Benchmark:
+    """As nonlinear_benchmarks.Input_output_data: iterable, of a length, without names."""
+
+    def __init__(self, y: np.ndarray, sampling_time: float | None = 0.1) -> None:
+        self.u, self.y, self.sampling_time = np.arange(len(y)) % 3.0, y, sampling_time
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        yield from (self.u, self.y)
+
+
+def test_data_of_nonlinear_benchmarks_are_a_table(tmp_path: Path) -> None:
+    y = np.arange(40.0).reshape(20, 2)
+    channels = [Channel("u", {"f": 1}), Channel("y2", {"x": 1})]
+    found = record(Benchmark(y), channels)
+    np.testing.assert_allclose(found.time, np.arange(20) / 10)
+    np.testing.assert_array_equal(found.values, np.column_stack([np.arange(20) % 3, y[:, 1]]))
+    one = record(Benchmark(y[:, 0], None), [Channel("y", {"x": 1})], rate_hz=5.0)
+    np.testing.assert_allclose(one.time[:2], [0, 0.2])
+    with pytest.raises(DataError, match="time is missing"):
+        record(Benchmark(y, None), channels)
+    (tmp_path / "rig.toml").write_text(
+        'coordinates = ["x"]\n[inputs]\nf = { kind = "force", at = "x" }\n[masses]\nm = { at = "x" }\n'
+        '[springs]\nk = { between = ["x", "ground"] }\n[channels]\nu = { of = "f" }\ny = { of = "x" }\n'
+    )
+    with pytest.raises(DataError, match="time is missing"):  # a table, not several data
+        dashpot.read_rig(tmp_path / "rig.toml").identify(Benchmark(y[:, 0], None))
