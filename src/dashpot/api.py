@@ -363,21 +363,21 @@ def start(
         unit = stated.get(column.name, column.unit or si.get(column.quantity or ""))
         if unit is None:
             cure = f'give its unit, units={{"{column.name}": "m/s²"}}'
-            raise UsageError(f"nothing tells what the column {column.name} measures", cure=cure)
+            raise UsageError(f"cannot tell what the column {column.name} measures", cure=cure)
         columns.append(column.in_unit(unit))
     seen = replace(seen, columns=tuple(columns))
     drive = driven_by or ("base" if base else "force" if force_at else seen.drive)
     chain = first_rig(seen, name, drive, first_mass, force_at, base)
     if chain.drive == "force" and chain.forces > 1:
         cure = "leave out the columns of the others, or complete the file that `dashpot start` writes"
-        raise UsageError(f"{chain.forces} columns are forces, and nothing tells where each acts", cure=cure)
+        raise UsageError(f"{chain.forces} columns are forces; where each acts is not known", cure=cure)
     if chain.at == PLACEHOLDER:
         cure = f"give force_at=, one of x1 to x{chain.masses}"
-        raise UsageError("nothing tells which mass the force acts on", cure=cure)
+        raise UsageError("which mass the force acts on is not known", cure=cure)
     for sensor in chain.sensors:
         if sensor.of == PLACEHOLDER:
             cure = "give base=, the column of the base, or another driven_by="
-            raise UsageError(f"nothing tells what the column {sensor.column} shows", cure=cure)
+            raise UsageError(f"cannot tell what the column {sensor.column} measures", cure=cure)
         if sensor.raw:
             what = f"the column {sensor.column} is in {sensor.unit}, without a sensitivity"
             raise UsageError(what, cure="give it in a unit of what it measures")
@@ -519,7 +519,7 @@ def estimated_frf(
     shown, drive = (_listed(named, name) for name in (output, input))
     if not measures_input(model, drive) or len(drive.of) != 1:
         inputs = [channel.name for channel in named.values() if measures_input(model, channel)]
-        raise UsageError(f"{input} is no input of the rig", cure=f"take {' or '.join(inputs)}")
+        raise UsageError(f"{input} is not an input of the rig", cure=f"take {' or '.join(inputs)}")
     if measures_input(model, shown):
         raise UsageError(f"{output} is an input of the rig", cure="name a channel of its coordinates")
     frequency_hz = _numbers(frequencies_hz, "frequencies_hz")
@@ -578,7 +578,7 @@ def with_exact_values(estimate: Estimate, changes: Mapping[str, float]) -> Estim
     known = {name: (value, unit) for name, value, unit in estimate.known}
     for name in given.keys() - {*estimate.names, *known}:
         raise UsageError(
-            f"{name} is no parameter of the estimate that can be changed",
+            f"{name} is not a parameter of the estimate that can be changed",
             cure=f"its parameters are {', '.join([*estimate.names, *known])}",
         )
     exact = np.array([name in given for name in estimate.names])
@@ -1026,7 +1026,7 @@ def _several(data: Any) -> list[Any]:
         return [data]
     if not isinstance(data, Sequence):
         raise UsageError(
-            f"{type(data).__name__} is no data",
+            f"{type(data).__name__} is not data",
             cure="give the name of a file, a data frame or a mapping of columns with time_s, Records or a Spectrum",
         )
     return list(data)

@@ -199,7 +199,7 @@ def account(error: Exception) -> tuple[list[str], int]:
         most = 20  # a screenful is told one by one
         lines = [str(problem) for problem in error.problems[:most]]
         if len(error.problems) > most:
-            lines.append(f"{len(error.problems) - most} more problems; mend these first")
+            lines.append(f"{len(error.problems) - most} more problems; correct these first")
         return lines, error.exit_code
     if isinstance(error, OSError):
         place = "standard output" if error.filename is None else str(error.filename)

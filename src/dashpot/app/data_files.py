@@ -39,8 +39,8 @@ class RecordOptions:
     orders: Annotated[
         Any,
         opt.Option("--orders auto|1,3,…", opt.ORDERS, opt.RECORDS, default="auto"),
-        "Multiples of the drive frequency whose amplitudes are used as data; auto is 1 and, in long dwells, the "
-        "harmonics that show in every channel.",
+        "Multiples of the drive frequency whose amplitudes are used as data; auto is 1 and, in long dwells, "
+        "the harmonics that appear in every channel.",
     ]
     harmonics: Annotated[
         Any,
@@ -52,48 +52,48 @@ class RecordOptions:
         opt.Option(
             "--drift", click.Choice(["auto", "none", "0", "1", "2", "3"]), opt.RECORDS, default="auto"
         ),
-        "Degree of the polynomial removed from each dwell: 0 removes the mean, 1 a straight line; auto is 1, and 0 "
-        "where short dwells show no slope.",
+        "Degree of the polynomial removed from each dwell: 0 removes the mean, 1 a linear trend; auto is 1, "
+        "and 0 where short dwells show no slope.",
     ]
     noise: Annotated[
         Any,
         opt.Option("--noise", click.Choice(["auto", "own", "white", "blocks"]), opt.RECORDS, default="auto"),
-        "How the noise of the amplitudes is estimated from the residuals: as white noise (white), from neighbouring "
-        "frequencies (blocks), as a test of whiteness decides for each dwell (own), or likewise with short dwells "
-        "pooled (auto).",
+        "How the noise of the amplitudes is estimated from the residuals: as white noise (white), from "
+        "neighbouring frequencies (blocks), by a test of whiteness for each dwell (own), or likewise with "
+        "short dwells pooled (auto).",
     ]
     refine: Annotated[
         Any,
         opt.Option(
             "--refine", click.Choice(["auto", "always", "none"]), opt.RECORDS, alone="always", default="auto"
         ),
-        "Estimate the true drive frequency near the stated one: where all dwells together show that it is off (auto; "
-        "refused where a record moves elsewhere), always, or never; --refine alone is always.",
+        "Estimate the true drive frequency near the stated one: if all dwells together show that it is off "
+        "(auto; a record that responds elsewhere is refused), always, or never; --refine alone is always.",
     ]
     settle: Annotated[
         Any,
         opt.Option("--settle auto|none|2s", opt.SETTLING, opt.RECORDS, alone="auto", default="none"),
-        "Discard the start of each dwell: as long as the transient lasts (auto), or the time given; --settle alone is "
-        "auto.",
+        "Discard the start of each dwell: as long as the transient lasts (auto), or the time given; --settle "
+        "alone is auto.",
     ]
     record_band: Annotated[
         tuple[float, float] | None,
         opt.Option("--band LOWER:UPPER", opt.BAND, opt.RECORDS),
-        "Frequencies of a whole record that are used, Hz.  [default: the band in which the rig moves]",
+        "Frequency band of continuous records, Hz.  [default: where the rig moves]",
     ]
     transients: Annotated[
         Any,
         opt.Option(
             "--transients", click.Choice(["auto", "estimate", "settle", "none"]), opt.RECORDS, default="auto"
         ),
-        "Transients of dwells: estimate them where a test finds the dwells unsettled (auto), always (estimate) or "
-        "never (none), or drop them where the test finds them (settle; auto does so for methods that cannot estimate "
-        "them).  Records of other excitation always have theirs estimated.",
+        "Transients of dwells: estimate them if a test finds the dwells unsettled (auto), always (estimate) or "
+        "never (none), or discard them where the test finds them (settle; auto does so for methods that cannot "
+        "estimate them).  In continuous records they are always estimated.",
     ]
     noise_record: Annotated[
         tuple[str, ...],
         opt.Option("--noise-record FILE", opt.INPUT_FILE, opt.RECORDS, multiple=True),
-        "A record at rest, which gives the noise of every channel.  May be repeated.",
+        "An at-rest record, for the noise of every channel.  May be repeated.",
     ]
 
     @classmethod
@@ -120,7 +120,7 @@ class RecordOptions:
         with progress(reading_of(paths), self.quiet):
             reading = read(paths, rig, frequency_hz=self.frequency)
         if self.frequency is not None and all(one.frequency_hz != self.frequency for one in reading.records):
-            cause = "--frequency is for records that name no drive frequency, and these data name theirs"
+            cause = "--frequency is not needed: the data have a frequency_hz column"
             raise UsageError(cause, cure="leave it out")
         tell_notes(reading.notes, self.quiet)
         return reading
@@ -165,7 +165,7 @@ class RecordOptions:
         with progress("amplitudes", self.quiet):
             spectrum = amplitudes_for(rig.model, reading, conditioning, traits_of(methods))
         if self.record_band is not None and not spectrum.records:
-            cause = "--band chooses frequencies of whole records, and these data hold dwells"
+            cause = "--band applies to continuous records; these are stepped-sine dwells"
             raise UsageError(cause, cure="leave it out")
         tell_notes(spectrum.notes, self.quiet)
         return spectrum
@@ -178,7 +178,9 @@ class RecordOptions:
     def require_in_time(self) -> None:
         """Raises UsageError for options that have no meaning where whole records are followed in time."""
         if self.record_band is not None:
-            cause = "--band chooses frequencies, and whole records of nonlinear rigs are followed in time"
+            cause = (
+                "--band applies to linear rigs; continuous records of nonlinear rigs are simulated in time"
+            )
             raise UsageError(cause, cure="leave it out")
 
     def treatment(self, rig: Rig, chosen: str, positive: bool, seed: int) -> Treatment:
@@ -202,7 +204,7 @@ def require_bounds_held(method: str, positive: bool) -> None:
     """Refuse --positive, before the work, with a method that cannot hold bounds.  Raises UsageError."""
     if positive and not all(traits.bounds for traits in traits_of([method])):
         raise UsageError(
-            f"the method {method} cannot hold bounds", cure="leave out --positive, or use --method ml"
+            f"the method {method} cannot enforce bounds", cure="leave out --positive, or use --method ml"
         )
 
 
@@ -212,7 +214,7 @@ def require_each_once(paths: Sequence[str]) -> None:
     for path, file in zip(paths, files, strict=True):
         if files.count(file) > 1:
             raise UsageError(
-                f"{printable(path)} is given {files.count(file)} times: the same data are one test",
+                f"{printable(path)} is given {files.count(file)} times, but is one test",
                 cure="name each file once",
             )
 

@@ -523,7 +523,7 @@ JSON = Option(
     "--json FILE",
     OutputFile(stdout=True),
     OUTPUT,
-    says="Write {} as JSON; - writes it to stdout, in place of the text.",
+    says="Write {} as JSON; - writes it to stdout instead of the text.",
 )
 FIGURE = Option("--figure FILE.svg|png|pdf", OutputFile(formats=PICTURES), OUTPUT)
 SEED = Option(
@@ -536,34 +536,34 @@ SET = Option(
     multiple=True,
     says="{}, such as m1=3,k1=4.6kN/m; a bare number is in SI units.  May be repeated.",
 )
-VALUES = "Values of the unknowns, in place of those of the rig file"  # of SET
+VALUES = "Values of the unknowns, instead of those of the rig file"  # of SET
 
 RigFile = Annotated[str, Option("", INPUT_FILE), "Rig file (TOML): coordinates, elements, channels."]
 Experiment = Annotated[
     str | None,
     Option("--experiment NAME", None, "The rig"),
-    "The rig as it is in this experiment of the rig file.  [default: as it is in none]",
+    "The rig as it is in this experiment of the rig file.  [default: outside all experiments]",
 ]
 Method = Annotated[
     str,
     Option("--method", click.Choice(["auto", *METHODS]), "Estimation", default="auto"),
-    "Estimator.  auto takes oiv where every coordinate and input is measured and no unknown has bounds, ml elsewhere.",
+    "Estimator.  auto takes oiv if every coordinate and input is measured and no unknown has bounds, else ml.",
 ]
 Positive = Annotated[
     bool,
     Option("--positive", None, "Estimation"),
-    "Hold every unknown at or above 0 (but not the entries of free matrices); uses ml.",
+    "Keep every unknown at or above 0 (except entries of free matrices); uses ml.",
 ]
 RelativeNoise = Annotated[
     float | None,
     Option("--relative-noise 5%", SHARE_OR_ZERO, "Noise"),
-    "Noise of a sample as a share of the amplitude, for every output, in place of the rig file's noise.",
+    "Noise of a sample as a share of the amplitude, for every output, instead of the rig file's noise.",
 ]
 ModalSd = Annotated[
     tuple[float, float, float],
     Option("--modal-sd FREQUENCY,DAMPING,SHAPE", MODAL_SD, "Measured modes", default="1%,20%,5%"),
-    "Standard deviations of modes in universal files, which hold none: of frequencies, of damping ratios, and of "
-    "shapes relative to their largest entry.",
+    "Standard deviations of modes in universal files, which state none: of frequencies, of damping ratios, and "
+    "of shapes relative to their largest entry.",
 ]
 Workers = Annotated[
     int | None,
@@ -590,7 +590,7 @@ OutputColumns = Annotated[
 ChannelsOfRig = Annotated[
     str | None,
     Option("--rig RIG.toml", INPUT_FILE, CHANNELS),
-    "A rig file, for its channels alone: names, units, calibrations.",
+    "A rig file, used only for its channels: names, units, calibrations.",
 ]
 FreeBand = Annotated[
     tuple[float, float] | None, Option("--band LOWER:UPPER", BAND), "Frequencies that are used, Hz."

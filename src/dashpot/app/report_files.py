@@ -47,15 +47,13 @@ class ReportFile:
     label: Annotated[
         tuple[str, ...],
         Option("--label TEXT", None, OUTPUT, multiple=True),
-        "Print a line at the head of the report, such as 'Client: A. Smith'; may be repeated.",
+        "Print a line at the head of the report, such as 'Client: A. Smith'.  May be repeated.",
     ]
 
     def __post_init__(self) -> None:
         if self.label and self.report is None:
             context = click.get_current_context()
-            raise click.UsageError(
-                "--label is a line of the report: give --report FILE.html as well", context
-            )
+            raise click.UsageError("--label needs --report", context)
         if self.report is not None and is_pdf(self.report):
             browser()
 
@@ -119,7 +117,7 @@ def browser() -> str:
     raise UsageError(
         "a PDF report is printed by Chromium or Chrome, and neither is installed",
         "--report",
-        "install one, or name the report .html and print that",
+        "install one, or write .html and print it from a browser",
     )
 
 
@@ -156,7 +154,7 @@ def _printed(html: str) -> bytes:
             raise DataError(
                 f"the browser did not print the report ({type(error).__name__})",
                 command[0],
-                "name the report .html and print that",
+                "write .html and print it from a browser",
             ) from error
 
 

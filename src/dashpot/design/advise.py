@@ -66,12 +66,14 @@ def drives_that_show(setup: TestSetup, schedule: Schedule) -> list[str]:
     for j in np.flatnonzero(np.any(model.T[model.nonlinear], axis=0)):
         rows = np.flatnonzero(clear[:, j])
         if not len(rows):
-            sentences.append(f"{names[j]} does not show at this drive: drive further, or measure longer")
+            sentences.append(
+                f"{names[j]} is not visible at this drive level: increase the drive, or measure longer"
+            )
         elif rows[0]:
             share = float(shares[rows[0]])
             sentences.append(
-                f"{names[j]} shows (three standard deviations) from about {100 * share:.2g} % of the drive on, "
-                f"{share * size:.2g} {unit} at most"
+                f"{names[j]} becomes visible (three standard deviations) from about {100 * share:.2g} % of the "
+                f"drive on, {share * size:.2g} {unit} at most"
             )
     return sentences
 
@@ -225,7 +227,7 @@ def choose(
     if not ranking:
         raise IdentifiabilityError(
             f"no {count} of these sensors determine the unknowns",
-            cure="mount more, or give a parameter its value",
+            cure="add sensors, or state a parameter",
         )
     return Choice(tuple(ranking), complete)
 
@@ -362,7 +364,7 @@ def answer(question: Question, *, mapper: Map = map) -> Answer:
                 other = even_schedule(question.against, advised.samples)
             comparison = compare_tests(setup, criterion, advised, other)
         except IdentifiabilityError:
-            notes.append("the other test does not determine the unknowns, however many samples it takes")
+            notes.append("the other test does not determine the unknowns, with any number of samples")
     so_far, verdict = _stopping(question, estimate)
     if advised is not None:
         notes += advised.notes
@@ -393,8 +395,8 @@ def _start(question: Question, notes: list[str]) -> tuple[TestSetup, Estimate | 
         channels = noise_from(channels, question.after)
     if not any(c.noise > 0 or c.relative_noise > 0 for c in channels):
         notes.append(
-            "no channel states its noise: 1 % of each output's amplitude is assumed; intervals are proportional to it, "
-            "the frequencies do not depend on its size"
+            "no channel states its noise: 1 % of each output's amplitude is assumed; intervals scale with it, "
+            "the frequencies do not depend on it"
         )
         channels = with_relative_noise(model, channels, 0.01)
     # Values of the unknowns by name: as stated, else as estimated
@@ -408,7 +410,7 @@ def _start(question: Question, notes: list[str]) -> tuple[TestSetup, Estimate | 
     if missing:
         raise UsageError(
             f"{', '.join(missing)}: no value to design the test for",
-            cure=f"state a rough value of {missing[0]}, put guess = … into the rig file, or give an estimate",
+            cure=f"state a rough value of {missing[0]}, write guess = … in the rig file, or give an estimate",
         )
     limits, amplitude = _size_of_drive(question, channels, notes)
     setup = nominal_setup(model, channels, values, limits=limits, amplitude=amplitude, drives=question.drives)
@@ -416,8 +418,8 @@ def _start(question: Question, notes: list[str]) -> tuple[TestSetup, Estimate | 
         return setup, None
     if bool(np.any(estimate.fit.rejected)):
         notes.append(
-            "the model does not fit the earlier data: expected intervals count the sensors' noise alone, and what the "
-            "model lacks will make the true ones wider"
+            "the model does not fit the earlier data: expected intervals cover sensor noise only; the misfit "
+            "will make the true ones wider"
         )
     return after(setup, estimate), estimate
 
@@ -434,7 +436,7 @@ def _size_of_drive(
     if limits.given or not question.model.inputs:
         return limits, 1.0
     floors = [c.name for c in channels if c.noise > 0]
-    matters = "so the drive's size matters: " if floors else ""
+    matters = "so the drive level matters: " if floors else ""
     noisy = f"the noise of {', '.join(floors[:4])} has a floor, " if floors else ""
     measured = None if question.after is None else amplitude_from(question.model, question.after)
     if measured is not None:
@@ -446,8 +448,8 @@ def _size_of_drive(
         return limits, measured
     if len(question.model.nonlinear):
         raise UsageError(
-            "the motion of a rig with nonlinear elements depends on the size of its drive",
-            cure="state the drive's amplitude or the shaker's limits",
+            "the response of a rig with nonlinear elements depends on the drive level",
+            cure="state the drive amplitude or the shaker's limits",
         )
     usual = usual_limits(question.model)
     notes.append(

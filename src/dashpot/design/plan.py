@@ -320,7 +320,7 @@ def _rounded(problem: DesignProblem, ideal: Allocation) -> Schedule:
             break
     if best is None or not np.isfinite(lowest):
         raise UsageError(
-            "the budget holds no test that determines the unknowns",
+            "no test within this budget can determine the unknowns",
             cure="allow more samples, time or frequencies",
         )
     return best
@@ -493,8 +493,8 @@ def _remarks(setup: TestSetup, schedule: Schedule) -> tuple[str, ...]:
             first = float(schedule.frequency_hz[int(np.argmax(faint[:, i]))])
             still.setdefault(first, []).append(channel.name)
     return tuple(
-        f"{joined(names)} hardly {'moves' if len(names) == 1 else 'move'} at {f:.4g} Hz, where noise "
-        "stated in per cent alone is next to nothing: state a noise floor as well"
+        f"{joined(names)} hardly {'moves' if len(names) == 1 else 'move'} at {f:.4g} Hz, where noise stated in "
+        "per cent only is almost zero: state a noise floor as well"
         for f, names in still.items()
     )
 

@@ -118,11 +118,11 @@ def plan_releases(
     rate = rate_hz or min(rates, default=0.0)
     if not rate:
         rate = float(f"{20 * fastest:.2g}")  # of the fastest mode
-        notes.append(f"no sampling rate is stated: {rate:g} Hz is assumed, 20 samples a period")
+        notes.append(f"no sampling rate is stated: {rate:g} Hz, 20 samples per period, is assumed")
     unit = "rad" if set(model.coordinates) <= model.angles else "m"
     if deflection is None and target is None:
         notes.append(
-            f"no deflection is stated: {DEFLECTION:g} {unit} of the point that moves most is assumed (--stroke)"
+            f"no deflection is stated: {DEFLECTION:g} {unit} at the point that moves most is assumed (--stroke)"
         )
     slowest = float(np.min(np.abs(found[np.abs(found) > 0]), initial=np.inf))
     decay = float(np.min(-found.real[found.real < -1e-9 * np.abs(found)], initial=np.inf))
@@ -147,8 +147,10 @@ def plan_releases(
         notes.append(
             f"a deflection of {info.size:.3g} {unit} reaches the target of {100 * target:.3g} %"
             if info.best.figure <= target
-            else f"the target of {100 * target:.3g} % is not reached: a deflection of {info.size:.3g} {unit} leaves "
-            f"{100 * info.best.figure:.3g} %, as noise that is a share of the motion grows with it"
+            else (
+                f"the target of {100 * target:.3g} % is not reached: a deflection of {info.size:.3g} {unit} "
+                f"gives {100 * info.best.figure:.3g} %, because the noise grows with the motion"
+            )
         )
     best = info.best
     alone = sorted((info.recorded((k,)) for k in range(model.n)), key=lambda each: each.figure)
@@ -291,16 +293,14 @@ def _reaching(bench: Bench, info: ReleaseInformation, target: float) -> ReleaseI
 def _require_plannable(model: Model, names: Sequence[str]) -> None:
     """Raises UsageError for a nonlinear rig, one without unknowns, and for names that are no unknowns."""
     if not model.unknown_names:
-        raise UsageError(
-            "every value of the rig is known", cure="leave out the values that releases are to tell"
-        )
+        raise UsageError("every value of the rig is known", cure="leave out the values to be found")
     if len(model.nonlinear):
         raise UsageError(
             "releases are planned for linear rigs", cure="leave out the nonlinear elements for the plan"
         )
     if wrong := [name for name in names if name not in model.unknown_names]:
         raise UsageError(
-            f"{wrong[0]} is no unknown", cure=f"the unknowns are {', '.join(model.unknown_names)}"
+            f"{wrong[0]} is not an unknown", cure=f"the unknowns are {', '.join(model.unknown_names)}"
         )
 
 

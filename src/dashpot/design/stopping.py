@@ -54,7 +54,7 @@ def _covariance_of(estimate: Estimate, names: Sequence[str]) -> Real:
     missing = [name for name in names if name not in estimate.names]
     if missing:
         raise UsageError(
-            f"the estimate says nothing about {', '.join(missing)}",
+            f"the estimate contains nothing about {', '.join(missing)}",
             cure="give the estimate of this rig, or its data",
         )
     i = [estimate.names.index(name) for name in names]
@@ -251,9 +251,9 @@ def enough(
     what = {"A": "the rms of the relative standard deviations", "D": "the confidence region"}.get(kind, worst)
     if excess <= 1:
         narrow = "every interval is" if kind == "minimax" else f"{what} is"
-        return Verdict(True, worst, excess, 0.0, f"{narrow} as small as was asked")
+        return Verdict(True, worst, excess, 0.0, f"{narrow} below the target")
     if bool(np.any(estimate.fit.rejected)):
-        reason = "the model does not fit: more samples will not narrow what its misfit leaves open"
+        reason = "the model does not fit: more samples will not narrow what the misfit leaves open"
         return Verdict(False, worst, excess, np.inf, reason)
     covariance_with = _with_more_samples(estimate, known, size)
     times = least_factor(lambda factor: excess_of(covariance_with(factor)) <= 1)

@@ -279,8 +279,9 @@ def _used_directly(model: Model, limits: ShakerLimits, omega: Real, unit: Comple
     if (r < unit.shape[1] and moved) or (r and limits.force is not None):
         wrong, right = (moved[0], "force") if r < unit.shape[1] and moved else ("force", "stroke")
         raise UsageError(
-            f"the limit of {wrong} holds for what is not proportional to the drive of a nonlinear rig",
-            cure=f"state the largest {right}, or the amplitude of the drive",
+            f"the limit of {wrong} does not apply to a nonlinear rig, where {wrong} is not proportional to the "
+            "drive",
+            cure=f"state the largest {right}, or the drive amplitude",
         )
     motion, force = unit.copy(), unit.copy()
     motion[:, r:], force[:, :r] = 0.0, 0.0
@@ -316,7 +317,7 @@ class TestSetup:
         object.__setattr__(self, "channels", tuple(self.channels))
         self.model.require_unknowns()
         if not self.model.inputs:
-            raise UsageError("the rig has no input: nothing shakes it", cure="add one under [inputs]")
+            raise UsageError("the rig has no input", cure="add one under [inputs]")
         if not any(c.noise > 0 or c.relative_noise > 0 for c in self.channels):
             raise UsageError(
                 "no channel states its noise",

@@ -196,7 +196,10 @@ def model_description(
         "instantiationToken": token,
         "generationTool": "dashpot",
         "variableNamingConvention": "flat",
-        "description": "Linear vibrating rig; inputs go on with their slopes during a step, which is then exact",
+        "description": (
+            "Linear vibrating rig; inputs are extrapolated by their slopes during a step, which "
+            "makes the step exact"
+        ),
     }
     simulation = {
         "modelIdentifier": identifier,

@@ -57,7 +57,7 @@ class ExportFormat:
         """Raises UsageError where it does not look at one of the options that are given."""
         for name in given:
             if name not in self.takes:
-                cause = f"an export of {self.content} has no use for {IN_WORDS[name]}"
+                cause = f"an export of {self.content} does not use {IN_WORDS[name]}"
                 raise UsageError(cause, path, "leave them out")
 
 
@@ -93,7 +93,9 @@ def format_of(path: str, content: str | None = None) -> ExportFormat:
     suffix = Path(path).suffix.lower()
     meant = [each for each in FORMATS if content in (None, each.content)]
     if not meant:
-        raise UsageError(f"nothing is exported as {content}", cure=f"there are {', '.join(contents())}")
+        raise UsageError(
+            f"{content} is not something that can be exported", cure=f"use one of {', '.join(contents())}"
+        )
     for each in meant:
         if suffix in each.suffixes:
             return each

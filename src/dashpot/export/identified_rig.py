@@ -53,7 +53,7 @@ class IdentifiedRig:
         """Raises ModelError where an element has a nonlinear law, which `what` cannot hold."""
         if len(self.model.nonlinear):
             names = ", ".join(self.model.elements[i].name for i in self.model.nonlinear)
-            raise ModelError(f"{what} cannot hold the nonlinear law of {names}", cure=INSTEAD)
+            raise ModelError(f"{what} cannot represent the nonlinear law of {names}", cure=INSTEAD)
 
     def require_viscous(self, what: str) -> None:
         """Raises ModelError where a motion in time is not determined: hysteretic dampers, and as `require_linear`."""
@@ -61,9 +61,7 @@ class IdentifiedRig:
         hysteretic = self.model.by_matrix["H"]
         if len(hysteretic):
             names = ", ".join(self.model.elements[i].name for i in hysteretic)
-            cause = (
-                f"{what} cannot hold the hysteretic damping of {names}, which is a law of steady vibration"
-            )
+            cause = f"{what} cannot represent the hysteretic damping of {names}, which is a law of steady vibration"
             raise ModelError(cause, cure="use viscous dampers, or export frequency responses")
 
 

@@ -42,7 +42,7 @@ def mujoco_model(rig: IdentifiedRig) -> str:
         if len(element.along) > 1:
             joined = ", ".join(element.along)
             raise ModelError(
-                f"a MuJoCo model cannot hold {element.name}, an inertia that joins {joined}",
+                f"a MuJoCo model cannot represent {element.name}, an inertia that joins {joined}",
                 cure="export an FMU (.fmu) or a state space (.mat)",
             )
     inertia = np.diagonal(parts.M).tolist()

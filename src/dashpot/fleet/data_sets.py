@@ -280,7 +280,7 @@ def of_tables(paths: Sequence[str], column: str) -> Source:
                 again = (
                     f"begins in row {row + 1} and again in row {start + 1}"
                     if other == path
-                    else f"begins in row {start + 1} and stands in {shown(other)} as well"
+                    else f"begins in row {start + 1} and is in {shown(other)} as well"
                 )
                 raise DataError(
                     f"{shown(name)} {again}: the rows of a rig are not together",
@@ -391,7 +391,7 @@ def _named_rows(path: str, column: str, coming: Iterable[Any]) -> tuple[tuple[st
         if "" in of_batch:
             row = rows + places[of_batch.index("")] + 1
             raise DataError(
-                f"column {shown(column)}: row {row} does not name its rig", path, "name the rig of every row"
+                f"column {shown(column)}: row {row} names no rig", path, "name the rig of every row"
             )
         if names and of_batch and of_batch[0] == names[-1]:
             del of_batch[0], places[0]
@@ -584,13 +584,13 @@ class CsvLayout:
                 for row in reader:
                     if row and len(row) != cells:
                         what = f"the row has {counted(len(row), 'cell')}, the header {cells}"
-                        cure = "fill the row or take it out"
+                        cure = "complete the row or remove it"
                         if reader.line_num > line:
-                            what, cure = "a quote is not closed on its line", "close it, or take it out"
+                            what, cure = "a quote is not closed on its line", "close it, or remove it"
                         return DataError(what, f"{self.path}:{line}", cure)
                     line = reader.line_num + 1
         except csv.Error:
-            return DataError("the row cannot be taken apart", f"{self.path}:{line}", "look for a stray quote")
+            return DataError("the row cannot be parsed", f"{self.path}:{line}", "look for a stray quote")
         return DataError(f"the table cannot be read ({shown(said, 150)})", self.path, "check the file")
 
 
@@ -619,7 +619,7 @@ def csv_layout(path: str, column: str) -> CsvLayout:
 def require_columns(path: str, column: str, names: tuple[str, ...]) -> None:
     """Raises DataError where the column that names rigs is missing, or one is named twice."""
     if column not in names:
-        what = f"column {shown(column)}: missing (it is to name the rig)"
+        what = f"column {shown(column)}: missing (it should name the rig)"
         raise DataError(what, path, f"there are {listed(names)}")
     twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
     if twice is not None:

@@ -80,11 +80,13 @@ def merge_estimates(model: Model, parts: Sequence[Estimate]) -> Merged:
     for part in parts:
         if part.names != first.names:
             names = ", ".join(sorted(set(part.names) ^ set(first.names)))
-            raise DataError(f"parts of the data estimate different unknowns ({names})", cure="identify apart")
+            raise DataError(
+                f"parts of the data estimate different unknowns ({names})", cure="identify them separately"
+            )
         for channel, sign in first.signs.items():
             if float(part.signs[channel]) != float(sign):
                 what = f"the sign of {channel} comes out differently in different parts of the data"
-                cure = "was a sensor turned? identify the parts before and after apart"
+                cure = "was a sensor reversed? identify the parts before and after separately"
                 raise DataError(what, cure=cure)
     scale = parts[0].noise_sd
     free = np.array([part.free_values for part in parts]) / scale
@@ -198,7 +200,7 @@ def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) 
     )
     count = counted(len(together.away), "part")
     scatter = f"χ² {together.chi2:.4g} with {together.dof} degrees of freedom (p = {together.p:.2g})"
-    text = f"{count} of the data, each identified by itself, and merged; their scatter has {scatter}"
+    text = f"{count} of the data were identified separately and merged; their scatter has {scatter}"
     return replace(
         together.estimate,
         assessment=assessment,
@@ -213,7 +215,10 @@ def _disagreement(together: Merged, names: Sequence[str]) -> list[Notice]:
     part, unknown = divmod(int(np.argmax(np.abs(together.away))), len(together.estimate.names))
     name, away = together.estimate.names[unknown], together.away[part, unknown]
     off = f"{abs(away):.3g} standard deviations {'above' if away > 0 else 'below'} the merged one"
-    text = f"the parts disagree by more than their noise (p = {together.p:.1g}): {name} of {names[part]} lies {off}"
+    text = (
+        f"the parts disagree by more than their noise (p = {together.p:.1g}): {name} of {names[part]} is "
+        f"{off}"
+    )
     return [Notice("parts_disagree", text, (name,))]
 
 
@@ -230,7 +235,7 @@ def _misfits(names: Sequence[str], parts: Sequence[Estimate]) -> list[Notice]:
     reasons = [(name, reason) for name, each in wrong for reason in each.reasons]
     ((most, _),) = Counter(reason.code for _, reason in reasons).most_common(1)
     name, reason = next((name, reason) for name, reason in reasons if reason.code == most)
-    text = f"{len(wrong)} of {counted(len(parts), 'part')} do not fit by themselves: {reason.text} ({name})"
+    text = f"{len(wrong)} of {counted(len(parts), 'part')} do not fit on their own: {reason.text} ({name})"
     return [Notice("parts_misfit", text, reason.of)]
 
 

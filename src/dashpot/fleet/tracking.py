@@ -195,7 +195,9 @@ class Tracker:
             record = records[0]
         if record.frequency_hz is not None:
             raise DataError(
-                "stepped sine is no window of a continuous record", record.source, "leave frequency_hz out"
+                "a window needs a continuous record, and this is stepped sine",
+                record.source,
+                "leave frequency_hz out",
             )
         if self._kept and (record.time[0] + record.time[1]) / 2 < self._kept[-1].end:
             raise DataError("the window begins before the last one ends", record.source, "give them in order")
@@ -203,7 +205,7 @@ class Tracker:
             window = self._window(record)
             if self._kept and window.names != self._kept[-1].names:
                 what = f"the window estimates {', '.join(window.names)}, those before others"
-                raise DataError(what, record.source, "give the rig file alone what is to be found")
+                raise DataError(what, record.source, "leave the same unknowns open in every window")
         except (ConvergenceError, DataError, IdentifiabilityError) as error:
             if not self._kept and len(self.skipped) >= 2:  # three in a row: nothing to track here
                 raise
@@ -231,7 +233,7 @@ class Tracker:
         if not self._kept:
             first = f": {self.skipped[0]}" if self.skipped else ""
             raise DataError(
-                f"no window determines the unknowns{first}", cure="take longer windows, or drive more"
+                f"no window determines the unknowns{first}", cure="use longer windows, or increase the drive"
             )
         if not 0 < false_alarms < 0.5:
             raise UsageError(f"a share of {false_alarms:g} false alarms", cure="give one from 0.2 % to 49 %")
@@ -297,14 +299,14 @@ class Tracker:
         )
         if misfit:
             text = (
-                f"in {misfit} of {counted(len(self._kept), 'window')} the rig misses more than the noise explains: "
-                "changes are measured alike, but the values may be off by more than their intervals"
+                f"in {misfit} of {counted(len(self._kept), 'window')} the model misses more than the noise "
+                "explains: changes are still comparable, but errors of the values may exceed their intervals"
             )
             notes.append(Notice("windows_misfit", text))
         if found.scatter > 1.2**2:
             text = (
-                f"the windows scatter {math.sqrt(found.scatter):.3g} times as much as their noise explains; "
-                "this is counted in all intervals and tests"
+                f"the windows scatter {math.sqrt(found.scatter):.3g} times as much as their noise explains; all "
+                "intervals and tests account for it"
             )
             notes.append(Notice("windows_scatter", text))
         return tuple(notes)
@@ -318,10 +320,12 @@ class Tracker:
         reading = Reading((record,), None, ())
         spectrum = amplitudes_for(model, reading, self.conditioning, [MaximumLikelihood.traits])
         if not spectrum.records:
-            raise DataError("the window has no lines of a whole record", record.source, "take longer windows")
+            raise DataError(
+                "the window contains no lines of a continuous record", record.source, "use longer windows"
+            )
         estimate, known = identify_with_noise(model, spectrum, "ml" if self._kept else None, seed=self.seed)
         if not bool(estimate.converged):
-            raise ConvergenceError("the search did not end", record.source, "take longer windows")
+            raise ConvergenceError("the search did not converge", record.source, "use longer windows")
         values, information = _alone(estimate)
         before = self._before()
         sign = known.signs(estimate.signs)

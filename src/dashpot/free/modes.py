@@ -183,12 +183,13 @@ def measured_modes(
     if not len(kept):
         f = sets[0].frequency_hz
         raise DataError(
-            f"no mode shows from {f.min():.4g} to {f.max():.4g} Hz",
+            f"no mode is visible from {f.min():.4g} to {f.max():.4g} Hz",
             cure="record longer, choose a band about a resonance, or check the channels",
         )
     if left:
         text = (
-            f"{counted(left, 'further pole')} of the fit: outside the band, or too poorly known to be a mode"
+            f"{counted(left, 'further pole')} of the fit left out: outside the band, or too uncertain to be a "
+            "mode"
         )
         notes = (*notes, Notice("poles_left_out", text))
     nu, unit = len(inputs_of), sets[0].unit

@@ -171,7 +171,7 @@ class Parted:
 def parted(reading: Reading, inputs: Sequence[str], outputs: Sequence[str]) -> Parted:
     """What data are of some inputs and outputs; records without inputs are free decays.  Raises as they are read."""
     if reading.joint:
-        raise DataError("channels have clocks of their own", cure="record them on one clock")
+        raise DataError("channels have their own clocks", cure="record them on one clock")
     told, spectra, whole = list(reading.notes), list[Spectrum](), list[Record]()
     distortion: dict[str, tuple[float, float]] = {}
     if reading.amplitudes is not None:
@@ -191,12 +191,12 @@ def parted(reading: Reading, inputs: Sequence[str], outputs: Sequence[str]) -> P
         distortion = distortion or {name: (even, odd) for name, (even, odd) in shares}
     if spectra and whole:
         raise DataError(
-            "some data are steady (dwells, periods, tables), and some are records of another excitation",
-            cure="give them in two calls",
+            "some data are steady (dwells, periods, tables), others are records of another excitation",
+            cure="process them in two calls",
         )
     if not spectra and not whole:
         raise DataError(
-            f"no part of the data without a gap has {SHORTEST} samples", cure="record longer, or without gaps"
+            f"no gapless part of the data has {SHORTEST} samples", cure="record longer, or without gaps"
         )
     return Parted(len(inputs), tuple(spectra), tuple(whole), distortion, tuple(told))
 
@@ -275,12 +275,12 @@ def _of_lines(spectrum: Spectrum, nu: int, band_hz: Band | None, method: str) ->
         chi2, free = chi2 + one.chi2, free + one.free
     if not found:
         names = joined(c.name for c in inputs)
-        needed = "at rest" if nu == 1 else "never driven apart from one another"
+        needed = "at rest" if nu == 1 else "never driven independently of one another"
         raise DataError(
             f"the inputs {names} are {needed} at every frequency"
             if nu > 1
             else f"the input {names} is {needed}",
-            cure="drive them, as many tests as inputs at each frequency"
+            cure="make as many tests as there are inputs at each frequency"
             if nu > 1
             else "name what drives the rig",
         )
@@ -295,7 +295,7 @@ def _of_lines(spectrum: Spectrum, nu: int, band_hz: Band | None, method: str) ->
         )
         notes.append(Notice("responses_differ", text))
     if alone:
-        text = f"the inputs cannot be told apart at {alone} of {len(frequency)} frequencies: left out"
+        text = f"the inputs cannot be separated at {alone} of {len(frequency)} frequencies: left out"
         notes.append(Notice("inputs_alike", text))
     H: Complex = np.stack([one.H for _, one in found])
     covariance: Complex = scale * np.stack([one.covariance for _, one in found])
@@ -482,7 +482,7 @@ def line_noise(parts: Sequence[RecordLines], low: float, high: float) -> list[Co
         if len(grid) < 2 * half + 1:
             raise DataError(
                 f"{counted(len(grid), 'line')} of the record in the band",
-                cure="record longer, or take a wider band",
+                cure="record longer, or choose a wider band",
             )
         stride = max(1, half // 3)  # of windows that share most of their data
         noise = _windows(ordered, grid[::stride], half, -(-half // stride))[2]
@@ -526,7 +526,9 @@ def _where_it_shows(found: MeasuredResponse, stated: bool) -> MeasuredResponse:
     if not len(there):
         f = found.frequency_hz
         inputs, outputs = (joined(c.name for c in some) for some in (found.inputs, found.outputs))
-        what = f"from {f[0]:.4g} to {f[-1]:.4g} Hz nothing of {outputs} follows {inputs}: no excitation there"
+        what = (
+            f"from {f[0]:.4g} to {f[-1]:.4g} Hz {outputs} does not respond to {inputs}: no excitation there"
+        )
         raise DataError(
             what, cure="choose another band, drive the rig harder, or check which channels are inputs"
         )

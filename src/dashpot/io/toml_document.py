@@ -300,7 +300,7 @@ def parse_toml(text: str, path: str, error: type[DashpotError], wanted: Wanted) 
     report = Report(document, error)
     for place in _placeholders(document.table, ()):
         key = str(place[-1])
-        cure = _PLACEHOLDER_CURES.get(key, "write what belongs there")
+        cure = _PLACEHOLDER_CURES.get(key, "write what is asked for")
         report.add(place, f'"{PLACEHOLDER}" is a placeholder', cure)
     report.raise_any()
     return document

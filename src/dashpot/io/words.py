@@ -23,7 +23,7 @@ def chosen_format(path: str | os.PathLike[str], formats: Sequence[str]) -> str:
     if kind not in formats:
         *most, last = (f".{each}" for each in formats)
         ends = f"{', '.join(most)} or {last}" if most else last
-        raise UsageError("the end of the name chooses the format", os.fspath(path), f"end it in {ends}")
+        raise UsageError("unknown format", os.fspath(path), f"use {ends}")
     return kind
 
 

@@ -148,7 +148,7 @@ def require_masses(M: Real | Complex) -> None:
     size = np.sqrt(np.abs(np.diagonal(M, axis1=-2, axis2=-1)))
     if np.any(size == 0) or np.any(np.linalg.cond(M / (size[..., :, None] * size[..., None, :])) > 1e13):
         raise ModelError(
-            "the rig has a coordinate without mass: its motion in time is not determined by its state",
+            "the rig has a coordinate without mass, so its motion in time is not determined",
             cure="give every coordinate a mass",
         )
 
@@ -156,8 +156,8 @@ def require_masses(M: Real | Complex) -> None:
 def no_steady_response() -> ModelError:
     """The error of a rig that hits an undamped resonance, or has a coordinate that nothing holds."""
     return ModelError(
-        "the rig has no steady response at some frequency",
-        cure="an undamped resonance is hit, or a coordinate has neither mass nor spring: change one of them",
+        "the rig has no steady state at some frequency",
+        cure="it is an undamped resonance, or a coordinate has neither mass nor spring: change one of them",
     )
 
 

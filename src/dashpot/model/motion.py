@@ -67,8 +67,8 @@ def integrator(model: Model, p: Real, step_s: float) -> LinearIntegrator:
     rig = matrices(model, p)
     if len(model.by_matrix["H"]):
         raise ModelError(
-            "a hysteretic damper has a law for steady vibration only",
-            cure="use a viscous damper, or settled data of single frequencies",
+            "a hysteretic damper is a law for steady vibration only",
+            cure="use a viscous damper, or settled dwells",
         )
     n, r, s = model.n, model.D.shape[1], model.S.shape[1]
     require_masses(rig.M)

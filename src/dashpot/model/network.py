@@ -158,7 +158,7 @@ def _name_problems(
             yield Problem(
                 f"{name!r} is not a usable name",
                 name,
-                "use a name without line breaks, tabs or spaces at its ends; ? stands for one to be written",
+                "use a name without line breaks, tabs or spaces at its ends; replace ? by a name",
             )
         elif count > 1:
             yield Problem(
@@ -222,14 +222,14 @@ def number_problems(name: str, numbers: Mapping[str, float]) -> Iterator[Problem
     value, sd = numbers.get("value"), numbers.get("sd")
     # Below 1e-150 the weight 1/sd² leaves the range of numbers.
     if sd is not None and sd < 1e-150:
-        yield Problem(f"sd is {sd:g}", name, "give a positive sd, or leave it out where the value is exact")
+        yield Problem(f"sd is {sd:g}", name, "give a positive sd, or leave it out if the value is exact")
     if sd is not None and value is None:
         yield Problem("sd without a value", name, "give the value that the sd belongs to")
     if "guess" in numbers and value is not None:
         yield Problem("both a value and a guess", name, "a known parameter needs no guess: remove one")
     lower, upper = numbers.get("min", -np.inf), numbers.get("max", np.inf)
     if lower >= upper:
-        yield Problem(f"min {lower:g} is not below max {upper:g}", name, "exchange or change them")
+        yield Problem(f"min {lower:g} is not below max {upper:g}", name, "swap or change them")
         return
     for key in ("value", "guess"):
         if key not in numbers:
@@ -714,7 +714,9 @@ class Model:
         """Raises UsageError, placed at the file `where`, if there is nothing to find."""
         if not self.unknowns:
             raise UsageError(
-                "every parameter of the rig is known", where, "leave out the value of what is to be found"
+                "every parameter of the rig is known",
+                where,
+                "leave out the value of the parameters to be estimated",
             )
 
     @cached_property

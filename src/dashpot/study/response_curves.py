@@ -144,7 +144,7 @@ def enough_orders(
 def require_nonlinear(model: Model) -> None:
     """Raises UsageError where the rig has no nonlinear element."""
     if not len(model.nonlinear):
-        what = "the rig has no nonlinear element: its curves do not depend on the amplitude"
+        what = "the rig has no nonlinear element: its response curves do not depend on the amplitude"
         raise UsageError(what, cure="simulate its amplitudes at the frequencies instead")
 
 

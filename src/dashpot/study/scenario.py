@@ -145,12 +145,12 @@ class Scenario:
         """The lines of the dwells with their transients, without noise."""
         if len(self.model.nonlinear) or self.noise != "given" or self.drift is not None:
             raise UsageError(
-                "studies with transients know linear rigs, noise that is given, and no drift",
+                "studies with transients need linear rigs, given noise and no drift",
                 cure='write covariance = "given" and no drift, or leave transients out',
             )
         if any(unknown.unit == "s" and unknown.nominal for unknown in unknown_calibrations(self.channels)):
-            what = "studies with transients know no delays that are stated with an sd"
-            raise UsageError(what, cure="give their values alone")
+            what = "studies with transients do not support delays stated with an sd"
+            raise UsageError(what, cure="state their values only")
         test = self.test
         drive = np.concatenate([test.U, test.f], axis=-1)
         samples, steps = test.samples.tolist(), (test.periods / test.frequency_hz / test.samples).tolist()
@@ -293,8 +293,8 @@ def _channels(study: Study, grid: ScenarioGrid, rig: TrueRig, level: float) -> t
             )
         case "constant":
             if grid.reference is None:
-                cure = "name the frequencies of its reference amplitude"
-                raise UsageError("constant noise has no size", cure=cure)
+                cure = "name the frequencies at which it is taken"
+                raise UsageError("constant noise needs a reference amplitude", cure=cure)
             model = rig.model
             theta = model.theta({u.name: truth(rig, u.name) for u in model.unknowns})
             reference = _test(study, rig, study.frequencies[grid.reference], 4)

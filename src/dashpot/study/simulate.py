@@ -179,7 +179,7 @@ def _nonlinear(view: ObservationModel, theta: Real, source: str, step: float, sh
     start[machine.model.n + n : 2 * machine.model.n] = rates
     motion = integrate(machine, start)
     if not motion.closed:
-        raise ConvergenceError("the motion cannot be followed", cure="sample the input faster, or drive less")
+        raise ConvergenceError("the simulation fails", cure="sample the input faster, or reduce the drive")
     values = shown_outputs(machine, data, motion)[0]
     for c, channel in enumerate(channels):
         if channel.quantity is Quantity.FORCE and measures_input(model, channel):
@@ -489,7 +489,7 @@ def simulate_spectrum(
     if noise == "estimated" and residual is not None:
         if np.any(free < 1):
             few = int(test.samples[int(np.argmin(free))])
-            what = f"{few} samples leave no residual to estimate the noise from"
+            what = f"{few} samples leave no residual from which to estimate the noise"
             raise DataError(what, cure="take more samples, or give the noise")
         V = ((spread / free)[:, None, None] * residual).astype(np.complex128)
     products = _moments(A, gram, residual) if moments and residual is not None else None
@@ -583,7 +583,7 @@ def _grams(test: Dwells, drift: int | None) -> Real:
         terms = 2 if drift is None else 3 + drift
         if count < terms or np.linalg.eigvalsh(gram)[0] < 1e-7 * count:
             raise DataError(
-                f"{count} samples over {periods:g} periods cannot tell offset, drift and harmonic apart",
+                f"{count} samples over {periods:g} periods cannot separate offset, drift and harmonic",
                 cure="take more samples, or spread them otherwise",
             )
         cache[count, periods] = gram
@@ -666,7 +666,7 @@ def _followed(model: Model, theta: Real, drive: Drive, at: Periodic) -> Periodic
             delta[row] = grown_from_rest(model, theta, drive.rows(np.arange(rows) == row))
         except ConvergenceError as error:
             what = f"harmonic balance finds no response at {drive.omega[row] / (2 * np.pi):g} Hz"
-            raise ConvergenceError(what, cure="drive less there, or leave it out") from error
+            raise ConvergenceError(what, cure="reduce the drive there, or leave it out") from error
     p, constants = (np.tile(of(theta), (rows, 1)) for of in (model.parameters, model.inner_constants))
     return periodic_response(model, p, constants, drive, delta)
 

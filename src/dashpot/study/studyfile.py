@@ -286,7 +286,7 @@ class _Reading:
             named = [NO_EXPERIMENT, *rig.model.experiments]
             if entry.experiment not in named:
                 cure = f'say experiment = "…" beside file: {listed(named)}'
-                what = "the rig differs by experiment, and a study simulates one"
+                what = "the rig differs by experiment; a study simulates one rig"
                 self.report.add((*place, "experiment"), what, cure)
                 return None
             rig = rig.in_experiment(None if entry.experiment == NO_EXPERIMENT else entry.experiment)
@@ -367,7 +367,7 @@ class _Reading:
         for rig_name, rig in rigs.items():
             missing = [source.name for source in rig.model.inputs if source.name not in table]
             if len(rig.model.nonlinear) and missing:
-                what = f"the motion of {rig_name} depends on the size of its drive: it has nonlinear elements"
+                what = f"the response of {rig_name} depends on the drive level: it has nonlinear elements"
                 self.report.add(("amplitudes",), what, f"give the amplitude of {listed(missing)}")
         return amplitudes
 
@@ -400,8 +400,8 @@ class _Reading:
             what = "the number of samples is not given"
             self.report.add(place, what, "add samples = [56], per frequency")
         if entry.kind == "constant" and entry.reference is None:
-            cure = "add reference = …, the frequencies whose rms amplitude it is a part of"
-            self.report.add(place, "constant noise has no size", cure)
+            cure = "add reference = …, the frequencies at whose rms amplitude the noise is taken"
+            self.report.add(place, "constant noise needs a reference amplitude", cure)
         draws = head.draws if entry.draws is None else entry.draws
         if draws is None and "draws" not in self.document:
             self.report.add(place, "the number of draws is not given", "add draws = 1000")

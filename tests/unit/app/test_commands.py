@@ -93,7 +93,7 @@ def test_positive_holds_what_noise_makes_negative(dashpot: Command, rig: Path) -
     assert any("bound" in warning for warning in held["warnings"])
     wrong = dashpot("identify", "rig.toml", f"{seed}.csv", "--positive", "--method", "oiv")
     assert wrong.code == 2
-    assert "cannot hold bounds" in wrong.err[0]
+    assert "cannot enforce bounds" in wrong.err[0]
 
 
 def test_auto_is_ml_where_a_coordinate_is_not_seen(dashpot: Command, data: Path) -> None:
@@ -339,9 +339,9 @@ def test_nonlinear_rigs_are_simulated_and_their_curves_drawn(dashpot: Command) -
     ("arguments", "named"),
     [
         (["simulate", "n.toml", "--out", "o.csv", "--frequencies", "3"], "add --amplitude u=1mm"),
-        (["design", "n.toml", "--samples", "100"], "depends on the size"),
+        (["design", "n.toml", "--samples", "100"], "depends on the drive level"),
         (["simulate", "n.toml", "--out", "o.csv"], "--input"),
-        (["simulate", "n.toml", "--out", "o.csv", "--input", "n.toml", "--frequencies", "3"], "two ways"),
+        (["simulate", "n.toml", "--out", "o.csv", "--input", "n.toml", "--frequencies", "3"], "two drives"),
         (["response", "n.toml"], "--band"),
         (["response", "rig.toml", "--band", "1:3", "--set", "m1=1,c1=1,c2=1"], "nonlinear"),
     ],
@@ -364,7 +364,7 @@ def test_apply_edits_the_text_of_the_rig_file_and_replaces_no_other(dashpot: Com
     Path("turned.csv").write_text("\n".join([head, *turned]) + "\n", encoding="utf-8")
     told = dashpot("identify rig.toml turned.csv --apply new.toml")
     assert told.code == 0
-    assert "new.toml: the rig file with [channels] x2 = " in " ".join(told.out.split())
+    assert "Written: new.toml, the rig file with [channels] x2 = " in " ".join(told.out.split())
     new = Path("new.toml").read_text(encoding="utf-8")
     assert sum(a != b for a, b in zip(RIG.splitlines(), new.splitlines(), strict=True)) == 1
     assert dashpot("identify new.toml turned.csv --json again.json -q").code == 0
@@ -376,4 +376,4 @@ def test_apply_edits_the_text_of_the_rig_file_and_replaces_no_other(dashpot: Com
     assert dashpot("identify rig.toml turned.csv --apply new.toml --force -q").code == 0
     fits = dashpot("identify rig.toml data.csv --apply other.toml --json e.json")
     assert (fits.code, Path("other.toml").exists(), Path("e.json").exists()) == (0, False, True)
-    assert "no change to the rig file to apply" in fits.out
+    assert "Nothing to apply" in fits.out

@@ -131,7 +131,7 @@ def test_a_name_that_ends_in_no_format_is_refused_before_anything_is_read(
         ran = dashpot(name, *_arguments(_command(name), {output: target}))  # of files that do not exist
         assert ran.code == 2
         assert len(ran.err) == 1
-        assert f"{target}: the end of the name chooses the format; end it in ." in ran.err[0]
+        assert f"{target}: unknown format; use ." in ran.err[0]
         assert not Path(target).exists()
 
 

@@ -36,5 +36,5 @@ def test_a_rig_is_identified_from_its_own_modes(
     assert "Share of the information" not in page  # of what is not shown, nothing is explained
     refused = dashpot("identify", "rig.toml", "modes.uff", "--method", "ml")
     assert (refused.code, refused.err) == (
-        2, ["dashpot: modes.uff holds modes, to which --method does not apply; leave --method out"],
+        2, ["dashpot: modes.uff contains modes, to which --method does not apply; leave --method out"],
     )  # fmt: skip

@@ -43,7 +43,7 @@ def test_labels_head_a_report(dashpot: Command, data: Path) -> None:
     assert "<li>Client: &lt;A&gt; &amp; Sons</li><li>Test 12, run 3</li>" in first
     done = dashpot("identify", "rig.toml", "data.csv", *labels)
     assert done.code == 2
-    assert "give --report" in done.err[0]
+    assert "needs --report" in done.err[0]
 
 
 def test_what_is_not_determined_is_reported_and_still_an_error(dashpot: Command, data: Path) -> None:
@@ -100,7 +100,7 @@ def test_without_a_browser_pdf_is_refused_before_the_work(
     done = dashpot("identify", "rig.toml", "data.csv", "--report", "r.pdf")
     assert done.code == 2
     assert len(done.err) == 1
-    assert "name the report .html" in done.err[0]
+    assert "write .html" in done.err[0]
     assert done.out == ""
     Path("r.pdf").symlink_to("data.csv")
     done = dashpot("identify", "--report", "r.pdf", "rig.toml", "data.csv")

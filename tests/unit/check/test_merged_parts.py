@@ -88,7 +88,7 @@ def test_one_false_alarm_of_many_parts_is_none_and_several_are_a_misfit() -> Non
     told = assessed(often)
     assert told.verdict == "does not fit"
     assert str(told.reasons[-1]) == (
-        "3 of 6 parts do not fit by themselves: the residuals of x1 run smoothly (part0)"
+        "3 of 6 parts do not fit on their own: the residuals of x1 run smoothly (part0)"
     )
 
 

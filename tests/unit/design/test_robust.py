@@ -117,7 +117,7 @@ def test_doubts_of_the_rig_file_and_of_an_estimate() -> None:
     drawn = cloud.draw(own.theta[0], 4000, np.random.default_rng(0))
     # Cut at 2.5 sd, a normal keeps 0.97 of its spread; 4,000 draws know it to 1.1 % (1 sd).
     assert np.std(drawn, axis=0) == pytest.approx(0.98 * estimate.sd[:6], rel=0.05)
-    with pytest.raises(UsageError, match="says nothing about"):
+    with pytest.raises(UsageError, match="contains nothing about"):
         gaussian_prior_of(rig.model, replace_names(estimate))
 
 

@@ -49,7 +49,7 @@ def test_a_new_export_is_a_writer_and_a_line(tmp_path: Path, monkeypatch: pytest
     values = ",".join(f"{name}={value}" for name, value in given.items())
     assert run(["export", "rig.toml", "--set", values, "--to", "values", "-o", "command.values", "-q"]) == 0
     assert Path("command.values").read_bytes() == Path("python.values").read_bytes()
-    with pytest.raises(UsageError, match="no use for frequencies"):
+    with pytest.raises(UsageError, match="does not use frequencies"):
         rig.export("python.values", given, frequencies=[1.0])
 
 

@@ -101,7 +101,7 @@ def test_matlab_and_json_hold_all_of_it():
 
 
 def test_what_it_cannot_hold_is_refused():
-    with pytest.raises(ModelError, match="a state space cannot hold the hysteretic damping of h"):
+    with pytest.raises(ModelError, match="a state space cannot represent the hysteretic damping of h"):
         state_space_of(hysteretic())
     without_mass = parse_rig(TWO_MASSES.replace('m2 = { at = "x2", value = 2.7, sd = 0.01 }', ""), "rig.toml")
     with pytest.raises(ModelError, match="a coordinate without mass"):

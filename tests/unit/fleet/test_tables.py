@@ -156,12 +156,12 @@ def test_a_row_without_a_name_is_refused_with_its_number(tmp_path: Path, ending:
         path.write_text("rig,x_re\n" + "".join(f"{name or ''},1.5\n" for name in names))
     else:
         parquet.write_table(pa.table({"rig": names, "x_re": [1.5] * 4}), path)
-    with pytest.raises(DataError, match="column rig: row 3 does not name"):
+    with pytest.raises(DataError, match="column rig: row 3 names no rig"):
         of_tables([str(path)], "rig")
 
 
 WRONG = {
-    "rig,x_re\na,1\na,2,3\n": r"all.csv:3: the row has 3 cells, the header 2; fill the row or take it out",
+    "rig,x_re\na,1\na,2,3\n": r"all.csv:3: the row has 3 cells, the header 2; complete the row or remove it",
     'rig,x_re\na,1\n"a,2\nb,3\n': r"all.csv:3: a quote is not closed on its line",
     "rig,x_re\n": "the table has no rows",
     "": "the file is empty",

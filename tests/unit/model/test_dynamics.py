@@ -309,5 +309,5 @@ class TestSolve:
 
     def test_an_undamped_resonance(self) -> None:
         model = Model(("x",), (Input("u"),), (mass("m", "x"), spring("k", "x", "u")))
-        with pytest.raises(ModelError, match="no steady response"):
+        with pytest.raises(ModelError, match="no steady state"):
             response(model, np.array([1.0, 100.0]), np.array([10.0]), np.ones((1, 1), complex))

@@ -82,7 +82,7 @@ def test_files(tmp_path: Path, good: Estimate, end: str, head: bytes) -> None:
     assert path.read_bytes() == content
     RIG.draw(good, mode=1).save(path)
     assert path.read_bytes().startswith(head)
-    with pytest.raises(UsageError, match=r"end it in \.svg"):
+    with pytest.raises(UsageError, match=r"use \.svg"):
         drawing.save(tmp_path / "rig.jpg")
 
 

@@ -49,7 +49,7 @@ def test_the_end_of_a_name_chooses_the_format(tmp_path: Path, end: str, head: by
         contents.add(path.read_bytes())
     (content,) = contents
     assert content.startswith(head)
-    with pytest.raises(UsageError, match="chooses the format"):
+    with pytest.raises(UsageError, match="unknown format"):
         write_figure(tmp_path / "figure.jpg", figure)
 
 

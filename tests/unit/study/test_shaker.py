@@ -132,7 +132,7 @@ def test_commands_say_what_they_take_where_nothing_is_stated(
     assert "10 mm, 1 g at most" in " ".join(done.output.split())
     Path("rig.toml").write_text(rig_text(LIMITS))
     done = CliRunner().invoke(cli, [*simulate, "b.csv", "--amplitude", "5mm"], catch_exceptions=False)
-    assert "× what the shaker can at 30 Hz" in done.output
+    assert "× the shaker limit at 30 Hz" in done.output
     CliRunner().invoke(cli, plan, catch_exceptions=False)
     for dwell in json.loads(Path("plan.json").read_text())["dwells"]:
         u, turn = abs(dwell["amplitudes"]["u"]), 2 * np.pi * dwell["frequency_hz"]

@@ -182,7 +182,11 @@ WRONG = [
     ("noise = [0.1]\n", "", "8: grid[0]: the noise is not given; add noise = [0.01, 0.1]"),
     ("noise = [0.1]", "noise = [-0.1]", "9: grid[0].noise[0]: a noise of -0.1"),
     ("noise = [0.1]", "nois = [0.1]", '9: grid[0].nois: unknown key; did you mean "noise"?'),
-    ("noise = [0.1]", "noise = 0.1\nkind = 'constant'", "8: grid[0]: constant noise has no size; add"),
+    (
+        "noise = [0.1]",
+        "noise = 0.1\nkind = 'constant'",
+        "8: grid[0]: constant noise needs a reference amplitude; add",
+    ),
     ("noise = [0.1]", "noise = 0.1\nkind = ['relative', 'constant']", "10: grid[0].kind: more than one kind"),
     ("noise = [0.1]", "noise = 0.1\nkind = 'white'", '10: grid[0].kind: "white" is not one of'),
     ("noise = [0.1]", "noise = 0.1\nreference = 'few2'", '10: grid[0].reference: "few2" is not a set'),
@@ -271,7 +275,7 @@ def test_what_is_no_share_is_told(folder, wrong, message):
 def test_nonlinear_rigs_need_the_size_of_their_drive(folder):
     bent = RIG.replace("[channels]", 'k3 = { between = ["x", "u"], law = "cubic", guess = 1e9 }\n[channels]')
     (folder / "rig.toml").write_text(bent)
-    with pytest.raises(UsageError, match=r"depends on the size"):
+    with pytest.raises(UsageError, match=r"depends on the drive level"):
         parsed(folder, STUDY)
     assert (
         len(

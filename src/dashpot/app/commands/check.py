@@ -21,12 +21,12 @@ def command(
     profiled: Annotated[
         tuple[str, ...],
         opt.Option("--profile NAME,…", None, WITH_DATA, multiple=True),
-        "Interval of an unknown from the profile likelihood, beside the normal one.  May be repeated.",
+        "Profile-likelihood interval of an unknown, beside the normal one.  May be repeated.",
     ],
     known: Annotated[
         bool,
         opt.Option("--known", None, WITH_DATA),
-        "How much an error of each known parameter moves each estimate.",
+        "How far an error of each known parameter changes each estimate.",
     ],
     json_out: Annotated[str | None, opt.JSON, "the findings"],
     report: ReportFile,

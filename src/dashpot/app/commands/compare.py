@@ -33,7 +33,7 @@ def command(
     methods: Annotated[
         str | None,
         opt.Option("--methods A,B,…", None, WHAT),
-        f"Estimators, in the order of the rows: {', '.join(METHODS)}.  [default: all that suit]",
+        f"Estimators, in the order of the rows: {', '.join(METHODS)}.  [default: all that are suitable]",
     ],
     modal_file: Annotated[
         str | None,
@@ -75,7 +75,7 @@ def command(
 
     if elements:
         if not data:
-            raise UsageError("--elements needs data, and none are given", "--elements", "give DATA")
+            raise UsageError("--elements needs data", "--elements", "give DATA")
         if any(other is not None for other in (methods, modal_file, truth, figure, report.report)):
             cure = "leave out --methods, --modal, --truth, --figure and --report"
             raise UsageError("--elements works with ml only", "--elements", cure)
@@ -125,8 +125,8 @@ def command(
     if not unsettled:
         return 0
     click.echo(
-        f"dashpot: {', '.join(unsettled)} did not converge; do not use these values: "
-        "check signs and units of the channels, or the noise is too large",
+        f"dashpot: {', '.join(unsettled)} did not converge; do not use these values: check signs and units of "
+        "the channels; or the noise is too large",
         err=True,
     )
     return opt.NOT_CONVERGED
@@ -139,9 +139,7 @@ def _named(methods: str | None, data: bool, modal: bool) -> list[str]:
     if methods is None:
         return []
     if not data:
-        raise UsageError(
-            "the methods need DATA, and none are given", "--methods", "give DATA, or leave it out"
-        )
+        raise UsageError("the methods need DATA", "--methods", "give DATA")
     chosen = [name.strip() for name in methods.split(",")]
     for name in chosen:
         method_class(name)

@@ -48,19 +48,19 @@ class DesignOptions:
     target: Annotated[
         float | dict[str, float] | None,
         opt.Option("--target 1%|c2=2%,…", opt.TARGET, BUDGET),
-        "Relative standard deviation to reach; without --samples and --time the shortest test that reaches it is "
-        "designed.",
+        "Relative standard deviation to reach; without --samples and --time the shortest test that reaches it "
+        "is designed.",
     ]
     aim: Annotated[
         str,
         opt.Option("--for all|worst|volume|NAME,…", None, AIM, default="all"),
-        "What should be precise: all unknowns on average, the worst one, the volume of the confidence region, or the "
-        "unknowns named.",
+        "What should be precise: all unknowns on average (all), the worst one (worst), the volume of the "
+        "confidence region (volume), or the unknowns named.",
     ]
     sensors: Annotated[
         tuple[int, tuple[str, ...]] | None,
         opt.Option('--sensors "pick 3 of a,b,…"', opt.SENSORS, AIM),
-        "Choose the best few of these channels; channels that are not listed stay.",
+        "Choose the best few of these channels; channels that are not listed are kept.",
     ]
     against: Annotated[
         str | None,
@@ -137,13 +137,13 @@ class DesignOptions:
     doubt: Annotated[
         float | None,
         opt.Option("--doubt 30%", opt.SHARE, ROBUST),
-        "How far the values to design for may be wrong.",
+        "Uncertainty of the values to design for.",
     ]
     robust: Annotated[
         Literal["worst", "average"] | None,
         opt.Option("--robust", click.Choice(["worst", "average"]), ROBUST),
-        "Design for the worst case of the doubt, or for the average.  Without --doubt, the covariance of --estimate or "
-        "--after is the doubt.",
+        "Optimise the worst case over --doubt, or the average.  Without --doubt, the covariance of --estimate "
+        "or --after is used.",
     ]
 
     def __post_init__(self) -> None:
@@ -180,7 +180,7 @@ def command(
     workers: Annotated[
         int | None,
         opt.Option("--workers N", opt.Count(1, 1024)),
-        "Worker processes that share out the search for the worst case.  [default: 1]",
+        "Worker processes for the worst-case search.  [default: 1]",
     ],
     dask: opt.Dask,
     experiment: opt.Experiment,
@@ -208,7 +208,7 @@ def command(
         worst = wanted.doubt is not None if wanted.robust is None else wanted.robust == "worst"
         if given is not None and not worst:
             raise UsageError(
-                f"{name} shares out the search for the worst case, and none is asked for",
+                f"{name} is for the search of the worst case",
                 cure="leave it out, or give --robust worst --doubt 30%",
             )
     question = _question(read, whole, wanted, records)
@@ -257,11 +257,11 @@ def _releases(
     for name, given in (driven | dict(others)).items():
         if given is not None:
             cure = "leave it out, or add an input to the rig file"
-            raise UsageError(f"{name} is for driven rigs, and nothing drives this one", cure=cure)
+            raise UsageError(f"{name} is for driven rigs, and this rig has no input", cure=cure)
     criterion, target = _criterion(wanted.aim, wanted.target)
     if criterion.targets is not None or criterion.kind == "D":
         raise UsageError(
-            "releases are planned for a rms or a worst error", cure="write --for all, worst or names"
+            "releases are planned for an rms or a worst error", cure="write --for all, worst or names"
         )
     require_identifiable(rig.model, rig.channels, rig.path)
     time = wanted.time
@@ -409,7 +409,7 @@ def _uncertainty(
         return gaussian_prior_of(rig.model, estimate)
     if not wanted.after:
         raise UsageError(
-            "--robust needs to know how wrong the values may be",
+            "--robust needs the uncertainty of the values",
             cure="give --doubt 30%, or --estimate or --after, whose covariance is used",
         )
     return "estimate"

@@ -82,12 +82,12 @@ def command(
     format_of(out, content).require_use(out, ["data"] if data else [])
     if source.lower().endswith(".toml"):
         if rig_file is not None:
-            raise UsageError("--rig goes with an estimate, and this is a rig file", source, "leave it out")
+            raise UsageError("--rig is for estimates; this is a rig file", source, "leave it out")
         rig = read_rig(source).in_experiment(experiment)
         of_rig = identified_rig(rig, None, parameter_values(rig, values))
     else:
         if values:
-            raise UsageError("--set goes with a rig file, and this is an estimate", source, "leave it out")
+            raise UsageError("--set is for rig files; this is an estimate", source, "leave it out")
         estimate, rig = estimate_and_rig(source, rig_file)
         of_rig = identified_rig(rig, estimate, experiment=experiment)
     spectrum = records.read(rig, data) if data else None
@@ -101,6 +101,6 @@ def command(
         click.echo(printable(path))
     if written.compiled is False and not no_binary:
         click.echo(
-            "note: no C compiler was found; the FMU holds its source alone, which most importers compile",
+            "note: no C compiler was found; the FMU contains the source only, which most importers compile",
             err=True,
         )

@@ -39,17 +39,17 @@ def command(
     rig_column: Annotated[
         str | None,
         opt.Option("--rig-column NAME", None, FLEET),
-        "The files are tables (Parquet, CSV) of many rigs, and this column names them.",
+        "The files are tables (Parquet, CSV) of many rigs; this column names the rig.",
     ],
     order: Annotated[
         Any,
         opt.Option("--order", click.Choice(["name", "time", "given"]), FLEET, default="name"),
-        "Order of the files, along which drift is looked for: by name, by time of change, or as given.",
+        "Order of the files, in which drift is looked for: by name, by time of change, or as given.",
     ],
     pool: Annotated[
         bool,
         opt.Option("--pool", None, FLEET),
-        "Estimate the population that the rigs come from, and draw each rig's estimate towards it.",
+        "Estimate the population that the rigs come from, and shrink each rig's estimate towards it.",
     ],
     chosen: Annotated[opt.Method, FLEET],
     positive: Annotated[opt.Positive, FLEET],
@@ -87,7 +87,8 @@ def command(
     source = of_files(paths) if rig_column is None else of_tables(paths, rig_column)
     if source.count == 1 and rig_column is None and not quiet:
         click.echo(
-            "note: a file is one rig; for a table of many, name the column that tells them: --rig-column",
+            "note: each file counts as one rig; for a table of many rigs, name the column that identifies "
+            "them: --rig-column",
             err=True,
         )
     treatment = records.treatment(read, chosen, positive, seed)

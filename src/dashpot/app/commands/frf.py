@@ -30,8 +30,9 @@ def command(
             opt.OutputFile(formats=("csv", "gz", "parquet", "uff", "unv")),
             opt.OUTPUT,
         ),
-        "Write the responses for `identify` and others: a table with standard deviations (CSV), with the covariance "
-        "of outputs too (Parquet), or a universal file.  Of neighbouring lines that share data one is written.",
+        "Write the responses for `identify` and other programs: a table with standard deviations (CSV), with "
+        "the covariance of outputs too (Parquet), or a universal file.  Of neighbouring lines that share data, "
+        "one is written.",
     ],
     figure: Annotated[str | None, opt.FIGURE, "Draw magnitude, phase and coherence."],
     quiet: opt.Quiet,

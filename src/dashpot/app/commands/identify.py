@@ -70,7 +70,7 @@ def command(
     within: Annotated[
         float | None,
         opt.Option("--within 2%", opt.PART, ESTIMATION),
-        "The share of every channel's motion within which the model is to describe it.",
+        "The share of each channel's motion to within which the model must describe it.",
     ],
     hold_out: Annotated[
         float | None,
@@ -80,7 +80,8 @@ def command(
     in_parts: Annotated[
         bool,
         opt.Option("--in-parts", None, opt.RECORDS),
-        "Identify every file by itself, very long records in pieces, and merge what they say: data beyond memory.",
+        "Process files (and pieces of long records) separately and merge the estimates; for data larger than "
+        "memory.",
     ],
     workers: opt.Workers,
     dask: opt.Dask,
@@ -89,15 +90,14 @@ def command(
     apply: Annotated[
         str | None,
         opt.Option("--apply NEW.toml", opt.OutputFile(), opt.OUTPUT),
-        "Write the rig file with the most likely cause of a misfit corrected; else it stays as it is written.",
+        "Write the rig file with the most likely cause of the misfit corrected; all else stays as it is "
+        "written.",
     ],
-    force: Annotated[
-        bool, opt.Option("--force", None, opt.OUTPUT), "Let --apply replace a file that exists."
-    ],
+    force: Annotated[bool, opt.Option("--force", None, opt.OUTPUT), "Let --apply replace an existing file."],
     figure: Annotated[
         str | None,
         opt.FIGURE,
-        "Draw the fit: responses, measured and model; of whole records of nonlinear rigs, histories.",
+        "Draw the fit: responses, measured and model; for continuous records of nonlinear rigs, time histories.",
     ],
     report: ReportFile,
     matrices: Annotated[bool, opt.Option("--matrices", None, opt.OUTPUT), "Print M, C and K as well."],
@@ -123,16 +123,16 @@ def command(
         raise UsageError("a file of this name exists", apply, "name another file, or give --force")
     whole = {"--hold-out": hold_out is not None, "--figure": figure is not None}
     if in_parts:
-        what = "{} needs all data at once, and --in-parts never has them"
-        _refuse(whole, what, "identify one file, without it")
+        what = "{} needs all data at once, which --in-parts does not have"
+        _refuse(whole, what, "leave out --in-parts")
     else:
         sharing = {"--workers": workers is not None, "--dask": dask is not None}
-        _refuse(sharing, "{} shares out the parts of --in-parts", "give that too, or leave it out")
+        _refuse(sharing, "{} needs --in-parts", "add it, or leave {} out")
     modal = len(data) == 1 and holds_modes(data[0])
     if modal:
         options = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices, **whole}
         options |= {"--in-parts": in_parts, "--within": within is not None}
-        _refuse(options, "{path} holds modes, to which {} does not apply", "leave {} out", path=data[0])
+        _refuse(options, "{path} contains modes, to which {} does not apply", "leave {} out", path=data[0])
     read = read_rig(rig)
     read = read if within is None else replace(read, within=within)
     if in_parts or modal:
@@ -164,9 +164,9 @@ def command(
             click.echo(f"Written: {', '.join(map(printable, written))}")
     if apply is not None:
         done = (
-            f"{apply}: the rig file with {useful[0].change}"
+            f"Written: {apply}, the rig file with {useful[0].change}"
             if useful
-            else f"no change to the rig file to apply: {apply} is not written"
+            else f"Nothing to apply; {apply} was not written"
         )
         click.echo(done, err=json_out == opt.STDOUT)
     return _ending(estimate, strict)
@@ -288,7 +288,7 @@ def _in_parts(
         raise UsageError(
             "parts can be merged for linear rigs only",
             "--in-parts",
-            "identify some of the files together, without it",
+            "identify some of the files together, without --in-parts",
         )
     require_each_once(data)
     files = [noted(name) for name in data]
@@ -313,9 +313,7 @@ def require_answer(rig: Rig, chosen: str, positive: bool, matrices: bool) -> Non
     rig.model.require_unknowns(rig.path)
     require_bounds_held(chosen, positive)
     if matrices and len(rig.model.by_matrix["H"]):
-        raise UsageError(
-            "hysteretic dampers have no place in M, C or K", "--matrices", "leave the option out"
-        )
+        raise UsageError("hysteretic dampers do not fit into M, C or K", "--matrices", "leave the option out")
     if matrices and 0 < len(rig.model.angles & set(rig.model.coordinates)) < rig.model.n:
         raise UsageError(
             "the entries of matrices over displacements and angles have different units",
@@ -337,7 +335,7 @@ def _remedy_written(rig: Rig, path: str | None) -> Iterator[None]:
         if path is None or not useful:
             raise
         _write_applied(rig, useful[0], path)
-        written = Problem(f"{path} has the first cause corrected", cure="identify with it")
+        written = Problem(f"{path} was written with the first cause corrected", cure="identify with it")
         raise type(error)([*error.problems, written]) from error
 
 
@@ -397,17 +395,20 @@ def _ending(estimate: Estimate, strict: bool) -> int:
         misfits = estimate.assessment is not None and estimate.assessment.verdict == "does not fit"
         return opt.DOES_NOT_FIT if strict and misfits else 0
     cure = (
-        'check signs and units of the channels (gain = "unknown" for all but one shows a wrong one), '
-        "give the unknowns a guess, or try another --method"
+        'check signs and units of the channels (gain = "unknown" for all but one reveals a wrong one), give '
+        "initial guesses of the unknowns, or try another --method"
     )
     if estimate.assessment is not None and estimate.assessment.cause is not None:
         best = estimate.assessment.cause
         cure = f"a likely cause: {sentence(best.text)} To change: {best.change}"
     if any(notice.code == "modes_outside" for notice in estimate.warnings):
-        cure = "the band shows too few of the rig's modes: widen --band, or give values to the unknowns named above"
+        cure = (
+            "the band contains too few of the rig's modes: widen --band, or state values of the unknowns "
+            "named above"
+        )
     unseen = [name for notice in estimate.warnings if notice.code == UNSEEN_LAW for name in notice.of]
     if unseen:
-        cure = f"the data do not show {', '.join(unseen)}: leave the element out, or drive the rig further"
+        cure = f"the data do not show {', '.join(unseen)}: remove the element, or increase the drive"
     click.echo(
         f"dashpot: {estimate.method} did not converge in {int(estimate.iterations)} iterations; {cure}",
         err=True,

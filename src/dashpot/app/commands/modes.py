@@ -28,22 +28,20 @@ def command(
     most: Annotated[
         int,
         opt.Option("--most N", opt.Count(1, 200), default=40),
-        "Modes at most; the evidence asks for fewer.",
+        "Largest number of modes; fewer are used if the evidence says so.",
     ],
     json_out: Annotated[str | None, opt.JSON, "the modes, which `identify` and `compare --modal` read,"],
     out: Annotated[
         str | None,
         opt.Option("--out -o FILE.csv|uff", opt.OutputFile(formats=("csv", "gz", "uff", "unv")), opt.OUTPUT),
-        "Write the modes as a table, or as a universal file (dataset 55, without standard deviations), which "
-        "`identify` and `compare --modal` read.",
+        "Write the modes as a table, or as a universal file (dataset 55, without standard deviations), for "
+        "`identify` and `compare --modal`.",
     ],
-    figure: Annotated[
-        str | None, opt.FIGURE, "Draw what was fitted, and the poles of growing order (stabilisation)."
-    ],
+    figure: Annotated[str | None, opt.FIGURE, "Draw the fit and the stabilisation diagram."],
     shapes: Annotated[
         str | None,
         opt.Option("--shapes FILE.svg|png|pdf", opt.OutputFile(formats=PICTURES), opt.OUTPUT),
-        "Draw the shapes on the rig of --rig.  In SVG they move.",
+        "Draw the mode shapes on the rig of --rig, animated in SVG.",
     ],
     quiet: opt.Quiet,
 ) -> None:
@@ -58,7 +56,7 @@ def command(
 
     require_each_once(data)
     if shapes is not None and rig is None:
-        raise UsageError("shapes are drawn on a rig", "--shapes", "give its file with --rig")
+        raise UsageError("mode shapes are drawn on a rig", "--shapes", "give its file with --rig")
     driven, shown = (None if text is None else opt.names(text) for text in (inputs, outputs))
     with progress(reading_of(data), quiet):
         read = None if rig is None else read_rig(rig)

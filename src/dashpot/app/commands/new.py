@@ -70,8 +70,8 @@ def command(
     write_text(rig, text)
     if chain.lacks_scale:
         click.echo(
-            f"Without a force only ratios to one value can be found: m1 = {STAND_IN:g} kg stands in the file "
-            "until you write the weighed mass there."
+            f"No force is measured, so one mass must be known. m1 = {STAND_IN:g} kg is a PLACEHOLDER: replace "
+            "it by the weighed mass."
         )
     click.echo(f"Written: {rig}. Next: dashpot check {rig}")
 

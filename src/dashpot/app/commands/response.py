@@ -36,7 +36,7 @@ def command(
     at: Annotated[
         float | None,
         opt.Option("--at HZ", opt.FREQUENCY, TEST),
-        "In place of --band: one frequency, at which the drive grows from 1 % of --amplitude to all of it.",
+        "Instead of --band: one frequency, at which the drive grows from 1 % of --amplitude to all of it.",
     ],
     amplitudes: Annotated[
         tuple[Amount | dict[str, Amount], ...],
@@ -47,14 +47,14 @@ def command(
     backbone: Annotated[
         tuple[int, ...],
         opt.Option("--backbone MODE", opt.Count(1, 1000), TEST, multiple=True),
-        "Add the backbone of that mode, its free undamped motions (1 is the lowest).  May be repeated.",
+        "Add the backbone curve of that mode: free undamped vibration (1 is the lowest mode).  May be repeated.",
     ],
     out: Annotated[
         str | None,
         opt.Option("--out -o FILE.csv", opt.OutputFile(), opt.OUTPUT),
         "Write the points of the curves as a table.",
     ],
-    figure: Annotated[str | None, opt.FIGURE, "Draw the curves, unstable motions dashed."],
+    figure: Annotated[str | None, opt.FIGURE, "Draw the curves, unstable branches dashed."],
     quiet: opt.Quiet,
 ) -> None:
     """Follow the settled motion of a nonlinear RIG along the frequency or the size of the drive.
@@ -70,7 +70,7 @@ def command(
         raise UsageError("--band and --at exclude each other", cure="leave one of them out")
     if band is None and at is None:
         cure = "give --band 1:10 to follow the frequency, or --at 5 to follow the amplitude"
-        raise UsageError("nothing says what varies along the curves", cure=cure)
+        raise UsageError("no range of frequency or amplitude is given", cure=cure)
     read = read_rig(rig).in_experiment()
     model, channels = read.model, read.channels
     given = parameter_values(read, values, whole=True)
@@ -78,7 +78,7 @@ def command(
     moving = [c for c, channel in enumerate(channels) if not measures_input(model, channel)]
     if not moving:
         cure = "add one of a coordinate to [channels], or take that section out"
-        raise UsageError("no channel shows how the rig moves: all show its inputs", rig, cure)
+        raise UsageError("no channel shows how the rig moves: all measure its inputs", rig, cure)
     theta, curves = model.theta(given), []
     with progress("response", quiet):
         for label, drive in _drives(read, amplitudes):

@@ -40,7 +40,7 @@ def command(
     input_file: Annotated[
         str | None,
         opt.Option("--input FILE", opt.INPUT_FILE, TEST),
-        "In place of --frequencies: a record whose input channels drive the rig from rest, of any excitation.",
+        "Instead of --frequencies: a record whose input channels drive the rig from rest, with any excitation.",
     ],
     estimate: Annotated[
         str | None,
@@ -59,7 +59,7 @@ def command(
     periods: Annotated[
         float,
         opt.Option("--periods N", opt.NUMBER, TEST, default="10"),
-        "Periods of each dwell, where no rate is given.",
+        "Periods of each dwell, where no --rate is given.",
     ],
     amplitudes: Annotated[
         tuple[Amount | dict[str, Amount], ...],
@@ -97,7 +97,7 @@ def command(
     from dashpot.study import simulate as study
 
     if (frequencies is None) == (input_file is None):
-        what = "nothing drives the rig" if frequencies is None else "the rig is driven in two ways"
+        what = "no drive is given" if frequencies is None else "two drives are given"
         raise UsageError(what, cure="give --frequencies, or --input with a record of the inputs")
     if table and frequencies is None:
         raise UsageError("--table is for stepped sine", cure="leave it out, or give --frequencies")
@@ -182,7 +182,7 @@ def _beyond(rig: Rig, drive: Mapping[str, float], frequencies: Sequence[float]) 
         use = rig.shaker.use(omega, motion, 0 * motion)
         if np.max(use) > 1 + 1e-9:
             at = frequencies[int(np.argmax(use))]
-            return f"; {name} is {np.max(use):.3g} × what the shaker can at {at:g} Hz"
+            return f"; {name} is {np.max(use):.3g} × the shaker limit at {at:g} Hz"
     return ""
 
 
@@ -191,7 +191,7 @@ def _require_drive(rig: Rig, drive: Mapping[str, complex]) -> None:
     missing = [given.name for given in rig.model.inputs if given.name not in drive and rig.shaker is None]
     if len(rig.model.nonlinear) and missing:
         raise UsageError(
-            "the motion of a rig with nonlinear elements depends on the size of its drive",
+            "the response of a rig with nonlinear elements depends on the drive level",
             rig.path,
-            f"add --amplitude {missing[0]}=1mm or whatever drives it, or [shaker] to the rig file",
+            f"add --amplitude {missing[0]}=1mm (or your value), or [shaker] to the rig file",
         )

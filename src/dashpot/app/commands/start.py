@@ -83,8 +83,8 @@ def command(
     paths = [path for name in files for path in files_named(name)]
     inspections: list[Inspection] = []
     for path in filter(holds_modes, paths):
-        cure = "write a rig file by hand or with dashpot new; identify takes the modes"
-        raise UsageError("this file holds modes, and no channels", str(path), cure)
+        cure = "write a rig file by hand or with dashpot new; identify reads the modes"
+        raise UsageError("this file contains modes, no channels", str(path), cure)
     for name in files:
         with progress(reading_of([name])):
             found = inspect_named(name)
@@ -123,11 +123,13 @@ def command(
     write_text(out, text)
     if chain.lacks_scale:
         click.echo(
-            f"No force is measured: m1 = {STAND_IN:g} kg stands in {out} until you write the weighed mass there."
+            f"No force is measured, so one mass must be known. m1 = {STAND_IN:g} kg in {out} is a PLACEHOLDER: "
+            "replace it by the weighed mass."
         )
     if chain.masses > 1:
         click.echo(
-            "The masses are in a row, in the order of the columns, the last next to the base: change that in the file."
+            "The masses are in a row, in the order of the columns, the last next to the base. Change that in "
+            "the file if it is wrong."
         )
     _tell(out, picture, text, data)
 
@@ -157,7 +159,7 @@ def _tell(out: str, picture: str, text: str, data: Sequence[str]) -> None:
     try:
         rig = parse_rig(text, out)
     except DashpotError as error:
-        click.echo(f"Written: {out}. Fill in what nobody said:")
+        click.echo(f"Written: {out}. Fill in what is not known yet:")
         for problem in error.problems:
             click.echo(f"  {problem}")
         return

@@ -22,30 +22,30 @@ def command(
     window: Annotated[
         float,
         opt.Option("--window TIME", opt.TIME, required=True),
-        "Length of the windows: 50 periods of the lowest mode, say; a change is dated to a window.",
+        "Length of the windows, such as 50 periods of the lowest mode; a change is dated to one window.",
     ],
     speed: Annotated[
         Any,
         opt.Option("--speed auto|1%|k1=1%,…", opt.SPEED, default="auto"),
-        "Standard deviation of the change in one hour, as a share of the value: of all unknowns, or by name, where the "
-        "others stand still; auto is the likeliest.",
+        "Standard deviation of the change in one hour, as a share of the value: of all unknowns, or by name "
+        "(the others then stay constant); auto estimates it.",
     ],
     false_alarms: Annotated[
         float,
         opt.Option("--false-alarms 1%", opt.PART, default=0.01),
-        "The share of records without a change in which one is announced.",
+        "Rate of false alarms: the share of records without a change in which one is announced.",
     ],
     band: opt.FreeBand,
     noise_record: Annotated[
         tuple[str, ...],
         opt.Option("--noise-record FILE", opt.INPUT_FILE, multiple=True),
-        "A record at rest, which gives the noise of every channel.  May be repeated.",
+        "An at-rest record, for the noise of every channel.  May be repeated.",
     ],
     follow: Annotated[
         float | None,
         opt.Option("--follow TIME", opt.TIME, alone="1e9"),
-        "Read on as the file (text) grows, until it has not for this time; alone: until stopped.  Results are written "
-        "anew with every window.",
+        "Keep reading as the file (text) grows, until it has not grown for this time; without a time until "
+        "stopped.  Results are written with every window.",
     ],
     json_out: Annotated[str | None, opt.JSON, "the values over time and the changes"],
     out: Annotated[
@@ -57,7 +57,9 @@ def command(
         str | None, opt.FIGURE, "Draw the unknowns over time with their intervals and changes."
     ],
     level: opt.Level,
-    seed: Annotated[int, opt.SEED, "the starts that ml draws, and of the simulations that tell chance"],
+    seed: Annotated[
+        int, opt.SEED, "the starts that ml draws, and of the simulations behind the significance"
+    ],
     quiet: opt.Quiet,
 ) -> None:
     """The unknown masses, dampers and springs of RIG over time, from one long RECORD, and when they change.

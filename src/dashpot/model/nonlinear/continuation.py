@@ -249,7 +249,7 @@ class _Tracer:
             if not weak.converged[0]:
                 raise ConvergenceError(
                     "harmonic balance finds no response at the first point",
-                    cure="begin elsewhere, or drive less",
+                    cure="start elsewhere, or reduce the drive",
                 )
             first = grown.trace(weak.delta[0], POINTS)[-1][0]
             self.turns_left = grown.turns_left
@@ -330,8 +330,8 @@ class _Tracer:
             direction = _tangent(end.by_q * size, by_share, ahead)
             step = min(step * (1.5 if end.turns <= 4 else 1.0), LARGEST)
         raise ConvergenceError(
-            f"the curve of responses cannot be followed beyond {100 * path[-1][1]:.3g} % of the way",
-            cure="take a shorter way, more harmonics or a smaller drive",
+            f"the response curve cannot be followed beyond {100 * path[-1][1]:.3g} % of the way",
+            cure="use a shorter range, more harmonics or a smaller drive",
         )
 
     @staticmethod
@@ -447,7 +447,9 @@ def backbone(model: Model, theta: Real, mode: int, largest: float, *, orders: in
         X, omega = ended
         points.append((X, omega))
     if not points:
-        raise UsageError("the backbone of this mode cannot be followed", cure="give a smaller amplitude")
+        raise UsageError(
+            "the backbone curve of this mode cannot be followed", cure="give a smaller amplitude"
+        )
     drive = joined_drives([solver.still(omega) for _, omega in points])
     return Backbone(free, drive, solver.motion(drive, np.array([X for X, _ in points])))
 
@@ -471,7 +473,8 @@ def _undamped(model: Model, theta: Real) -> Model:
         )
     if not any(element.force_law is not None for element in elements):
         raise UsageError(
-            "the rig has no nonlinear spring, so its backbones are straight", cure="leave the backbone out"
+            "the rig has no nonlinear spring, so its backbone curves are straight",
+            cure="leave out --backbone",
         )
     return replace(model, elements=tuple(elements))
 
@@ -493,7 +496,7 @@ def _mode(model: Model, p: Real, constants: Real, mode: int) -> tuple[float, Rea
     shape: Real = shapes[:, mode]
     if squares[mode] <= 0 or not np.any(np.abs(Bn @ shape) > 1e-9 * np.max(np.abs(shape))):
         raise UsageError(
-            f"mode {mode + 1} does not oscillate, or stretches no nonlinear spring",
+            f"mode {mode + 1} does not oscillate, or does not involve a nonlinear spring",
             cure="choose another mode",
         )
     return float(np.sqrt(squares[mode])), shape

@@ -80,7 +80,7 @@ def propagator(model: Model, p: Real, h: float) -> Propagator:
     n, chosen = model.n, model.nonlinear
     if np.any(parts.H):
         raise ModelError(
-            "a hysteretic damper has no motion in time",
+            "a hysteretic damper cannot be simulated in time",
             cure="use a viscous damper, or settled dwells of a linear rig",
         )
     size = np.sqrt(np.abs(np.diagonal(parts.M)))  # masses of one rig may differ by many orders

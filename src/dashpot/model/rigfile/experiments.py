@@ -70,7 +70,7 @@ def elements_of(reading: RigReading, tables: Mapping[str, Mapping[str, Any]]) ->
                 reading.report.add(place, f"{written(key)} is neither an element nor a channel", cure)
         own += _followers(reading, own[before:], experiment)
     if own and any(element.force_law is not None for element in (*reading.elements.values(), *own)):
-        cure = "identify the runs one by one, with a rig file each"
+        cure = "identify the runs separately, with a rig file each"
         reading.report.add(
             (EXPERIMENTS,), "a nonlinear rig cannot have elements that differ by experiment", cure
         )

@@ -80,7 +80,7 @@ def _rig(document: TomlDocument) -> Rig:
     shaker, distribution = reading.shaker(), reading.distribution()
     if distribution == "student" and any(element.force_law is not None for element in whole):
         reading.report.add(
-            (NOISE, "distribution"), "heavy tails are for linear rigs", 'write "auto", or leave it out'
+            (NOISE, "distribution"), "heavy tails are for linear rigs only", 'write "auto", or leave it out'
         )
     reading.report.raise_any()
     model = Model(

@@ -147,7 +147,10 @@ class Rig(InNotebooks):
     def require_alike(self, doing: str) -> None:
         """Raises UsageError where the rig differs by experiment, which `doing` does not know."""
         if self.experiments:
-            what = f"{doing} knows no experiments that differ, and the rig file has {listed(self.model.experiments)}"
+            what = (
+                f"{doing} does not support experiments that differ, and the rig file has "
+                f"{listed(self.model.experiments)}"
+            )
             raise UsageError(what, self.path or None, "use a rig file without [experiments]")
 
     def __repr__(self) -> str:

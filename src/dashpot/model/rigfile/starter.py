@@ -88,10 +88,13 @@ def starter_text(chain: Chain) -> str:
             lines.append(f'f{number} = {{ kind = "force", at = "{PLACEHOLDER}" }}')
     lines += [
         "",
-        "# Without a value an entry is unknown; value = …, sd = … say what has been weighed.",
+        (
+            "# An element without a value is estimated; value = …, sd = … is prior knowledge, such as a weighed "
+            "mass."
+        ),
         *_elements(chain, names, [*names, base] if names else ["u", "ground"]),
         "",
-        "# One entry for each column of the data, of its name.",
+        "# One entry for each column of the data, under its name.",
         "[channels]",
         *([sensor.line for sensor in chain.sensors] or _usual(chain, names)),
     ]
@@ -103,7 +106,10 @@ def _elements(chain: Chain, names: Sequence[str], points: Sequence[str]) -> Iter
     if names:
         yield "[masses]"
         if chain.lacks_scale:
-            yield "# Without a force only ratios to one value can be found: put the weighed mass in place of this one."
+            yield (
+                "# PLACEHOLDER: no force is measured, so one mass must be known. Replace this value by the "
+                "weighed mass."
+            )
     first = STAND_IN if chain.lacks_scale else chain.known
     for i, name in enumerate(names):
         value = f", value = {first!r}" if i == 0 and first is not None else ""

@@ -250,12 +250,15 @@ def test_tables_fit_80_columns(
         (["--samples", "1400", "--against", "a,b"], "or name a file"),
         (["--samples", "1400", "--stroke", "5 kg"], "kg"),
         (["--samples", "1400", "--robust", "worst"], "--robust needs"),
-        (["--samples", "1400", "--dask", "local"], "--dask shares out"),
-        (["--samples", "1400", "--doubt", "9%", "--robust", "average", "--workers", "2"], "--workers shares"),
+        (["--samples", "1400", "--dask", "local"], "--dask is for the search"),
+        (
+            ["--samples", "1400", "--doubt", "9%", "--robust", "average", "--workers", "2"],
+            "--workers is for the search",
+        ),
         (["--samples", "1400", "--after", "missing.csv"], "missing.csv"),
         (["--target", "soon"], "not a share"),
         (["--target", "c2=x"], "not a share"),
-        (["--samples", "3"], "holds no test"),
+        (["--samples", "3"], "no test within"),
         (["--samples", "1400", "--drive", "v"], "no input"),
     ],
 )

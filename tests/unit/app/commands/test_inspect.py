@@ -48,7 +48,7 @@ def test_a_rig_of_which_nothing_was_weighed_checks(folder, drive, masses):
     """Without a force nothing gives the scale: a mass of 1 kg stands in, which is said."""
     result = run("new", "mine.toml", "--masses", masses, "--driven-by", drive)
     assert result.exit_code == 0
-    assert ("m1 = 1 kg stands in the file" in result.output) == (drive != "force")
+    assert ("m1 = 1 kg is a PLACEHOLDER" in result.output) == (drive != "force")
     checked = run("check", "mine.toml")
     assert checked.exit_code == 0, checked.output
 

@@ -53,7 +53,11 @@ def test_a_folder_with_summary_draws_and_pictures(dashpot: Command, study: Path)
     [
         ("[0.01, 0.05, 0.1]", "-1", "dashpot: noise.toml:10: grid[0].noise[0]: a noise of -1"),
         ("rig.toml", "none.toml", "dashpot: none.toml: there is no such file"),
-        ("samples = 20", "samples = 2", "samples=2 covariance=given: 2 samples over 1 periods cannot tell"),
+        (
+            "samples = 20",
+            "samples = 2",
+            "samples=2 covariance=given: 2 samples over 1 periods cannot separate",
+        ),
         ('"wls"', '"ls"', "ls needs the velocity"),
     ],
 )

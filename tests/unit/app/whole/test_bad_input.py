@@ -122,8 +122,8 @@ BAD_USAGE = {
     ),
     "paper": (["reproduce", "newton1687"], "yamane1989"),
     "all held out": (["identify", "rig.toml", "data.csv", "--hold-out", "200%"], "'200%' is out of range"),
-    "band of dwells": (["identify", "rig.toml", "data.csv", "--band", "2:9"], "--band chooses frequencies of whole"),
-    "frequency twice": (["spectrum", "rig.toml", "data.csv", "-o", "t.csv", "--frequency", "3"], "name theirs"),
+    "band of dwells": (["identify", "rig.toml", "data.csv", "--band", "2:9"], "--band applies to continuous records"),
+    "frequency twice": (["spectrum", "rig.toml", "data.csv", "-o", "t.csv", "--frequency", "3"], "is not needed"),
     "far frequency": (["simulate", "rig.toml", "-o", "o.csv", "--frequencies", "1e200"], "'1e200' is out of range"),
     "rig as data": (["identify", "rig.toml", "rig.toml"], "this is a rig file, not a manifest of data"),
     "no file of a fleet": (["fleet", "rig.toml", "none.csv", "-o", "f.parquet"], "none.csv: there is no such file"),
@@ -150,7 +150,7 @@ OF_AN_ESTIMATE = {
     "drawn on another rig": (["draw", "other.toml", "-o", "o.svg", "--estimate", "e.json"], "another rig"),
     "exported with another rig": (["export", "e.json", "--rig", "other.toml", "-o", "o.mat"], "another rig"),
     "taken for data": (["identify", "rig.toml", "e.json"], "e.json: this is an estimate, not data"),
-    "exported with data": (["export", "e.json", "data.csv", "-o", "o.json"], "no use for measured data"),
+    "exported with data": (["export", "e.json", "data.csv", "-o", "o.json"], "does not use measured data"),
     "validated by nothing": (["validate", "e.json"], "no record to predict"),
 }  # fmt: skip
 
@@ -188,4 +188,4 @@ def test_many_problems_are_summed_up(dashpot: Command, rig: Path) -> None:
     ran = dashpot("check", "rig.toml")
     assert ran.code == 2
     assert len(ran.err) == 21
-    assert ran.err[-1] == "dashpot: 9980 more problems; mend these first"
+    assert ran.err[-1] == "dashpot: 9980 more problems; correct these first"

@@ -21,7 +21,7 @@ def files(dashpot: Command, rig: Path) -> list[str]:
 def test_parts_are_merged_the_same_by_two_workers(dashpot: Command, files: list[str]) -> None:
     alone = dashpot("identify", "rig.toml", *files, "--in-parts", "--workers", "1", "--json", "one.json")
     assert alone.code == 0, alone.err
-    assert any("3 parts of the data, each identified by itself" in line for line in alone.err)
+    assert any("3 parts of the data were identified separately" in line for line in alone.err)
     assert (
         dashpot("identify", "rig.toml", *files, "--in-parts", "--workers", "2", "--json", "two.json").code
         == 0
@@ -49,7 +49,7 @@ def test_a_report_of_merged_parts_says_what_it_rests_on(dashpot: Command, files:
     done = dashpot("identify", "rig.toml", *files, "--in-parts", "--workers", "1", "--report", "out.html")
     assert done.code == 0, done.err
     page = Path("out.html").read_text(encoding="utf-8")
-    assert "3 parts of the data, each identified by itself" in page
+    assert "3 parts of the data were identified separately" in page
 
 
 @pytest.mark.parametrize(

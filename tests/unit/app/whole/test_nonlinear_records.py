@@ -88,7 +88,7 @@ def test_apply_writes_the_rig_that_contradicting_channels_ask_for(dashpot: Comma
     turn("run.csv", "x")
     done = dashpot("identify", "rig.toml", "run.csv", "-q", "--apply", "new.toml")
     assert done.code == 2
-    assert done.err[-1].endswith("new.toml has the first cause corrected; identify with it")
+    assert done.err[-1].endswith("new.toml was written with the first cause corrected; identify with it")
     assert [channel.sign for channel in read_rig("new.toml").channels] == [1.0, -1.0]
 
 

@@ -83,7 +83,7 @@ def test_written_rigs_read_back_the_same(text: str) -> None:
         ("gain = { sd = 0.1 }", "rig.toml:11: channels.x2.gain", "sd without a value", "give the value"),
         ("gain = { value = 1, sd = 0 }", "rig.toml:11: channels.x2.gain", "sd is 0", "positive"),
         ("gain = { guess = 1, min = 2 }", "rig.toml:11: channels.x2.gain", "below min", "change"),
-        ("gain = { guess = 1, min = 2, max = 1 }", "rig.toml:11: channels.x2.gain", "not below max", "exchange"),
+        ("gain = { guess = 1, min = 2, max = 1 }", "rig.toml:11: channels.x2.gain", "not below max", "swap"),
         ("gain = { value = 0, sd = 1 }", "rig.toml:11: channels.x2.gain", "measures nothing", "unknown"),
         ("gain = { valeu = 1 }", "rig.toml:11: channels.x2.gain.valeu", "unknown key", "value"),
         ('gain = { value = "1 m" }', "rig.toml:11: channels.x2.gain.value", "sensitivity", "unit"),
