@@ -108,4 +108,9 @@ def test_every_licence_that_is_named_is_here_and_the_version_is_one() -> None:
     assert cited is not None
     version = project["project"]["version"]
     assert cited[1] == version
+    recipe = (ROOT / "conda" / "meta.yaml").read_text(encoding="utf-8")
+    assert f'version = "{version}"' in recipe
+    for needed in project["project"]["dependencies"]:
+        name, _, least = needed.partition(">=")
+        assert re.search(rf"- {name}(-base)? >={re.escape(least)}$", recipe, re.MULTILINE), needed
     assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
