@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 from dashpot.data.modal_data import ModalData
 from dashpot.data.spectrum import Spectrum
@@ -12,7 +13,7 @@ from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.method import Method
 from dashpot.estimate.result import FORMAT, Estimate
-from dashpot.io.json_document import from_json, to_json
+from dashpot.io.json_document import data_frame, from_json, to_json
 from dashpot.model.network import Model
 from dashpot.shorthand import Printable
 
@@ -50,6 +51,17 @@ class Comparison(Printable):
         if name in self.truth:
             return self.truth[name]
         return self.estimates[self.most_likely[0]][name].value if self.most_likely else None
+
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame with a row for each unknown: value and sd by each method, SI units.
+
+        Raises UsageError without pandas (extra "analysis").
+        """
+        columns: dict[str, Any] = {"parameter": list(self.names), "unit": list(self.units)}
+        for method, estimate in self.estimates.items():
+            columns[method] = [estimate[name].value for name in self.names]
+            columns[f"{method}_sd"] = [estimate[name].sd for name in self.names]
+        return data_frame(columns, "parameter")
 
     def to_json(self) -> str:
         """Every estimate as its own JSON has it, the reasons of the others, and the truth."""

@@ -31,7 +31,7 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import MISFIT, Estimate
-from dashpot.io.json_document import to_json
+from dashpot.io.json_document import data_frame, to_json
 from dashpot.io.words import counted
 from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
@@ -148,16 +148,26 @@ class Track(Printable):
 
     def save(self, path: str) -> None:
         """A Parquet table with a row for each window; changes are in its metadata.  Raises DataError."""
-        columns: dict[str, Real] = {"start_s": self.start_s, "end_s": self.end_s}
-        for j, name in enumerate(self.names):
-            columns |= {name: self.values[:, j], f"{name}_sd": self.sd[:, j]}
-            columns |= {f"{name}_alone": self.alone[:, j], f"{name}_alone_sd": self.alone_sd[:, j]}
         kept = {
             key: value
             for key, value in self.to_dict().items()
             if key in ("changes", "false_alarms", "scatter")
         }
-        write_table(Path(path), columns, to_json(kept).encode())
+        write_table(Path(path), self._columns(), to_json(kept).encode())
+
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame with a row for each window, as `save` writes it.
+
+        Raises UsageError without pandas (extra "analysis").
+        """
+        return data_frame(self._columns(), "start_s")
+
+    def _columns(self) -> dict[str, Real]:
+        columns: dict[str, Real] = {"start_s": self.start_s, "end_s": self.end_s}
+        for j, name in enumerate(self.names):
+            columns |= {name: self.values[:, j], f"{name}_sd": self.sd[:, j]}
+            columns |= {f"{name}_alone": self.alone[:, j], f"{name}_alone_sd": self.alone_sd[:, j]}
+        return columns
 
 
 class Tracker:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from dashpot.free.response import (
     record_lines,
     response_of,
 )
+from dashpot.io.json_document import data_frame
 from dashpot.io.words import counted
 from dashpot.notices import Notice
 
@@ -128,6 +130,22 @@ class MeasuredModes:
     def damping_sd(self) -> Real:
         """Standard deviation of the damping ratios."""
         return np.sqrt(self.modal_data.covariance[:, 1, 1])
+
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame with a row for each mode: frequency, damping, and the shape at each point, complex.
+
+        Raises UsageError without pandas (extra "analysis").
+        """
+        columns: dict[str, Any] = {
+            "mode": np.arange(1, 1 + len(self.eigenvalues)),
+            "frequency_hz": self.frequency_hz,
+            "frequency_sd": self.frequency_sd,
+            "damping_ratio": self.damping_ratio,
+            "damping_sd": self.damping_sd,
+        }
+        for k, name in enumerate(self.points):
+            columns |= {name: self.shapes[:, k], f"{name}_sd": self.shape_sd[:, k]}
+        return data_frame(columns, "mode")
 
     def to_dict(self) -> dict[str, object]:
         """The modes for JSON, which `identify` and `compare --modal` read."""

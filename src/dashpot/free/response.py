@@ -11,7 +11,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy import fft
@@ -33,7 +33,7 @@ from dashpot.data.record import Record, calibration
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError, UsageError
 from dashpot.io.atomic import write_bytes
-from dashpot.io.json_document import arrow_table
+from dashpot.io.json_document import arrow_table, data_frame
 from dashpot.io.words import chosen_format, counted, joined, listed
 from dashpot.notices import Notice
 
@@ -120,6 +120,18 @@ class MeasuredResponse:
             at += int(self.apart[at])
         chosen = self.chosen(np.array(kept, dtype=np.int64))
         return replace(chosen, apart=np.ones(len(kept), dtype=np.int64))
+
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame over frequency: each response, complex, with its sd, and the coherence of each output.
+
+        Raises UsageError without pandas (extra "analysis").
+        """
+        H, sd = self.values.reshape(len(self.values), -1), self.sd.reshape(len(self.values), -1)
+        columns: dict[str, Any] = {"frequency_hz": self.frequency_hz}
+        for k, pair in enumerate(self.pairs):
+            columns |= {pair: H[:, k], f"{pair}_sd": sd[:, k]}
+        columns |= {f"{out.name}_coherence": self.coherence[:, i] for i, out in enumerate(self.outputs)}
+        return data_frame(columns, "frequency_hz")
 
     def to_dict(self) -> dict[str, object]:
         """Frequencies, real and imaginary part and standard deviation of each pair, and the coherence, for JSON."""

@@ -26,6 +26,12 @@ def optional_library(module: str, extra: str, purpose: str) -> Any:
         ) from None
 
 
+def data_frame(columns: Mapping[str, Any], index: str) -> Any:
+    """A pandas DataFrame of columns, one of which is its index.  Raises UsageError without pandas."""
+    pandas = optional_library("pandas", "analysis", "to_dataframe")
+    return pandas.DataFrame(dict(columns)).set_index(index)
+
+
 # Columns of Arrow as arrays of NumPy, and back.
 #
 # Arrow's own conversions load pandas, which takes a fourth of a second in every process that has no other
