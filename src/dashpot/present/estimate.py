@@ -430,7 +430,7 @@ def _chi2(fit: Fit, *, p: bool = True) -> str:
 
 def verdict_in_words(fit: Fit, assessment: Assessment) -> str:
     """The verdict with its reasons, and χ²."""
-    reasons = joined(notice.text for notice in assessment.reasons if notice.code != "chi2")
+    reasons = "; ".join(notice.text for notice in assessment.reasons if notice.code != "chi2")
     why = "; ".join(part for part in (reasons, _residuals(fit)) if part)
     return f"{VERDICTS[assessment.verdict][0]}{why and ': '}{why}."
 
@@ -478,10 +478,12 @@ def headline(estimate: Estimate, unsure: Sequence[str]) -> str:
     assessment = estimate.assessment
     if assessment is None:
         return fit_in_words(estimate.fit) + rest
+    how = _share_missed(assessment)
+    said = sentence(f"{VERDICTS[assessment.verdict][0]}{how and ': '}{how}")
     if assessment.verdict == "does not fit":
         why = f" Likely cause: {sentence(assessment.cause.text)}" if assessment.cause else ""
-        return f"The model does not fit the data: do not rely on these values as they are.{why}{rest}"
-    return sentence(VERDICTS[assessment.verdict][0]) + rest
+        return f"{said}{why} Do not rely on these values as they are.{rest}"
+    return said + rest
 
 
 def page_verdict(estimate: Estimate) -> Verdict:

@@ -15,7 +15,7 @@ from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.result import Estimate
-from dashpot.io.words import joined
+from dashpot.io.words import joined, listed
 from dashpot.model.network import Model
 from dashpot.present.check import profile_in_words, shares_section
 from dashpot.present.document import Document, Items, Picture, Provenance, Section, section
@@ -116,9 +116,15 @@ def identification_report(
             subtitle,
             headline(estimate, unsure),
             tuple(statements),
-            tuple(capitalised(text, names) for text in warnings_in_words(estimate, untried=untried)),
+            tuple(
+                capitalised(text, names) for text in warnings_in_words(estimate, untried=untried, coded=True)
+            ),
             section(
-                "Parameters", *remarks(estimate), signs_in_words(estimate), parameter_columns(estimate, level)
+                "Parameters",
+                *remarks(estimate),
+                signs_in_words(estimate),
+                parameter_columns(estimate, level),
+                assumptions_in_words(model, estimate, shown),
             ),
             rig_picture(model, shown, estimate, unsure, level),
             tuple(next_steps(estimate, unsure, found.collinearity, plannable=not len(model.nonlinear))),
@@ -126,6 +132,28 @@ def identification_report(
             provenance,
         )
     )
+
+
+def assumptions_in_words(model: Model, estimate: Estimate, channels: Sequence[Channel]) -> str:
+    """What the values rest on: exact and stated values, the laws of the elements, the calibration of the channels."""
+    exact = [name for name, _, _ in estimate.known]
+    parts = [f"{listed(exact, 6)} exactly as stated"] if exact else []
+    if estimate.stated:
+        parts.append(
+            f"{listed([name for name, _, _ in estimate.stated], 6)} as stated, with the stated uncertainty"
+        )
+    laws = [model.elements[i].name for i in model.nonlinear]
+    if not laws:
+        parts.append("linear elements")
+    open_gains = {name.partition(".")[0] for name in estimate.names if "." in name}
+    if [channel for channel in channels if channel.name not in open_gains]:
+        others = (
+            " of the other channels"
+            if open_gains & {channel.name for channel in channels}
+            else " of all channels"
+        )
+        parts.append(f"the calibration{others} as the rig file states it")
+    return f"Assumed: {'; '.join(parts)}." if parts else ""
 
 
 def failure_report(

@@ -335,7 +335,7 @@ def test_words_are_those_of_the_json(page: tuple[str, dict[str, Any]]) -> None:
         assert shows(size, entry["sd"])
     for cause in content["diagnosis"]:
         assert " ".join(cause["text"].split())[1:] in " ".join(text.split())
-    verdicts = {"fits": "The model fits.", "does not fit": "The model does not fit the data"}
+    verdicts = {"fits": "The model fits", "does not fit": "The model does not fit"}
     assert verdicts[fit["verdict"]] in text
 
 
@@ -417,3 +417,11 @@ def test_profiles_of_estimates_that_are_no_minimum_are_left_out() -> None:
     poor = noisy(1.0)
     least_squares = replace(identify(RIG.model, poor), method="ls")
     assert evidence_of(RIG.model, poor, least_squares).profiles == ()
+
+
+def test_the_first_page_says_what_the_values_rest_on(page: tuple[str, dict[str, Any]]) -> None:
+    text, content = page
+    (assumed,) = re.findall(r"Assumed: ([^.]*)\.", text)
+    known = [name for name, entry in content["parameters"].items() if entry["known"]]
+    assert all(name in assumed for name in known[:5])
+    assert "calibration" in assumed
