@@ -262,8 +262,9 @@ def check(
 def simulate(
     rig: Rig,
     values: Mapping[str, float | Value],
-    frequencies: Any,
+    frequencies: Any = None,
     *,
+    release: Mapping[str, float] | None = None,
     samples: int = 200,
     amplitudes: Mapping[str, complex | Complex] | None = None,
     periods: float = 10.0,
@@ -277,6 +278,8 @@ def simulate(
                  values and guesses of the rig file stand in for what is not given
     frequencies  Hz, of a dwell each: a sequence, or as the command line has them ("1:10:0.5", "1:10/25"); or what the
                  inputs do, from rest: a Record, or columns by name with `time_s`, of one or more stretches of time
+    release      in place of frequencies: where the rig is held, by coordinate, m or rad, before it is let go; `samples`
+                 are taken at `rate`
     samples      of each dwell, spread over `periods`, or taken at `rate` (Hz)
     amplitudes   of the inputs by name, SI units, one or one for each frequency; where not given, as large as the shaker
                  of the rig file can, 1 where it states none
@@ -301,6 +304,16 @@ def simulate(
         {name: value for name, value in numbers.items() if name in unknown or name not in elsewhere}
     )
     model = rig.model
+    if (frequencies is None) == (release is None):
+        raise UsageError("nothing moves the rig, or two things do", cure="give frequencies, or a release")
+    if release is not None:
+        if rate is None:
+            raise UsageError("a release has no sampling rate", cure="give rate, in Hz")
+        time, held = (
+            np.arange(samples) / rate,
+            {name: float(_numbers(x, name)) for name, x in release.items()},
+        )
+        return (simulation.released_record(model, theta, rig.channels, held, time, random_generator(seed)),)
     if isinstance(frequencies, Record | Reading) or _has_columns(frequencies):  # what inputs do
         rng = random_generator(seed)
         drives = _inputs(rig, frequencies)

@@ -698,6 +698,14 @@ def drive_amplitude(model: Model, given: Amount | Mapping[str, Amount]) -> float
     return given.si(kind, drive_is_angular(model, kind))
 
 
+def coordinate_amounts(
+    model: Model, settings: Sequence[Mapping[str, Amount]], option: str
+) -> dict[str, float]:
+    """Displacements by coordinate, m or rad: "x1=5mm".  Raises UsageError for a unit of something else."""
+    named = merged(settings, option)
+    return {name: amount.si("displacement", name in model.angles) for name, amount in named.items()}
+
+
 def input_amplitudes(model: Model, settings: Sequence[Amount | Mapping[str, Amount]]) -> dict[str, float]:
     """Amplitudes by input, SI units: "5 mm" is that of every input, "u=5 mm" that of one.  Raises UsageError."""
     inputs = [*model.displacement_inputs, *model.force_inputs]

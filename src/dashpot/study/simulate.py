@@ -32,7 +32,7 @@ from dashpot.estimate.nonlinear.records import (
     uniform_step,
 )
 from dashpot.estimate.result import Estimate
-from dashpot.model.dynamics import response, unit_forces
+from dashpot.model.dynamics import matrices, response, unit_forces
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.continuation import channel_harmonics, grown_from_rest
@@ -84,12 +84,59 @@ def driven_record(
         number = given.get((tuple(channel.of.items()), channel.quantity))
         if number is not None and measures_input(model, channel):
             values[:, c] = drive.values[:, number] / drive.channels[number].factor
+    return _recorded(channels, drive.time, values, rng)
+
+
+def released_record(
+    model: Model,
+    theta: Real,
+    channels: Sequence[Channel],
+    held: Mapping[str, float],
+    time: Real,
+    rng: np.random.Generator,
+) -> Record:
+    """What the channels show of a rig that is held at coordinates by name (m or rad) and let go at the first instant.
+
+    The others hang in its linear springs, inputs rest, and noise is that of `driven_record`.  time (samples,), evenly
+    spaced, s; theta (unknowns,), SI units.  Raises UsageError for an unknown coordinate, and as `driven_record`.
+    """
+    channels, p = tuple(channels), model.parameters(theta)
+    start = np.append(_hung(model, p, held), np.zeros(model.n))
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    view = observation_model(model, channels, np.ones(1))
+    count = model.D.shape[1] + model.S.shape[1]
+    at_rest = ShownInputs(np.zeros((len(time), count)), (0,) * count)
+    if len(model.nonlinear):
+        values = _nonlinear(view, theta, "simulation", step, at_rest, start)
+    else:
+        values = channel_samples(view, p, integrator(model, p, step).motion(at_rest.values, start))
+    return _recorded(channels, time, values, rng)
+
+
+def _hung(model: Model, p: Real, held: Mapping[str, float]) -> Real:
+    """Static displacements of all coordinates, (n,), of which some are held; what nothing holds stays at 0."""
+    for name in held:
+        if name not in model.coordinates:
+            raise UsageError(
+                f"{name} is no coordinate of the rig",
+                cure=f"its coordinates are {', '.join(model.coordinates)}",
+            )
+    K = matrices(model, p).K
+    x = np.array([held.get(name, 0.0) for name in model.coordinates])
+    free = np.array([name not in held for name in model.coordinates])
+    x[free] = -np.linalg.lstsq(K[np.ix_(free, free)], K[np.ix_(free, ~free)] @ x[~free], rcond=1e-12)[0]
+    return x
+
+
+def _recorded(channels: tuple[Channel, ...], time: Real, values: Real, rng: np.random.Generator) -> Record:
+    """The record of channels whose values are these (samples, channels), SI units: calibrations and noise put in."""
+    step = float(time[-1] - time[0]) / (len(time) - 1)
     gain, late = true_calibrations(channels, rng)
     values = values * gain
     sd = noise_sd(channels, np.max(np.abs(values), axis=0)[None].astype(complex))[0]
     values = _later(values, (_delays(channels) + late) / step) + sd * rng.standard_normal(values.shape)
     factor = np.array([channel.factor for channel in channels])
-    return Record(channels, drive.time, factor * values, source="simulation")
+    return Record(channels, time, factor * values, source="simulation")
 
 
 def true_calibrations(
@@ -159,8 +206,15 @@ def _later(values: Real, steps: Real) -> Real:
     return out
 
 
-def _nonlinear(view: ObservationModel, theta: Real, source: str, step: float, shown: ShownInputs) -> Real:
-    """What the channels of a nonlinear rig show, (samples, channels)."""
+def _nonlinear(
+    view: ObservationModel,
+    theta: Real,
+    source: str,
+    step: float,
+    shown: ShownInputs,
+    released: Real | None = None,
+) -> Real:
+    """What the channels of a nonlinear rig show, (samples, channels), from rest or from a state `released` (2n,)."""
     model, channels = view.model, view.channels
     count = len(channels)
     nothing = np.zeros((len(shown.values), count))
@@ -177,6 +231,8 @@ def _nonlinear(view: ObservationModel, theta: Real, source: str, step: float, sh
     rates = np.where(np.array(bases.orders) == 1, data.inputs[0, len(model.inputs) - len(bases.names) :], 0.0)
     start[machine.model.n : machine.model.n + n] = -bases.matrix(model.coordinates) @ rates
     start[machine.model.n + n : 2 * machine.model.n] = rates
+    if released is not None:
+        start[:n], start[machine.model.n : machine.model.n + n] = np.split(released, 2)
     motion = integrate(machine, start)
     if not motion.closed:
         raise ConvergenceError("the simulation fails", cure="sample the input faster, or reduce the drive")

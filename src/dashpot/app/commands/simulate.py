@@ -10,7 +10,12 @@ import click
 import numpy as np
 
 from dashpot.app import options as opt
-from dashpot.app.options import changed_values, input_amplitudes, parameter_values
+from dashpot.app.options import (
+    changed_values,
+    coordinate_amounts,
+    input_amplitudes,
+    parameter_values,
+)
 from dashpot.app.workers import progress
 from dashpot.errors import DataError, UsageError, printable
 from dashpot.quantities import Amount
@@ -27,6 +32,7 @@ TEST = "The test"
     "dashpot simulate rig.toml --frequencies 0.5:25/40log --amplitude u=2mm --table -o amplitudes.csv",
     "dashpot simulate rig.toml --estimate estimate.json --input shaker.csv --out predicted.csv",
     "dashpot simulate rig.toml --input shaker.csv --out record.csv",
+    "dashpot simulate rig.toml --release x1=5mm --samples 800 --rate 200 --out decay.csv",
 )
 def command(
     rig: opt.RigFile,
@@ -41,6 +47,11 @@ def command(
         str | None,
         opt.Option("--input FILE", opt.INPUT_FILE, TEST),
         "Instead of --frequencies: a record whose input channels drive the rig from rest, with any excitation.",
+    ],
+    release: Annotated[
+        tuple[dict[str, Amount], ...],
+        opt.Option("--release COORDINATE=VALUE,…", opt.AMOUNTS, TEST, multiple=True),
+        "In place of --frequencies: let the rig go from where it is held, such as x1=5mm; --samples at --rate.",
     ],
     estimate: Annotated[
         str | None,
@@ -82,7 +93,7 @@ def command(
     experiment: opt.Experiment,
     quiet: opt.Quiet,
 ) -> None:
-    """Write the test data that RIG would yield: stepped sine, or its motion under a record of its inputs.
+    """Write the test data that RIG would yield: stepped sine, its motion under a record of its inputs, or a free decay.
 
     Every unknown needs a value: from --set, or the value or guess of the rig file.  Each channel gets
     the noise that the rig file states for it: `noise` (in its unit) and `relative_noise`.
@@ -96,9 +107,12 @@ def command(
     from dashpot.model.rigfile.rig import usual_limits
     from dashpot.study import simulate as study
 
-    if (frequencies is None) == (input_file is None):
-        what = "no drive is given" if frequencies is None else "two drives are given"
-        raise UsageError(what, cure="give --frequencies, or --input with a record of the inputs")
+    drives = sum([frequencies is not None, input_file is not None, bool(release)])
+    if drives != 1:
+        what = "two drives are given" if drives else "no drive is given"
+        raise UsageError(what, cure="give --frequencies, --input with a record of the inputs, or --release")
+    if release and rate is None:
+        raise UsageError("a release has no sampling rate", cure="give --rate, such as --rate 200")
     if table and frequencies is None:
         raise UsageError("--table is for stepped sine", cure="leave it out, or give --frequencies")
     read = read_rig(rig)
@@ -121,7 +135,12 @@ def command(
             noisy = with_relative_noise(read.model, read.channels, relative_noise)
             read = replace(read, channels=noisy)
         how: dict[str, Any] = {"amplitudes": drive, "periods": periods, "rate": rate}
-        if frequencies is None:
+        if release:
+            held = coordinate_amounts(read.model, release, "--release")
+            with progress("simulate", quiet):
+                write_records(simulate(read, given, release=held, samples=samples, rate=rate, seed=seed), out)
+            what = f"{samples} samples from the release on"
+        elif frequencies is None:
             with progress("simulate", quiet):
                 records = simulate(read, given, _input_record(read, str(input_file)), seed=seed)
                 write_records(records, out)

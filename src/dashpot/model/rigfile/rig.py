@@ -173,7 +173,9 @@ class Rig(InNotebooks):
         """Whether the unknowns can be found from the channels and, with data, from their frequencies."""
         return cast("Structure", call("check", self, data, **options))
 
-    def simulate(self, values: Mapping[str, Any], frequencies: Any, **options: Any) -> tuple[Record, ...]:
+    def simulate(
+        self, values: Mapping[str, Any], frequencies: Any = None, **options: Any
+    ) -> tuple[Record, ...]:
         """The records that the rig would yield with values in SI units: `dashpot.simulate(rig, values, …)`."""
         return cast("tuple[Record, ...]", call("simulate", self, values, frequencies, **options))
 
