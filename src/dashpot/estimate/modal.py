@@ -404,7 +404,7 @@ def deepest_minima(
     if None not in choices:
         firsts.append(np.tile(np.array(choices, dtype=float), (repeats, 1)))
     if model.n > 8:  # coordinates: like parts that lead to a fit are then taken without a look for others
-        firsts.append(np.tile(like_parts(model, data), (repeats, 1)))
+        firsts.append(np.tile(like_parts(_without_guesses(model), data), (repeats, 1)))
     for first in firsts:
         if first is not None:
             reached = problem.search(first, everyone, 100)
@@ -422,9 +422,10 @@ def deepest_minima(
             astray = np.flatnonzero(~minima.converged | ~np.isfinite(minima.cost) | unlikely)
         if not len(astray):
             break
-        drawn = random_rigs(model, data, starts, np.random.default_rng([seed, attempt]))
-        if not attempt:
-            drawn = np.concatenate([like_parts(model, data)[None], drawn])
+        about = model if not attempt else _without_guesses(model)  # which led nowhere
+        drawn = random_rigs(about, data, starts, np.random.default_rng([seed, attempt]))
+        if not attempt or about is not model:
+            drawn = np.concatenate([like_parts(about, data)[None], drawn])
         if lonely:
             ends = _ends(problem, drawn)
             reached = _one_of(model, ends)
@@ -442,6 +443,13 @@ def deepest_minima(
             cure="give guesses of the unknowns, measure more modes, or more points of their shapes",
         )
     return minima, ends
+
+
+def _without_guesses(model: Model) -> Model:
+    """The model without guesses, or itself where it has none."""
+    if all(element.guess is None for element in model.elements):
+        return model
+    return replace(model, elements=tuple(replace(element, guess=None) for element in model.elements))
 
 
 def rigs_with(model: Model, data: ModalData, *, seed: int = 0) -> Real:

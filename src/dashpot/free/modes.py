@@ -824,7 +824,9 @@ def _shape(fit: _Fit, k: int, outputs: Sequence[Channel], nu: int, real: bool, u
                 moved = phi * (1j if part else 1.0)
                 J[:, c, :, parts * len(others) + 2 * c + part] = np.stack([moved.real, moved.imag], axis=-1)
         A = J.reshape(-1, J.shape[-1])
-        W = np.linalg.pinv(A.T @ inverse @ A, hermitian=True)
+        information = A.T @ inverse @ A  # of shapes without a unit, and of participations of any size
+        size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+        W = np.linalg.pinv(information / np.outer(size, size), hermitian=True) / np.outer(size, size)
         step = W @ (A.T @ inverse @ e_real)
         moved = step[: parts * len(others)].reshape(-1, parts)
         phi = phi.copy()

@@ -94,6 +94,16 @@ def test_deviations_are_those_of_the_bound_though_the_noise_is_that_of_residuals
     assert told == pytest.approx(np.sqrt(np.diagonal(bound.covariance)[:4]) * unit, rel=0.05)
 
 
+def test_units_of_the_force_change_participations_alone() -> None:
+    """Deviations of the shapes of a building had been rounding, since 1 N moves it by next to nothing."""
+    rng = np.random.default_rng(4)
+    test = TWO.record(TWO.noise(rng, 20.0, 1), rng, 0.02)
+    large = replace(test, values=test.values * np.array([1e9, 1, 1]))
+    one, other = (dashpot.modes(record, "u0", band=(0.5, 30.0)) for record in (test, large))
+    assert other.shape_sd == pytest.approx(one.shape_sd, rel=1e-3)
+    assert other.participation_sd * 1e9 == pytest.approx(one.participation_sd, rel=1e-3)
+
+
 def test_free_decays() -> None:
     found = dashpot.modes(decays(TWO, np.random.default_rng(1), 2, 8.0, 0.02), [], "x0,x1")
     z = np.concatenate(errors(found, TWO))
