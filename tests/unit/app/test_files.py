@@ -191,11 +191,11 @@ def test_closed_standard_streams_do_no_harm(tmp_path: Path) -> None:
     assert done.returncode == 0
 
 
-def test_a_terminal_of_no_width(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+def test_a_terminal_of_no_width(dashpot: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("rig.toml").write_text(RIG, encoding="utf-8")
     monkeypatch.setenv("COLUMNS", "0")
-    done = _process("check", "rig.toml", cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, b"")
+    done = dashpot("check rig.toml")
+    assert (done.code, done.err) == (0, [])
 
 
 def test_a_pipe_gets_the_json(tmp_path: Path) -> None:
