@@ -61,8 +61,8 @@ BLOCKS = 256  # parts, at most
 IN_A_ROW = 8  # parts, at least: what moves at random is quiet for a part or two as well
 QUIETEST = 0.05  # share of the parts that are at rest, if any are
 QUIET = 0.1  # of the mean power of all parts: what those at rest have at most
-BEYOND = 4.0  # standard deviations of a part's variance, from which on it moves
-BY_CHANCE = 1e-3  # p-value below which parts at rest are not alike
+STANDS_OUT = 4.0  # standard deviations of a mean power above that of noise: there is motion
+LEVEL = 1e-3  # of all tests of what data are taken for: what is so is refused once in a thousand
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ def variance_at_rest(values: Real) -> float:
     level, still = float(np.median(np.sort(variance)[:quietest])), np.zeros(count, dtype=bool)
     for _ in range(count):
         # Those among IN_A_ROW quiet neighbours, the first and last of which may still move
-        still = variance < level * (1 + BEYOND * (2 / dof) ** 0.5)
+        still = variance < level * (1 + STANDS_OUT * (2 / dof) ** 0.5)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
         inner = np.zeros(len(still), dtype=bool)
         for first, end in edges.reshape(-1, 2).tolist():
@@ -150,15 +150,14 @@ def variance_at_rest(values: Real) -> float:
     if not np.any(still) or not 0 < level < QUIET * float(np.mean(variance)):
         return 0.0
     steps = float(np.sum(np.diff(parts[still], axis=1) ** 2) / np.sum(parts[still] ** 2))
-    white = abs(steps / 2 - 1) < BEYOND / (np.sum(still) * dof) ** 0.5 + 2 / size
-    return level if white and equal_variances(variance[still], float(dof)) > BY_CHANCE else 0.0
+    white = abs(steps / 2 - 1) < STANDS_OUT / (np.sum(still) * dof) ** 0.5 + 2 / size
+    return level if white and equal_variances(variance[still], float(dof)) > LEVEL else 0.0
 
 
 # As the lines of a record show it near half the sampling rate, where nothing moves.
 
 
 BIN = 30  # lines, at least, whose mean power says whether something moves there
-STANDS_OUT = 4.0  # standard deviations of a bin's mean power above the floor: a signal
 TOP = (0.6, 0.98)  # of half the sampling rate: where the floor is read
 ALIKE = 1.4  # by which the mean power of second differences scatters more: neighbours share lines
 FAR_BELOW = 0.1  # of the mean power of the lines: a floor is noise, not motion

@@ -19,6 +19,7 @@ from scipy.special import chdtrc, fdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
+from dashpot.data.noise import LEVEL
 from dashpot.data.record import Record, calibrated
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
@@ -283,7 +284,6 @@ LASTING = 0.97  # of it, between periods that are further apart
 FEWEST_PERIODS = 6
 FUNDAMENTAL = 0.3  # of the strongest line: what a dwell has in every channel
 SHORTEST = 32  # samples of a period
-SIGNIFICANT = 1e-3  # p-value of all periods and lines together: of what repeats, and of what has not settled
 
 
 def averaged_periods(record: Record, inputs: int = 0) -> tuple[Spectrum, Real] | None:
@@ -365,7 +365,7 @@ def unsettled_periods(X: Complex) -> int:
     alike = np.sum(noise, axis=0) ** 2 / np.sum(noise**2, axis=0)
     away = np.sum(np.abs(X[:half] - np.mean(last, axis=0)) ** 2, axis=1) / np.sum(noise, axis=0)
     p = fdtrc(2 * alike, 2 * alike * (count - 1), away / (1 + 1 / count))
-    late = np.flatnonzero(np.any(p < SIGNIFICANT / p.size, axis=1))
+    late = np.flatnonzero(np.any(p < LEVEL / p.size, axis=1))
     return int(late[-1]) + 1 if len(late) else 0
 
 
@@ -394,7 +394,7 @@ def still_settling(X: Complex) -> bool:
         np.stack([both[0] + both[1], both[0] - both[1]])[:, None] / 2 * np.where(shared > 0, shared, 1.0)
     )
     chi2 = np.sum(np.stack([away.real, away.imag]) ** 2 / np.maximum(variance, 1e-300), axis=0)
-    return bool(np.any(chdtrc(2, chi2) < SIGNIFICANT / X.shape[-1]))
+    return bool(np.any(chdtrc(2, chi2) < LEVEL / X.shape[-1]))
 
 
 def _repeating(X: Complex, least: float) -> Bools:
@@ -408,4 +408,4 @@ def _repeating(X: Complex, least: float) -> Bools:
     noise = np.maximum(scatter, uniform_filter1d(scatter, beside, axis=0, mode="nearest"))
     p = fdtrc(2, 2 * (count - 1) * beside, np.minimum(np.abs(mean) ** 2 / np.maximum(noise, 1e-300), 1e12))
     loud = np.abs(mean) > least * np.max(np.abs(mean), axis=0)
-    return np.asarray((p < SIGNIFICANT / p.size) & loud)
+    return np.asarray((p < LEVEL / p.size) & loud)

@@ -11,9 +11,10 @@ from scipy.special import chdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze, hermitian
 from dashpot.data.modal_data import ModalData
+from dashpot.data.noise import LEVEL
 from dashpot.errors import ConvergenceError, DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.inference.diagnostics import held, require_determined, wrong_signs
-from dashpot.estimate.inference.uncertainty import MISFIT_LEVEL, mode_values
+from dashpot.estimate.inference.uncertainty import mode_values
 from dashpot.estimate.likelihood.global_search import COMPETING, DOUBT, TIE, apart, not_unique
 from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.result import MISFIT, SENSOR_NOISE, Estimate, Fit, estimate_of
@@ -542,7 +543,7 @@ def _estimate(
     covariance = scaled_inverse(at.symmetric)
     chi2, dof = at.cost, problem.dof
     p: Real = np.asarray(chdtrc(float(dof), chi2)) if dof > 0 else np.full(len(chi2), np.nan)
-    misfit = (p < MISFIT_LEVEL) & (chi2 > dof)
+    misfit = (p < LEVEL) & (chi2 > dof)
     widened = covariance * np.where(misfit, chi2 / max(dof, 1), 1.0)[:, None, None]
     warnings: tuple[Notice, ...] = ()
     if not batch:

@@ -22,6 +22,7 @@ from dashpot.check.verdict import (
 )
 from dashpot.data.conditioning.clock import cut
 from dashpot.data.conditioning.transients import continuous
+from dashpot.data.noise import LEVEL
 from dashpot.data.readers import Reading, read
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ConvergenceError, DashpotError, DataError
@@ -41,9 +42,6 @@ from dashpot.study.blocks import Map
 # For small noise −2 ln(likelihood) of each part is a parabola around its own estimate, known by that and
 # its information, so that the parabolas add up without their data: what this loses goes with the share of
 # noise in a part squared.
-
-
-DISAGREE = 1e-3  # p-value below which the scatter of the parts' estimates is more than their noise
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ class Merged:
     @property
     def disagree(self) -> bool:
         """Whether the parts differ by more than their noise."""
-        return self.p < DISAGREE
+        return self.p < LEVEL
 
 
 def merge_estimates(model: Model, parts: Sequence[Estimate]) -> Merged:
@@ -105,10 +103,10 @@ def merge_estimates(model: Model, parts: Sequence[Estimate]) -> Merged:
     dof = (len(parts) - 1) * len(scale)
     p = float(chdtrc(dof, scatter)) if dof else 1.0
     dof_of_intervals = np.sum([part.dof for part in parts], axis=0)
-    if p < DISAGREE:
+    if p < LEVEL:
         covariance = covariance * (scatter / dof)
         dof_of_intervals = np.minimum(dof_of_intervals, dof)
-    widened = p < DISAGREE or any(part.basis == MISFIT for part in parts)
+    widened = p < LEVEL or any(part.basis == MISFIT for part in parts)
     alone = np.maximum(np.diagonal(spread, axis1=-2, axis2=-1) - np.diagonal(noise), np.finfo(float).tiny)
     units = np.outer(scale, scale)
     estimate = _estimate(
@@ -230,7 +228,7 @@ def _misfits(names: Sequence[str], parts: Sequence[Estimate]) -> list[Notice]:
         if part.assessment is not None and part.assessment.verdict == "does not fit"
     ]
     # 0.02 of sound parts that are taken for misfits, at the most
-    if not wrong or bdtrc(len(wrong) - 1, len(parts), 0.02) > DISAGREE:
+    if not wrong or bdtrc(len(wrong) - 1, len(parts), 0.02) > LEVEL:
         return []
     reasons = [(name, reason) for name, each in wrong for reason in each.reasons]
     ((most, _),) = Counter(reason.code for _, reason in reasons).most_common(1)

@@ -19,11 +19,9 @@ from scipy.special import chdtri, logsumexp
 
 from dashpot.arrays import Bools, Real
 
-DIFFUSE = 1e8  # variance of a step of any size, in variances that a window gives
 SIMULATIONS = 499  # of records without a step
 AT_ONCE = 2e6  # numbers of simulated records that are held at once
 STILL = 1e-3  # of the standard deviation that all windows give together: a walk that counts as none
-GRID = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # speeds beside the likeliest, of it
 PARTS = np.arange(20) / 20  # of a window, in which a step is placed
 WITHIN = float(chdtri(1, 0.05))  # fall of twice the log likelihood at the ends of a 95 % interval
 
@@ -138,7 +136,7 @@ def smoothed_walks(windows: Windows, walks: Sequence[RandomWalk], values: Real |
     Q = np.array([walk.variance for walk in walks])[:, None] * windows.gaps[:, None]  # (S, K − 1, p)
     for s, walk in enumerate(walks):
         for k, j in walk.steps:
-            Q[s, k - 1, j] += DIFFUSE
+            Q[s, k - 1, j] += 1e8  # variances that a window gives: a step of any size
     eye, logs = np.eye(p), windows.ranks * np.log(scatter[:, 0])
     P = np.linalg.inv(windows.information[0] / scatter + np.diag(windows.precision))
     a = (y[:, 0] @ windows.information[0] / scatter + windows.precision * windows.mean) @ P
@@ -227,7 +225,7 @@ def alternatives(
     for j, variance in enumerate(walk.variance):
         speed = float(np.sqrt(variance))
         its: list[int] = []
-        for each in (speed * np.array(GRID) if speed else slow).tolist():
+        for each in (speed * np.append(0.0, 2.0 ** np.arange(-2, 4)) if speed else slow).tolist():
             if given or each == speed:
                 its.append(0)
                 continue

@@ -12,7 +12,8 @@ from scipy.special import chdtrc
 from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL
 from dashpot.data.conditioning.regression import Terms, check_length, duration, window
 from dashpot.data.conditioning.settings import USUAL_DRIFT, Conditioning, Drift
-from dashpot.data.conditioning.steadiness import FEW_PERIODS, LEVEL, common_ramp, periods_of, wholly_measured
+from dashpot.data.conditioning.steadiness import FEW_PERIODS, common_ramp, periods_of, wholly_measured
+from dashpot.data.noise import LEVEL
 from dashpot.data.record import Record
 from dashpot.errors import DataError, Problem
 from dashpot.notices import Notice

@@ -39,10 +39,8 @@ from dashpot.notices import Notice
 # white.
 
 
-LAGS = 20  # of the portmanteau test
-HALF_BAND = 10  # lines on each side of a harmonic that show the noise there
 FEWEST_LINES = 6  # below this the local spectrum is not an estimate
-SIGNIFICANT = 0.01
+SIGNIFICANT = 0.01  # level of the tests of a single dwell, all its channels and multiples together
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,7 @@ class ResidualSums:
         """Of a solution at f Hz."""
         samples, channels = record.values.shape[-2:]
         terms, batch, step = solution.terms, len(solution.squares), 1 / duration(record.time)
-        lags = min(LAGS, samples // 5) if samples >= 40 else 0
+        lags = min(20, samples // 5) if samples >= 40 else 0  # of the portmanteau test
         offset, owner = _neighbours(f, terms.orders, step, samples)
         products, tail = np.zeros((batch, lags, channels)), np.zeros((batch, lags, channels))
         sums = np.zeros((batch, len(owner), channels), dtype=complex)
@@ -91,11 +89,11 @@ class ResidualSums:
 
 
 def _neighbours(f: float, orders: Sequence[int], step: float, samples: int) -> tuple[Ints, Ints]:
-    """Lines a whole number of steps 1/duration beside each harmonic, no farther than half way to the next one.
+    """The ten lines on each side of each harmonic that show its noise, no farther than half way to the next one.
 
-    Returns how many steps, and beside which of the orders.
+    Returns how many steps of 1/duration they lie from it, and beside which of the orders.
     """
-    reach = min(HALF_BAND, int((f / step - 1) / 2 + 1e-9))
+    reach = min(10, int((f / step - 1) / 2 + 1e-9))
     offsets = np.concatenate([np.arange(-reach, 0), np.arange(1, reach + 1)]) if reach > 0 else np.arange(0)
     nyquist = samples * step / 2
     offset, owner = [], []
@@ -273,9 +271,6 @@ def rounding_variance(record: Record, fit: HarmonicFit, step: Real) -> Real:
     return np.asarray(np.maximum(floor[..., None, :] - variance, 0.0) * ~fit.in_cells)
 
 
-DIGITS = 1e-6  # residual over amplitude below which it is how numbers are written: no sensor is as quiet
-
-
 @dataclass(frozen=True)
 class HarmonicFit:
     """The harmonics of one record, x(t) = Re(X e^{jkωt}), t being the record's own time stamps; units of its values.
@@ -375,8 +370,9 @@ def _fit(record: Record, f: float, terms: Terms, noise: Noise) -> HarmonicFit:
         return white
     sums = ResidualSums.of(record, f, solution)
     local, counts = _local_level(sums, orders, samples, sigma, exact)
-    # What rounding leaves over in cells is no noise, nor are the digits of the numbers, which repeat with the drive
-    quiet = exact | solution.exact(DIGITS) | solution.in_cells
+    # What rounding leaves over in cells is no noise, nor are the digits of the numbers, which repeat with the drive:
+    # no sensor is as quiet as a millionth of its amplitude
+    quiet = exact | solution.exact(1e-6) | solution.in_cells
     p = _whiteness(sums.products, sigma, quiet, local, counts, samples, samples - terms.count)
     white = replace(white, whiteness=p.reshape(white.whiteness.shape))
     enough, coloured = bool(np.all(counts >= FEWEST_LINES)), is_coloured(p)

@@ -19,6 +19,7 @@ from dashpot.data.conditioning.drive_frequency import (
     require_stated,
 )
 from dashpot.data.conditioning.harmonic_fit import (
+    SIGNIFICANT,
     HarmonicFit,
     fit_harmonics,
     rounding_steps,
@@ -30,7 +31,6 @@ from dashpot.data.conditioning.settings import Conditioning, Treatments, conditi
 from dashpot.data.conditioning.steadiness import (
     CHEAP,
     FADES,
-    LEVEL,
     MANY_PERIODS,
     SLOPE_LEVEL,
     UNSETTLED,
@@ -50,7 +50,7 @@ from dashpot.data.conditioning.transients import (
 )
 from dashpot.data.conditioning.unmeasured import expected, marked, notices_of_doubt
 from dashpot.data.conditioning.whole_record import AT_REST, whole_records
-from dashpot.data.noise import moderated
+from dashpot.data.noise import LEVEL, moderated
 from dashpot.data.periods import averaged_periods
 from dashpot.data.record import Record, calibration
 from dashpot.data.spectrum import SettledDwell, Spectrum, concatenate
@@ -159,7 +159,6 @@ def _too_brief(record: Record) -> str:
 # data.
 
 
-SIGNIFICANT = 0.01  # over all channels and multiples of a dwell together
 STRONG = 0.01  # of the fundamental, in the channel that shows a multiple most
 
 

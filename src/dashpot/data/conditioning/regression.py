@@ -23,7 +23,6 @@ from dashpot.errors import DataError
 CHUNK = 1 << 15  # samples whose design matrix is held at a time
 TILE = 1 << 21  # numbers of repeats worked on at a time
 EXACT = 1e-10  # residual over amplitude below which a channel counts as noise-free
-LITTLE = 1e-6  # rms of a column that is nothing
 ALIKE = 1e-7  # least eigenvalue of the correlations of columns that the samples tell apart
 HIGHEST_HARMONIC = 10  # that is looked for where nobody asks for more
 BELOW_HALF_RATE = 0.95  # of half the sampling rate, up to which harmonics are told from others
@@ -260,7 +259,9 @@ def from_triangle(R: Real, k: int, record: Record, f: float) -> tuple[Real, Real
     Raises DataError where the samples do not tell the columns apart.
     """
     size = np.sqrt(np.sum(R[:k, :k] ** 2, axis=0))
-    apart = len(R) >= k and np.all(size > LITTLE * len(record.time) ** 0.5)
+    apart = len(R) >= k and np.all(
+        size > 1e-6 * len(record.time) ** 0.5
+    )  # the rms of a column that is nothing
     if apart and np.all(np.abs(np.diagonal(R)[:k]) > ALIKE**0.5 * size):
         both = np.linalg.solve(R[:k, :k], np.concatenate([np.eye(k), R[:k, k:]], axis=1))
         P = both[:, :k] @ both[:, :k].T

@@ -20,7 +20,6 @@ Transients = Literal["auto", "estimate", "settle", "none"]
 Band = tuple[float, float] | Literal["auto"]
 
 USUAL_DRIFT = 1
-HIGHEST_DRIFT = 100  # beyond this Legendre polynomials cost time and no record drifts so
 
 
 class FitTreatments(TypedDict, total=False):
@@ -103,7 +102,7 @@ class Conditioning:
         self._require_ranges()
 
     def _require_ranges(self) -> None:
-        if not 0 <= self.degree + 1 <= HIGHEST_DRIFT:
+        if not 0 <= self.degree + 1 <= 100:  # no record drifts so, and polynomials of such a degree cost time
             raise DataError(f"a drift of degree {self.degree}", cure='give a degree from 0, or "none"')
         if isinstance(self.settle, int | float) and not 0 <= self.settle < 1e12:
             raise DataError(f"a settling time of {self.settle:g} s", cure="give a time that is not negative")

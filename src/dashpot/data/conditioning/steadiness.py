@@ -24,13 +24,13 @@ from dashpot.data.conditioning.regression import (
     solve_harmonics,
     window,
 )
+from dashpot.data.noise import LEVEL
 from dashpot.data.record import Record, kept
 from dashpot.errors import DataError
 
 # In fewer a transient, drift of a sensor, another frequency and a sine that grows look alike
 FEW_PERIODS = 2.0
 MANY_PERIODS = 8  # from which on noise is seen beside a sine and from period to period
-LEVEL = 1e-3  # of tests whether dwells are what they are taken for
 
 
 def periods_of(record: Record) -> float:

@@ -14,7 +14,7 @@ from scipy.special import fdtrc
 
 from dashpot.arrays import Complex, Real
 from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL, even_step
-from dashpot.data.conditioning.harmonic_fit import fit_harmonics
+from dashpot.data.conditioning.harmonic_fit import SIGNIFICANT, fit_harmonics
 from dashpot.data.conditioning.regression import Terms, duration, solve_harmonics
 from dashpot.data.conditioning.steadiness import period_blocks, periods_of
 from dashpot.data.conditioning.whole_record import whole_record
@@ -25,10 +25,6 @@ from dashpot.errors import DataError
 from dashpot.notices import Notice
 
 # The part of a dwell that is driven and where the transient has decayed.
-
-
-SIGNIFICANT = 0.01
-HEARD = 6.0  # sd of a block's amplitude that a channel must have to say whether it is driven
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,9 @@ def driven_throughout(record: Record) -> bool:
         return True
     Z = blocks.amplitudes
     noise = np.median(blocks.rms, axis=0) * np.sqrt(4 / np.min(blocks.ends - blocks.starts))
-    heard = _level(np.abs(Z)) > HEARD * noise
+    heard = (
+        _level(np.abs(Z)) > 6 * noise
+    )  # standard deviations of a block's amplitude: no other channel tells
     return not np.any(heard) or _driven(Z[:, heard]) == (0, len(Z))
 
 
@@ -160,7 +158,6 @@ def _truncation(features: Real) -> int:
 
 
 SHORT = 200  # lines: below it two polynomial columns serve
-WITHIN = 0.5  # of a step: a block that follows after one step belongs to the same record
 
 
 def continuous(records: Sequence[Record]) -> list[Record]:
@@ -193,7 +190,7 @@ def _follows(first: Record, second: Record) -> bool:
     step = float(np.median(np.diff(first.time)))
     after = float(second.time[0] - first.time[-1])
     alike = abs(float(np.median(np.diff(second.time))) - step) <= 0.01 * step
-    return alike and abs(after - step) <= WITHIN * step
+    return alike and abs(after - step) <= step / 2
 
 
 def dwells_with_transients(

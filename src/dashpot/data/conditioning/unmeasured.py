@@ -20,8 +20,8 @@ from dashpot.channel import Quantity
 from dashpot.data.conditioning.drive_frequency import at_frequencies, drive_frequencies
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
 from dashpot.data.conditioning.regression import Terms, in_between, solve_harmonics, window
-from dashpot.data.conditioning.steadiness import FEW_PERIODS, LEVEL, periods_of
-from dashpot.data.noise import smoothed
+from dashpot.data.conditioning.steadiness import FEW_PERIODS, periods_of
+from dashpot.data.noise import LEVEL, smoothed
 from dashpot.data.record import ABOVE, BELOW, MISSING, Record, limits, runs_of_one_value
 from dashpot.errors import DataError
 from dashpot.io.words import counted, joined
@@ -35,7 +35,6 @@ SPIKE = 10.0  # times that scatter by which a single sample does
 MOST_MISSING = 0.1  # of a channel's samples: a channel that misses more is at fault throughout
 PER_PERIOD = 0.5  # runs at the most: a mass that sticks rests twice in each period
 FREEDOM = 8  # samples that there must be around beside the parameters of the motion
-MOST_BENDS = 6  # degree of the polynomials that amplitude and phase of a sine that is not steady may follow
 
 
 def marked(dwells: Sequence[Record]) -> tuple[list[Record], list[Notice]]:
@@ -172,7 +171,7 @@ def _surroundings(record: Record, c: int, status: Ints) -> Iterator[tuple[slice,
         terms = Terms(1, (1, 2)) if count >= 6 + FREEDOM else Terms(0)
         if not np.any(status[begin:end]) or count < terms.count + 2:
             continue
-        bends = min(MOST_BENDS, (count - FREEDOM - 6) // 3)
+        bends = min(6, (count - FREEDOM - 6) // 3)  # degree of what amplitude and phase that run may follow
         if bends > 0:
             # By the columns in this order, three more for each bend, one QR has what each is left with
             every = Terms(bends + 1, (1, 2), bends)

@@ -28,6 +28,7 @@ from dashpot.data.conditioning.unmeasured import (
 from dashpot.data.noise import (
     BIN,
     FAR_BELOW,
+    LEVEL,
     STANDS_OUT,
     Still,
     variance_at_rest,
@@ -50,9 +51,7 @@ POLYNOMIAL = 4  # columns 1, jω, (jω)², … of each output channel: the fourt
 AT_REST = "rest"  # kind of noise: as a record with nothing driven shows it
 FLOOR = "floor"  # kind of noise: white, as the top of the spectrum shows it, until residuals show more
 HIGHEST_LINES = 0.96  # of half the sampling rate: a recorder's filter leaves nothing above
-FOLDED = 0.01  # of a channel's largest lines: what moves there that is said
 MANY_LINES = 300_000  # from which on a narrower band is worth stating
-CHANCE = 1e-3  # that the loudest line of noise counts as motion
 
 
 def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
@@ -282,7 +281,7 @@ def _motion_in(Y: Complex, floor: float, first: int, last: int) -> tuple[bool, f
     out = np.flatnonzero(_stands_out(_bins(power[1:]), floor, BIN))
     low, high = (1.0 + BIN * out[0], 1.0 + BIN * (out[-1] + 1)) if len(out) else (np.inf, 0.0)
     # Few lines, or few loud ones among many, may be a resonance.
-    loudest = float(np.max(inside)) > floor * np.log(len(inside) / CHANCE)
+    loudest = float(np.max(inside)) > floor * np.log(len(inside) / LEVEL)
     return loudest or bool(_stands_out(np.mean(inside), floor, len(inside))), float(low), float(high)
 
 
@@ -301,7 +300,7 @@ def at_the_top(Y: Complex, floor: float) -> float:
 
 def _notices(record: Record, folded: Real) -> tuple[Notice, ...]:
     """That channels move above half the sampling rate, of which they show `folded` (channels,)."""
-    names = [channel.name for channel, share in zip(record.channels, folded, strict=True) if share > FOLDED]
+    names = [channel.name for channel, share in zip(record.channels, folded, strict=True) if share > 0.01]
     if not names:
         return ()
     text = (

@@ -57,7 +57,6 @@ def read_matlab(file: DataFile, scipy_io: Any) -> Iterator[ArrayColumns]:
 
 MATRIX, COMPRESSED = 14, 15  # kinds of data elements
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-NESTED = (1, 2, 3)  # classes of arrays of arrays: cells, structures, objects
 NUMERIC = range(6, 16)  # classes of arrays, from double to uint64
 HEAD = 1 << 16  # bytes of an element that are looked at
 
@@ -105,8 +104,8 @@ def _header(head: bytes, order: str, room: int) -> tuple[str, int, np.dtype[Any]
     flags = struct.unpack_from(f"{order}I", head, flags_at)[0]
     shape = struct.unpack_from(f"{order}{size // 4}i", head, dimensions_at)
     rows = prod(shape)
-    # Flags hold the class of an array, and whether it is complex.
-    if flags & 0xFF in NESTED and 8 * rows > room:
+    # Flags hold the class of an array (cells, structures and objects hold arrays), and whether it is complex.
+    if flags & 0xFF in (1, 2, 3) and 8 * rows > room:
         raise ValueError("it claims more than it holds")
     if flags & 0xFF not in NUMERIC or flags & 0x0800 or rows < LONG or rows != max(shape):
         return name, rows, None, 0

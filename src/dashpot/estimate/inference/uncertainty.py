@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from dashpot.arrays import Ints, Real
+from dashpot.data.noise import LEVEL
 from dashpot.data.spectrum import FITTED, Spectrum
 from dashpot.errors import ModelError
 from dashpot.estimate.inference.flat_valley import Valley, flat_valley, may_lack_direction
@@ -99,7 +100,6 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
 
 
 ROUNDING = 1e-30  # χ² of exact data against noise of the data's own size
-MISFIT_LEVEL = 1e-3  # p-value of χ² below which intervals count the misfit of the model
 
 
 @dataclass(frozen=True)
@@ -346,7 +346,7 @@ def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: 
         noise, bound = in_time.covariance, in_time.bound
         covariance, degrees = bands.widened(noise, in_time.dof, bands.disagree)
         return Uncertainty(covariance, noise, bound, degrees, chi2, p, excess, bands, in_time)
-    (misfit,) = ((p < MISFIT_LEVEL) & (chi2 > dof)).nonzero()
+    (misfit,) = ((p < LEVEL) & (chi2 > dof)).nonzero()
     covariance = noise
     if len(misfit):
         covariance = noise.copy()

@@ -27,11 +27,9 @@ from dashpot.model.observation import ObservationModel
 from dashpot.notices import Notice
 
 FREEDOMS = np.geomspace(1.2, 60.0, 40)  # degrees of freedom that are tried
-FINITE = 2.1  # of them at the least where the variance is stated, which fewer than two have not
 FEWEST = 30  # errors of a channel that show its tails
 ASKED_FOR = 10.8  # of twice the log likelihood, by "auto": χ² with one degree of freedom, p = 0.001
 TURNS = 6  # fits to pseudo-data at most
-SETTLED = 1e-3  # of the noise: pseudo-data that move no further
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,8 @@ class Tails:
         square = 1.0 if known else float(np.mean(q)) / parts
         normal = -0.5 * float(np.sum(q)) / square - 0.5 * len(q) * parts * np.log(square)
         best = Tails(parts, np.inf, float(np.sqrt(square)), 0.0)
-        for nu in FREEDOMS[FREEDOMS >= FINITE] if known else FREEDOMS:
+        # A variance that is stated is finite: that of two degrees of freedom or fewer is not
+        for nu in FREEDOMS[FREEDOMS >= 2.1] if known else FREEDOMS:
             if known:
                 square = (nu - 2) / nu
             else:
@@ -124,7 +123,7 @@ def with_heavy_tails(model: Model, spectrum: Spectrum, method: Method) -> tuple[
         moved = np.abs(pseudo - known.amplitudes) / sizes
         V = spectrum.covariance * root[:, :, None] * root[:, None, :]
         known, begun = with_residual_noise(model, replace(spectrum, amplitudes=pseudo, covariance=V), method)
-        if np.nanmax(moved) < SETTLED:
+        if np.nanmax(moved) < 1e-3:  # of the noise
             break
     names = {spectrum.channels[c].name: tails[number, c].freedom for number, c in tails}
     notes = [

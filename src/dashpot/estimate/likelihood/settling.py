@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from dashpot.arrays import Complex, Real
+from dashpot.data.noise import LEVEL
 from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord
 from dashpot.errors import DashpotError, DataError
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
@@ -23,8 +24,6 @@ from dashpot.estimate.preparation import Prepared, prepare
 from dashpot.model.network import Model
 from dashpot.model.observation import calibrated_transfer
 from dashpot.notices import Notice
-
-LEVEL = 1e-3  # of the test: loads too many cost precision, loads too few the truth
 
 
 def with_settling_decided(model: Model, spectrum: Spectrum, method: Method | None = None) -> Spectrum:

@@ -101,14 +101,13 @@ class Constant:
 # The density is cut at edges that shrink in proportion; each piece is one Jenkins element of its stiffness and force.
 
 PIECES = 12  # into which the density is cut
-SHRINK = 0.65  # of neighbouring edges: elongations from 0.6 % of φ_max on make something slip
-LEAST_CHI = -0.99  # of χ > −1: what is less has no finite stiffness, and no number comes of it
 
 
 def _iwan(slip: Complex, chi: Complex, beta: Complex) -> tuple[Complex, Complex]:
     """Weights and slips of the pieces (..., PIECES + 1), of constants (...,)."""
-    chi = np.where(chi.real < LEAST_CHI, np.nan, chi)
-    edges = np.concatenate([[0.0], SHRINK ** np.arange(PIECES - 1.0, -1, -1)])
+    # χ > −1 has a finite stiffness; edges that shrink to 0.65: elongations from 0.6 % of φ_max on make something slip
+    chi = np.where(chi.real < -0.99, np.nan, chi)
+    edges = np.concatenate([[0.0], 0.65 ** np.arange(PIECES - 1.0, -1, -1)])
     with np.errstate(all="ignore"):
         most = slip * (1 + beta) / (beta + (chi + 1) / (chi + 2))
         stiffness, force = (
