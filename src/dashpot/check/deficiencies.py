@@ -153,7 +153,7 @@ def _said(one: Deficiency, found: Structure, model: Model, channels: Sequence[Ch
     if one.sort == "scale":
         return _scaled(one, found, model, give)
     only = combinations_in_words(one)
-    what = f"of {_named(names)} only {_named(only)} can be found"
+    what = f"only {_named(only)} can be found, not {_named(names)} separately"
     if not only:
         what = f"{_named(names)} are not determined at all"
     if one.sort == "sum" and elements.issuperset(names):
@@ -199,7 +199,7 @@ def _scaled(one: Deficiency, found: Structure, model: Model, give: str) -> tuple
         return f"the forces of {_named(names)} scale together: only their ratios can be found", cure
     only = combinations_in_words(one)
     if len(only) <= 6:
-        return f"of {_named(names)} only {_named(only)} can be found", cure
+        return f"only {_named(only)} can be found, not {_named(names)} separately", cure
     up = [n for n, x in zip(names, exponents[0], strict=True) if x > 0]
     down = [n for n, x in zip(names, exponents[0], strict=True) if x < 0]
     text = f"any factor on {_named(up)} is undone by its inverse (or a power of it) on {_named(down)}"

@@ -21,7 +21,7 @@ def test_a_deficient_rig_is_told_in_physics_and_ends_with_3(dashpot: Command, ri
     assert done.code == 3
     [line] = done.err
     assert line == (
-        "dashpot: rig.toml: of c2, c3 only c2 + c3 can be found: both join x2 to u; "
+        "dashpot: rig.toml: only c2 + c3 can be found, not c2, c3 separately: both join x2 to u; "
         "give c2 or c3 a value, or attach one elsewhere"
     )
     content = json.loads(Path("out.json").read_text(encoding="utf-8"))
