@@ -12,6 +12,7 @@ SOURCES = Path(dashpot.__file__).parent
 # Files of dashpot's own: the package's, those in the folder of a study, which its claim reads and writes, and those
 # that other programs need for a moment, those of the page's sessions; and what the system says of a process.
 OWN = {
+    "app/serve/feed.py",
     "app/serve/guard.py",
     "app/serve/page.py",
     "app/serve/session.py",
