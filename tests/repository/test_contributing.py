@@ -45,6 +45,7 @@ def measured(rig: dashpot.Rig) -> Any:
     return dashpot.spectrum(rig.simulate({"m1": 3.0, "c1": 20.0, "c2": 30.0}, "1:15/8log", seed=1))
 
 
+@pytest.mark.long
 def test_an_effect_is_found(monkeypatch: pytest.MonkeyPatch, rig: dashpot.Rig) -> None:
     quarter = skeleton(monkeypatch, "quarter")
     # Beside a few others: with all of them, as the page says, it is found as well, in many times the time.
@@ -57,6 +58,7 @@ def test_an_effect_is_found(monkeypatch: pytest.MonkeyPatch, rig: dashpot.Rig) -
     assert (found.findings[0].kind, found.findings[0].of) == ("quarter", (good.channels[0].name,))
 
 
+@pytest.mark.long
 def test_an_estimator_agrees_with_the_others(monkeypatch: pytest.MonkeyPatch, rig: dashpot.Rig) -> None:
     skeleton(monkeypatch, "output_error")
     known = MappingProxyType({**methods.METHODS, "oe": ("likelihood.output_error", "OutputError")})
