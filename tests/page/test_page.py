@@ -458,6 +458,7 @@ def test_names_of_files_and_parts_are_text_and_no_markup(
     hostile.write_text(f"time_s,x1,x2,u,{name}\n" + "".join(f"{i},{i % 3},1,{i % 2},0\n" for i in range(50)))
     with opened(browser, server) as page:
         give(page, tmp_path / "rig.toml")
+        page.get_by_role("button", name="Download rig").wait_for()  # which shows the list of files anew
         page.get_by_label("Open from").fill("onerror")
         page.get_by_role("option").first.click()
         page.get_by_role("table", name="Channels").wait_for()
