@@ -352,16 +352,17 @@ def assess(
     )
 
 
-def settled_by_size(assessment: Assessment, asked: bool) -> Assessment:
+def settled_by_size(assessment: Assessment, asked: bool, harmless: bool = False) -> Assessment:
     """The verdict by how much of the motion the rig leaves, after the diagnosis.
 
     What χ² rejects, or cannot test, fits where the data show that it is as little as it should be, and no cause was
-    found.  Where a share of the motion was asked for, only what the data show fits.
+    found, or one that is `harmless`: without it the unknowns would be the same.  Where a share of the motion was asked
+    for, only what the data show fits.
     """
     codes = {reason.code for reason in assessment.reasons}
-    causes = [each for each in assessment.findings if each.kind != "unexplained"]
-    if assessment.described and not causes and codes <= BY_SIZE:
-        return replace(assessment, verdict="fits", reasons=(), findings=())
+    causes = tuple(each for each in assessment.findings if each.kind != "unexplained")
+    if assessment.described and (harmless or not causes) and codes <= BY_SIZE:
+        return replace(assessment, verdict="fits", reasons=(), findings=causes)
     if assessment.verdict == "does not fit" or assessment.described or not asked:
         return assessment
     notices = []

@@ -51,6 +51,7 @@ REACH = 1.5  # periods of the highest frequency: the longest delay that is looke
 DISAGREES = (
     "disagrees with the other channels, and no common error (sign, unit, gain, delay, swap) explains it"
 )
+TURN = 180 / np.pi  # corner over a frequency whose phase it turns by a degree
 FEWEST = 6  # lines that tell a course over frequency
 USUAL_UNITS = {
     Quantity.DISPLACEMENT: ("m", "mm", "µm", "cm", "in", "deg", "rad"),
@@ -296,21 +297,35 @@ def filtered(baseline: Baseline) -> Iterator[Effect]:
     omega = baseline.courses.omega
     if len(np.unique(omega)) < FEWEST:
         return
-    corners = tuple(np.geomspace(0.1 * np.min(omega), 8 * np.max(omega), 8) / (2 * np.pi))
+    # To where a filter turns the nearest line by a degree
+    low, high = np.min(omega) / (2 * np.pi) / TURN, TURN * np.max(omega) / (2 * np.pi)
+    corners, closely = np.geomspace(low, high, 6)[1:-1], np.geomspace(low, high, 120)
     for c, channel in enumerate(baseline.problem.channels):
+        used, y, e = baseline.compared(c)
+        noise = baseline.problem.sd[used, c]
         for power in (1, -1):
             for order in (1, 2):
+                passed = _passed(omega[used], power, order, closely[:, None])
+                # What passed, over what was before, against all others, each amplitude by its own noise
+                left = np.sum(np.abs((y - e / passed) / noise) ** 2, axis=1)
+                begun = (float(closely[int(np.argmin(left))]),) if np.sum(used) > 2 else ()
                 act = partial(_through, c, power, order)
                 words = partial(_filter, channel.name, power)
-                yield Effect("filter", (channel.name,), act, words, corners, 1.0, 1.0, True)
+                yield Effect(
+                    "filter", (channel.name,), act, words, (*begun, *corners.tolist()), 1.0, 1.0, True
+                )
+
+
+def _passed(omega: Real, power: int, order: int, corner_hz: Real | float) -> Complex:
+    """One over the response of a filter of first or second order; power: 1 low-pass, −1 high-pass."""
+    s = (1j * omega / (2 * np.pi * corner_hz)) ** power
+    return np.asarray(1 + s if order == 1 else 1 + 2**0.5 * s + s**2, dtype=np.complex128)
 
 
 def _through(
     c: int, power: int, order: int, problem: LineProblem | TimeProblem, corner_hz: float
 ) -> FitProblem:
-    s = (1j * problem.omega / (2 * np.pi * corner_hz)) ** power
-    passed = 1 + s if order == 1 else 1 + 2**0.5 * s + s**2
-    return problem.scaled(c, np.asarray(passed, dtype=np.complex128))
+    return problem.scaled(c, _passed(problem.omega, power, order, corner_hz))
 
 
 def _filter(name: str, power: int, corner_hz: float) -> Phrase:
@@ -451,7 +466,8 @@ def crosstalk(baseline: Baseline) -> Iterator[Effect]:
             if 1e-4 < abs(share) * relative < 1:
                 names = channel.name, problem.channels[other].name
                 act, words = partial(_cleared, c, other), partial(_mixed, *names)
-                yield Effect("crosstalk", names, act, words, (share,), SHARE_WIDTH / float(relative))
+                width = SHARE_WIDTH / float(relative)
+                yield Effect("crosstalk", names, act, words, (share,), width, share=1 / (len(power) - 1))
 
 
 def _cleared(c: int, other: int, problem: LineProblem | TimeProblem, share: float) -> FitProblem:
@@ -467,7 +483,7 @@ def _mixed(name: str, other: str, share: float) -> Phrase:
 
 
 def place(baseline: Baseline) -> Iterator[Effect]:
-    """Each channel of the motion as one of another point."""
+    """Each channel of the motion as one of another point, or of one between its own and another."""
     model, channels = baseline.problem.model, baseline.problem.channels
     for c in np.flatnonzero(~baseline.inputs).tolist():
         channel = channels[c]
@@ -475,15 +491,30 @@ def place(baseline: Baseline) -> Iterator[Effect]:
             continue
         for point in (*model.coordinates, *model.displacement_inputs):
             if set(channel.of) != {point}:
-                mended = replace(channel, of={point: 1.0})
-                text = f"{channel.name} shows the motion of {point}. Is the sensor mounted there?"
-                phrase = Phrase(text, _line(model, mended), (mended,))
-                yield Effect("place", (channel.name,), partial(_mounted, c, mended), partial(said, phrase))
+                act, words = partial(_mounted, c, point), partial(_seen_there, model, channel, point)
+                yield Effect("place", (channel.name,), act, words, (1.0, 0.1), 0.3)
 
 
-def _mounted(c: int, mended: Channel, problem: LineProblem | TimeProblem, _: float) -> FitProblem:
-    channels = tuple(mended if k == c else each for k, each in enumerate(problem.channels))
-    return problem.of_rig(problem.model, channels)
+def _between(channel: Channel, point: str, share: float) -> Channel:
+    """The channel where it shows that much of another point and the rest of its own."""
+    (own,) = channel.of
+    return replace(channel, of={own: 1 - share, point: share} if abs(share - 1) > CLOSE else {point: 1.0})
+
+
+def _mounted(c: int, point: str, problem: LineProblem | TimeProblem, share: float) -> FitProblem:
+    channels = list(problem.channels)
+    channels[c] = _between(channels[c], point, share)
+    return problem.of_rig(problem.model, tuple(channels))
+
+
+def _seen_there(model: Model, channel: Channel, point: str, share: float) -> Phrase:
+    mended = _between(channel, point, float(f"{share:.3g}"))
+    text = f"{channel.name} shows the motion of {point}. Is the sensor mounted there?"
+    if len(mended.of) > 1:
+        (own,) = channel.of
+        part = f"{100 * share:.2g} % of the motion of {point}"
+        text = f"{channel.name} shows {part} and the rest of {own}. Is it mounted between them?"
+    return Phrase(text, _line(model, mended), (mended,))
 
 
 def left_out(baseline: Baseline) -> Iterator[Effect]:

@@ -175,7 +175,7 @@ def hold(baseline: Baseline) -> Iterator[Effect]:
     highest = float(np.max(baseline.courses.omega))
     for c in np.flatnonzero(baseline.inputs).tolist():
         name = baseline.problem.channels[c].name
-        words, act = partial(_held_words, name), partial(_held, c)
+        words, act = partial(held_words, name), partial(_held, c)
         if steps:
             yield Effect("hold", (name,), act, words, tuple(sorted(steps)))
         else:
@@ -189,7 +189,7 @@ def _held(c: int, problem: LineProblem | TimeProblem, step: float) -> FitProblem
     return problem.scaled(c, (np.sinc(half / np.pi) * np.exp(-1j * half)).astype(np.complex128))
 
 
-def _held_words(name: str, step: float) -> Phrase:
+def held_words(name: str, step: float) -> Phrase:
     text = (
         f"{name} looks held constant between samples ({1e3 * step:.3g} ms). Is it the output of a D/A "
         "converter or a simulator?"

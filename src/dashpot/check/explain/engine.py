@@ -22,6 +22,7 @@ from dashpot.check.explain import channels, dwells, rigs
 from dashpot.check.explain import laws as laws_of_rig
 from dashpot.check.explain.effect import Baseline, Effect, Effects, Phrase
 from dashpot.check.explain.problem import (
+    FEWER_DRAWS,
     FitProblem,
     FittedProblem,
     LineProblem,
@@ -68,7 +69,7 @@ KINDS: tuple[tuple[float, Effects], ...] = (
     (0.01, rigs.hysteretic),
     (0.01, rigs.oscillator),
     (0.005, rigs.unmeasured),
-    (0.005, rigs.residual),
+    (0.02, rigs.residual),
 )
 LARGEST = 12  # coordinates of the rigs that are explained: fits of larger ones take too long to wait for
 OF_LAWS = 0.05  # that a nonlinear element is missing
@@ -258,7 +259,7 @@ def explain_in_steps(baseline: Baseline, kinds: Kinds, *, laws: bool = False) ->
         nearly_all = not _leaves_more_than_noise(both.fit) or both.explains >= NEARLY_ALL
         causes = (best, both, *first.causes[1:])[:MOST]
         return replace(first, causes=causes, weighed=weighed) if nearly_all else first
-    together = _explained(baseline.as_is, log_possible(baseline.as_is), both)
+    together = _explained(baseline.as_is, log_possible(baseline.as_is), both, _floor(baseline, [both]))
     if together < NEARLY_ALL:
         return first
     return replace(first, causes=(best, both), unlisted=1 - both.odds, weighed=weighed)
@@ -318,7 +319,6 @@ def _leaves_more_than_noise(fit: FittedProblem) -> bool:
 
 
 ON_RECORDS = (rigs.element, rigs.value, rigs.hysteretic)  # kinds that are tried on the records themselves
-CHANGED_CHANNEL = 0.06  # that a channel has an error that shows in time alone
 IN_FULL = 4  # effects on whole records beside the best of each kind that few lines call for
 TOLD_APART = 10.0  # of log evidence by few lines between forms of one channel's mistake: one of them is left
 HINT = 0.3  # of the misfit that an unknown gain or delay must explain to be looked at
@@ -330,7 +330,7 @@ CALIBRATIONS = {"gain": (channels.sign, channels.unit, channels.gain), "delay": 
 def explain_records(
     lines: LineProblem,
     problem: LineProblem,
-    of_channel: Effects,
+    of_records: Kinds,
     *,
     silent: Mapping[str, str] | None = None,
     seed: int = 0,
@@ -339,10 +339,14 @@ def explain_records(
 
     lines       few lines of them without transients, in which gross mistakes are looked for
     problem     the records themselves, with the loads of their ends
-    of_channel  what a channel shows in the place of what all others say of it, by the records themselves
+    of_records  kinds of effects that only the records themselves show
     """
     rough = _begun(lines, silent or {}, True, seed)
-    tried = sorted(_tried(rough, KINDS, fitted), key=lambda each: -each.roughly)
+    tried = _tried(rough, KINDS)
+    _search_afresh(rough, tried)
+    tried.sort(key=lambda each: -each.roughly)
+    _closely(lines, tried[:CLOSELY], fitted)
+    tried.sort(key=lambda each: -each.roughly)
     baseline = begun_at(problem, silent, True)
     as_is = baseline.as_is
     in_full: list[Trial] = []
@@ -357,8 +361,8 @@ def explain_records(
         (fit,) = fitted([supposed.from_starts(begun)])
         in_full.append(Trial(effect, prior, size, _on_the_same_data(baseline, fit)))
     again = tuple((prior, kind) for prior, kind in KINDS if kind in ON_RECORDS)
-    of_records = (*again, (CHANGED_CHANNEL, of_channel))
-    return _weighed_all(baseline, [*in_full, *_tried(baseline, of_records, fitted)], fitted)
+    led_to = {(each.effect.kind, each.effect.of): each.fit.psi for each in reversed(tried)}
+    return _weighed_all(baseline, [*in_full, *_tried(baseline, (*again, *of_records), begun=led_to)], fitted)
 
 
 IN_TIME = (
@@ -381,11 +385,11 @@ INTEGRATED = 5  # effects on records in time that are fitted in full
 
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
-def explain_in_time(baseline: Baseline, of_channel: Effects, laws: Effects) -> Explanation:
+def explain_in_time(baseline: Baseline, of_records: Kinds) -> Explanation:
     """As `explain`, of a record whose motion is integrated: each effect by one step from fits that are there (Rao's
     score test for what is no unknown as well), the likeliest of them followed to their ends."""
     kinds = tuple((prior, kind) for prior, kind in KINDS if kind in IN_TIME)
-    tried = _tried(baseline, (*kinds, (CHANGED_CHANNEL, of_channel), (OF_LAWS, laws)), glanced, glanced)
+    tried = _tried(baseline, (*kinds, *of_records), glanced, glanced)
     tried.sort(key=lambda each: -each.roughly)
     unique: dict[tuple[str, tuple[str, ...]], Trial] = {}
     for each in tried:
@@ -492,7 +496,7 @@ def _step(
 ) -> Explanation:
     """All effects of some kinds tried once on a problem."""
     tried = _tried(baseline, kinds, fit)
-    if laws and not any(_settles(baseline, each.fit) for each in tried):
+    if laws:
         _search_afresh(baseline, tried)
     if laws and not any(_settles(baseline, each.fit) for each in tried):
         keeps_all = not any(each.fit.reduced < _enough(baseline) for each in tried)
@@ -522,8 +526,9 @@ def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter | None 
     instead = [cause.instead + log(UNLISTED / all_listed) for cause in causes]
     weights = np.array([*(cause.evidence for cause in causes), *instead, as_is + log(UNLISTED)])
     odds = np.exp(weights - logsumexp(weights)).tolist()
+    floor = _floor(baseline, causes)
     causes = [
-        replace(cause, odds=chance, near=near, explains=_explained(baseline.as_is, possible, cause))
+        replace(cause, odds=chance, near=near, explains=_explained(baseline.as_is, possible, cause, floor))
         for cause, chance, near in zip(causes, odds, odds[len(causes) :], strict=False)
     ]
     every = tuple(causes)
@@ -531,10 +536,19 @@ def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter | None 
     causes = [cause for cause in causes if cause.explains >= LIKELY]
     unlisted = max(1 - sum(cause.odds for cause in causes), 0.0)
     unique: dict[tuple[str, tuple[str, ...]], Cause] = {}
-    for cause in causes:
-        unique.setdefault((cause.effect.kind, cause.effect.of), cause)
-    listed = list(unique.values())
-    listed = listed[: count_listed([cause.odds for cause in listed])]
+    for cause in causes:  # forms of one cause are one
+        best = unique.get((cause.effect.kind, cause.effect.of))
+        unique[cause.effect.kind, cause.effect.of] = (
+            cause if best is None else replace(best, odds=best.odds + cause.odds)
+        )
+    listed = sorted(unique.values(), key=lambda cause: -cause.odds)
+    total = np.cumsum([cause.odds for cause in listed])
+    # What the data cannot tell from the first is named with it, however improbable beforehand.
+    listed = [
+        cause
+        for cause, so_far in zip(listed, total - [cause.odds for cause in listed], strict=True)
+        if so_far < LISTED * total[-1] or abs(listed[0].likelihood - cause.likelihood) < TOGETHER
+    ][:MOST]
     of_group = indistinguishable([cause.likelihood for cause in listed])
     grouped = tuple(replace(cause, group=group) for cause, group in zip(listed, of_group, strict=True))
     return Explanation(baseline.as_is, grouped, unlisted, nearest, every)
@@ -562,8 +576,18 @@ def _settles(baseline: Baseline, end: FittedProblem) -> bool:
     return end.reduced < _enough(baseline) and roughly_lost(end.problem) == 0.0 and not end.parts
 
 
-def _tried(baseline: Baseline, kinds: Kinds, fit: Fitter, of_rigs: Fitter = fitted_each) -> list[Trial]:
-    """Each effect of some kinds at the best of its sizes; of_rigs: fits those that are another rig."""
+def _tried(
+    baseline: Baseline,
+    kinds: Kinds,
+    fit: Fitter = fitted,
+    of_rigs: Fitter = fitted_each,
+    begun: Mapping[tuple[str, tuple[str, ...]], Real] | None = None,
+) -> list[Trial]:
+    """Each effect of some kinds at the best of its sizes.
+
+    of_rigs  fits those that are another rig
+    begun    ψ (M,) of effects by kind and what they are of, one more start of those that are another rig
+    """
     suppositions: list[tuple[Effect, float, float, FitProblem]] = []
     best: dict[int, Trial] = {}
     for prior, kind in kinds:
@@ -573,9 +597,13 @@ def _tried(baseline: Baseline, kinds: Kinds, fit: Fitter, of_rigs: Fitter = fitt
             if effect.found is not None:
                 best[id(effect)] = Trial(effect, prior, effect.values[0], effect.found)
                 continue
+            there = begun.get((effect.kind, effect.of)) if begun and effect.unknown else None
             for size in effect.values:
                 with suppress(DashpotError):  # a rig or channels that cannot be
-                    suppositions.append((effect, prior, size, effect.act(baseline.problem, size)))
+                    supposed = effect.act(baseline.problem, size)
+                    if there is not None and len(there) == len(supposed.starts[0]):
+                        supposed = supposed.from_starts((*supposed.starts, there))
+                    suppositions.append((effect, prior, size, supposed))
     # Of another rig each is followed to its end: from a rig that does not fit, the first steps say little.
     suppositions.sort(key=lambda each: not each[0].unknown)
     count = sum(bool(each[0].unknown) for each in suppositions)
@@ -583,14 +611,28 @@ def _tried(baseline: Baseline, kinds: Kinds, fit: Fitter, of_rigs: Fitter = fitt
     fits = [*of_rigs(problems[:count]), *fit(problems[count:])]
     for (effect, prior, size, _), fitted_end in zip(suppositions, fits, strict=True):
         end = _on_the_same_data(baseline, fitted_end)
-        there = best.get(id(effect))
-        if there is None or end.roughly > there.fit.roughly:
+        so_far = best.get(id(effect))
+        if so_far is None or end.roughly > so_far.fit.roughly:
             best[id(effect)] = Trial(effect, prior, size, end)
     return list(best.values())
 
 
 def _search_afresh(baseline: Baseline, tried: Sequence[Trial]) -> None:
-    """Search the most hopeful of what changes the motion itself from drawn rigs as well."""
+    """Search from drawn rigs as well: each stated value, to which nothing leads where not all motion is seen; and where
+    nothing settles it, the most hopeful of what changes the motion itself."""
+    if baseline.lines.data.states is None:
+        for each in tried:
+            if (
+                each.effect.kind == "value"
+                and each.effect.unknown
+                and isinstance(each.fit.problem, LineProblem)
+            ):
+                with suppress(DashpotError):
+                    (end,) = searched([each.fit.problem], draws=FEWER_DRAWS)
+                    if end.chi2 < each.fit.chi2:
+                        each.fit = _on_the_same_data(baseline, end)
+    if any(_settles(baseline, each.fit) for each in tried):
+        return
     far = [each for each in tried if each.effect.kind in FAR and each.effect.found is None]
     far = sorted(far, key=lambda each: -each.fit.roughly)[:AFRESH]
     alike = []
@@ -606,8 +648,7 @@ def _search_afresh(baseline: Baseline, tried: Sequence[Trial]) -> None:
 def _on_the_same_data(baseline: Baseline, end: FittedProblem) -> FittedProblem:
     """The fit, charged for numbers that test the rig as it is and only give inputs here: they may be of any size."""
     problem = end.problem
-    more = max(len(end.psi) - len(baseline.as_is.psi), 0)
-    taken_up = baseline.as_is.dof - end.dof - _numbers_lost(problem) + _numbers_lost(baseline.problem) - more
+    taken_up = baseline.problem.rows - problem.rows - _numbers_lost(problem) + _numbers_lost(baseline.problem)
     if taken_up <= 0:
         return end
     on = problem.counted
@@ -741,15 +782,23 @@ def log_possible(fit: FittedProblem, but: str = "") -> float:
     return bending + max(float(np.sum(logs[held & ~springs])), IMPOSSIBLE)
 
 
-def _explained(as_is: FittedProblem, possible: float, cause: Cause) -> float:
-    """Share of the misfit that goes: of what is more than noise, or of all where no noise is known.
+def _explained(as_is: FittedProblem, possible: float, cause: Cause, floor: float) -> float:
+    """Share of the misfit that goes: of what is more than a `floor` of χ² over its degrees of freedom.
 
     A rig that cannot be built is a misfit, as improbable as it is.
     """
-    floor = 1.0 if as_is.problem.noise_known else 0.0
     before = max(as_is.reduced - floor, 0.0) - 2 * possible / max(as_is.dof, 1)
     after = max(cause.fit.reduced - floor, 0.0) - 2 * cause.possible / max(cause.fit.dof, 1)
     return 1 - min(after / before, 1.0) if before > 0 else 0.0
+
+
+def _floor(baseline: Baseline, causes: Sequence[Cause]) -> float:
+    """χ² over its degrees of freedom that is noise: 1, or where the noise is smaller, what the best fit to all data
+    leaves; 0 where no noise is known."""
+    if not baseline.problem.noise_known:
+        return 0.0
+    on_all = (cause.fit.reduced for cause in causes if cause.fit.problem.rows == baseline.problem.rows)
+    return min(1.0, *on_all)
 
 
 def indistinguishable(likelihoods: Sequence[float]) -> list[int | None]:
@@ -764,11 +813,6 @@ def indistinguishable(likelihoods: Sequence[float]) -> list[int | None]:
             group.append(k)
     numbers = {k: number for number, group in enumerate(found, start=1) for k in group if len(group) > 1}
     return [numbers.get(k) for k in range(len(likelihoods))]
-
-
-def count_listed(odds: Sequence[float]) -> int:
-    """How many causes are named, the likeliest first."""
-    return min(int(np.searchsorted(np.cumsum(odds), LISTED)) + 1, MOST, len(odds))
 
 
 @dataclass(frozen=True)

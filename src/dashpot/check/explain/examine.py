@@ -159,11 +159,27 @@ def examined(
             findings, found = _diagnosed(model, spectrum, estimate, seed)
             assessment = _with_causes_of_much(assessment, findings)
     estimate, assessment = _without_changes_in_time(estimate, assessment)
-    assessment = settled_by_size(assessment, within is not None)
+    assessment = settled_by_size(assessment, within is not None, _harmless(estimate, found))
     estimate = _closed(model, spectrum, estimate, assessment)
     if found is None or estimate.assessment is None or estimate.assessment.verdict != "does not fit":
         return estimate
     return allowing_for_causes(model, estimate, found)
+
+
+def _harmless(estimate: Estimate, found: Explanation | None) -> bool:
+    """Whether the likeliest cause would move each unknown by less than its standard deviation, were it mended."""
+    if found is None or not found.causes:
+        return False
+    fits = found.causes[0].fit.parts or (found.causes[0].fit,)
+    moved = [
+        abs(float(fit.psi[fit.problem.names.index(name)]) - value) > sd
+        for fit in fits
+        for name, value, sd in zip(
+            estimate.names, estimate.values.tolist(), estimate.noise_sd.tolist(), strict=True
+        )
+        if name in fit.problem.names
+    ]
+    return not any(moved)
 
 
 def _with_causes(assessment: Assessment, found: tuple[Finding, ...], laws: tuple[Finding, ...]) -> Assessment:

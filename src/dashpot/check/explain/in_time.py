@@ -19,7 +19,7 @@ from scipy.special import stdtr
 from dashpot.arrays import Real
 from dashpot.check.element_evidence import record_candidates, with_nothing
 from dashpot.check.explain.effect import Baseline, Effect, as_is, with_likely_causes
-from dashpot.check.explain.engine import ENOUGH, LARGEST, NEARLY_ALL, Explanation, explain_in_time
+from dashpot.check.explain.engine import ENOUGH, LARGEST, NEARLY_ALL, OF_LAWS, Explanation, explain_in_time
 from dashpot.check.explain.laws import (
     APART,
     CERTAIN,
@@ -31,7 +31,7 @@ from dashpot.check.explain.laws import (
     with_open_constants,
 )
 from dashpot.check.explain.problem import TimeProblem, fitted_from_starts, replaced
-from dashpot.check.explain.records import channels_in_time
+from dashpot.check.explain.records import CHANGED_CHANNEL, channels_in_time
 from dashpot.check.explain.rigs import missing_elements, missing_in_words, points_of
 from dashpot.check.explain.score import PARTS, steadiness, sums_of_parts
 from dashpot.check.verdict import powerless, rejected, settled_by_size, unphysical, worst_of
@@ -173,7 +173,8 @@ def _explained(
         chosen = np.arange(len(baseline.problem.y))
         assert isinstance(baseline.problem, TimeProblem)
         of_channel = partial(channels_in_time, baseline.problem, chosen, lambda c, fit: fit.expected[:, c])
-        return explain_in_time(baseline, of_channel, partial(_elements, called_for))
+        laws = partial(_elements, called_for)
+        return explain_in_time(baseline, ((CHANGED_CHANNEL, of_channel), (OF_LAWS, laws)))
     except (DashpotError, np.linalg.LinAlgError):
         return None
 

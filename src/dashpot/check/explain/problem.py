@@ -129,9 +129,14 @@ class LineProblem:
         return self.data.noise_known
 
     @property
+    def rows(self) -> int:
+        """Real numbers that test the rig: those that count, but for what gives the inputs."""
+        return self.arranged().rows
+
+    @property
     def dof(self) -> int:
         """Degrees of freedom of a fit."""
-        return self.arranged().rows - len(self.names)
+        return self.rows - len(self.names)
 
     @property
     def numbers(self) -> Ints:
@@ -418,10 +423,15 @@ class ModalProblem:
         return ModeProblem.of(self.model, left)
 
     @property
-    def dof(self) -> int:
-        """Degrees of freedom of a fit: a frequency that is left out is in the data still, in noise of its size."""
+    def rows(self) -> int:
+        """Numbers that test the rig: a frequency that is left out is in the data still, in noise of its size."""
         some = ~np.all(self.out, axis=1)
-        return self.arranged.dof - int(np.count_nonzero(self.out[some, -2]))
+        return self.arranged.rows - int(np.count_nonzero(self.out[some, -2]))
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of a fit."""
+        return self.arranged.dof - self.arranged.rows + self.rows
 
     def from_starts(self, starts: Sequence[Real]) -> ModalProblem:
         """Begun elsewhere."""
@@ -654,9 +664,14 @@ class TimeProblem:
         )
 
     @property
+    def rows(self) -> int:
+        """Real numbers that test the rig."""
+        return 2 * len(self._order) * len(self._shown)
+
+    @property
     def dof(self) -> int:
         """Degrees of freedom of a fit."""
-        return 2 * len(self._order) * len(self._shown) - len(self.names)
+        return self.rows - len(self.names)
 
     @property
     def _order(self) -> Ints:

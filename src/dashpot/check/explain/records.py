@@ -8,6 +8,7 @@ gain changed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -16,22 +17,30 @@ import numpy as np
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.channel import Quantity
 from dashpot.check.explain.channels import DISAGREES, limited
+from dashpot.check.explain.dwells import held_words
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, said
 from dashpot.check.explain.engine import Explanation, explain_records
-from dashpot.check.explain.problem import FitProblem, FittedProblem, LineProblem, TimeProblem
+from dashpot.check.explain.problem import (
+    FitProblem,
+    FittedProblem,
+    LineProblem,
+    TimeProblem,
+    fitted_from_starts,
+)
 from dashpot.check.explain.steady_lines import steady_lines, working_noise
 from dashpot.check.verdict import clipped_at, remedy_in_words
-from dashpot.data.spectrum import Spectrum
+from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import DashpotError
 from dashpot.estimate.inference.time_course import Kind, TimeChange, change_notice, time_changes
 from dashpot.estimate.likelihood.descent import loudest
-from dashpot.estimate.likelihood.objective import record_fit
+from dashpot.estimate.likelihood.objective import RecordFit, record_fit
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.model.observation import channel_unit
+from dashpot.model.observation import calibrated_transfer, channel_unit, observation_model
 
+CHANGED_CHANNEL = 0.06  # that a channel has an error that shows in time alone
 MOST_LINES = 800  # of all records that the engine fits: those where the rig moves most
 EXPLAINED = 0.6  # share of what is wrong that a wandering zero must explain
 PIECES = 48  # of a record, whose means say how the zero wanders
@@ -72,7 +81,8 @@ def explained_records(
             prepare(model, quiet.select(chosen), states=False), sign, (estimate.values,), False
         )
         in_time = partial(channels_in_time, whole, chosen, partial(_by_all_others, whole))
-        return explain_records(lines, part, in_time, silent=silent, seed=seed)
+        of_records = ((CHANGED_CHANNEL, in_time), (UNDRIVEN, tones), (HELD, held))
+        return explain_records(lines, part, of_records, silent=silent, seed=seed)
     except DashpotError:
         return None
 
@@ -149,7 +159,6 @@ def _by_all_others(whole: LineProblem, c: int, fit: FittedProblem) -> Complex | 
 # times a number.  Sums up to each sample say at which, for every size at once.
 
 SLIPS = np.concatenate([np.arange(-24, 0), np.arange(1, 25)]) / 2  # sampling steps
-STEPPED = 0.5  # of what is wrong with a channel that a step must leave at the most to be tried
 
 
 def _stepping(
@@ -162,13 +171,13 @@ def _stepping(
         for each in predicted
         for number in spectrum.records
     ]
-    left, change = min(steps, key=lambda each: each[0], default=(np.inf, None))
-    if change is not None and left < STEPPED:
+    _, change = min(steps, key=lambda each: each[0], default=(np.inf, None))
+    if change is not None:
         act, words = (
             partial(_before_step, whole, chosen, c, change),
             partial(_step_in_words, spectrum, change),
         )
-        yield Effect("time", change.channels, act, words, (change.size,), more=2, share=share)
+        yield Effect("time", change.channels, act, words, (change.size,), more=3, share=share)
 
 
 def _best_step(
@@ -219,8 +228,152 @@ def _before_step(
     return problem.with_amplitudes(mended_y)
 
 
+# An input that is held from sample to sample: beside its spectrum in the band, times sin(x)/x and half a step late, it
+# has images about every multiple of the sampling rate, and what they move is sampled as motion in the band.
+
+HELD = 0.02  # that an input is
+IMAGES = 8  # to either side: beyond, a rig shows its highest derivative alone
+SETTLING = 4  # fits, each with the images of the rig of the last
+
+
+def held(baseline: Baseline) -> Iterator[Effect]:
+    """Each measured input held between its samples, or straight from one to the next."""
+    problem = baseline.lines
+    steps = {each.step_s for each in problem.spectrum.stretches if isinstance(each, WholeRecord)}
+    if len(steps) != 1 or len(problem.model.nonlinear):
+        return
+    (step,) = steps
+    alone = [c for c in np.flatnonzero(baseline.inputs).tolist() if len(problem.channels[c].of) == 1]
+    for c in alone:
+        for straight in (False, True):
+            fit = baseline.as_is
+            with suppress(DashpotError, np.linalg.LinAlgError):
+                for _ in range(SETTLING):
+                    mended = _without_images(problem, c, fit.psi, step, straight)
+                    fit = fitted_from_starts(mended.from_starts((fit.psi, *problem.starts)))
+                words = partial(_held_words, problem.channels[c].name, straight)
+                yield Effect("hold", (problem.channels[c].name,), as_is, words, (step,), found=fit, share=0.5)
+
+
+def _without_images(problem: LineProblem, c: int, psi: Real, step: float, straight: bool) -> LineProblem:
+    """The amplitudes as they would be, had the input of channel c followed its own spectrum alone."""
+    omega, rate = problem.omega, 2 * np.pi / step
+    far = 1e3 * rate  # where a rig shows its highest derivative alone
+    images = np.arange(-IMAGES, IMAGES + 1)
+    every = np.append((omega + rate * images[:, None]).ravel(), far)
+    view = observation_model(problem.model, problem.channels, np.abs(every))
+    G = calibrated_transfer(view, psi, problem.sign).G
+    inputs = (*problem.model.displacement_inputs, *problem.model.force_inputs)
+    at = inputs.index(next(iter(problem.channels[c].of)))
+    shown = G[:, :, at] / G[:, c, at][:, None]
+    shown = np.where(every[:, None] < 0, np.conj(shown), shown)
+    last, shown = shown[-1].real, shown[:-1].reshape(len(images), len(omega), -1)
+    half = (omega + rate * images[:, None]) * step / 2
+    weight = (np.sin(omega * step / 2) / half) ** 2
+    if not straight:
+        weight = np.sin(omega * step / 2) / half * np.exp(-0.5j * omega * step)
+    held_shown = np.sum((shown - last) * weight[..., None], axis=0) + last
+    y = problem.y - (held_shown - shown[IMAGES]) * problem.y[:, c][:, None]
+    return problem.with_amplitudes(np.where(problem.kept, y, 0.0))
+
+
+def _held_words(name: str, straight: bool, step: float) -> Phrase:
+    if not straight:
+        return held_words(name, step)
+    text = f"{name} looks as if it ran straight from sample to sample ({1e3 * step:.3g} ms). By a simulator?"
+    return Phrase(text, f"give {name} more finely, as it is between samples")
+
+
 def _step_in_words(spectrum: Spectrum, change: TimeChange, size: float) -> Phrase:
     return remedy_in_words(change_notice(replace(change, size=size), len(spectrum.records)))
+
+
+# A tone that nothing drives, in one channel or as a force.  At the lines k/T of a record it is the transform of a
+# cosine and of a sine of its frequency, so that its two sizes are linear once the frequency is known.
+
+UNDRIVEN = 0.02  # that a record has one
+HEARD = 2 / 3  # that one is in a channel alone, as hum is, and moves nothing
+BESIDE = np.linspace(-1, 1, 21)  # lines from a peak at which its frequency is sought
+CLOSER = 0.1  # of that, about the best of them, in each of the following ROUNDS
+ROUNDS = 3
+
+
+def tones(baseline: Baseline) -> Iterator[Effect]:
+    """A tone in each channel of the motion, and a force of one frequency at each coordinate."""
+    problem = baseline.lines
+    arranged = problem.arranged()
+    if arranged.ends is None:
+        return
+    found = record_fit(problem.view, arranged, baseline.as_is.psi[None], problem.sign[None])
+    motions, points = np.flatnonzero(~baseline.inputs).tolist(), problem.model.coordinates
+    for number in problem.spectrum.records:
+        for c in motions:
+            name = problem.channels[c].name
+            alone = np.zeros(problem.y.shape, dtype=np.complex128)
+            alone[:, c] = 1.0
+            frequency, tone = _loudest_tone(found, problem, number, alone)
+            text = f"{name} contains a tone of {frequency:.4g} Hz that nothing drives: hum?"
+            phrase = Phrase(text, f"leave the lines near {frequency:.4g} Hz out")
+            act, words = partial(_without_tone, tone), partial(said, phrase)
+            yield Effect("tone", (name,), act, words, more=3, share=HEARD / len(motions))
+        for i, x in enumerate(points):
+            pushed = found.rig.G[0, :, :, arranged.ends.inputs + i]
+            frequency, tone = _loudest_tone(found, problem, number, pushed)
+            text = f"a force of {frequency:.4g} Hz acts at {x}, which no channel measures"
+            phrase = Phrase(text, f"stop it, measure it, or leave the lines near {frequency:.4g} Hz out")
+            act, words = partial(_without_tone, tone), partial(said, phrase)
+            yield Effect("input", (x,), act, words, more=3, share=(1 - HEARD) / len(points))
+
+
+def _loudest_tone(
+    found: RecordFit, problem: LineProblem, number: int, shape: Complex
+) -> tuple[float, Complex]:
+    """Frequency, Hz, of the tone that explains most of a record, and its amplitudes (lines, channels).
+
+    shape (lines, channels): what a unit of it shows.
+    """
+    record, lines = problem.spectrum.stretches[number], np.flatnonzero(problem.spectrum.stretch == number)
+    assert isinstance(record, WholeRecord)
+    left = (found.root @ found.r[..., None])[0, ..., 0]
+    heard = np.any(np.abs(shape) > 0, axis=0)
+    peak = lines[int(np.argmax(np.sum(np.abs(left[lines][:, heard]) ** 2, axis=1)))]
+    order, reach, best, tone = problem.frequency_hz[peak] * record.duration_s, 1.0, 0.0, np.zeros_like(left)
+    about = order
+    for _ in range(ROUNDS):
+        orders = np.maximum(about + reach * BESIDE, CLOSER)
+        columns = np.zeros((*left.shape, len(orders), 2), dtype=np.complex128)
+        columns[lines] = shape[lines, :, None, None] * _sines(record, problem.omega[lines], orders)[:, None]
+        white = found.root @ found.left_of(columns.reshape(1, *left.shape, -1))
+        for k, pair in enumerate(np.moveaxis(white.reshape(left.size, len(orders), 2), 1, 0)):
+            size = np.linalg.lstsq(_parts(pair), _parts(left.ravel()))[0]
+            explained = float(_parts(left.ravel()) @ _parts(pair) @ size)
+            if explained > best:
+                order, best, tone = orders[k], explained, columns[:, :, k] @ size
+        about, reach = order, CLOSER * reach
+    return float(order / record.duration_s), tone
+
+
+def _parts(values: Complex) -> Real:
+    return np.concatenate([values.real, values.imag])
+
+
+def _sines(record: WholeRecord, omega: Real, orders: Real) -> Complex:
+    """Amplitudes at angular frequencies `omega` (lines,) of a cosine and a sine of k/T each, (lines, orders, 2)."""
+
+    def mean(rate: Real) -> Complex:
+        """Of e^{jδt} over all samples, by δ."""
+        half = rate * record.step_s / 2
+        half = np.where(half == 0, 1e-12, half)
+        size = np.sin(record.samples * half) / (record.samples * np.sin(half))
+        return np.asarray(size * np.exp(1j * (record.samples - 1) * half))
+
+    rate = 2 * np.pi * orders / record.duration_s
+    up, down = mean(rate - omega[:, None]), mean(-rate - omega[:, None])
+    return np.stack([up + down, (up - down) / 1j], axis=-1)
+
+
+def _without_tone(tone: Complex, problem: LineProblem, _: float) -> LineProblem:
+    return problem.with_amplitudes(np.where(problem.kept, problem.y - tone, 0.0))
 
 
 def _of_its_ends(spectrum: Spectrum, c: int, predicted: Complex) -> Complex:

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from dashpot import units
-from dashpot.arrays import Real
+from dashpot.arrays import Complex, Real
 from dashpot.channel import Quantity
 from dashpot.check.explain.channels import CLOSE, rounded
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, said
@@ -292,36 +292,65 @@ def _pushed(larger: Model, problem: LineProblem, _: float) -> LineProblem:
     return problem.of_rig(larger)
 
 
+# Resonances outside the band, over its highest and its lowest frequency: of what is so stiff that only its compliance
+# shows, or so slow that only its mass does, they are infinite and 0.
+ABOVE = (np.inf, 8.0, 4.0, 2.8, 2.0, 1.6, 1.3, 1.15)
+BELOW = (0.0, 0.25, 0.5, 0.75)
+RESIDUAL_WIDTH = 0.05  # of the channel's motion
+
+
 def residual(baseline: Baseline) -> Iterator[Effect]:
-    """What modes outside the band add to a channel: a compliance of higher ones, a mass line of lower ones."""
+    """What a mode outside the band adds to a channel: above it a compliance, below it a mass line."""
     problem, model = baseline.lines, baseline.problem.model
-    channels = problem.channels
-    for source in np.flatnonzero(baseline.inputs).tolist():
+    channels, omega = problem.channels, problem.omega
+    resonances = [float(np.max(omega)) * ratio for ratio in ABOVE]
+    resonances += [float(np.min(omega)) * ratio for ratio in BELOW]
+    sources = np.flatnonzero(baseline.inputs).tolist()
+    motions = [
+        c for c in np.flatnonzero(~baseline.inputs).tolist() if channels[c].quantity is not Quantity.FORCE
+    ]
+    for source in sources:
+        # A base moves the bodies that ride on it by its acceleration.
         force = set(channels[source].of) <= set(model.force_inputs)
-        for c in np.flatnonzero(~baseline.inputs).tolist():
-            if channels[c].quantity is Quantity.FORCE:
-                continue
-            size = float(np.sqrt(np.mean(np.abs(problem.y[:, c]) ** 2)))
-            for word, power in (("compliance", 0 if force else 2), ("mass line", -2 if force else 0)):
-                order = (
-                    power
-                    + channels[c].quantity.derivative
-                    - (0 if force else channels[source].quantity.derivative)
+        for c in motions:
+            used, y, expected = baseline.compared(c)
+            order = channels[c].quantity.derivative
+            order += 0 if force else 2 - channels[source].quantity.derivative
+            for resonance in resonances:
+                shown = (
+                    _of_mode(omega, resonance, order)[used] * problem.y[used, source] / problem.sd[used, c]
                 )
-                rms = float(np.sqrt(np.mean(np.abs(problem.omega**order * problem.y[:, source]) ** 2)))
-                if rms > 0 and size > 0:
-                    names = channels[c].name, channels[source].name
-                    text = f"modes outside the band add a {word} to the response of {names[0]} to {names[1]}"
-                    change = f"narrow the band, or model the stiffer and heavier parts at {names[0]}"
-                    phrase = Phrase(text, change)
-                    begun = tuple(share * size / rms for share in (-0.1, 0.1))
-                    yield Effect(
-                        "residual", (names[0],), partial(_beyond, c, source, order), partial(said, phrase), begun,
-                        0.05 * size / rms,
-                    )  # fmt: skip
+                power = float(np.sum(np.abs(shown) ** 2))
+                if power == 0:
+                    continue
+                # As large as what is left of the channel by all others says
+                size = float(np.sum((np.conj(shown) * (y - expected) / problem.sd[used, c]).real)) / power
+                width = RESIDUAL_WIDTH * float(np.sqrt(np.sum(np.abs(y / problem.sd[used, c]) ** 2) / power))
+                phrase = _outside(channels[c].name, channels[source].name, float(np.max(omega)), resonance)
+                act = partial(_beyond, c, source, order, resonance)
+                yield Effect(
+                    "residual", (channels[c].name,), act, partial(said, phrase), (size,), width,
+                    share=0.5 if np.isinf(resonance) else 0.5 / (len(resonances) - 1),
+                )  # fmt: skip
 
 
-def _beyond(c: int, source: int, order: int, problem: LineProblem, size: float) -> LineProblem:
+def _of_mode(omega: Real, resonance: float, order: int) -> Complex:
+    """What a mode whose resonance (rad/s) is outside the band shows, as a derivative, (lines,)."""
+    above = resonance > np.max(omega)
+    course = 1 / (1 - (omega / resonance) ** 2) if above else 1 / (resonance**2 - omega**2)
+    return np.asarray((1j * omega) ** order * course, dtype=np.complex128)
+
+
+def _beyond(
+    c: int, source: int, order: int, resonance: float, problem: LineProblem, size: float
+) -> LineProblem:
     y = np.array(problem.y)
-    y[:, c] -= size * (1j * problem.omega) ** order * y[:, source]
+    y[:, c] -= size * _of_mode(problem.omega, resonance, order) * y[:, source]
     return problem.with_amplitudes(y)
+
+
+def _outside(name: str, source: str, top: float, resonance: float) -> Phrase:
+    adds = "a compliance" if resonance > top else "a mass line"
+    near = f", as one near {resonance / (2 * np.pi):.3g} Hz would" if 0 < resonance < np.inf else ""
+    text = f"modes outside the band add {adds} to the response of {name} to {source}{near}"
+    return Phrase(text, f"narrow the band, or model the stiffer or softer parts at {name}")
