@@ -71,6 +71,8 @@ KINDS: tuple[tuple[float, Effects], ...] = (
     (0.005, rigs.unmeasured),
     (0.02, rigs.residual),
 )
+# Kinds that take lines one by one, or bring many unknowns: harmonics of a nonlinear rig go together.
+OF_LINEAR_RIGS = (dwells.dwell, dwells.changed, channels.radians, rigs.oscillator, rigs.unmeasured)
 LARGEST = 12  # coordinates of the rigs that are explained: fits of larger ones take too long to wait for
 OF_LAWS = 0.05  # that a nonlinear element is missing
 # Kinds that say how numbers of the data may be wrong, whatever the rig.
@@ -230,6 +232,13 @@ def explain(
     laws        whether a nonlinear element is looked for
     """
     return explain_in_steps(_begun(problem, silent or {}, of_samples, seed), KINDS, laws=laws)
+
+
+@np.errstate(all="ignore")  # what is supposed may be absurd
+def explain_beside_laws(problem: LineProblem, silent: Mapping[str, str]) -> Explanation:
+    """As `explain`, of settled dwells of a rig with laws of its own, begun where its fit ended."""
+    kinds = tuple((prior, kind) for prior, kind in KINDS if kind not in OF_LINEAR_RIGS)
+    return explain_in_steps(begun_at(problem, silent, True), kinds)
 
 
 @np.errstate(all="ignore")  # what is supposed may be absurd

@@ -8,11 +8,17 @@ from functools import partial
 import numpy as np
 from scipy.special import chdtrc
 
-from dashpot.arrays import diagonal_matrices, random_generator
+from dashpot.arrays import Real, diagonal_matrices, random_generator
 from dashpot.channel import Channel
 from dashpot.check.explain.channels import factor_in_words, late, turned
 from dashpot.check.explain.effect import Effect, as_is
-from dashpot.check.explain.engine import LARGEST, Explanation, allowing_for_causes, explain
+from dashpot.check.explain.engine import (
+    LARGEST,
+    Explanation,
+    allowing_for_causes,
+    explain,
+    explain_beside_laws,
+)
 from dashpot.check.explain.laws import called_for, called_for_in_records, laws_in_words, nonlinear_finding
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.record_channels import mistakes_by_equation
@@ -68,7 +74,7 @@ def _diagnosed(
     if backwards or model.n > LARGEST:
         return backwards, None
     if len(model.nonlinear):
-        return _where_laws_are_seen(model, spectrum, estimate, np.inf), None
+        return _beside_laws(model, spectrum, estimate, np.inf)
     found = explained(model, spectrum, estimate, seed=seed)
     return ((), None) if found is None else (found.findings(), found)
 
@@ -147,7 +153,7 @@ def examined(
     if len(model.nonlinear):
         if unsettled:
             misfit = float(estimate.fit.misfit) ** 2
-            others = _where_laws_are_seen(model, spectrum, estimate, misfit)
+            others, found = _beside_laws(model, spectrum, estimate, misfit)
             others = others or _in_place_of_laws(model, spectrum, misfit, seed)
             assessment = replace(assessment, findings=(*assessment.findings, *others))
     else:
@@ -228,26 +234,41 @@ def _laws_in_records(model: Model, spectrum: Spectrum, estimate: Estimate) -> tu
     )
 
 
-def _where_laws_are_seen(
+def _beside_laws(
     model: Model, spectrum: Spectrum, estimate: Estimate | None, misfit: float
-) -> tuple[Finding, ...]:
-    """Mistakes of channels, else elements beside the rig's own laws, of settled dwells that show all motion."""
+) -> tuple[tuple[Finding, ...], Explanation | None]:
+    """What may be the matter with settled dwells of a rig with laws of its own, and what the engine found.
+
+    Gross mistakes of channels by the equation of motion, where all motion is seen; what the engine finds, where the rig
+    describes the motion roughly; elements beside the rig's own laws, unless a cause explains nearly all.
+    """
     if spectrum.carries_loads or model.n > LARGEST:
-        return ()
+        return (), None
     data = prepare(model, spectrum)
-    if data.states is None:
-        return ()
-    mistakes = mistakes_by_equation(data, misfit)
+    mistakes = () if data.states is None else mistakes_by_equation(data, misfit)
     if mistakes:
-        return mistakes
+        return mistakes, None
     known = estimate is not None and bool(np.all(np.isfinite(estimate.values)))
     psi = estimate.values if estimate is not None and known else starting_points(data)[0]
     (sign,) = spectrum.signs({} if estimate is None else estimate.signs)
     problem = LineProblem(data, sign, (psi,))
-    return tuple(
-        nonlinear_finding(model, scored, (scored.chi2 - scored.fall) / scored.dof)
-        for scored in called_for(problem, thorough=False)
-    )
+    found = None
+    if known and _roughly_described(problem, psi):
+        found = explain_beside_laws(problem, silent_channels(model, spectrum))
+        if found.causes and found.causes[0].explains >= MOSTLY:
+            return found.findings(), found
+    laws = () if data.states is None else called_for(problem, thorough=False)
+    if laws:
+        return tuple(
+            nonlinear_finding(model, scored, (scored.chi2 - scored.fall) / scored.dof) for scored in laws
+        ), None
+    return ((), None) if found is None else (found.findings(), found)
+
+
+def _roughly_described(problem: LineProblem, psi: Real) -> bool:
+    """Whether a rig at ψ (M,) leaves less than half of the power of every channel; else its trials lead nowhere."""
+    left = np.sum(np.abs(problem.left(psi)) ** 2, axis=0)
+    return bool(np.all(left < 0.5 * np.sum(np.abs(problem.y) ** 2, axis=0)))
 
 
 def _in_place_of_laws(model: Model, spectrum: Spectrum, misfit: float, seed: int) -> tuple[Finding, ...]:
