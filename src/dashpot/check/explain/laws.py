@@ -19,7 +19,7 @@ from scipy.special import fdtrc
 
 from dashpot.arrays import Complex, Real
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is
-from dashpot.check.explain.problem import FittedProblem, LineProblem, descended
+from dashpot.check.explain.problem import FittedProblem, LineProblem, descended, without_raising
 from dashpot.check.explain.rigs import points_of
 from dashpot.check.explain.score import score_tests, steadiness
 from dashpot.data.noise import smoothed
@@ -510,12 +510,6 @@ def seen_candidates(problem: LineProblem, further: bool = False) -> list[ScoredE
     return scored_by_equation(problem, _told_apart(problem.data, elements))
 
 
-def _without_raising(data: Measured) -> Measured:
-    """The same data, in which a dwell that a candidate keeps from settling counts as lost: it is not what is wrong."""
-    assert data.nonlinear is not None
-    return replace(data, nonlinear=replace(data.nonlinear, patient=False, raised=False))
-
-
 def fitted_in_full(
     problem: LineProblem, candidate: ScoredElement, chi2: float, softness: float
 ) -> ScoredElement:
@@ -526,12 +520,12 @@ def fitted_in_full(
     seen = candidate.psi is not None  # the motion is then followed from the measured one
     own = problem.starts[0] if candidate.psi is None else candidate.psi
     larger = (problem if seen else problem.balanced()).from_starts((problem.starts[0], own)).of_rig(extended)
-    view, sign, exact = larger.view, larger.sign, _without_raising(larger.arranged())
+    view, sign, exact = larger.view, larger.sign, without_raising(larger.arranged())
     best, least = larger.starts[0], np.inf
     for value in (candidate.value, 0.3 * candidate.value)[: 1 if seen else 2]:
         start = np.where(np.array(larger.names) == element.name, value, larger.starts[1])
         if softness > 0:
-            soft = _without_raising(larger.arranged(softness))
+            soft = without_raising(larger.arranged(softness))
             start, left = _followed(view, soft, start, sign, candidate.chi2)
             if left > (1 - FALLEN) * candidate.chi2:
                 continue  # what does not help there leads nowhere in sharper data

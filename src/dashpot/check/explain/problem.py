@@ -1132,6 +1132,14 @@ def _ended(every: Sequence[FitProblem], limit: int) -> list[tuple[Real, float]]:
         psi = np.concatenate(starts)
         sign = np.stack([problems[group[k]].sign for k in origin])
         data = _stack([problems[t].arranged() for t in group])
+        if data.nonlinear is not None:  # its motion at one start is where that at another is sought from
+            data = without_raising(data)
+            cost = [
+                float(Stage(some.view, data).cost(*each, origin[:1])[0])
+                for each in zip(psi[:, None], sign[:, None], strict=True)
+            ]
+            best = int(np.argmin(np.nan_to_num(cost, nan=np.inf)))
+            psi, sign, origin = psi[best : best + 1], sign[:1], origin[:1]
         if limit == 0:
             x, cost = psi, Stage(some.view, data).cost(psi, sign, origin)
         else:
@@ -1141,6 +1149,12 @@ def _ended(every: Sequence[FitProblem], limit: int) -> list[tuple[Real, float]]:
             best = mine[int(np.argmin(cost[mine]))]
             ends[t] = (x[best], float(cost[best]))
     return ends
+
+
+def without_raising(data: Measured) -> Measured:
+    """The same data, in which a dwell that a candidate keeps from settling counts as lost: it is not what is wrong."""
+    assert data.nonlinear is not None
+    return replace(data, nonlinear=replace(data.nonlinear, patient=False, raised=False))
 
 
 def descended(

@@ -251,7 +251,7 @@ def held(baseline: Baseline) -> Iterator[Effect]:
                 for _ in range(SETTLING):
                     mended = _without_images(problem, c, fit.psi, step, straight)
                     fit = fitted_from_starts(mended.from_starts((fit.psi, *problem.starts)))
-                words = partial(_held_words, problem.channels[c].name, straight)
+                words = partial(_between_samples, problem.channels[c].name, straight)
                 yield Effect("hold", (problem.channels[c].name,), as_is, words, (step,), found=fit, share=0.5)
 
 
@@ -277,7 +277,7 @@ def _without_images(problem: LineProblem, c: int, psi: Real, step: float, straig
     return problem.with_amplitudes(np.where(problem.kept, y, 0.0))
 
 
-def _held_words(name: str, straight: bool, step: float) -> Phrase:
+def _between_samples(name: str, straight: bool, step: float) -> Phrase:
     if not straight:
         return held_words(name, step)
     text = f"{name} looks as if it ran straight from sample to sample ({1e3 * step:.3g} ms). By a simulator?"

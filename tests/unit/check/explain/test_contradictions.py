@@ -70,3 +70,18 @@ def test_a_sensor_at_another_point_than_stated_is_moved_there() -> None:
     first = diagnose(model, replace(spectrum, channels=channels))[0]
     assert (first.kind, first.of) == ("place", ("a_x2",))
     assert [dict(channel.of) for channel in first.channels] == [{"x2": 1.0}]
+
+
+@pytest.mark.long
+def test_a_sensor_between_two_points_shows_a_part_of_either() -> None:
+    model, spectrum = clean()
+    channels = tuple(
+        replace(c, of={"x2": 0.7, "x3": 0.3}) if c.name == "a_x2" else c for c in spectrum.channels
+    )
+    rig = replace(rigs.plain_rig(np.random.default_rng(11), 3))
+    seen = rigs.noisy(
+        rig, channels, rigs.covariance(rig, channels, 0.01, inputs=0.01), np.random.default_rng(5)
+    )
+    first = diagnose(model, replace(seen, channels=spectrum.channels))[0]
+    assert (first.kind, first.of) == ("place", ("a_x2",))
+    assert dict(first.channels[0].of)["x3"] == pytest.approx(0.3, abs=0.03)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter
+from scipy.signal import butter, cont2discrete, dlsim, lfilter
 
 import dashpot
 from dashpot.channel import Channel, Quantity
@@ -12,7 +12,8 @@ from dashpot.check.explain.steady_lines import working_noise
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Model
+from dashpot.model.network import Input, Model
+from dashpot.model.observation import observation_model, transfer
 from tests.whole_rigs import chain, record_of
 
 
@@ -164,3 +165,73 @@ def test_the_noise_of_the_quietest_record_holds_for_all_as_it_stands_or_in_propo
         stretch=np.arange(3), stretches=(record,) * 3,
     )  # fmt: skip
     assert working_noise(found)[:, 0] == pytest.approx(true, rel=0.01)  # beside what every line has
+
+
+def with_a_tone(record: Record, per_channel: np.ndarray, frequency_hz: float) -> Record:
+    """With a steady motion beside its own; per_channel (channels,): complex amplitudes."""
+    turn = np.exp(2j * np.pi * frequency_hz * (record.time - record.time[0]))
+    return replace(record, values=record.values + (turn[:, None] * per_channel).real)
+
+
+@pytest.mark.long
+def test_a_tone_in_one_channel_is_told_from_a_force_that_moves_all(
+    test_of_three: tuple[Model, Record],
+) -> None:
+    """Either lies between two lines of the record, so that it leaks into all."""
+    model, record = test_of_three
+    truth = chain(3, 0.03, base=True, seed=3)[1]
+    frequency_hz = 1.37 * main_hz(record)
+    amplitudes = 0.1 * record.values[:, 1].std() * np.eye(4)[1] * np.exp(0.7j)
+    first = dashpot.identify(
+        model, with_a_tone(record, amplitudes, frequency_hz), diagnose=True
+    ).assessment.findings[0]
+    assert (first.kind, first.of) == ("tone", ("x2_dis",))
+    assert f"{frequency_hz:.4g} Hz" in first.text
+
+    pushed = replace(model, inputs=(*model.inputs, Input("p", "force", {"x1": 1.0})))
+    view = observation_model(pushed, record.channels, np.array([2 * np.pi * frequency_hz]))
+    (by_force,) = transfer(view, pushed.parameters(truth)).G[..., -1]
+    by_force = 0.1 * record.values[:, 1].std() * by_force / np.abs(by_force[1])
+    first = dashpot.identify(
+        model, with_a_tone(record, by_force, frequency_hz), diagnose=True
+    ).assessment.findings[0]
+    assert (first.kind, first.of) == ("input", ("x1",))
+    assert f"{frequency_hz:.4g} Hz" in first.text
+
+
+def held_test(straight: bool) -> tuple[Model, Record]:
+    """One mass under a force that is held from sample to sample, or straight in between, seen as an acceleration."""
+    m, k, c, step, count = 2.0, 800.0, 4.0, 0.05, 1500
+    force = np.random.default_rng(1).normal(size=count)
+    state, drive, shown = (
+        np.array([[0, 1], [-k / m, -c / m]]),
+        np.array([[0], [1 / m]]),
+        np.array([[-k / m, -c / m]]),
+    )
+    system = cont2discrete((state, drive, shown, np.array([[1 / m]])), step, "foh" if straight else "zoh")
+    acceleration = dlsim(system, force)[1][:, 0]
+    elements = (
+        mass("m", "x"),
+        between("k", Kind.SPRING, "x", "ground"),
+        between("c", Kind.DAMPER, "x", "ground"),
+    )
+    model = Model(("x",), (Input("f", "force", {"x": 1.0}),), elements)
+    channels = (Channel("a", {"x": 1.0}, Quantity.ACCELERATION), Channel("f", {"f": 1.0}, Quantity.FORCE))
+    noise = 0.01 * acceleration.std() * np.random.default_rng(2).normal(size=count)
+    values = np.stack([acceleration + noise, force], axis=1)
+    return model, Record(channels, step * np.arange(count), values)
+
+
+@pytest.mark.parametrize(
+    ("straight", "word"),
+    [
+        pytest.param(False, "held", id="held"),
+        pytest.param(True, "straight", id="straight", marks=pytest.mark.long),
+    ],
+)
+def test_what_an_input_does_between_its_samples_is_told_by_its_images(straight: bool, word: str) -> None:
+    """The sampling rate is 16 times the resonance; a delay of half a step explains less."""
+    first = dashpot.identify(*held_test(straight), diagnose=True).assessment.findings[0]
+    assert (first.kind, first.of) == ("hold", ("f",))
+    assert word in first.text
+    assert first.remaining is None or first.remaining < 1.5

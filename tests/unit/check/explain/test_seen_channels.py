@@ -83,3 +83,20 @@ def test_where_no_fit_comes_to_an_end_the_diagnosis_says_which_channel():
         identify(model, spectrum, "ml")
     (first, *_) = diagnose(model, spectrum)
     assert (first.kind, first.of) == ("sign", ("x2",))
+
+
+@pytest.mark.parametrize(
+    ("factor", "kind"), [(1.07, "gain"), pytest.param(np.exp(0.15j), "delay", marks=pytest.mark.long)]
+)
+def test_a_small_mistake_of_a_channel_is_weighed_beside_the_law(factor, kind):
+    """Too small for the equation of motion to settle it at once."""
+    model, spectrum = measured("cubic")
+    turn = np.array([factor if channel.name == "x2" else 1.0 for channel in spectrum.channels])
+    power = (
+        spectrum.frequency_hz / np.max(spectrum.frequency_hz) if kind == "delay" else np.ones(spectrum.lines)
+    )
+    wrong = replace(spectrum, amplitudes=spectrum.amplitudes * turn ** power[:, None])
+    estimate = examined(model, wrong, identify(model, wrong, "ml"))
+    (first, *_) = estimate.assessment.findings
+    assert (first.kind, first.of) == (kind, ("x2",))
+    assert first.odds > 0.5
