@@ -1134,11 +1134,9 @@ def _ended(every: Sequence[FitProblem], limit: int) -> list[tuple[Real, float]]:
         data = _stack([problems[t].arranged() for t in group])
         if data.nonlinear is not None:  # its motion at one start is where that at another is sought from
             data = without_raising(data)
-            cost = [
-                float(Stage(some.view, data).cost(*each, origin[:1])[0])
-                for each in zip(psi[:, None], sign[:, None], strict=True)
-            ]
-            best = int(np.argmin(np.nan_to_num(cost, nan=np.inf)))
+            alone = zip(psi[:, None], sign[:, None], strict=True)
+            costs = [float(Stage(some.view, data).cost(*each, origin[:1])[0]) for each in alone]
+            best = int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
             psi, sign, origin = psi[best : best + 1], sign[:1], origin[:1]
         if limit == 0:
             x, cost = psi, Stage(some.view, data).cost(psi, sign, origin)
