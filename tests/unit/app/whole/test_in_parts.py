@@ -55,8 +55,8 @@ def test_a_report_of_merged_parts_says_what_it_rests_on(dashpot: Command, files:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--workers", "2"), "--workers shares out"),
-        (("--dask", "local"), "--dask shares out"),
+        (("--workers", "2"), "--workers needs"),
+        (("--dask", "local"), "--dask needs"),
         (("--in-parts", "--figure", "fit.png"), "--figure needs all"),
         (("--in-parts", "--hold-out", "25%"), "--hold-out needs all"),
         (("--in-parts", "part0.csv"), "is given 2 times"),
