@@ -41,13 +41,16 @@ def lost_samples(records: Sequence[Record]) -> list[str]:
     """What dwells lack: rows that are missing between others, and a channel that holds one value too long.
 
     A regression takes such dwells as they are, and only while the rig is mounted can they be recorded again.  A channel
-    that moves at the drive frequency holds no value for half a period.  Of continuous records conditioning says it.
+    that moves at the drive frequency holds no value for half a period.  Of continuous records conditioning says it,
+    and of dwells where it marks those samples as missing; each channel is named once.
     """
     from dashpot.data.conditioning.steadiness import periods_of
+    from dashpot.data.conditioning.unmeasured import marked
     from dashpot.data.conditioning.whole_record import GAP
     from dashpot.data.record import runs_of_one_value
 
-    said = []
+    said: list[str] = []
+    held: dict[str, list[str]] = {}
     for record in records:
         if record.frequency_hz is None or record.values.ndim != 2 or len(record.time) < 3:
             continue
@@ -59,10 +62,16 @@ def lost_samples(records: Sequence[Record]) -> list[str]:
             at = f"first after {record.time[gaps[0]]:.6g} s"
             said.append(f"{counted(max(missing, 1), 'sample')} missing {where}, {at}")
         half = len(record.time) / max(periods_of(record), 1e-9) / 2
-        for channel, column in zip(record.channels, record.values.T, strict=True):
-            longest = max((end - begin for begin, end in runs_of_one_value(column, 3)), default=0)
-            if longest > half:
-                said.append(f"{channel.name} holds one value for {longest} samples {where}")
+        for c, channel in enumerate(record.channels):
+            runs = [run for run in runs_of_one_value(record.values[:, c], 3) if run[1] - run[0] > half]
+            if runs:
+                missing = marked([record])[0][0].marks()[:, c] != 0
+                lengths = [end - begin for begin, end in runs if not np.all(missing[begin:end])]
+                if lengths:
+                    held.setdefault(channel.name, []).append(f"for {max(lengths)} samples {where}")
+    for name, places in held.items():
+        more = f" and in {counted(len(places) - 1, 'other dwell')}" if len(places) > 1 else ""
+        said.append(f"{name} holds one value {places[0]}{more}")
     return said
 
 

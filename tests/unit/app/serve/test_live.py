@@ -9,16 +9,17 @@ import pytest
 from dashpot.app.serve.engine import carry_out
 from dashpot.app.serve.live import lost_samples
 from dashpot.channel import Channel
+from dashpot.data.conditioning.unmeasured import marked
 from dashpot.data.record import Record
 from tests.unit.app.conftest import Command
 
 
-def dwell(lost: range = range(0), held: range = range(0)) -> Record:
-    """Four periods of 5 Hz at 200 Hz, of which some rows are lost, or hold one value."""
-    time = np.arange(160) / 200
+def dwell(lost: range = range(0), held: range = range(0), count: int = 160) -> Record:
+    """Four periods of 5 Hz at 200 Hz, or more, of which some rows are lost, or hold one value."""
+    time = np.arange(count) / 200
     x = np.sin(2 * np.pi * 5 * time)
     x[held] = x[held[:1]]
-    kept = np.setdiff1d(np.arange(160), lost)
+    kept = np.setdiff1d(np.arange(count), lost)
     return Record((Channel("x", {"x": 1}),), time[kept], x[kept, None], frequency_hz=5.0)
 
 
@@ -36,6 +37,16 @@ def test_what_a_dwell_lacks_is_said(record: Record, said: list[str]) -> None:
     found = lost_samples([record])
     assert len(found) == len(said)
     assert all(text.startswith(start) for text, start in zip(found, said, strict=True))
+
+
+def test_a_held_channel_is_named_once() -> None:
+    held = dwell(held=range(60, 90))
+    (said,) = lost_samples([held, dwell(), held, held])
+    assert "2 other dwells" in said
+    # Of a long dwell conditioning itself marks these samples, and its note of them is shown.
+    long = dwell(held=range(60, 90), count=800)
+    assert marked([long])[1]
+    assert lost_samples([long]) == []
 
 
 class Stopped(BaseException):
