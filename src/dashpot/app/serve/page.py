@@ -141,6 +141,8 @@ class Page:
         self.shown: dict[str, int] = {}
         self.typed = session.text  # as the session and this tab last agreed
         self.editor: Any = None
+        self.asked: dict[str, Any] = {}  # fields of the form for a first rig, by their questions
+        self.agreed: dict[str, str] = {}  # and what the session and this tab last agreed on in each
         self.looks, self.stale = 0, False
         self.views = {
             "files": ui.refreshable(self._files),
@@ -189,9 +191,11 @@ class Page:
                         'aria-label="Data files"><span class="soft">or drop files anywhere on the page</span></label>'
                         '<div id="moved" class="soft" role="status"></div>'
                     )
+                    self.places = self._places(f"Open from {self.session.served.name}", self._open)
+                    self.places.style("width: 100%; margin-top: .4rem")
                     self._view("files")
                     self._options()
-                    self._view("start")
+                    self._first_rig()
                 with self._card("Rig", "rig"):
                     self._view("rig")
                     self._editor()
@@ -203,7 +207,7 @@ class Page:
                 self._view("work")
                 self._view("result")
                 with ui.element("div").classes("later"):
-                    self._view("plan")
+                    self._plan_form()
                     self._live_form()
                     self._view("channels")
         self._tick()
@@ -291,18 +295,28 @@ class Page:
                 )
                 remove = partial(self._later, session.remove_data, entry["path"])
                 self._button("Remove", remove, "flat dense").props["aria-label"] = f"Remove {entry['name']}"
-        names = session.in_folder()
-        if names:
-            chosen = ui.select(
-                names,
-                label=f"Open from {session.served.name}",
-                with_input=True,
-                clearable=True,
-                on_change=lambda event: (
-                    self._later(session.open_in_folder, event.value) if event.value else None
-                ),
-            )
-            chosen.props("dense outlined").style("width: 100%; margin-top: .4rem")
+        self.places.set_visibility(bool(session.in_folder()))
+
+    def _places(
+        self, label: str, chosen: Callable[[str], Any] | None = None, folders_too: bool = False
+    ) -> Any:
+        """A list of what is in the served folder, made once: what is typed stays while its entries change."""
+        found = partial(self.session.in_folder, folders_too)
+        field = ui.select(found(), label=label, with_input=True).props("dense outlined")
+
+        def renew() -> None:
+            names = found()
+            if names != field.options:
+                field.set_options(names)
+
+        field.on("focus", renew)
+        if chosen is not None:
+            field.on("update:model-value", lambda: chosen(field.value) if field.value else None)
+        return field
+
+    def _open(self, name: str) -> Any:
+        self.places.set_value(None)
+        return self._later(self.session.open_in_folder, name)
 
     def _options(self) -> None:
         """What the command has options for."""
@@ -320,29 +334,61 @@ class Page:
     def _chosen(self, name: str, field: Any, _: Any) -> Any:
         return self._later(self.session.choose, name, field.value or "")
 
-    def _start(self) -> None:
-        session, start = self.session, self.session.start
-        if start is None or session.text:
-            return
-        _html("<h3>A first rig for these data</h3>")
-        for question in start["questions"]:
-            key, ask, answer = question["key"], question["ask"], question["answer"]
-            if "choices" in question:
-                field = ui.select(question["choices"], label=ask, value=answer or None)
-                field.on_value_change(partial(self._replied, key, field))
-            else:
-                field = ui.input(ask, value=answer)
-                field.on("change", partial(self._replied, key, field))
-            field.props("dense outlined").style("width: 100%; margin-bottom: .4rem")
-        for text in start.get("problems", ()):
-            self._trouble(text)
-        if start["text"]:
-            self._button("Use this rig", lambda: self._later(self.session.take_first_rig), "color=primary")
+    def _first_rig(self) -> None:
+        """The form for a first rig: made once, as what is typed or clicked must not go with what is shown anew."""
+        self.form = ui.element("div")
+        with self.form:
+            _html("<h3>A first rig for these data</h3>")
+            self.questions = ui.element("div")
+            problems = ui.element("div")
+            self.take = self._button(
+                "Use this rig", lambda: self._later(self.session.take_first_rig), "color=primary"
+            )
+            with problems:
+                self._view("start")
 
-    def _replied(self, key: str, field: Any, _: Any) -> Any:
-        """An answer counts from now on; what follows from it is shown when it is known."""
-        self.session.reply(key, field.value or "")
-        return self._later(self.session.ask_anew)
+    def _start(self) -> None:
+        """Fields come and go with their questions, and take an answer from elsewhere where nothing else is typed."""
+        session, start = self.session, self.session.start
+        shown = start is not None and not session.text
+        self.form.set_visibility(shown)
+        questions = {
+            json.dumps([each["key"], each["ask"], each.get("choices")]): each
+            for each in (start["questions"] if start is not None and shown else ())
+        }
+        for question in self.asked.keys() - questions.keys():
+            field = self.asked.pop(question)
+            typed = field.value or ""
+            if typed != self.agreed.pop(question):  # it is kept for when the question comes back
+                session.reply(json.loads(question)[0], typed)
+            field.delete()
+        with self.questions:
+            for place, (question, each) in enumerate(questions.items()):
+                answer = session.answer(each)
+                if question not in self.asked:
+                    self.asked[question] = self._question(question, each, answer).move(target_index=place)
+                elif (self.asked[question].value or "") == self.agreed[question]:
+                    self.asked[question].set_value(answer or None if "choices" in each else answer)
+                self.agreed[question] = answer
+        if start is not None and shown:
+            for text in start.get("problems", ()):
+                self._trouble(text)
+            self.take.set_visibility(bool(start["text"]))
+
+    def _question(self, question: str, each: Mapping[str, Any], answer: str) -> Any:
+        if "choices" in each:
+            field: Any = ui.select(each["choices"], label=each["ask"], value=answer or None)
+        else:
+            field = ui.input(each["ask"], value=answer)
+
+        def replied() -> Any:
+            """An answer counts from now on; what follows from it is shown when it is known."""
+            self.agreed[question] = field.value or ""
+            self.session.reply(each["key"], self.agreed[question])
+            return self._later(self.session.ask_anew)
+
+        field.on("update:model-value" if "choices" in each else "change", replied)
+        return field.props("dense outlined").style("width: 100%; margin-bottom: .4rem")
 
     # The rig: its drawing, its parts, its text.
 
@@ -650,10 +696,7 @@ class Page:
                 "sends, while the test runs.</p>"
             )
             with ui.element("div").classes("row-of"):
-                source = ui.select([], label="File or folder", with_input=True)
-                source.props("dense outlined").style("min-width: 14rem")
-                source.on("focus", lambda _: source.set_options(session.in_folder(folders_too=True)))
-                source.set_options(session.in_folder(folders_too=True))
+                source = self._places("File or folder", folders_too=True).style("min-width: 14rem")
                 target = ui.input("Enough at ±", value="2%").props("dense outlined").style("width: 8rem")
                 rate = ui.input("Sampling rate, Hz", value="").props("dense outlined").style("width: 11rem")
 
@@ -718,11 +761,10 @@ class Page:
 
     # The next test.
 
-    def _plan(self) -> None:
+    def _plan_form(self) -> None:
         session = self.session
-        if session.result is None:
-            return
-        with self._card("Next test"):
+        self.next = self._card("Next test")
+        with self.next:
             fields = {}
             with ui.element("div").classes("row-of"):
                 for key, (label, example) in LIMITS.items():
@@ -734,54 +776,57 @@ class Page:
                     session.design, {key: (field.value or "").strip() for key, field in fields.items()}
                 ),
             ).style("margin-top: .5rem")
-            if session.plan is None:
-                return
-            if session.is_stale(of="plan"):
-                _html('<p class="stale" role="status">Stale: rig or data have changed since.</p>')
-            plan = session.plan["plan"]
-            dwells = [
-                [
-                    f"{dwell['frequency_hz']:.4g}",
-                    f"{dwell['samples']}",
-                    f"{dwell['time_s']:.3g}",
-                    ", ".join(f"{name} {size:.3g}" for name, size in dwell["amplitudes"].items()),
-                ]
-                for dwell in plan["dwells"]
+            self._view("plan")
+
+    def _plan(self) -> None:
+        session = self.session
+        self.next.set_visibility(session.result is not None)
+        if session.result is None or session.plan is None:
+            return
+        if session.is_stale(of="plan"):
+            _html('<p class="stale" role="status">Stale: rig or data have changed since.</p>')
+        plan = session.plan["plan"]
+        dwells = [
+            [
+                f"{dwell['frequency_hz']:.4g}",
+                f"{dwell['samples']}",
+                f"{dwell['time_s']:.3g}",
+                ", ".join(f"{name} {size:.3g}" for name, size in dwell["amplitudes"].items()),
             ]
-            if dwells:
-                heads = ["Frequency, Hz", "Samples", "Time, s", "Amplitude, SI units"]
-                _html(
-                    table_html(
-                        "Dwells", {"heads": heads, "rows": dwells, "right": [True, True, True, False]}
-                    ),
-                    "wide",
-                )
-            else:
-                _html("<p>Enough: the target is reached with the data at hand.</p>")
-            expected = [
-                [
-                    name,
-                    f"{each['value']:.4g}",
-                    f"{each['sd']:.2g}",
-                    each["unit"],
-                    f"{100 * abs(each['relative_sd'] or 0):.2g} %",
-                ]
-                for name, each in plan["predicted"].items()
-            ]
-            heads = ["Parameter", "Value", "± after it", "Unit", "± %"]
+            for dwell in plan["dwells"]
+        ]
+        if dwells:
+            heads = ["Frequency, Hz", "Samples", "Time, s", "Amplitude, SI units"]
             _html(
-                "<h3>Expected after it</h3>"
-                + table_html(
-                    "Expected", {"heads": heads, "rows": expected, "right": [False, True, True, False, True]}
-                ),
+                table_html("Dwells", {"heads": heads, "rows": dwells, "right": [True, True, True, False]}),
                 "wide",
             )
-            for note in plan["notes"]:
-                _html(f'<p class="soft">{html.escape(note)}</p>')
-            with ui.element("div").classes("row-of"):
-                for name in session.plan["files"]:
-                    if name.startswith("plan."):
-                        self._button(name, partial(self._download, name))
+        else:
+            _html("<p>Enough: the target is reached with the data at hand.</p>")
+        expected = [
+            [
+                name,
+                f"{each['value']:.4g}",
+                f"{each['sd']:.2g}",
+                each["unit"],
+                f"{100 * abs(each['relative_sd'] or 0):.2g} %",
+            ]
+            for name, each in plan["predicted"].items()
+        ]
+        heads = ["Parameter", "Value", "± after it", "Unit", "± %"]
+        _html(
+            "<h3>Expected after it</h3>"
+            + table_html(
+                "Expected", {"heads": heads, "rows": expected, "right": [False, True, True, False, True]}
+            ),
+            "wide",
+        )
+        for note in plan["notes"]:
+            _html(f'<p class="soft">{html.escape(note)}</p>')
+        with ui.element("div").classes("row-of"):
+            for name in session.plan["files"]:
+                if name.startswith("plan."):
+                    self._button(name, partial(self._download, name))
 
 
 def _alarms(live: Mapping[str, Any]) -> tuple[tuple[str, Sequence[str]], ...]:

@@ -354,7 +354,7 @@ class Session:
         while True:
             with self.lock:
                 wanted, text, name, data = self._wanted, self.text, self.state["rig"], self.data
-            rig, start, problems = None, None, tuple[dict[str, Any], ...]()
+            rig, problems = None, tuple[dict[str, Any], ...]()
             if text:
                 rig, failure = self.engine.ask(self._call("open", text=text, rig=name))
                 problems = () if failure is None else failure.problems
@@ -373,23 +373,16 @@ class Session:
                         "notes": [],
                         "problems": [each["text"] for each in failure.problems],
                     }
-                if not text:
-                    start = self._first_rig()
+            if data and not text:
+                self.ask_anew()
             with self.lock:
-                self.seen, self.start = seen, start
+                self.seen = seen
+                self.start = self.start if data and not text else None
                 again = wanted != self._wanted
                 self.looking = again
             self._changed("channels", "start")
             if not again:
                 return
-
-    def _first_rig(self) -> dict[str, Any]:
-        answers = self.state["answers"]
-        start, failure = self.engine.ask(self._call("start", data=self.data, answers=answers))
-        if failure is not None:
-            start = {"text": "", "questions": [], **(self.start or {})}
-            start["problems"] = [each["text"] for each in failure.problems]
-        return start
 
     def reply(self, key: str, answer: str) -> None:
         """An answer to a question of the form for a first rig; `ask_anew` shows what follows from it."""
@@ -397,13 +390,28 @@ class Session:
             self.state["answers"] = {**self.state["answers"], key: answer}
 
     def ask_anew(self) -> None:
-        """The form for a first rig with the answers so far."""
-        self.start = self._first_rig()
+        """The form for a first rig with the answers so far, those that come while the engine works among them."""
+        while True:
+            asked = self.data, self.state["answers"]
+            start, failure = self.engine.ask(self._call("start", data=asked[0], answers=asked[1]))
+            with self.lock:
+                if failure is not None:
+                    start = {"text": "", "questions": [], **(self.start or {})}
+                    start["problems"] = [each["text"] for each in failure.problems]
+                if asked == (self.data, self.state["answers"]):
+                    self.start = start
+                    break
         self._changed("start")
+
+    def answer(self, question: Mapping[str, Any]) -> str:
+        """What has been answered to a question of the form, else what the engine takes; empty where it is no choice."""
+        said = str(self.state["answers"].get(question["key"]) or question["answer"] or "")
+        return said if said in question.get("choices", (said,)) else ""
 
     def take_first_rig(self) -> None:
         """The rig that the form describes becomes the rig file."""
-        start = self._first_rig()
+        self.ask_anew()
+        start = self.start or {"text": ""}
         if start.get("problems"):
             self.complain(start["problems"])
         elif start["text"]:

@@ -131,3 +131,24 @@ def test_the_next_test_takes_band_and_rest_of_identify_and_a_rig_its_folder(sess
     call = calls[-1]
     assert (call["options"]["record-band"], call["rest"]) == ("2:150", ["data/still.csv"])
     assert (call["data"], call["beside"]) == (["data/run.csv"], str(session.served / "sub"))
+
+
+def test_an_answer_given_while_the_form_is_made_is_in_the_form(session: Session) -> None:
+    asked: list[dict[str, str]] = []
+
+    class Busy(Answers):
+        def ask(self, call: Any) -> tuple[dict[str, Any], None]:
+            asked.append(call["answers"])
+            if len(asked) == 1:
+                session.reply("mass", "3")
+            question = {"key": "mass", "ask": "Mass", "answer": call["answers"].get("mass", "")}
+            return {"text": f"{call['answers']}", "questions": [question]}, None
+
+    session.engine = Busy()  # type: ignore[assignment]
+    session.ask_anew()
+    assert asked == [{}, {"mass": "3"}]
+    assert session.start is not None
+    assert "3" in session.start["text"]
+    session.reply("mass", "4")  # shown before the engine has heard of it
+    assert session.answer(session.start["questions"][0]) == "4"
+    assert session.answer({"key": "mass", "answer": "", "choices": {"5": "5"}}) == ""
