@@ -269,7 +269,7 @@ def show_table(out: Console, table: Table) -> None:
 
 def show_paragraph(out: Console, text: str, style: str = "") -> None:
     """Text, wrapped at words; what is longer than a line stands whole."""
-    for line in textwrap.wrap(text, out.width, break_long_words=False, break_on_hyphens=False):
+    for line in textwrap.wrap(text, max(out.width, 1), break_long_words=False, break_on_hyphens=False):
         out.print(Text(line, style=style), soft_wrap=True)
 
 
