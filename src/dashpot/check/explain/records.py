@@ -81,7 +81,7 @@ def explained_records(
             prepare(model, quiet.select(chosen), states=False), sign, (estimate.values,), False
         )
         in_time = partial(channels_in_time, whole, chosen, partial(_by_all_others, whole))
-        of_records = ((CHANGED_CHANNEL, in_time), (UNDRIVEN, tones), (HELD, held))
+        of_records = ((CHANGED_CHANNEL, in_time), (UNDRIVEN, tones), (HELD, between_samples))
         return explain_records(lines, part, of_records, silent=silent, seed=seed)
     except DashpotError:
         return None
@@ -236,7 +236,7 @@ IMAGES = 8  # to either side: beyond, a rig shows its highest derivative alone
 SETTLING = 4  # fits, each with the images of the rig of the last
 
 
-def held(baseline: Baseline) -> Iterator[Effect]:
+def between_samples(baseline: Baseline) -> Iterator[Effect]:
     """Each measured input held between its samples, or straight from one to the next."""
     problem = baseline.lines
     steps = {each.step_s for each in problem.spectrum.stretches if isinstance(each, WholeRecord)}
@@ -251,7 +251,7 @@ def held(baseline: Baseline) -> Iterator[Effect]:
                 for _ in range(SETTLING):
                     mended = _without_images(problem, c, fit.psi, step, straight)
                     fit = fitted_from_starts(mended.from_starts((fit.psi, *problem.starts)))
-                words = partial(_between_samples, problem.channels[c].name, straight)
+                words = partial(_held_in_words, problem.channels[c].name, straight)
                 yield Effect("hold", (problem.channels[c].name,), as_is, words, (step,), found=fit, share=0.5)
 
 
@@ -277,7 +277,7 @@ def _without_images(problem: LineProblem, c: int, psi: Real, step: float, straig
     return problem.with_amplitudes(np.where(problem.kept, y, 0.0))
 
 
-def _between_samples(name: str, straight: bool, step: float) -> Phrase:
+def _held_in_words(name: str, straight: bool, step: float) -> Phrase:
     if not straight:
         return held_words(name, step)
     text = f"{name} looks as if it ran straight from sample to sample ({1e3 * step:.3g} ms). By a simulator?"
@@ -293,9 +293,6 @@ def _step_in_words(spectrum: Spectrum, change: TimeChange, size: float) -> Phras
 
 UNDRIVEN = 0.02  # that a record has one
 HEARD = 2 / 3  # that one is in a channel alone, as hum is, and moves nothing
-BESIDE = np.linspace(-1, 1, 21)  # lines from a peak at which its frequency is sought
-CLOSER = 0.1  # of that, about the best of them, in each of the following ROUNDS
-ROUNDS = 3
 
 
 def tones(baseline: Baseline) -> Iterator[Effect]:
@@ -337,10 +334,11 @@ def _loudest_tone(
     left = (found.root @ found.r[..., None])[0, ..., 0]
     heard = np.any(np.abs(shape) > 0, axis=0)
     peak = lines[int(np.argmax(np.sum(np.abs(left[lines][:, heard]) ** 2, axis=1)))]
-    order, reach, best, tone = problem.frequency_hz[peak] * record.duration_s, 1.0, 0.0, np.zeros_like(left)
+    order, best, tone = problem.frequency_hz[peak] * record.duration_s, 0.0, np.zeros_like(left)
     about = order
-    for _ in range(ROUNDS):
-        orders = np.maximum(about + reach * BESIDE, CLOSER)
+    # Ten frequencies to a line beside the peak, then ten times as closely about the best, and again
+    for reach in (1.0, 0.1, 0.01):
+        orders = np.maximum(about + reach * np.linspace(-1, 1, 21), 0.1)
         columns = np.zeros((*left.shape, len(orders), 2), dtype=np.complex128)
         columns[lines] = shape[lines, :, None, None] * _sines(record, problem.omega[lines], orders)[:, None]
         white = found.root @ found.left_of(columns.reshape(1, *left.shape, -1))
@@ -349,7 +347,7 @@ def _loudest_tone(
             explained = float(_parts(left.ravel()) @ _parts(pair) @ size)
             if explained > best:
                 order, best, tone = orders[k], explained, columns[:, :, k] @ size
-        about, reach = order, CLOSER * reach
+        about = order
     return float(order / record.duration_s), tone
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from dashpot import units
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Quantity
-from dashpot.check.explain.channels import CLOSE, rounded
+from dashpot.check.explain.channels import CLOSE, SHARE_WIDTH, rounded
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, said
 from dashpot.check.explain.problem import FitProblem, LineProblem, replaced
 from dashpot.check.explain.score import score_tests
@@ -296,7 +296,6 @@ def _pushed(larger: Model, problem: LineProblem, _: float) -> LineProblem:
 # shows, or so slow that only its mass does, they are infinite and 0.
 ABOVE = (np.inf, 8.0, 4.0, 2.8, 2.0, 1.6, 1.3, 1.15)
 BELOW = (0.0, 0.25, 0.5, 0.75)
-RESIDUAL_WIDTH = 0.05  # of the channel's motion
 
 
 def residual(baseline: Baseline) -> Iterator[Effect]:
@@ -325,7 +324,7 @@ def residual(baseline: Baseline) -> Iterator[Effect]:
                     continue
                 # As large as what is left of the channel by all others says
                 size = float(np.sum((np.conj(shown) * (y - expected) / problem.sd[used, c]).real)) / power
-                width = RESIDUAL_WIDTH * float(np.sqrt(np.sum(np.abs(y / problem.sd[used, c]) ** 2) / power))
+                width = SHARE_WIDTH * float(np.sqrt(np.sum(np.abs(y / problem.sd[used, c]) ** 2) / power))
                 phrase = _outside(channels[c].name, channels[source].name, float(np.max(omega)), resonance)
                 act = partial(_beyond, c, source, order, resonance)
                 yield Effect(
