@@ -11,7 +11,7 @@ from scipy.special import chdtrc
 from dashpot.arrays import Real
 from dashpot.data.noise import smoothed
 from dashpot.data.record import Record
-from dashpot.errors import ConvergenceError, DataError, IdentifiabilityError
+from dashpot.errors import DataError
 from dashpot.estimate.inference.diagnostics import held as of_bounds
 from dashpot.estimate.inference.diagnostics import require_determined, require_traces, unseen_laws
 from dashpot.estimate.likelihood.record_noise import counted_as_exact
@@ -151,33 +151,19 @@ class FittedRecords:
     held: bool = False
 
     def estimate(self) -> Estimate:
-        """Values with intervals that count the colour of the residuals.
-
-        Raises DataError, IdentifiabilityError and ConvergenceError.
-        """
+        """Values with intervals that count the colour of the residuals.  Raises DataError and IdentifiabilityError."""
         problem, psi, noise = self.problem, self.psi, self.noise
         model, inner = problem.rig, problem.inner
         white, coloured, dof = record_covariances(problem, psi, noise)
         unknowns = _unknowns(problem)
         names = tuple(unknown.name for unknown in unknowns)
         values, bound, covariance = psi[:inner], white[:inner, :inner], coloured[:inner, :inner]
-        try:
-            require_determined(
-                names,
-                values,
-                bound,
-                traces=lambda: require_traces(model, names, problem.quadratic(psi[None]).symmetric[0]),
-            )
-        except IdentifiabilityError as lost:
-            told = np.diagonal(problem.quadratic(psi[None]).symmetric[0])
-            strengths = np.flatnonzero(np.any(model.T[model.nonlinear], axis=0))
-            if self.converged or not np.all(told[strengths] > 0):
-                raise
-            # Elements show; constants of theirs that do not, where a search has gone astray, say nothing of the data
-            raise ConvergenceError(
-                "the search for the values did not converge, and does not show what the data determine",
-                cure="give guesses for the constants of the laws in the rig file, or values",
-            ) from lost
+        require_determined(
+            names,
+            values,
+            bound,
+            traces=lambda: require_traces(model, names, problem.quadratic(psi[None]).symmetric[0]),
+        )
         lower, upper = self.limits[0][:inner], self.limits[1][:inner]
         free = psi[None]
         if np.any((values <= lower) | (values >= upper)):

@@ -279,7 +279,7 @@ def _held(problem: RecordProblem, psi: Real, shown: list[int], hold: float) -> M
     inputs, elements = [], []
     for c in shown:
         seen = data.on_x[c]
-        mass = abs(1 / float(seen @ inverse @ seen))  # first values may be negative; their size holds
+        mass = 1 / float(seen @ inverse @ seen)
         signal = data.outputs[:, c] - np.mean(data.outputs[:, c])
         rate = np.sqrt(np.sum(np.diff(signal) ** 2) / np.sum(signal**2)) / data.step_s
         omega = hold * float(rate)

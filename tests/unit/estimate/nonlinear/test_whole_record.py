@@ -9,8 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import ABOVE, MISSING, Record
-from dashpot.errors import ConvergenceError, DataError, IdentifiabilityError
-from dashpot.estimate.nonlinear import record_inference
+from dashpot.errors import ConvergenceError, DataError
 from dashpot.estimate.nonlinear.record_inference import followed_record
 from dashpot.estimate.nonlinear.record_problem import enough_substeps
 from dashpot.estimate.nonlinear.record_regression import first_record_values
@@ -269,18 +268,3 @@ def test_samples_that_are_missed_or_clipped_do_not_count():
     some = fit_records(model, (replace(data, values=values, status=status),)).estimate()
     assert np.all(np.abs(some.values - whole.values) < whole.sd)
     assert np.all(some.sd < 1.25 * whole.sd)
-
-
-def test_constants_without_a_trace_where_a_search_went_astray_are_no_fact_of_the_data(monkeypatch):
-    """Friction that falls with speed had been said to move too little, where the search had run off."""
-
-    def lost(*_, **__):
-        raise IdentifiabilityError("the data contain no information on k3")
-
-    _, _, data = record("cubic", ALL, noise=0.02, samples=200)
-    fitted = fit_records(two_masses("cubic")[0], [data])
-    monkeypatch.setattr(record_inference, "require_determined", lost)
-    with pytest.raises(ConvergenceError):
-        replace(fitted, converged=False).estimate()
-    with pytest.raises(IdentifiabilityError):
-        replace(fitted, converged=True).estimate()
