@@ -311,9 +311,8 @@ def filtered(baseline: Baseline) -> Iterator[Effect]:
                 begun = (float(closely[int(np.argmin(left))]),) if np.sum(used) > 2 else ()
                 act = partial(_through, c, power, order)
                 words = partial(_filter, channel.name, power)
-                yield Effect(
-                    "filter", (channel.name,), act, words, (*begun, *corners.tolist()), 1.0, 1.0, True
-                )
+                sizes = (*begun, *corners.tolist())
+                yield Effect("filter", (channel.name,), act, words, sizes, 1.0, 1.0, True, share=1 / 4)
 
 
 def _passed(omega: Real, power: int, order: int, corner_hz: Real | float) -> Complex:
@@ -483,7 +482,7 @@ def _mixed(name: str, other: str, share: float) -> Phrase:
 
 
 def place(baseline: Baseline) -> Iterator[Effect]:
-    """Each channel of the motion as one of another point, or of one between its own and another."""
+    """Each channel of the motion as one of another point, or of one on a part that joins its own to another."""
     model, channels = baseline.problem.model, baseline.problem.channels
     for c in np.flatnonzero(~baseline.inputs).tolist():
         channel = channels[c]
@@ -492,12 +491,15 @@ def place(baseline: Baseline) -> Iterator[Effect]:
         for point in (*model.coordinates, *model.displacement_inputs):
             if set(channel.of) != {point}:
                 act, words = partial(_mounted, c, point), partial(_seen_there, model, channel, point)
-                yield Effect("place", (channel.name,), act, words, (1.0, 0.1), 0.3)
+                yield Effect("place", (channel.name,), act, words)
+                if any({point, *channel.of} <= set(element.along) for element in model.elements):
+                    yield Effect("place", (channel.name,), act, words, (0.1, 0.5), 0.3)
 
 
 def _between(channel: Channel, point: str, share: float) -> Channel:
-    """The channel where it shows that much of another point and the rest of its own."""
+    """The channel where it shows that much of another point and the rest of its own: it is between them."""
     (own,) = channel.of
+    share = min(max(share, 0.0), 1.0)
     return replace(channel, of={own: 1 - share, point: share} if abs(share - 1) > CLOSE else {point: 1.0})
 
 

@@ -338,7 +338,7 @@ def _loudest_tone(
     about = order
     # Ten frequencies to a line beside the peak, then ten times as closely about the best, and again
     for reach in (1.0, 0.1, 0.01):
-        orders = np.maximum(about + reach * np.linspace(-1, 1, 21), 0.1)
+        orders = np.maximum(about + reach * np.linspace(-1, 1, 21), 1.0)  # less is a drift
         columns = np.zeros((*left.shape, len(orders), 2), dtype=np.complex128)
         columns[lines] = shape[lines, :, None, None] * _sines(record, problem.omega[lines], orders)[:, None]
         white = found.root @ found.left_of(columns.reshape(1, *left.shape, -1))

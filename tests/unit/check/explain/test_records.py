@@ -92,7 +92,7 @@ def test_a_record_without_a_step_has_none(test_of_three: tuple[Model, Record]) -
     [
         ("saturated", ("saturation", "channel"), "saturated"),
         ("drift", ("channel",), "drifts"),
-        ("spikes", ("time",), "jumps"),
+        ("spikes", ("time",), "abruptly"),
         ("filtered", ("filter",), "high-pass"),
         ("gain", ("gain",), "1.3"),
     ],
