@@ -51,7 +51,6 @@ REACH = 1.5  # periods of the highest frequency: the longest delay that is looke
 DISAGREES = (
     "disagrees with the other channels, and no common error (sign, unit, gain, delay, swap) explains it"
 )
-TURN = 180 / np.pi  # corner over a frequency whose phase it turns by a degree
 FEWEST = 6  # lines that tell a course over frequency
 USUAL_UNITS = {
     Quantity.DISPLACEMENT: ("m", "mm", "µm", "cm", "in", "deg", "rad"),
@@ -297,21 +296,21 @@ def filtered(baseline: Baseline) -> Iterator[Effect]:
     omega = baseline.courses.omega
     if len(np.unique(omega)) < FEWEST:
         return
-    # To where a filter turns the nearest line by a degree
-    low, high = np.min(omega) / (2 * np.pi) / TURN, TURN * np.max(omega) / (2 * np.pi)
-    corners, closely = np.geomspace(low, high, 6)[1:-1], np.geomspace(low, high, 120)
+    # A low-pass far above the band is but a delay; a high-pass shows where it turns the lowest line by a degree.
+    lowest, highest = np.min(omega) / (2 * np.pi), np.max(omega) / (2 * np.pi)
+    low_pass = tuple(np.geomspace(0.1 * lowest, 8 * highest, 8).tolist())
+    corners = np.geomspace(lowest * np.pi / 180, 8 * highest, 120)
     for c, channel in enumerate(baseline.problem.channels):
         used, y, e = baseline.compared(c)
-        noise = baseline.problem.sd[used, c]
         for power in (1, -1):
             for order in (1, 2):
-                passed = _passed(omega[used], power, order, closely[:, None])
-                # What passed, over what was before, against all others, each amplitude by its own noise
-                left = np.sum(np.abs((y - e / passed) / noise) ** 2, axis=1)
-                begun = (float(closely[int(np.argmin(left))]),) if np.sum(used) > 2 else ()
+                sizes = low_pass
+                if power < 0:  # where what passed, against all others, leaves least, and about it
+                    passed = _passed(omega[used], power, order, corners[:, None])
+                    left = np.sum(np.abs((y - e / passed) / baseline.problem.sd[used, c]) ** 2, axis=1)
+                    sizes = (float(corners[int(np.argmin(left))]), *corners[12::24].tolist())
                 act = partial(_through, c, power, order)
                 words = partial(_filter, channel.name, power)
-                sizes = (*begun, *corners.tolist())
                 yield Effect("filter", (channel.name,), act, words, sizes, 1.0, 1.0, True, share=1 / 4)
 
 

@@ -329,7 +329,6 @@ def _leaves_more_than_noise(fit: FittedProblem) -> bool:
 
 ON_RECORDS = (rigs.element, rigs.value, rigs.hysteretic)  # kinds that are tried on the records themselves
 IN_FULL = 4  # effects on whole records beside the best of each kind that few lines call for
-TOLD_APART = 10.0  # of log evidence by few lines between forms of one channel's mistake: one of them is left
 HINT = 0.3  # of the misfit that an unknown gain or delay must explain to be looked at
 NEAR = 0.2  # nepers within which a gain is taken for a usual ratio
 CALIBRATIONS = {"gain": (channels.sign, channels.unit, channels.gain), "delay": (channels.delay,)}
@@ -353,8 +352,6 @@ def explain_records(
     rough = _begun(lines, silent or {}, True, seed)
     tried = _tried(rough, KINDS)
     _search_afresh(rough, tried)
-    tried.sort(key=lambda each: -each.roughly)
-    _closely(lines, tried[:CLOSELY], fitted)
     tried.sort(key=lambda each: -each.roughly)
     baseline = begun_at(problem, silent, True)
     as_is = baseline.as_is
@@ -468,8 +465,10 @@ def _chosen(
             elif near:
                 yield effect, prior, min(near, key=lambda each: abs(log(each / size))), (psi,)
     # Ends, which the lines do without, make forms of one channel's mistake alike that these tell apart.
-    likeliest = {each.effect.of: each.roughly for each in reversed(of_lines)}
-    of_lines = [each for each in of_lines if each.roughly > likeliest[each.effect.of] - TOLD_APART]
+    likeliest: dict[tuple[str, ...], float] = {}
+    for each in of_lines:
+        likeliest[each.effect.of] = max(each.fit.roughly, likeliest.get(each.effect.of, -np.inf))
+    of_lines = [each for each in of_lines if each.fit.roughly > likeliest[each.effect.of] - TOGETHER]
     best = {each.effect.kind: each for each in reversed(of_lines)}
     for each in {id(each.effect): each for each in (*best.values(), *of_lines[:IN_FULL])}.values():
         yield each.effect, each.prior, each.size, (each.fit.psi,)

@@ -197,7 +197,8 @@ def _with_causes(assessment: Assessment, found: tuple[Finding, ...], laws: tuple
     best = found[0] if found else None
     by_law = laws[0].explains or 0.0 if laws else 0.0
     explains = 0.0 if best is None or best.explains is None else best.explains
-    if laws and by_law > min(explains, 1 - (1 - by_law) / 10):
+    # A score tells what one step explains: less than the law would.
+    if laws and explains < 1 - (1 - by_law) / 10:
         share = f"{100 * by_law:.0f} %"
         text = f"a nonlinear element between {' and '.join(laws[0].of)} explains {share} of the residuals (p < 1e-6)"
         others = (each for each in assessment.reasons if each.code not in UNTESTED)
