@@ -806,7 +806,7 @@ def _floor(baseline: Baseline, causes: Sequence[Cause]) -> float:
     if not baseline.problem.noise_known:
         return 0.0
     on_all = (cause.fit.reduced for cause in causes if cause.fit.problem.rows == baseline.problem.rows)
-    return min(1.0, *on_all)
+    return min((1.0, *on_all))  # there may be none
 
 
 def indistinguishable(likelihoods: Sequence[float]) -> list[int | None]:
