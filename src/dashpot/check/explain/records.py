@@ -385,9 +385,9 @@ def _of_its_ends(spectrum: Spectrum, c: int, predicted: Complex) -> Complex:
     for number in spectrum.records if derivative else ():
         its = np.flatnonzero(spectrum.stretch == number)
         s = 1j * spectrum.omega[its] / np.max(spectrum.omega[its])
-        powers = s[:, None] ** np.arange(derivative)
+        powers = (s[:, None] ** np.arange(derivative)).astype(np.complex128)
         left = spectrum.amplitudes[its, c] - predicted[its]
-        columns, both = (np.concatenate([part.real, part.imag]) for part in (powers, left))
+        columns, both = _parts(powers), _parts(left)
         added[its] = powers @ np.linalg.lstsq(columns, both, rcond=None)[0]
     return added
 
