@@ -1,8 +1,8 @@
 """Modes of the same records by dashpot, pyOMA-2 and sdypy-EMA: error, intervals, time, and what was chosen by hand.
 
-`python3 dev.py bench modes [--draws N] [--alone N] [--case NAME] [--rigs N [--first SEED]]`.  Systems of known modes
-(`tests/unit/free/bench.py`) under one random force up to 35 Hz, 100 s at 100 samples a second, 2 % noise on three
-accelerometers.
+`python3 dev.py bench modes [--draws N] [--alone N] [--case NAME] [--rigs N [--first SEED] [--rows FILE]]`.
+Systems of known modes (`tests/unit/free/bench.py`) under one random force up to 35 Hz, 100 s at 100 samples a second,
+2 % noise on three accelerometers.
 
 - dashpot gets the record and the name of the input; order, band and poles it finds.
 - pyOMA-2 gets the record: stochastic subspace identification of the outputs (`cov`, its default of 20 block rows), and
@@ -13,7 +13,8 @@ accelerometers.
 `--alone N`: N more draws by dashpot alone, for the coverage of its intervals.  `--rigs N`: dashpot alone on N random
 systems of two to eight modes (2 to 16 Hz, ζ 0.1 to 10 %; in half of them a pair 2 % apart with ζ of 1 % or less),
 three to five accelerometers, 1 to 5 % noise, by kinds of test in turn; errors are compared with the Cramér-Rao bound
-of the same lines with the noise known, as well.  The peers are not among dashpot's
+of the same lines with the noise known, as well.  `--rows FILE`: each draw is added to the file as it ends, draws
+that it has are not made again, and the table is of all of them.  The peers are not among dashpot's
 requirements: `pip install pyOMA-2 sdypy-EMA`; those that are missing are left out, and said to be.
 """
 
@@ -23,12 +24,15 @@ import argparse
 import contextlib
 import importlib
 import io
+import json
 import logging
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import signal
@@ -206,7 +210,7 @@ def run(name: str, bench: Bench, tool: str, draws: range) -> None:
 
 # Random systems, by kinds of test in turn.
 
-KINDS = ("random force", "two forces, two records", "hammer", "free decays", "responses")
+KINDS = ("random force", "base motion", "two forces, two records", "hammer", "free decays", "responses")
 
 
 def drawn(rng: np.random.Generator) -> Bench:
@@ -224,18 +228,24 @@ def drawn(rng: np.random.Generator) -> Bench:
     return Bench(tuple(hz[order]), tuple(damping[order]), min(max(n, 3), 5))
 
 
-def periodic_part(bench: Bench, rng: np.random.Generator, noise: float, inputs: int) -> Record:
-    """100 s of a random force with a period of more than 700 s, 0.1 to 35 Hz, and what it does: exact."""
+def periodic_part(
+    bench: Bench, rng: np.random.Generator, noise: float, inputs: int, kind: Quantity = Quantity.FORCE
+) -> Record:
+    """100 s of random inputs with a period of more than 700 s, 0.1 to 35 Hz, and what they do: exact.
+
+    Forces, or the acceleration of a base that moves the modes as a force at the first point would.
+    """
     samples = round(SECONDS * RATE)
     period = 7 * samples + 13
     hz = np.fft.rfftfreq(period, 1 / RATE)
     inside = ((hz > 0.1) & (hz < 35))[:, None]
     U = inside * (rng.normal(size=(len(hz), inputs)) + 1j * rng.normal(size=(len(hz), inputs)))
-    Y = np.einsum("foi,fi->fo", bench.accelerance(hz, inputs), U)
+    H = bench.accelerance(hz, inputs)
+    Y = np.einsum("foi,fi->fo", 1 - H if kind is Quantity.ACCELERATION else H, U)
     u, y = (np.fft.irfft(one, period, axis=0)[:samples] * period**0.5 for one in (U, Y))
     y = y + noise * np.std(y, axis=0) * rng.standard_normal(y.shape)
     names = [f"u{i}" for i in range(inputs)]
-    channels = [Channel(name, {name: 1.0}, Quantity.FORCE) for name in names]
+    channels = [Channel(name, {name: 1.0}, kind) for name in names]
     channels += [Channel(f"a{i}", {f"a{i}": 1.0}, Quantity.ACCELERATION) for i in range(bench.points)]
     return Record(tuple(channels), np.arange(samples) / RATE, np.column_stack([u, y]))
 
@@ -254,17 +264,22 @@ def records_of(kind: str, bench: Bench, rng: np.random.Generator, noise: float) 
         state = np.concatenate([rng.normal(size=n) / bench.omega, rng.normal(size=n)])
         still = np.zeros((round(SECONDS * RATE * FINER), 0))
         return [bench.record(still, rng, noise, state, shift=True)]
-    return [periodic_part(bench, rng, noise, 1)]
+    moved = Quantity.ACCELERATION if kind == "base motion" else Quantity.FORCE
+    return [periodic_part(bench, rng, noise, 1, moved)]
 
 
-def bound(bench: Bench, records: list[Record], band: tuple[float, float]) -> np.ndarray:
-    """Least standard deviations of frequencies and damping ratios (modes, 2), white noise of the outputs known."""
-    nu = sum(channel.quantity is Quantity.FORCE for channel in records[0].channels)
+def bound(
+    bench: Bench, records: list[Record], nu: int, levels: list[np.ndarray], band: tuple[float, float]
+) -> np.ndarray:
+    """Least standard deviations of frequencies and damping ratios (modes, 2), white noise of the outputs known.
+
+    levels: of each record the standard deviation of a sample of each output's noise.
+    """
     sets, unit = [], 2 * np.pi * band[1]
-    for record in records:
+    for record, sd in zip(records, levels, strict=True):
         lines = record_lines(record, nu)
         inside = (lines.frequency_hz >= band[0]) & (lines.frequency_hz <= band[1])
-        level = np.diag(4 * NOISE_OF[id(record)] ** 2).astype(complex)
+        level = np.diag(4 * sd**2).astype(complex)
         noise = np.broadcast_to(level, (int(np.sum(inside)), *level.shape))
         U, Y = lines.inputs[inside], lines.outputs[inside]
         sets.append(_Set(lines.frequency_hz[inside], U, Y, noise, lines.duration_s / lines.samples, unit))
@@ -281,57 +296,85 @@ def bound(bench: Bench, records: list[Record], band: tuple[float, float]) -> np.
     return np.array(found)
 
 
-NOISE_OF: dict[int, np.ndarray] = {}
-
-
-def rigs(draws: range) -> None:
-    """Print a row of each kind of test."""
-    rows: dict[str, list[list[np.ndarray]]] = {kind: [] for kind in KINDS}
-    counts: dict[str, list[int]] = {kind: [0, 0, 0] for kind in KINDS}
-    seconds: dict[str, list[float]] = {kind: [] for kind in KINDS}
-    for seed in draws:
-        rng, kind = np.random.default_rng(seed), KINDS[seed % len(KINDS)]
-        bench, noise = drawn(rng), float(rng.uniform(0.01, 0.05))
-        tests = records_of(kind, bench, rng, noise)
-        inputs = [c.name for c in tests[0].channels if c.quantity is Quantity.FORCE]
-        start = time.process_time()
-        found = dashpot.modes(dashpot.frf(tests, inputs) if kind == "responses" else tests, inputs)
-        seconds[kind].append(time.process_time() - start)
-        for test in tests:
-            motion = np.std(test.values[:, len(inputs) :], axis=0) / (1 + noise**2) ** 0.5
-            NOISE_OF[id(test)] = noise * motion
-        least = bound(bench, tests, (float(found.frequency[0]), float(found.frequency[-1])))
-        true, zeta, shapes = np.array(bench.frequency_hz), np.array(bench.damping), true_shapes(bench)
-        counts[kind][1] += len(true)
-        counts[kind][2] += max(0, len(found.frequency_hz) - len(true))
-        away = np.abs(
-            found.eigenvalues[None] / (2 * np.pi * true[:, None])
-            - (1j * np.sqrt(1 - zeta**2) - zeta)[:, None]
-        )
-        for k in range(len(true)):
-            j = int(np.argmin(away[k]))
-            if away[k, j] > max(NEAR, zeta[k] / 2):
-                counts[kind][0] += 1
-                continue
-            errors_of = np.array([found.frequency_hz[j] - true[k], found.damping_ratio[j] - zeta[k]])
-            sd = np.array([found.frequency_sd[j], found.damping_sd[j]])
-            some = found.shape_sd[j] > 0
-            scale = shapes[k, ~some][0]
-            off = (found.shapes[j] - shapes[k] / scale)[some] / found.shape_sd[j][some]
-            rows[kind].append([errors_of / sd, errors_of / least[k], np.concatenate([off.real, off.imag])])
-    for kind in KINDS:
-        if not rows[kind]:
+def one_rig(seed: int) -> dict[str, Any]:
+    """What one draw gives: a row of figures for each mode that was found."""
+    rng, kind = np.random.default_rng(seed), KINDS[seed % len(KINDS)]
+    bench, noise = drawn(rng), float(rng.uniform(0.01, 0.05))
+    tests = records_of(kind, bench, rng, noise)
+    inputs = [c.name for c in tests[0].channels if c.name.startswith("u")]
+    start = time.process_time()
+    found = dashpot.modes(dashpot.frf(tests, inputs) if kind == "responses" else tests, inputs)
+    seconds = time.process_time() - start
+    levels = [noise * np.std(one.values[:, len(inputs) :], axis=0) / (1 + noise**2) ** 0.5 for one in tests]
+    band = float(found.frequency[0]), float(found.frequency[-1])
+    least = bound(bench, tests, len(inputs), levels, band)
+    true, zeta, shapes = np.array(bench.frequency_hz), np.array(bench.damping), true_shapes(bench)
+    away = np.abs(
+        found.eigenvalues[None] / (2 * np.pi * true[:, None]) - (1j * np.sqrt(1 - zeta**2) - zeta)[:, None]
+    )
+    modes = []
+    for k in range(len(true)):
+        j = int(np.argmin(away[k]))
+        if away[k, j] > max(NEAR, zeta[k] / 2):
             continue
-        z, ratio = (np.array([row[part] for row in rows[kind]]) for part in (0, 1))
-        shapes = np.concatenate([row[2] for row in rows[kind]])
-        lost, of, more = counts[kind]
-        held = [f"{100 * np.mean(np.abs(one) < 1.96):.1f}" for one in (z[:, 0], z[:, 1], shapes)]
-        biases = [f"{np.mean(one):.2f}" for one in (z[:, 0], z[:, 1], shapes)]
-        to_bound = [f"{np.sqrt(np.mean(ratio[:, k] ** 2)):.2f}" for k in (0, 1)]
-        of_sd = [f"{np.sqrt(np.mean(one**2)):.2f}" for one in (z[:, 0], z[:, 1])]
-        parts = [", ".join(part) for part in (held, biases, to_bound, of_sd)]
+        errors_of = np.array([found.frequency_hz[j] - true[k], found.damping_ratio[j] - zeta[k]])
+        some = found.shape_sd[j] > 0
+        off = (found.shapes[j] - shapes[k] / shapes[k, ~some][0])[some] / found.shape_sd[j][some]
+        modes.append(
+            {
+                "frequency_hz": true[k],
+                "damping_ratio": zeta[k],
+                "z": (errors_of / [found.frequency_sd[j], found.damping_sd[j]]).tolist(),
+                "over_bound": (errors_of / least[k]).tolist(),
+                "z_shape": [*off.real.tolist(), *off.imag.tolist()],
+            }
+        )
+    more = max(0, len(found.frequency_hz) - len(true))
+    return {
+        "seed": seed,
+        "kind": kind,
+        "noise": noise,
+        "of": len(true),
+        "more": more,
+        "seconds": seconds,
+        "modes": modes,
+    }
+
+
+def rigs(draws: range, kept: Path | None) -> None:
+    """Print a row of each kind of test, and of all."""
+    rows: list[dict[str, Any]] = []
+    if kept is not None and kept.exists():
+        rows = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()]
+    done = {row["seed"] for row in rows}
+    for seed in draws:
+        if seed in done:
+            continue
+        rows.append(one_rig(seed))
+        if kept is not None:
+            with kept.open("a", encoding="utf-8") as file:
+                print(json.dumps(rows[-1]), file=file)
+    print(
+        "| test | modes found | held: f, ζ, shapes, % | mean error / sd | rms error / bound: f, ζ | / sd | s |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    for kind in (*KINDS, "all"):
+        some = [row for row in rows if kind in (row["kind"], "all")]
+        modes = [mode for row in some for mode in row["modes"]]
+        if not modes:
+            continue
+        z, ratio = (np.array([mode[part] for mode in modes]) for part in ("z", "over_bound"))
+        all_z = (z[:, 0], z[:, 1], np.concatenate([mode["z_shape"] for mode in modes]))
+        held = ", ".join(f"{100 * np.mean(np.abs(one) < 1.96):.1f}" for one in all_z)
+        biases = ", ".join(f"{np.mean(one):.2f}" for one in all_z)
+        to_bound, of_sd = (
+            ", ".join(f"{np.sqrt(np.mean(one[:, k] ** 2)):.2f}" for k in (0, 1)) for one in (ratio, z)
+        )
+        of, more = (sum(row[part] for row in some) for part in ("of", "more"))
+        seconds = np.median([row["seconds"] for row in some])
         print(
-            f"| {kind} | {of - lost} of {of}, {more} more | {' | '.join(parts)} | {np.median(seconds[kind]):.2g} |",
+            f"| {kind} | {len(modes)} of {of}, {more} more | {held} | {biases} | {to_bound} | {of_sd} "
+            f"| {seconds:.2g} |",
             flush=True,
         )
 
@@ -346,14 +389,11 @@ def main() -> None:
     parser.add_argument("--case", choices=list(CASES), help="this one alone")
     parser.add_argument("--rigs", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="seed of the first of them")
+    parser.add_argument("--rows", type=Path, help="file that keeps them")
     options = parser.parse_args()
     logging.disable(logging.CRITICAL)
     if options.rigs:
-        print(
-            "| test | modes found | held: f, ζ, shapes, % | mean error / sd | rms error / bound: f, ζ | / sd | s |"
-        )
-        print("|---|---|---|---|---|---|---|")
-        rigs(range(options.first, options.first + options.rigs))
+        rigs(range(options.first, options.first + options.rigs), options.rows)
         return
     missing = []
     for tool, (module, _) in TOOLS.items():

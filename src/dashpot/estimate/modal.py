@@ -20,6 +20,7 @@ from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.result import MISFIT, SENSOR_NOISE, Estimate, Fit, estimate_of
 from dashpot.io.words import with_values
 from dashpot.model.elements import Kind
+from dashpot.model.matrix_elements import free_names
 from dashpot.model.modes import eigenpairs, mode_sensitivities
 from dashpot.model.network import Model
 from dashpot.notices import Notice
@@ -128,7 +129,7 @@ class ModeProblem:
             at = np.maximum(chosen, 0)
             lam = np.take_along_axis(values, at, axis=-1)
             phi = np.take_along_axis(shapes, at[..., None], axis=-2)
-            dlam, dphi = (part @ model.T for part in mode_sensitivities(model, p, lam, phi))
+            dlam, dphi = mode_sensitivities(model, p, lam, phi, model.T)
             # Whitened slopes (K, modes, 2, unknowns) and residuals (K, modes, 2) of frequency and damping ratio
             size = np.abs(lam)
             grow = (np.conj(lam)[..., None] * dlam).real / size[..., None]
@@ -181,20 +182,57 @@ class ModeProblem:
         parts = (like_parts(self.model, self.data), usual_parts(self.model, self.data))
         return 1e5 * np.maximum(*np.abs(parts))
 
-    def search(self, start: Real, rows: Ints, limit: int) -> OptimizeResult:
+    def search(self, start: Real, rows: Ints, limit: int, *, rough: bool = False) -> OptimizeResult:
         """The least χ² from starts (k, unknowns), of the repeats they belong to; ends far outside the scale of
-        everything known are none."""
+        everything known are none.
+
+        In logarithms of what starts positive, in steps of a neper at most, for from afar a step in values leads beyond
+        zero or any size; `rough` leaves it at that, else the end is refined in values, which may be negative.
+        """
         lower, upper = self.model.bounds
+        logs = np.all(start > 0, axis=0) & (self.model.bounds[1] > 0) & ~self._of_any_sign
+        with np.errstate(divide="ignore"):
+            low, high = (np.where(logs, np.log(np.maximum(end, 0.0)), end) for end in (lower, upper))
+
+        def values(psi: Real) -> Real:
+            return np.where(logs, np.exp(np.where(logs, psi, 0.0)), psi)
+
+        def in_logs(psi: Real, some: Ints) -> QuadraticModel:
+            theta = values(psi)
+            around, slope = self.evaluate(theta, rows[some]), np.where(logs, theta, 1.0)
+            matrix = around.symmetric * slope[:, :, None] * slope[:, None, :]
+            return QuadraticModel(around.cost, around.gradient * slope, matrix, matrix)
+
         ends = minimise(
-            lambda theta, some: self.evaluate(theta, rows[some]),
-            start,
+            in_logs,
+            np.where(logs, np.log(np.where(logs, start, 1.0)), start),
             limit=limit,
             tolerance=1e-6,
-            lower=lower,
-            upper=upper,
+            lower=low,
+            upper=high,
+            longest=np.where(logs, 1.0, np.inf),
+            patience=limit,
         )
+        ends = replace(ends, x=values(ends.x), history=values(ends.history))
+        if not rough:
+            near = minimise(
+                lambda theta, some: self.evaluate(theta, rows[some]),
+                ends.x,
+                limit=limit,
+                tolerance=1e-6,
+                lower=lower,
+                upper=upper,
+            )
+            history = np.concatenate([ends.history, near.history[1:]])
+            ends = replace(near, iterations=ends.iterations + near.iterations, history=history)
         lost = np.any(np.abs(ends.x) > self.largest, axis=-1)
         return replace(ends, cost=np.where(lost, np.inf, ends.cost), converged=ends.converged & ~lost)
+
+    @cached_property
+    def _of_any_sign(self) -> Bools:
+        """Which unknowns (unknowns,) are entries of free matrices."""
+        free = free_names(self.model)
+        return np.array([unknown.name in free for unknown in self.model.unknowns], dtype=bool)
 
 
 def _whitening(V: Complex | Real, what: str) -> Complex:
@@ -469,7 +507,7 @@ def rigs_with(model: Model, data: ModalData, *, seed: int = 0) -> Real:
 
 def _ends(problem: ModeProblem, drawn: Real) -> OptimizeResult:
     """Where all starts of the one repeat end; the deepest of those that are still on their way are followed."""
-    ends = problem.search(drawn, np.zeros(len(drawn), dtype=np.int64), 25)
+    ends = problem.search(drawn, np.zeros(len(drawn), dtype=np.int64), 25, rough=True)
     on_the_way = np.flatnonzero(~ends.converged & np.isfinite(ends.cost))
     # Ten of those that have not settled after a few steps
     deepest = on_the_way[np.argsort(ends.cost[on_the_way])[:10]]
@@ -481,7 +519,7 @@ def _ends(problem: ModeProblem, drawn: Real) -> OptimizeResult:
 def _deepest(problem: ModeProblem, drawn: Real, rows: Ints) -> OptimizeResult:
     """For each of the rows, all starts for a few steps, which tell the valleys apart; the deepest to its end."""
     starts = len(drawn)
-    short = problem.search(np.tile(drawn, (len(rows), 1)), np.repeat(rows, starts), 25)
+    short = problem.search(np.tile(drawn, (len(rows), 1)), np.repeat(rows, starts), 25, rough=True)
     cost = np.where(np.isfinite(short.cost), short.cost, np.inf).reshape(len(rows), starts)
     best = np.argmin(cost, axis=1)
     return problem.search(short.x.reshape(len(rows), starts, -1)[np.arange(len(rows)), best], rows, 100)

@@ -53,6 +53,17 @@ def eigenmodes(model: Model, p: Real) -> Modes:
         nothing = np.zeros((0, 0), dtype=np.complex128)
         return Modes(nothing.ravel(), nothing, np.zeros((0, len(model.elements)), dtype=np.complex128))
     parts = matrices(model, p)
+    poles, shapes = _in_order(parts)
+    denominator = ((2 * poles[:, None] * (shapes @ parts.M) + shapes @ parts.C) * shapes).sum(axis=-1)
+    factor = model.pole_factors(poles)
+    elongation = shapes @ model.B.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sensitivity: Complex = -factor * elongation**2 / denominator[:, None]
+    return Modes(poles, shapes, sensitivity)
+
+
+def _in_order(parts: Matrices) -> tuple[Complex, Complex]:
+    """Eigenvalues with Im ≥ 0 of one rig by their size, (modes,), and shapes (modes, n), largest entry 1."""
     # The largest entries of M, C and K + jH
     stiffness = np.hypot(parts.K, parts.H) if parts.H.any() else parts.K
     inertia, damping, stiff = (float(np.abs(matrix).max()) for matrix in (parts.M, parts.C, stiffness))
@@ -65,12 +76,7 @@ def eigenmodes(model: Model, p: Real) -> Modes:
     poles, shapes = poles[order], shapes[order]
     largest = shapes[np.arange(len(shapes)), np.abs(shapes).argmax(axis=-1), None]
     shapes = shapes / np.where(largest == 0, 1.0, largest)
-    denominator = ((2 * poles[:, None] * (shapes @ parts.M) + shapes @ parts.C) * shapes).sum(axis=-1)
-    factor = model.pole_factors(poles)
-    elongation = shapes @ model.B.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sensitivity: Complex = -factor * elongation**2 / denominator[:, None]
-    return Modes(poles, shapes, sensitivity)
+    return poles, shapes
 
 
 def _upper_half(parts: Matrices, sizes: tuple[float, float, float], rate: float) -> tuple[Complex, Complex]:
@@ -148,53 +154,84 @@ def eigenpairs(model: Model, p: Real) -> tuple[Complex, Complex]:
     """Eigenvalues (K, 2n) and shapes (K, 2n, n) of many rigs, p (K, elements); NaN where a rig has fewer.
 
     All of them, conjugates and real ones included, in no order; only Im λ > 0 has a meaning with hysteretic dampers.
-    Rigs whose mass matrix is regular are solved together, which is faster than `modes` of each.
     """
-    n = model.n
-    parts = matrices(model, p)
+    return eigenpairs_of(matrices(model, p))
+
+
+def eigenpairs_of(parts: Matrices) -> tuple[Complex, Complex]:
+    """As `eigenpairs`, of matrices (K, n, n).
+
+    Rigs whose mass matrix is regular are solved together, which is faster than `eigenmodes` of each; without damping
+    as the symmetric problem that they are, of half the size.
+    """
+    n = parts.M.shape[-1]
     K = parts.K + 1j * parts.H if np.any(parts.H) else parts.K
-    values = np.full((len(p), 2 * n), np.nan + 0j)
-    shapes = np.full((len(p), 2 * n, n), np.nan + 0j)
+    values = np.full((len(K), 2 * n), np.nan + 0j)
+    shapes = np.full((len(K), 2 * n, n), np.nan + 0j)
     size = np.sqrt(np.abs(np.diagonal(parts.M, axis1=-2, axis2=-1)))
     size = np.where(size > 0, size, 1.0)
     scaled = parts.M / (size[:, :, None] * size[:, None, :])
-    finite = np.all(np.isfinite(p), axis=-1)
-    regular = finite.copy()
-    regular[finite] = np.linalg.svd(scaled[finite], compute_uv=False)[:, -1] > 1e-9
-    if np.any(regular):
-        both = np.concatenate([K[regular], parts.C[regular].astype(K.dtype)], axis=-1)
-        right = both / size[regular][:, :, None] / np.concatenate([size[regular]] * 2, axis=-1)[:, None, :]
-        A = np.zeros((int(np.sum(regular)), 2 * n, 2 * n), dtype=K.dtype)
+    finite = np.all(np.isfinite(parts.M) & np.isfinite(parts.C) & np.isfinite(K), axis=(-1, -2))
+    least = np.full(len(K), np.nan)
+    least[finite] = np.linalg.eigvalsh(scaled[finite])[:, 0]
+    regular = finite & (least > 1e-9)
+    indefinite = finite & (least < 0)
+    regular[indefinite] = np.linalg.svd(scaled[indefinite], compute_uv=False)[:, -1] > 1e-9
+    still = regular & (least > 0) & ~np.any(parts.C, axis=(-1, -2)) & ~np.any(parts.H, axis=(-1, -2))
+    if np.any(still):
+        inverse = np.linalg.inv(np.linalg.cholesky(scaled[still])) / size[still][:, None, :]
+        turned = np.swapaxes(inverse, -1, -2)
+        squares, vectors = np.linalg.eigh(inverse @ K[still].real @ turned)
+        poles = np.sqrt(-squares + 0j)
+        values[still] = np.concatenate([poles, -poles], axis=-1)
+        shapes[still] = np.tile(np.swapaxes(turned @ vectors, -1, -2), (1, 2, 1))
+    damped = regular & ~still
+    if np.any(damped):
+        both = np.concatenate([K[damped], parts.C[damped].astype(K.dtype)], axis=-1)
+        right = both / size[damped][:, :, None] / np.concatenate([size[damped]] * 2, axis=-1)[:, None, :]
+        A = np.zeros((int(np.sum(damped)), 2 * n, 2 * n), dtype=K.dtype)
         A[:, :n, n:] = np.eye(n)
-        A[:, n:] = -np.linalg.solve(scaled[regular], right)
+        A[:, n:] = -np.linalg.solve(scaled[damped], right)
         # Where a search has run off to, rounding may leave nothing finite: such a rig has no modes.
         whole = np.all(np.isfinite(A), axis=(-1, -2))
         poles, vectors = np.linalg.eig(np.where(whole[:, None, None], A, 0.0))
-        values[regular] = np.where(whole[:, None], poles, np.nan)
-        shapes[regular] = np.swapaxes(vectors[:, :n], -1, -2) / size[regular][:, None, :]
+        values[damped] = np.where(whole[:, None], poles, np.nan)
+        shapes[damped] = np.swapaxes(vectors[:, :n], -1, -2) / size[damped][:, None, :]
     for k in np.flatnonzero(finite & ~regular):  # massless coordinates: fewer modes, found one rig at a time
-        single = eigenmodes(model, p[k])
-        values[k, : len(single.eigenvalues)] = single.eigenvalues
-        shapes[k, : len(single.eigenvalues)] = single.shapes
+        own = Matrices(*(part[k] for part in (parts.M, parts.C, parts.K, parts.H, parts.F, parts.G, parts.J)))
+        poles, vectors = _in_order(own)
+        values[k, : len(poles)] = poles
+        shapes[k, : len(poles)] = vectors
     return values, shapes
 
 
-def mode_sensitivities(model: Model, p: Real, values: Complex, shapes: Complex) -> tuple[Complex, Complex]:
-    """∂λ/∂p (..., modes, elements) and ∂φ/∂p (..., modes, n, elements) with φᴴ ∂φ = 0.
+def mode_sensitivities(
+    model: Model, p: Real, values: Complex, shapes: Complex, along: Real | None = None
+) -> tuple[Complex, Complex]:
+    """∂λ (..., modes, u) and ∂φ (..., modes, n, u) with φᴴ ∂φ = 0, along directions (elements, u) of p.
+
+    Of each element by itself where `along` is not given.  p (..., elements); values (..., modes); shapes (..., modes,
+    n).  Not finite where eigenvalues coincide.
+    """
+    stretch = model.pole_factors(values) * (shapes @ model.B.T)
+    forces = -np.swapaxes(model.B * stretch[..., None], -1, -2)
+    return sensitivities_of(matrices(model, p), forces if along is None else forces @ along, values, shapes)
+
+
+def sensitivities_of(
+    parts: Matrices, forces: Complex, values: Complex, shapes: Complex
+) -> tuple[Complex, Complex]:
+    """∂λ (..., modes, u) and ∂φ (..., modes, n, u) under forces −∂P φ (..., modes, n, u); φᴴ ∂φ = 0.
 
     From (λ²M + λC + K + jH) φ = 0, differentiated and bordered (Nelson 1976; Lee, Jung and Lee 1999):
-    [P, P′φ; φᴴ, 0] (∂φ; ∂λ) = (−∂P/∂p φ; 0), one solve a mode for all elements.  p (..., elements); values
-    (..., modes); shapes (..., modes, n).  Not finite where eigenvalues coincide.
+    [P, P′φ; φᴴ, 0] (∂φ; ∂λ) = (−∂P φ; 0), one solve a mode for all u.
     """
-    n = model.n
-    parts = matrices(model, p)
+    n, count = forces.shape[-2:]
     K = (parts.K + 1j * parts.H)[..., None, :, :]
     M, C = parts.M[..., None, :, :], parts.C[..., None, :, :]
     lam = values[..., None, None]
     P = lam**2 * M + lam * C + K
     slope = ((2 * lam * M + C) @ shapes[..., None])[..., 0]
-    factor = model.pole_factors(values)
-    forces = -np.swapaxes(model.B * (factor * (shapes @ model.B.T))[..., None], -1, -2)
     # Rows in units of the largest entry, ∂λ in units of |λ|, so that the border is as large as what it borders.
     size = np.max(np.abs(P), axis=(-1, -2), keepdims=True)
     size = np.where(size > 0, size, 1.0)
@@ -204,7 +241,7 @@ def mode_sensitivities(model: Model, p: Real, values: Complex, shapes: Complex) 
     system[..., :n, :n] = P / size
     system[..., :n, n] = slope * (rate / length) / size[..., 0]
     system[..., n, :n] = np.conj(shapes) / length
-    right = np.zeros((*values.shape, n + 1, len(model.elements)), dtype=complex)
+    right = np.zeros((*values.shape, n + 1, count), dtype=complex)
     right[..., :n, :] = forces / size
     both = solve_small(system, right)
     dlam: Complex = both[..., n, :] * rate / length
