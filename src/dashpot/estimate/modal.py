@@ -14,15 +14,17 @@ from dashpot.data.modal_data import ModalData
 from dashpot.data.noise import LEVEL
 from dashpot.errors import ConvergenceError, DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.inference.diagnostics import held, require_determined, wrong_signs
-from dashpot.estimate.inference.uncertainty import mode_values
+from dashpot.estimate.inference.uncertainty import mode_values, with_uncertainty
 from dashpot.estimate.likelihood.global_search import COMPETING, DOUBT, TIE, apart, not_unique
 from dashpot.estimate.method import HeldBounds
-from dashpot.estimate.result import MISFIT, SENSOR_NOISE, Estimate, Fit, estimate_of
+from dashpot.estimate.result import MISFIT, SENSOR_NOISE, Estimate, Fit, ModeValues, estimate_of
 from dashpot.io.words import with_values
+from dashpot.model.dynamics import no_steady_response
 from dashpot.model.elements import Kind
 from dashpot.model.matrix_elements import free_names
-from dashpot.model.modes import eigenpairs, mode_sensitivities
+from dashpot.model.modes import Modes, eigenpairs, eigenpairs_of, mode_sensitivities, sensitivities_of
 from dashpot.model.network import Model
+from dashpot.model.reduced import ModalRig, extended_basis, lowest_shapes, mode_motions
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise, without_bounds
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
@@ -36,7 +38,8 @@ class ModeProblem:
 
     data: with one leading axis of repeats; damping (modes,), present (modes, points): whether measured; eigen (modes,
     2, 2): whitens (frequency, damping); shape (modes, points, points): whitens a shape, rows and columns of absent
-    points 0; look (points, n) picks these; rows: real numbers that were measured
+    points 0; look (points, n) picks these; rows: real numbers that were measured; span: the few motions of a large
+    rig that stand for all, on which shapes and `look` are then
     """
 
     model: Model
@@ -47,6 +50,7 @@ class ModeProblem:
     shape: Complex
     look: Real
     rows: int
+    span: ModalRig | None = None
 
     @staticmethod
     def of(model: Model, data: ModalData) -> ModeProblem:
@@ -79,6 +83,22 @@ class ModeProblem:
         look = np.array([[float(name == x) for x in model.coordinates] for name in data.points])
         look = look.reshape(len(data.points), model.n)
         return ModeProblem(model, data, damping, present, eigen, shape, look, rows)
+
+    def on(self, V: Real) -> ModeProblem:
+        """That of the rig on the span of V (n, k), for a problem of the whole rig."""
+        return replace(self, look=self.look @ V, span=ModalRig.of(self.model, V))
+
+    def eigenpairs(self, theta: Real) -> tuple[Complex, Complex]:
+        """Eigenvalues (K, …) and shapes at θ (K, unknowns), as `model.modes.eigenpairs`."""
+        if self.span is None:
+            return eigenpairs(self.model, self.model.parameters(theta))
+        return eigenpairs_of(self.span.matrices(theta))
+
+    def sensitivities(self, theta: Real, values: Complex, shapes: Complex) -> tuple[Complex, Complex]:
+        """∂λ and ∂φ by the unknowns, as `model.modes.mode_sensitivities`."""
+        if self.span is None:
+            return mode_sensitivities(self.model, self.model.parameters(theta), values, shapes, self.model.T)
+        return sensitivities_of(self.span.matrices(theta), self.span.forces(values, shapes), values, shapes)
 
     @property
     def repeats(self) -> int:
@@ -121,15 +141,14 @@ class ModeProblem:
     def evaluate(self, theta: Real, rows: Ints) -> QuadraticModel:
         """χ² with the priors, its slope and its curvature for `theta` (k, unknowns) of the repeats `rows`."""
         model, data = self.model, self.data
-        p = model.parameters(theta)
         with np.errstate(all="ignore"):
-            values, shapes = eigenpairs(model, p)
+            values, shapes = self.eigenpairs(theta)
             chosen = self.pair(values, shapes, rows)
             lost = np.any(chosen < 0, axis=-1)
             at = np.maximum(chosen, 0)
             lam = np.take_along_axis(values, at, axis=-1)
             phi = np.take_along_axis(shapes, at[..., None], axis=-2)
-            dlam, dphi = mode_sensitivities(model, p, lam, phi, model.T)
+            dlam, dphi = self.sensitivities(theta, lam, phi)
             # Whitened slopes (K, modes, 2, unknowns) and residuals (K, modes, 2) of frequency and damping ratio
             size = np.abs(lam)
             grow = (np.conj(lam)[..., None] * dlam).real / size[..., None]
@@ -165,7 +184,7 @@ class ModeProblem:
 
         NaN where the rig has no such mode; shapes have the scale that suits the points that were measured.
         """
-        values, shapes = eigenpairs(self.model, self.model.parameters(theta[None]))
+        values, shapes = self.eigenpairs(theta[None])
         at = self.pair(values, shapes)[0]
         lam = np.where(at >= 0, values[0, at], np.nan)
         seen = np.where((at >= 0)[:, None], shapes[0, at], np.nan) @ self.look.T
@@ -179,7 +198,7 @@ class ModeProblem:
     @cached_property
     def largest(self) -> Real:
         """Beyond this many times the values of like parts and usual ones nothing that is measured depends on an end."""
-        parts = (like_parts(self.model, self.data), usual_parts(self.model, self.data))
+        parts = (like_parts(self.model, self.data, self), usual_parts(self.model, self.data))
         return 1e5 * np.maximum(*np.abs(parts))
 
     def search(self, start: Real, rows: Ints, limit: int, *, rough: bool = False) -> OptimizeResult:
@@ -268,11 +287,12 @@ def linear_start(problem: ModeProblem) -> Real | None:
     return theta if np.all(np.isfinite(theta)) else None
 
 
-def like_parts(model: Model, data: ModalData) -> Real:
+def like_parts(model: Model, data: ModalData, problem: ModeProblem | None = None) -> Real:
     """The rig whose unknowns of a kind are all alike and whose first frequency is the first of the data, (unknowns,).
 
     What is known keeps its value; guesses and priors theirs.  Springs, dampers and the like are scaled, masses only
-    where nothing else can be; where that does not lead to the first frequency, usual values are what it is.
+    where nothing else can be; where that does not lead to the first frequency, usual values are what it is.  `problem`
+    gives the modes of a large rig.
     """
     theta = usual_parts(model, data)
     kinds = {element.name: element.kind for element in model.elements}
@@ -294,7 +314,9 @@ def like_parts(model: Model, data: ModalData) -> Real:
     def too_quick(size: float) -> float:
         """Of its lowest frequency that swings; NaN where there is none."""
         with np.errstate(all="ignore"):
-            values = eigenpairs(model, model.parameters(scaled_by(size))[None])[0][0]
+            at = scaled_by(size)[None]
+            pairs = problem.eigenpairs(at) if problem is not None else eigenpairs(model, model.parameters(at))
+            values = pairs[0][0]
         swings = np.abs(values[np.isfinite(values) & (values.imag > 1e-6 * np.abs(values))])
         return float(np.log(np.min(swings) / (2 * np.pi * wanted))) if len(swings) else np.nan
 
@@ -343,12 +365,14 @@ def usual_parts(model: Model, data: ModalData) -> Real:
     )
 
 
-def random_rigs(model: Model, data: ModalData, count: int, rng: np.random.Generator) -> Real:
+def random_rigs(
+    model: Model, data: ModalData, count: int, rng: np.random.Generator, problem: ModeProblem | None = None
+) -> Real:
     """`count` rigs near that of like parts with the first frequency of the data, and of random size, half of each.
 
     (count, unknowns); what has a guess or a prior stays near it.
     """
-    usual, middle = usual_parts(model, data), like_parts(model, data)
+    usual, middle = usual_parts(model, data), like_parts(model, data, problem)
     near = np.arange(count) % 2 == 0
     # Nepers by which parts differ: they are mostly alike
     spread = np.where(near, 0.15, 1.0)[:, None] * np.repeat([0.3, 1.0, 2.0], -(-count // 3))[:count, None]
@@ -391,6 +415,8 @@ class ModeResiduals:
 def mode_residuals(model: Model, data: ModalData, theta: Real) -> ModeResiduals:
     """How far the modes of `data` (no batch axes) are from those of the rig at `theta` (unknowns,)."""
     problem = ModeProblem.of(model, data)
+    if model.n >= SPAN_FROM:
+        problem = problem.on(wider_span(problem, theta, np.zeros((model.n, 0)))[0])
     shapes, frequency, damping = problem.predicted(theta)
     # One point alone is all scale.
     compared = problem.present & (np.sum(problem.present, axis=1, keepdims=True) > 1)
@@ -439,11 +465,11 @@ def deepest_minima(
     model, data, repeats = problem.model, problem.data, problem.repeats
     everyone, minima, ends = np.arange(repeats), None, None
     choices = [u.prior if u.guess is None else u.guess for u in model.unknowns]
-    firsts = [linear_start(problem)]
+    firsts = [None if problem.span is not None else linear_start(problem)]
     if None not in choices:
         firsts.append(np.tile(np.array(choices, dtype=float), (repeats, 1)))
     if model.n > 8:  # coordinates: like parts that lead to a fit are then taken without a look for others
-        firsts.append(np.tile(like_parts(_without_guesses(model), data), (repeats, 1)))
+        firsts.append(np.tile(like_parts(_without_guesses(model), data, problem), (repeats, 1)))
     for first in firsts:
         if first is not None:
             reached = problem.search(first, everyone, 100)
@@ -462,9 +488,9 @@ def deepest_minima(
         if not len(astray):
             break
         about = model if not attempt else _without_guesses(model)  # which led nowhere
-        drawn = random_rigs(about, data, starts, np.random.default_rng([seed, attempt]))
+        drawn = random_rigs(about, data, starts, np.random.default_rng([seed, attempt]), problem)
         if not attempt or about is not model:
-            drawn = np.concatenate([like_parts(about, data)[None], drawn])
+            drawn = np.concatenate([like_parts(about, data, problem)[None], drawn])
         if lonely:
             ends = _ends(problem, drawn)
             reached = _one_of(model, ends)
@@ -485,10 +511,13 @@ def deepest_minima(
 
 
 def _without_guesses(model: Model) -> Model:
-    """The model without guesses, or itself where it has none."""
-    if all(element.guess is None for element in model.elements):
+    """The model without guesses, or itself where it has none; factors of matrices keep theirs, which have no usual
+    size."""
+    given = [element.guess is not None and element.block is None for element in model.elements]
+    if not any(given):
         return model
-    return replace(model, elements=tuple(replace(element, guess=None) for element in model.elements))
+    parts = zip(model.elements, given, strict=True)
+    return replace(model, elements=tuple(replace(one, guess=None) if some else one for one, some in parts))
 
 
 def rigs_with(model: Model, data: ModalData, *, seed: int = 0) -> Real:
@@ -566,8 +595,70 @@ def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed:
     """
     check_suited(model, data)
     problem = ModeProblem.of(model, data)
-    minima, ends = deepest_minima(problem, starts, seed)
-    return _estimate(problem, minima, ends, data.frequency_hz.shape[:-1])
+    batch = data.frequency_hz.shape[:-1]
+    if model.n < SPAN_FROM:
+        return _estimate(problem, *deepest_minima(problem, starts, seed), batch)
+    problem, minima, ends, notes = on_span(problem, starts, seed)
+    return replace(_estimate(problem, minima, ends, batch), notes=notes)
+
+
+SPAN_FROM = 100  # coordinates from which modes are computed on the span of few motions
+
+
+def on_span(
+    problem: ModeProblem, starts: int, seed: int
+) -> tuple[ModeProblem, OptimizeResult, OptimizeResult | None, tuple[Notice, ...]]:
+    """The deepest minima as `deepest_minima`, with the problem of a large rig on the span that they were found on.
+
+    The span is made about the start, and about each end again, until that moves no more.  Raises as `deepest_minima`.
+    """
+    model, data, everyone = problem.model, problem.data, np.arange(problem.repeats)
+    theta, V = usual_parts(model, data), np.zeros((model.n, 0))
+    V, missed = wider_span(problem, theta, V)
+    small = problem.on(V)
+    minima, ends = deepest_minima(small, starts, seed)
+    settled = False
+    for _ in range(12):  # spans at most
+        middle = np.median(minima.x, axis=0)
+        moved = np.abs(middle - theta) / small.evaluate(minima.x[:1], everyone[:1]).sd[0]
+        settled, theta = bool(np.all(moved < 1e-3)), middle
+        if settled:
+            break
+        V, missed = wider_span(problem, theta, V)
+        small = problem.on(V)
+        reached = small.search(minima.x, everyone, 100)
+        minima = replace(reached, iterations=minima.iterations + reached.iterations)
+    minima = replace(minima, converged=minima.converged & settled)
+    text = (
+        f"modes computed on {V.shape[1]} motions of the {model.n} coordinates; the frequencies of the full model "
+        f"differ by {np.max(missed):.1g} of each at most"
+    )
+    return small, minima, ends, (Notice("reduced_model", text),)
+
+
+def wider_span(problem: ModeProblem, theta: Real, V: Real) -> tuple[Real, Real]:
+    """A span (n, k) for the modes about θ (unknowns,), V and more, or without V where that would be too wide; and by
+    how much V missed the measured modes' eigenvalues there, |δλ / λ|."""
+    model, data = problem.model, problem.data
+    p = model.parameters(theta)
+    highest = 1.2 * 2 * np.pi * float(np.max(data.frequency_hz))
+    try:
+        shapes = lowest_shapes(model, p, highest, 2 * data.modes + 6)
+    except RuntimeError as error:
+        raise no_steady_response() from error
+    empty = np.zeros((model.n, 0))
+    near = problem.on(V if V.shape[1] else extended_basis(empty, shapes.astype(np.complex128)))
+    values, on_span = near.eigenpairs(theta[None])
+    at = near.pair(values, on_span, slice(0, 1))[0]
+    at = at[at >= 0]
+    assert near.span is not None
+    motions, missed = mode_motions(model, p, near.span, values[0, at], on_span[0, at])
+    more = np.concatenate([shapes.astype(np.complex128), motions], axis=1)
+    wider = extended_basis(V, more)
+    return (wider if wider.shape[1] <= WIDEST or not V.shape[1] else extended_basis(empty, more)), missed
+
+
+WIDEST = 260  # columns of a span that is made wider
 
 
 def _estimate(
@@ -619,9 +710,25 @@ def _estimate(
         iterations=minima.iterations,
         history=minima.history,
         bounds=bounds,
-        modes=None if batch else mode_values(model, theta[0], widened[0]),
+        modes=None if batch else _mode_values(problem, theta[0], widened[0]),
         warnings=warnings,
     )
+
+
+def _mode_values(problem: ModeProblem, theta: Real, covariance: Real) -> ModeValues:
+    """All modes at θ (unknowns,), of a large rig those in the band of the measured ones."""
+    if problem.span is None:
+        return mode_values(problem.model, theta, covariance)
+    values, shapes = (part[0] for part in problem.eigenpairs(theta[None]))
+    highest = 1.1 * 2 * np.pi * float(np.max(problem.data.frequency_hz))
+    swings = (values.imag > 1e-9 * np.abs(values)) & (np.abs(values) > 1e-5 * highest)
+    inside = np.flatnonzero(swings & (np.abs(values) < highest))
+    at = inside[np.argsort(np.abs(values[inside]))]
+    slope, _ = problem.sensitivities(theta[None], values[None, at], shapes[None, at])
+    lifted = shapes[at] @ problem.span.V.T
+    lifted = lifted / lifted[np.arange(len(at)), np.argmax(np.abs(lifted), axis=1), None]
+    none = np.zeros((len(at), 0), dtype=np.complex128)
+    return with_uncertainty(Modes(values[at], lifted, none), slope[0], covariance)
 
 
 def _rivals(model: Model, minima: OptimizeResult, ends: OptimizeResult, sd: Real) -> tuple[Notice, ...]:

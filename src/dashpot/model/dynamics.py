@@ -31,14 +31,24 @@ def solve_stiffness(model: Model, weight: Complex, right: Complex) -> Complex:
     SuperLU with the ordering of AᵀA's pattern is slow and full for these matrices; minimum degree on A + Aᵀ in
     symmetric mode, pivots staying on the diagonal, keeps a chain's factors as sparse as the chain.
     """
-    indices, indptr, A = model.assembly
-    values: Any = A @ weight
-    D: Any = sparse.csc_array((values, indices, indptr), shape=(model.n, model.n))
     try:
-        factors: Any = splu(D, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        factors = factorised(assembled(model, weight))
     except RuntimeError:  # exactly singular
         return np.full(right.shape, np.nan, dtype=np.complex128)
-    return factors.solve(np.asarray(right, dtype=np.complex128))
+    solved: Complex = factors.solve(np.asarray(right, dtype=np.complex128))
+    return solved
+
+
+def assembled(model: Model, weight: Real | Complex) -> sparse.csc_array:
+    """Bᵀ diag(weight) B in the sparse pattern, weight (elements,)."""
+    indices, indptr, A = model.assembly
+    values: Any = A @ weight
+    return sparse.csc_array((values, indices, indptr), shape=(model.n, model.n))
+
+
+def factorised(matrix: sparse.csc_array) -> Any:
+    """SuperLU's factors of a symmetric matrix.  Raises RuntimeError where it is exactly singular."""
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
 
 def sparse_amplitudes(

@@ -4,6 +4,9 @@ x ≈ V y with real V (n, k) that spans the responses to the inputs and the adjo
 Galerkin's projection Vᵀ D V y = Vᵀ (R U + S f) the error of a channel is the product of the errors of response and
 adjoint: where both lie in the span, values and slopes are exact.  Everything is affine in θ, so that Vᵀ (…) V is
 computed once for each unknown, and an evaluation afterwards costs nothing that grows with n.
+
+Modes alike: on the span of the shapes and of their slopes in the unknowns, eigenvalues are exact to second order and
+shapes to first about the parameters where the span was made.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import numpy as np
 from scipy import sparse
 
 from dashpot.arrays import Complex, Real
-from dashpot.model.dynamics import solve_stiffness
+from dashpot.model.dynamics import Matrices, assembled, factorised, solve_stiffness
 from dashpot.model.elements import MATRICES
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, calibration_slopes
@@ -179,13 +182,111 @@ def _part(
     model: Model, letter: str, unknown: int | None, rows: np.ndarray, times: Real, V: Real, forced: Real
 ) -> ReducedPart:
     B, D = model.sparse_B[rows], model.sparse_D[rows]
-    stiff = sparse.csr_array(B.T @ (B * times[:, None]))
-    k = V.shape[1]
-    inner = np.empty((k, k))
-    for first in range(0, k, STRIP):
-        strip = slice(first, first + STRIP)
-        inner[:, strip] = V.T @ (stiff @ V[:, strip])
     driven = V.T @ (B.T @ (times[:, None] * D.toarray()))
     F = sparse.csr_array(forced[:, rows] * times)
     on_y, on_u = (F @ B) @ V, (F @ D).toarray()
-    return ReducedPart(letter, unknown, (inner + inner.T) / 2, driven, on_y, on_u)
+    return ReducedPart(letter, unknown, _inner(model, rows, times, V), driven, on_y, on_u)
+
+
+def _inner(model: Model, rows: np.ndarray, times: Real, V: Real) -> Real:
+    """Vᵀ Bᵀ t B V of some elements, (k, k)."""
+    B = model.sparse_B[rows]
+    stiff = sparse.csr_array(B.T @ (B * times[:, None]))
+    inner = np.empty((V.shape[1], V.shape[1]))
+    for first in range(0, V.shape[1], STRIP):
+        strip = slice(first, first + STRIP)
+        inner[:, strip] = V.T @ (stiff @ V[:, strip])
+    return (inner + inner.T) / 2
+
+
+# Modes
+
+
+@dataclass(frozen=True)
+class ModalRig:
+    """M, C, K and H of a rig on the span of V (n, k): of each matrix the part of each unknown, (letter, unknown, (k,
+    k)), and for `unknown` None what is known."""
+
+    V: Real
+    parts: tuple[tuple[str, int | None, Real], ...]
+    unknowns: int
+
+    @staticmethod
+    def of(model: Model, V: Real) -> ModalRig:
+        """The rig projected on V."""
+        weights = _weights(model)
+        parts = tuple(
+            (letter, unknown, _inner(model, rows, times, V)) for letter, unknown, rows, times in weights
+        )
+        return ModalRig(V, parts, len(model.unknowns))
+
+    def matrices(self, theta: Real) -> Matrices:
+        """At θ (K, unknowns), each (K, k, k)."""
+        k = self.V.shape[1]
+        total = {letter: np.zeros((len(theta), k, k)) for letter in MATRICES}
+        for letter, unknown, inner in self.parts:
+            total[letter] += inner if unknown is None else theta[:, unknown, None, None] * inner
+        none = np.zeros((len(theta), k, 0))
+        return Matrices(total["M"], total["C"], total["K"], total["H"], none, none, none)
+
+    def forces(self, values: Complex, shapes: Complex) -> Complex:
+        """−∂P/∂θ φ at eigenvalues (..., modes) and shapes (..., modes, k); (..., modes, k, unknowns)."""
+        found = np.zeros((*shapes.shape, self.unknowns), dtype=np.complex128)
+        for letter, unknown, inner in self.parts:
+            if unknown is not None:
+                found[..., unknown] -= MATRICES[letter].pole_factor(values)[..., None] * (shapes @ inner)
+        return found
+
+
+def lowest_shapes(model: Model, p: Real, highest: float, least: int) -> Real:
+    """Shapes (n, modes) of the rig without its dampers, by frequency: those below `highest` (rad/s), `least` or more.
+
+    p (elements,).  Lanczos' method about a rate below all of them, so that free bodies have their rigid motions.
+    Raises RuntimeError where nothing holds a coordinate.
+    """
+    from scipy.sparse.linalg import LinearOperator, eigsh  # which takes long to load
+
+    def matrix(letter: str) -> sparse.csc_array:
+        weight, members = np.zeros(len(p)), model.by_matrix[letter]
+        weight[members] = p[members]
+        return assembled(model, weight)
+
+    K, M, shift = matrix("K"), matrix("M"), -((0.1 * highest) ** 2)
+    factors = factorised(sparse.csc_array(K - shift * M))
+    solve = LinearOperator(K.shape, matvec=factors.solve, dtype=np.float64)
+    start = np.random.default_rng(0).standard_normal(model.n)
+    count, most = least, max(least, min(MOST_MODES, model.n // 3))
+    while True:
+        squares, shapes = eigsh(K, count, M=M, sigma=shift, OPinv=solve, v0=start)
+        if np.max(squares) > highest**2 or count >= most:
+            return np.asarray(shapes)
+        count = min(2 * count, most)
+
+
+MOST_MODES = 128  # of a span
+
+
+def mode_motions(
+    model: Model, p: Real, span: ModalRig, values: Complex, shapes: Complex
+) -> tuple[Complex, Real]:
+    """What the span lacks about modes of its rig, (n, columns), and by how much it misses their eigenvalues, |δλ / λ|.
+
+    values (modes,), shapes on the span (modes, k), p (elements,).  Of each mode what its residual P(λ)φ asks for, which
+    gives δλ = φᵀP P⁻¹ Pφ / φᵀP′φ, and its slopes, P⁻¹ ∂P/∂θ φ, beside other modes that the span has: P is taken
+    a thousandth off λ, where it has an inverse.
+    """
+    columns, missed = [], []
+    for lam, on_span in zip(values, shapes, strict=True):
+        phi = span.V @ on_span
+        stretch = model.pole_factors(lam) * (model.sparse_B @ phi)
+        residual = model.sparse_B.T @ (p * stretch)
+        forces = model.sparse_B.T @ (model.sparse_T * stretch[:, None])
+        near = lam * (1 + 1e-3)
+        asked = np.column_stack([residual, forces.toarray()])
+        found = solve_stiffness(model, p * model.pole_factors(near), asked)
+        step = 1e-6 * lam
+        steeper = p * (model.pole_factors(lam + step) - model.pole_factors(lam - step)) / (2 * step)
+        slope = np.sum(steeper * (model.sparse_B @ phi) ** 2)
+        columns.append(found)
+        missed.append(abs(residual @ found[:, 0] / slope / lam))
+    return np.concatenate(columns, axis=1), np.array(missed)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import chdtrc
 
-from dashpot.arrays import Ints, Real
+from dashpot.arrays import Complex, Ints, Real
 from dashpot.data.noise import LEVEL
 from dashpot.data.spectrum import FITTED, Spectrum
 from dashpot.errors import ModelError
@@ -40,7 +40,7 @@ from dashpot.estimate.preparation import (
     noise_quality,
 )
 from dashpot.estimate.result import ModeValues
-from dashpot.model.modes import eigenmodes
+from dashpot.model.modes import Modes, eigenmodes
 from dashpot.model.network import Model
 from dashpot.numerics.kernel import kernel, kernel_function, threads
 from dashpot.numerics.levenberg_marquardt import QuadraticModel
@@ -81,7 +81,14 @@ def mode_values(model: Model, theta: Real, covariance: Real) -> ModeValues:
         if table is not None:
             return ModeValues(*table)
     of_rig = eigenmodes(model, p)
-    slope = of_rig.sensitivity @ model.T
+    with np.errstate(invalid="ignore"):  # the double zero of a free body has no slope
+        slope = of_rig.sensitivity @ model.T
+    return with_uncertainty(of_rig, slope, covariance)
+
+
+@np.errstate(invalid="ignore")
+def with_uncertainty(of_rig: Modes, slope: Complex, covariance: Real) -> ModeValues:
+    """Modes whose eigenvalues move by `slope` (modes, m) with unknowns of this covariance (m, m)."""
     values = of_rig.eigenvalues
     size = np.abs(values)[:, None]
     size = np.where(size > 0, size, 1.0)
