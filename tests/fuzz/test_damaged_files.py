@@ -55,18 +55,6 @@ def test_recordings_of_labview_are_whole_or_refused(tmp_path: Path) -> None:
         assert "\n" not in str(refused.value)
 
 
-def test_what_is_no_file_is_refused_in_one_line(tmp_path: Path) -> None:
-    many = tmp_path / "many.csv"
-    many.write_bytes(b"time_s," + b"x," * 10_000_000 + b"u\n" + b"0," * 100 + b"0\n")
-    lines = []
-    for path in (tmp_path, Path("/dev/null"), tmp_path / "none.csv", many):
-        with pytest.raises(DataError) as refused:
-            read(path, parse_rig(corpus.BASE).channels)
-        lines.append(str(refused.value))
-    assert all("\n" not in line for line in lines)
-    assert "the header row is over 1 MB long" in lines[-1]
-
-
 def test_an_archive_of_very_many_arrays_is_refused_at_once(tmp_path: Path) -> None:
     """30,000 took 33 s once: each was looked for in a list of all."""
     path = tmp_path / "many.npz"

@@ -71,15 +71,6 @@ class TestIncidence:
             with pytest.raises(ValueError, match="read-only"):
                 array[...] = 0
 
-    def test_factors_are_the_laws_of_THEORY_E(self) -> None:
-        omega = np.array([0.0, 2.0, -3.0])
-        rig = model(
-            mass("m", "x1"), between("b", Kind.INERTER, "x1", "ground"), between("c", Kind.DAMPER, "x1", "ground"),
-            spring("k"), between("h", Kind.HYSTERETIC, "x1", "ground"),
-        )  # fmt: skip
-        expected = np.stack([-(omega**2), -(omega**2), 1j * omega, np.ones(3), 1j * np.sign(omega)], axis=-1)
-        np.testing.assert_array_equal(rig.factors(omega), expected)
-
 
 class TestUnknowns:
     def test_order_priors_and_limits(self) -> None:

@@ -7,7 +7,6 @@ import pytest
 
 from dashpot.channel import Channel
 from dashpot.data.readers import datafile, read
-from dashpot.errors import DataError
 
 CHANNELS = Channel("x1", {"x1": 1}, unit="µm", scale=1e-6), Channel("u", {"u": 1})
 TEXT = "Prüfstand\ntime_s,x1 [µm],u\n" + "".join(f"{k / 8!r},{math.sin(k)!r},{k}\n" for k in range(60))
@@ -33,17 +32,3 @@ def test_encodings(tmp_path, monkeypatch, name, large):
         monkeypatch.setattr(datafile, "LARGE", 100)
     (record,) = read(tmp_path / "a.csv", CHANNELS).records
     assert record.values[:, 0] == pytest.approx(1e-6 * np.sin(np.arange(60)), rel=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (TEXT.encode().replace(b"P", b"\xff\x01"), "a.csv:1: byte 1 of the row"),
-        (TEXT.encode()[:40] + b"\0" + TEXT.encode()[40:], "a.csv: the file is not text"),
-        (TEXT.encode("utf-16")[:-1], "a.csv: the file is damaged"),
-    ],
-)
-def test_what_is_no_text_is_refused(tmp_path, content, message):
-    (tmp_path / "a.csv").write_bytes(content)
-    with pytest.raises(DataError, match=message):
-        read(tmp_path / "a.csv", CHANNELS)

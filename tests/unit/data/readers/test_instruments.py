@@ -50,6 +50,8 @@ class TestXsens:
         assert record.values[:, 0] == pytest.approx(1e-6 * (1000 + 8333 * 3) + record.time)
         assert record.frequency_hz == 2.0
         assert "2 samples" in reading.notes[-1].text
+        with pytest.raises(DataError, match="did not record"):
+            read(files(u=xsens(), x1=xsens(first=10_000)), SENSORS)
 
     def test_a_clock_that_starts_again(self, files):
         start = 2**32 - 10 * 8333

@@ -118,20 +118,6 @@ floor = { x1 = "Acc_X" }
 """
 
 
-def test_sensors_on_one_clock_are_one_record(tmp_path):
-    (tmp_path / "sine_1.0__ground.csv").write_text(xsens(0, 0.0))
-    (tmp_path / "sine_1.0__floor.csv").write_text(xsens(3, 1.0))
-    (record,) = read(manifest(tmp_path, SENSOR_TEST), SENSORS).records
-    assert [channel.name for channel in record.channels] == ["u", "x1"]
-    assert len(record.time) == 397
-    assert record.time[0] == 0
-    assert record.values[:, 1] - record.values[:, 0] == pytest.approx(1, abs=1e-8)
-    assert record.frequency_hz == 1.0
-    (tmp_path / "sine_1.0__floor.csv").write_text(xsens(10_000, 1.0))
-    with pytest.raises(DataError, match="did not record"):
-        read(tmp_path / "test.toml", SENSORS)
-
-
 def test_the_name_of_a_sensor_may_stand_in_other_names(tmp_path):
     """A sensor u beside a folder "run", a sensor i in "sine": only where the pattern says {sensor} it is one."""
     folder = tmp_path / "run_u_floor"

@@ -27,12 +27,6 @@ def dwell(f, seed=0, samples=60, experiment=0, channels=CHANNELS):
 
 
 @pytest.fixture
-def text(tmp_path):
-    write_records([dwell(f, i) for i, f in enumerate((1.0, 2.0, 2.0, 3.0))], tmp_path / "valid.csv")
-    return (tmp_path / "valid.csv").read_text()
-
-
-@pytest.fixture
 def put(tmp_path):
     def write(content, name="test.csv"):
         path = tmp_path / name
@@ -95,31 +89,6 @@ def test_several_files_are_experiments_of_their_own(put):
     a = put("time_s,x1,u\n0,1,2\n0.1,3,4\n", "a.csv")
     reading = read([a, a], CHANNELS, frequency_hz=1)
     assert [record.experiment for record in reading.records] == [0, 1]
-
-
-@pytest.mark.parametrize(
-    "dress",
-    [
-        lambda s: "# rig 7\n# operator\n\n" + s,
-        lambda s: "sep=,\r\n" + s.replace("\n", "\r\n"),
-        lambda s: "\ufeff" + s,
-        lambda s: s.replace(",", ";"),
-        lambda s: s.replace(",", "\t"),
-        lambda s: s.replace(",", ";").replace(".", ","),
-        lambda s: "sep=;\n" + s.replace(",", ";").replace(".", ","),
-        lambda s: s.replace("\n", "\r"),
-        lambda s: s.replace("x1", '"x1"').replace("u", " u "),
-        lambda s: s.replace("\n3", "\n\n\n3", 1),
-        lambda s: s.replace("x1", "x1 [mm]").replace("u", "u (m)"),
-        lambda s: s.replace("x1", "x1 (left)"),
-    ],
-)
-def test_dialects(put, text, dress):
-    plain, dressed = read(put(text), CHANNELS), read(put(dress(text), "dressed.csv"), CHANNELS)
-    assert len(plain.records) == len(dressed.records) == 4
-    for a, b in zip(plain.records, dressed.records, strict=True):
-        np.testing.assert_array_equal(a.values, b.values)
-        np.testing.assert_array_equal(a.time, b.time)
 
 
 @pytest.mark.parametrize(

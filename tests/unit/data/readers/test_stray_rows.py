@@ -89,13 +89,6 @@ def test_cells_are_refused_with_what_cures_them(tmp_path, cell, cure):
         read(tmp_path / "odd.csv", CHANNELS)
 
 
-def test_times_of_few_digits_are_refused_with_what_cures_them(tmp_path):
-    rows = [f"{k / 200:.2f},{k},1" for k in range(40)]
-    (tmp_path / "odd.csv").write_text(page(rows, HEAD))
-    with pytest.raises(DataError, match=r"does not increase"):
-        read(tmp_path / "odd.csv", CHANNELS)
-
-
 def test_inspection_says_what_cannot_be_read(tmp_path):
     """Not that no column holds numbers; and what is damaged in one column beside others."""
     (tmp_path / "short.csv").write_text(page([*ROWS, "End of data"], HEAD))

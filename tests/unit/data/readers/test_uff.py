@@ -200,17 +200,6 @@ def test_damaged_files(tmp_path, binary):
             assert not data[complete:length].strip()
             assert all(np.array_equal(a.ordinate, b.ordinate) for a, b in zip(part, got, strict=False))
         assert "\n" not in said
-    rng = np.random.default_rng(2)
-    for _ in range(60):
-        broken = bytearray(data)
-        broken[int(rng.integers(0, 1000))] = int(rng.integers(0, 256))
-        path.write_bytes(bytes(broken))
-        said = ""
-        try:
-            read(path, CHANNELS)
-        except DashpotError as error:
-            said = str(error)
-        assert "\n" not in said
     for lie, what in (
         (b"        37", b"        36"),
         (b"        37", b"        38"),

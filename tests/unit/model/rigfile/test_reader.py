@@ -304,11 +304,6 @@ class TestFaultyEntries:
             ('k = { at = "x1", value = 2020-01-01 }', "springs.k.value: 2020-01-01"),
             ('k = { at = "x1", value = [1] }', "springs.k.value: a list is not a number"),
             ('k = { at = "x1", value = -5 }', "springs.k: a spring of -5"),
-            ('k = { at = "x1", value = 5, sd = 0 }', "springs.k: sd is 0"),
-            ('k = { at = "x1", sd = 1 }', "springs.k: sd without a value"),
-            ('k = { at = "x1", value = 1, guess = 2 }', "springs.k: both a value"),
-            ('k = { at = "x1", min = 3, max = 2 }', "springs.k: min 3 is not below"),
-            ('k = { at = "x1", min = 3, guess = 2 }', "springs.k: the guess 2"),
             ('k = { at = "x1", valu = 3 }', "springs.k.valu: unknown key"),
             ('k = { at = "x1", unit = "N" }', 'springs.k.unit: "N"'),
             ('k = { at = "x1", unit = 3 }', "springs.k.unit: 3 is not text"),
@@ -338,13 +333,7 @@ class TestFaultyEntries:
             ("k = { along = { y = 1 } }", 'springs.k.along.y: "y"'),
             ('k = { at = "x1", same_as = "kk" }', 'springs.k.same_as: "kk"'),
             ('k = { at = "x1", same_as = "m1" }', "springs.k: a spring (N/m) cannot be tied to the mass m1"),
-            ('k = { at = "x1", same_as = "k" }', "springs.k: a circular tie: k → k"),
-            ('k = { at = "x1", same_as = "m1", value = 3 }', "springs.k: a tied parameter has a value"),
-            ('k = { at = "x1", times = 3 }', "springs.k: `times`"),
             ('m1 = { at = "x1" }', "springs.m1: the name m1"),
-            ('x1 = { at = "x1" }', "springs.x1: the name x1"),
-            ('ground = { at = "x1" }', "springs.ground: the name ground"),
-            ('"" = { at = "x1" }', "'' is not a usable"),
             ('"a\\nb" = { at = "x1" }', "is not a usable"),
         ],
     )
@@ -353,8 +342,7 @@ class TestFaultyEntries:
         assert any(message.startswith("rig.toml:6: ") and expected in message for message in messages), (
             messages
         )
-        if "cannot be tied" not in expected and "a tied parameter" not in expected:
-            assert len(messages) == 1
+        assert len(messages) == 1 or "cannot be tied" in expected
 
     @pytest.mark.parametrize(
         ("body", "expected"),

@@ -1,7 +1,6 @@
 """Every format gives the same samples, whole or packed; what is damaged gives a right answer or one clear line."""
 
 import gc
-import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,9 +9,7 @@ import numpy as np
 import pytest
 
 from dashpot.data.readers import read
-from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.guarded import library
-from dashpot.data.readers.registry import reader_of
 from dashpot.errors import DashpotError, DataError
 from tests.unit.data.readers.written import CHANNELS, WRITERS, as_read, packed, recording, wav
 
@@ -43,45 +40,6 @@ def test_wav_by_a_manifest(tmp_path):
         '[[files]]\nname = "{frequency}Hz.wav"\ncolumns = { x1 = "channel_1", x2 = "channel_2", u = "channel_3" }\n'
     )
     same(as_read(tmp_path / "test.toml"), [record])
-    whole = (2**15 * 0.5 * np.sin(np.arange(100))).astype(np.int16)
-    from scipy.io import wavfile
-
-    wavfile.write(tmp_path / "int.wav", 100, whole)
-    part = next(iter(reader_of(open_file(tmp_path / "int.wav")).parts(open_file(tmp_path / "int.wav"))))
-    assert part.numbers([1])[1] == pytest.approx(whole / 2**15)
-    sound = (tmp_path / "int.wav").read_bytes()
-    for length in (13, 44, 45, 100, len(sound) - 1):  # SciPy warns only
-        (tmp_path / "int.wav").write_bytes(sound[:length])
-        with pytest.raises(DataError, match="damaged or cut"):
-            list(reader_of(open_file(tmp_path / "int.wav")).parts(open_file(tmp_path / "int.wav")))
-
-
-def test_tdms_of_machines_that_write_the_high_byte_first(tmp_path):
-    """A file by hand, as LabVIEW writes it there: two segments, of which the second only goes on."""
-
-    def text(word):
-        return struct.pack(">I", len(word)) + word.encode()
-
-    samples = [np.arange(8.0) * (k + 1) for k in range(3)]
-    objects = b"".join(
-        text(f"/'run'/'{name}'") + struct.pack(">IIIQ", 20, 10, 1, 8) + struct.pack(">I", 2)
-        + text("wf_increment") + struct.pack(">Id", 10, 0.125) + text("frequency_hz") + struct.pack(">Id", 10, 2.0)
-        for name in ("x1", "x2", "u")
-    )  # fmt: skip
-    raw = b"".join(x.astype(">f8").tobytes() for x in samples)
-    first = struct.pack(">I", 3) + objects
-    data = b""
-    for contents, described in ((2 + 4 + 8 + 64, first), (8 + 64, b"")):
-        length = struct.pack(">IQQ", 4713, len(described) + len(raw), len(described))
-        data += b"TDSm" + struct.pack("<I", contents) + length + described + raw
-    path = tmp_path / "big.tdms"
-    path.write_bytes(data)
-    (record,) = as_read(path)
-    assert record.frequency_hz == 2.0
-    assert record.values == pytest.approx(np.concatenate([np.column_stack(samples)] * 2) * 1e-3, rel=1e-15)
-    path.write_bytes(data[:-1])
-    with pytest.raises(DataError, match="cut off"):
-        as_read(path)
 
 
 def test_units_of_files_count(tmp_path):
