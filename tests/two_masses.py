@@ -116,3 +116,30 @@ def pushed_pair(base: str) -> Model:
             between("c2", Kind.DAMPER, "x1", "x2"),
         ),
     )
+
+
+def one_mass(
+    drive: str = "", m: str = "", k: str = "", c: str = "", of: dict[str, str] | None = None, **springs: str
+) -> str:
+    """The file of a mass x on a spring and a damper: pushed by "f", on a base "u" that moves, or let go.
+
+    What each entry says beside its place: of the parts, of more springs by their names, of the channels in `of`, which
+    are x and the drive where nothing is said, and none where it is empty.
+    """
+    at, ends = 'at = "x"', 'between = ["x", "u"]' if drive == "u" else 'between = ["x", "ground"]'
+    inputs = {"f": {"f": 'kind = "force", at = "x"'}, "u": {"u": 'kind = "displacement"'}, "": {}}[drive]
+    sections: dict[str, dict[str, str]] = {
+        "inputs": inputs,
+        "masses": {"m": f"{at}, {m}"},
+        "springs": {name: f"{ends}, {more}" for name, more in {"k": k, **springs}.items()},
+        "dampers": {"c": f"{ends}, {c}"},
+        "channels": {
+            name: more if more.startswith("of =") else f'of = "{name}", {more}'
+            for name, more in ({"x": "", **dict.fromkeys(inputs, "")} if of is None else of).items()
+        },
+    }
+    text = 'coordinates = ["x"]\n'
+    for section, entries in sections.items():
+        if entries:
+            text += f"[{section}]\n" + "".join(f"{n} = {{ {e.rstrip(', ')} }}\n" for n, e in entries.items())
+    return text

@@ -14,6 +14,7 @@ from dashpot.app import cli
 from dashpot.app.commands import COMMANDS
 from dashpot.app.signals import Ended
 from dashpot.estimate.registry import method
+from tests.two_masses import one_mass
 from tests.unit.app.conftest import RIG, SET, VALUES, Command
 
 STEADY = (
@@ -94,14 +95,6 @@ def test_positive_holds_what_noise_makes_negative(dashpot: Command, rig: Path) -
     wrong = dashpot("identify", "rig.toml", f"{seed}.csv", "--positive", "--method", "oiv")
     assert wrong.code == 2
     assert "cannot enforce bounds" in wrong.err[0]
-
-
-def test_auto_is_ml_where_a_coordinate_is_not_seen(dashpot: Command, data: Path) -> None:
-    Path("rig.toml").write_text(RIG.replace("x2 = { of", "# x2 = { of"), encoding="utf-8")
-    done = dashpot("identify", "rig.toml", "data.csv", "--json", "-")
-    assert done.code == 0, done.err
-    assert json.loads(done.out)["method"] == "ml"
-    assert any("x2" in line for line in done.err)  # the column that is left unread
 
 
 def test_simulated_table_carries_its_noise(dashpot: Command, rig: Path) -> None:
@@ -294,21 +287,10 @@ def test_names_with_dollar_signs_in_figures(dashpot: Command, rig: Path, data: P
     assert "$x_{1$" in Path("r.html").read_text(encoding="utf-8")
 
 
-NONLINEAR = """
-coordinates = ["x"]
-[inputs]
-u = { kind = "displacement" }
-[masses]
-m = { at = "x", value = 1.2 }
-[springs]
-k = { between = ["x", "u"], guess = 1900 }
-k3 = { between = ["x", "u"], law = "cubic", guess = 4e8 }
-[dampers]
-c = { between = ["x", "u"], guess = 6 }
-[channels]
-x = { of = "x", unit = "mm" }
-u = { of = "u", unit = "mm" }
-"""
+NONLINEAR = one_mass(
+    "u", "value = 1.2", "guess = 1900", "guess = 6", {"x": 'unit = "mm"', "u": 'unit = "mm"'},
+    k3='law = "cubic", guess = 4e8',
+)  # fmt: skip
 
 
 def test_a_curve_of_nothing_but_the_drive_is_refused(dashpot: Command) -> None:

@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -196,38 +195,6 @@ def test_a_terminal_of_no_width(dashpot: Command, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("COLUMNS", "0")
     done = dashpot("check rig.toml")
     assert (done.code, done.err) == (0, [])
-
-
-def test_a_pipe_gets_the_json(tmp_path: Path) -> None:
-    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
-    done = _process(
-        "check", "rig.toml", "--json", "/dev/stdout", "--quiet", stdout=subprocess.PIPE, cwd=tmp_path
-    )
-    assert done.returncode == 0
-    assert done.stdout.startswith(b"{\n")
-
-
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
-def test_a_signal_leaves_nothing_behind(tmp_path: Path, name: str) -> None:
-    (tmp_path / "out").write_text("old", encoding="utf-8")
-    code = f"""
-import os, signal, sys, time
-from dashpot.app import cli
-from dashpot.io.atomic import write_bytes
-def parts():
-    yield b"half"
-    assert len(os.listdir()) == 2, "no temporary file while writing"
-    os.kill(os.getpid(), signal.{name})
-    time.sleep(20)
-    yield b"of it"
-cli.cli.main = lambda *_, **__: write_bytes("out", parts())
-cli.main()
-"""
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, timeout=300, capture_output=True)
-    assert done.returncode == 128 + getattr(signal, name)
-    assert b"no file is left half-written" in done.stderr
-    assert os.listdir(tmp_path) == ["out"]
-    assert (tmp_path / "out").read_text(encoding="utf-8") == "old"
 
 
 def test_control_characters_of_names_labels_and_files_are_shown_escaped(dashpot: Command, data: Path) -> None:

@@ -1,7 +1,6 @@
 """Help, completion and the ways to start the command."""
 
 import subprocess
-import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -71,14 +70,6 @@ def test_files_are_left_to_the_shell(dashpot: Command, monkeypatch: pytest.Monke
     monkeypatch.setenv("COMP_WORDS", "dashpot identify ri")
     monkeypatch.setenv("COMP_CWORD", "2")
     assert dashpot().out.startswith("file,")
-
-
-def test_it_runs_as_a_module() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "dashpot", "--version"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0
-    assert done.stdout.startswith("dashpot ")
 
 
 def test_the_help_of_identify_shows_what_people_use_and_all_of_it_on_request(dashpot: Command) -> None:

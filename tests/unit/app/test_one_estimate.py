@@ -28,6 +28,7 @@ from dashpot.study.scenario import AUTO, Scenario
 from dashpot.study.simulate import dwells
 from tests import rigs
 from tests.two_masses import RIG as TWO_MASSES
+from tests.two_masses import one_mass
 from tests.unit.app.conftest import SET, Command
 
 SAME = 1e-9  # of a standard deviation
@@ -117,20 +118,14 @@ def test_rigs_of_a_fleet_and_draws_of_a_study_are_searched_as_one_rig_is(tmp_pat
             assert fleet.columns[f"{name}:value"][ended] == pytest.approx(values, rel=1e-6), name
 
 
-BENT = """coordinates = ["x"]
-[inputs]
-f = { kind = "force", at = "x" }
-[masses]
-m = { at = "x", value = 1 }
-[springs]
-k = { between = ["x", "ground"], guess = 900 }
-k3 = { between = ["x", "ground"], law = "cubic", guess = 3e6 }
-[dampers]
-c = { between = ["x", "ground"], guess = 2 }
-[channels]
-x = { of = "x", noise = 1e-5 }
-f = { of = "f" }
-"""
+BENT = one_mass(
+    "f",
+    "value = 1",
+    "guess = 900",
+    "guess = 2",
+    {"x": "noise = 1e-5", "f": ""},
+    k3='law = "cubic", guess = 3e6',
+)
 
 
 def test_a_record_of_a_nonlinear_rig_gives_one_estimate_and_one_verdict(dashpot: Command) -> None:

@@ -58,7 +58,7 @@ def test_sensors_that_see_nothing_alike():
     rng = np.random.default_rng(6)
     t = np.arange(0, 60, 0.01)
     noise = [Sensor(n, (c,), t, rng.normal(size=(6000, 1))) for n, c in (("one", A), ("two", B))]
-    with pytest.raises(DataError, match=r"share no motion|too regularly"):
+    with pytest.raises(DataError, match="cannot be synchronised"):
         estimated_clock(*noise, "test")
 
 
@@ -123,7 +123,7 @@ def test_phases_of_a_rig_are_not_taken_for_an_offset_of_clocks():
     """Aligned by the whole recording, the second point would be in phase with the first: ten degrees are refused."""
     for seed in range(5):
         first, second = of_a_rig(np.random.default_rng(seed))
-        with pytest.raises(DataError, match=r"(move differently|too regularly|single frequency).*align_s"):
+        with pytest.raises(DataError, match=r"too regularly.*align_s"):
             aligned_sensors([first, second], 4.0, 0, "test")
 
 

@@ -82,7 +82,7 @@ def test_identify_reaches_what_was_planned() -> None:
     data = {"time_s": np.arange(samples) / RATE, "x1": x[:, 0], "x2": x[:, 1]}
     estimate = dashpot.parse_rig(RIG).identify(data, judge=False)
     assert np.max(np.abs(estimate.values - TRUTH) / estimate.sd) < 4
-    np.testing.assert_allclose(estimate.sd, plan.sd, rtol=0.3)
+    np.testing.assert_allclose(estimate.sd, plan.sd, rtol=0.05)
 
 
 def test_the_best_hold_is_first_and_a_target_gives_the_deflection() -> None:

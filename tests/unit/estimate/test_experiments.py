@@ -19,6 +19,7 @@ from dashpot.experiment import RUNS
 from dashpot.model.observation import observation_model, transfer
 from dashpot.model.rigfile import Rig, parse_rig
 from tests.two_masses import OPEN as SHAKEN
+from tests.two_masses import one_mass
 
 ADDED = 'masses.extra = { at = "x1", value = 0.5 }'
 TRUTH = {"m1": 2.0, "m2": 3.0, "k1": 4000.0, "k2": 9000.0, "c1": 12.0, "c2": 20.0, "c1@added": 30.0}
@@ -139,20 +140,8 @@ def test_that_the_rig_as_it_stands_is_missing_is_told() -> None:
 
 
 def test_dwells_of_a_nonlinear_rig_whose_channel_differs() -> None:
-    rig = parse_rig("""
-        coordinates = ["x"]
-        [inputs]
-        f = { kind = "force", at = "x" }
-        [masses]
-        m = { at = "x", value = 1 }
-        [springs]
-        k = { between = ["x", "ground"], guess = 900 }
-        k3 = { between = ["x", "ground"], law = "d**3", guess = 1e5 }
-        [dampers]
-        c = { between = ["x", "ground"], guess = 3 }
-        [experiments.late]
-        x.gain = "own"
-    """)
+    text = one_mass("f", "value = 1", "guess = 900", "guess = 3", {}, k3='law = "d**3", guess = 1e5')
+    rig = parse_rig(text + '[experiments.late]\nx.gain = "own"\n')
     truth, rng, records = {"k": 1000.0, "k3": 2e5, "c": 4.0}, np.random.default_rng(1), []
     for experiment, gain in ((None, 1.0), ("late", 1.1)):
         hz = [3.0, 4.0, 5.0, 6.0, 7.0]

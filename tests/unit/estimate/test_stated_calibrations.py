@@ -16,22 +16,9 @@ from dashpot.model.rigfile import Rig, parse_rig
 from dashpot.study.montecarlo import Task, repeats_of, summarise
 from dashpot.study.scenario import Scenario
 from dashpot.study.simulate import Dwells, dwells, simulate_spectrum
-from tests.two_masses import OPEN
+from tests.two_masses import OPEN, one_mass
 
-RIG = """
-coordinates = ["x"]
-[inputs]
-f = { kind = "force", at = "x" }
-[masses]
-m = { at = "x", value = 2 }
-[springs]
-k = { between = ["x", "ground"] }
-[dampers]
-c = { between = ["x", "ground"] }
-[channels]
-x = { of = "x", noise = 2e-4, GAIN }
-f = { of = "f" }
-"""
+RIG = one_mass("f", "value = 2", of={"x": "noise = 2e-4, GAIN", "f": ""})
 HZ = np.linspace(1.0, 6.0, 12)
 TRUE = {"k": 800.0, "c": 6.0}
 

@@ -15,15 +15,13 @@ def test_eight_schools() -> None:
     """BDA 5.5: REML finds no spread; effects are drawn to about 8, and not all the way."""
     found = pooled("effect", "1", EFFECTS, ERRORS)
     assert found.spread == pytest.approx(0.0, abs=1e-6)
-    assert found.mean == pytest.approx(8.0, abs=0.7)
+    assert found.mean == pytest.approx(8.0, abs=0.2)
     assert found.mean_sd > 1 / np.sqrt(np.sum(ERRORS**-2.0))  # 4.07, which takes the spread of 0 as known
     # Each between complete pooling and none; a school's own precision decides (the mean is rounded beside school 2).
     others = np.arange(8) != 1
     share = (found.values - found.mean)[others] / (EFFECTS - found.mean)[others]
     assert np.all((share > 0.2) & (share < 0.6))
-    assert np.array_equal(
-        np.argsort(share), np.argsort(-ERRORS[others], kind="stable")[: len(share)]
-    ) or np.all(np.corrcoef(share, ERRORS[others])[0, 1] < -0.8)
+    assert np.corrcoef(share, ERRORS[others])[0, 1] < -0.95
     assert int(np.argmax(found.values)) == 0
 
 
@@ -93,7 +91,7 @@ def test_outliers_and_gaps_say_nothing_of_the_population() -> None:
     assert found.values[3] == 50.0
     assert found.upper[3] == pytest.approx(50 + 1.96 * 0.5, rel=1e-3)
     assert np.isnan(found.values[[4, 5]]).all()
-    assert found.mean == pytest.approx(5, abs=0.8)
+    assert found.mean == pytest.approx(np.mean(np.delete(y, [3, 4, 5])))
     assert pooled("k", "N/m", y[:3], s[:3]) is None
 
 

@@ -14,25 +14,14 @@ import dashpot
 from dashpot.arrays import Real
 from dashpot.data.record import Record
 from dashpot.errors import DataError, UsageError
+from tests.two_masses import one_mass
 from tests.unit.app.conftest import Command
 from tests.unit.app.conftest import dashpot as command
 
 __all__ = ["command"]
 
-RIG = """name = "One mass"
-coordinates = ["x"]
-[inputs]
-f = { kind = "force", at = "x" }
-[masses]
-m = { at = "x", value = 2 }
-[springs]
-k = { between = ["x", "ground"] }
-[dampers]
-c = { between = ["x", "ground"] }
-[channels]
-a = { of = "x", quantity = "acceleration", unit = "m/s²", noise = 0.05 }
-f = { of = "f", unit = "N" }
-"""
+CHANNELS = {"a": 'of = "x", quantity = "acceleration", unit = "m/s²", noise = 0.05', "f": 'unit = "N"'}
+RIG = 'name = "One mass"\n' + one_mass("f", "value = 2", of=CHANNELS)
 RATE = 50.0
 
 

@@ -238,7 +238,7 @@ def test_real_shapes_and_no_modes() -> None:
     assert np.all(found.shapes.imag == 0)
     assert np.sqrt(np.mean(np.concatenate(errors(found, TWO)[:2]) ** 2)) < 2
     noise = replace(test, values=rng.standard_normal(test.values.shape))
-    with pytest.raises(DataError, match=r"no excitation|no mode"):
+    with pytest.raises(DataError, match="no excitation"):
         dashpot.modes(noise, "u0")
     with pytest.raises(DataError, match="no mode"):
         dashpot.modes(noise, [], "a0,a1")

@@ -39,8 +39,6 @@ def test_records_of_random_excitation(inputs: int, seconds: tuple[float, ...]) -
     assert abs(np.mean(np.abs(z) < 1.96) - 0.95) < 0.035  # 3 standard errors of some 400 independent numbers
     assert found.pairs[0] == "a0/u0"
     assert np.all(found.coherence <= 1)
-    peak = np.argmax(np.abs(found.values[:, 0, 0]))
-    assert found.frequency_hz[peak] == pytest.approx(9.0, abs=0.3) or found.frequency_hz[peak] < 4.2
 
 
 def test_local_models_are_the_textbooks_least_squares() -> None:
@@ -139,9 +137,10 @@ def test_identify_reads_what_is_written(tmp_path: Path, ending: str) -> None:
     write_response(found, tmp_path / f"frf.{ending}")
     estimate = rig.identify(str(tmp_path / f"frf.{ending}"), judge=False)
     direct = rig.identify(dwells, judge=False)
-    assert estimate["m1"].value == pytest.approx(direct["m1"].value, abs=0.5 * direct["m1"].sd)
-    if ending != "uff":  # which has no standard deviations
-        assert estimate["m1"].sd == pytest.approx(direct["m1"].sd, rel=0.3)
+    bare = ending == "uff"  # which has no standard deviations
+    reach = (0.6 if bare else 0.05) * direct["m1"].sd
+    assert estimate["m1"].value == pytest.approx(direct["m1"].value, abs=reach)
+    assert bare or estimate["m1"].sd == pytest.approx(direct["m1"].sd, rel=0.05)
 
 
 def test_two_inputs_from_two_tests() -> None:

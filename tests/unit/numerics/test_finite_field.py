@@ -1,13 +1,14 @@
 """Exact ranks, null spaces and solutions modulo a prime."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dashpot.numerics import finite_field as field
 from dashpot.numerics.finite_field import PRIME
 
 
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(1, 6), st.integers(0, 6))
 def test_ranks_and_null_spaces_of_integers(seed: int, rows: int, columns: int, inner: int) -> None:
     """Against floating point, on products of small integers whose rank both can tell."""

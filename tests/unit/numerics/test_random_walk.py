@@ -121,7 +121,7 @@ def test_a_step_is_found_in_its_place_and_a_given_walk_stays() -> None:
 def test_the_speed_is_found() -> None:
     windows, _ = drawn(np.random.default_rng(7), 60, 2, 0.8)
     walk = likeliest_walk(windows.scaled())
-    assert np.sqrt(walk.variance) * windows.scale == pytest.approx([0.8, 0.8], rel=0.35)
+    assert np.sqrt(walk.variance) * windows.scale == pytest.approx([0.8, 0.8], rel=0.1)
 
 
 @pytest.mark.long

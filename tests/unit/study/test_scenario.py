@@ -9,21 +9,9 @@ from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
 from dashpot.study.scenario import Scenario, scenarios
 from dashpot.study.studyfile import parse_study
+from tests.two_masses import one_mass
 
-RIG = """\
-coordinates = ["x"]
-[inputs]
-u = {}
-[masses]
-m = { at = "x", value = 1 }
-[dampers]
-c = { between = ["x", "u"], guess = 0.6 }
-[springs]
-k = { between = ["x", "u"], guess = 900 }
-[channels]
-x = { of = "x", noise = 0.02 }
-u = { of = "u" }
-"""
+RIG = one_mass("u", "value = 1", "guess = 900", "guess = 0.6", {"x": "noise = 0.02", "u": ""})
 STUDY = """\
 draws = 80
 methods = ["ml"]

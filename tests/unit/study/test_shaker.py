@@ -10,30 +10,16 @@ from click.testing import CliRunner
 import dashpot
 from dashpot.app.cli import cli
 from dashpot.model.rigfile.rig import usual_limits
+from tests.two_masses import one_mass
 
-RIG = """
-coordinates = ["x"]
-[inputs]
-{inputs}
-[masses]
-m = {{ at = "x", value = 2 }}
-[springs]
-k = {{ between = ["x", "{base}"], guess = 8000 }}
-[dampers]
-c = {{ between = ["x", "{base}"], guess = 10 }}
-[channels]
-x = {{ of = "x", noise = 1e-6 }}
-{drive} = {{ of = "{drive}" }}
-{shaker}
-"""
 LIMITS = '[shaker]\nstroke = "5 mm"\nvelocity = "0.1 m/s"\nacceleration = "1 gn"'
 FREQUENCIES = (1.0, 4.0, 30.0)
 
 
 def rig_text(shaker: str = "", force: bool = False) -> str:
-    inputs = 'f = { kind = "force", at = "x" }' if force else 'u = { kind = "displacement" }'
-    return RIG.format(
-        shaker=shaker, inputs=inputs, base="ground" if force else "u", drive="f" if force else "u"
+    drive = "f" if force else "u"
+    return (
+        one_mass(drive, "value = 2", "guess = 8000", "guess = 10", {"x": "noise = 1e-6", drive: ""}) + shaker
     )
 
 

@@ -10,24 +10,12 @@ from dashpot.reproduce import yamane1989
 from dashpot.study.montecarlo import run_study
 from dashpot.study.scenario import scenarios
 from dashpot.study.studyfile import parse_study, read_study
+from tests.two_masses import one_mass
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "07_studies"
 
-RIG = """\
-coordinates = ["x"]
-[inputs]
-u = {}
-[masses]
-m = { at = "x" }
-[dampers]
-c = { between = ["x", "u"], guess = 30 }
-[springs]
-k = { between = ["x", "u"], value = 4600 }
-[channels]
-x = { of = "x", noise = 0.01 }
-v = { of = "x", quantity = "velocity" }
-u = { of = "u" }
-"""
+CHANNELS = {"x": "noise = 0.01", "v": 'of = "x", quantity = "velocity"', "u": ""}
+RIG = one_mass("u", "", "value = 4600", "guess = 30", CHANNELS)
 STUDY = """\
 draws = 100
 methods = ["oiv"]
@@ -181,6 +169,8 @@ WRONG = [
     ("[frequencies]\nfew = [1, 2, 5]\n", "", "frequencies: there are no frequencies"),
     ("noise = [0.1]\n", "", "8: grid[0]: the noise is not given; add noise = [0.01, 0.1]"),
     ("noise = [0.1]", "noise = [-0.1]", "9: grid[0].noise[0]: a noise of -0.1"),
+    ("noise = [0.1]", 'noise = ["10 mm"]', "9: grid[0].noise"),
+    ("noise = [0.1]", 'noise = ["-10 %"]', "9: grid[0].noise[0]: a noise of -0.1"),
     ("noise = [0.1]", "nois = [0.1]", '9: grid[0].nois: unknown key; did you mean "noise"?'),
     (
         "noise = [0.1]",
@@ -259,17 +249,6 @@ def test_values_levels_and_amplitudes_may_carry_units(folder):
     assert other.theta.tolist() == pytest.approx(one.theta.tolist(), rel=1e-15)
     assert other.test.U[0, 0] == pytest.approx(0.002)
     assert other.factors["noise"] == pytest.approx(0.1)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [('noise = ["10 mm"]', "grid[0].noise"), ('noise = ["-10 %"]', "grid[0].noise[0]: a noise of -0.1")],
-)
-def test_what_is_no_share_is_told(folder, wrong, message):
-    with pytest.raises(UsageError) as caught:
-        parsed(folder, STUDY.replace("noise = [0.1]", wrong))
-    assert message in str(caught.value)
-    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_nonlinear_rigs_need_the_size_of_their_drive(folder):

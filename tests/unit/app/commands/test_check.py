@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.two_masses import one_mass
 from tests.unit.app.conftest import RIG, Command
 
 
@@ -75,12 +76,7 @@ def test_bad_usage(dashpot: Command, rig: Path, data: Path) -> None:
 
 def test_a_nonlinear_rig_is_checked_and_drawn(dashpot: Command, tmp_path: Path) -> None:
     rig = tmp_path / "rig.toml"
-    rig.write_text(
-        'coordinates = ["x"]\n[inputs]\nf = { kind = "force", at = "x" }\n[masses]\nm = { at = "x" }\n'
-        '[springs]\nk = { between = ["x", "ground"] }\n'
-        'k3 = { between = ["x", "ground"], law = "cubic" }\n[dampers]\nc = { between = ["x", "ground"] }\n',
-        encoding="utf-8",
-    )
+    rig.write_text(one_mass("f", k3='law = "cubic"', of={}), encoding="utf-8")
     done = dashpot("check", str(rig))
     assert done.code == 0, done.err
     assert "the 4 unknowns (m, k, k3, c) can be found" in done.out

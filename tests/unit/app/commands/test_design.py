@@ -9,11 +9,23 @@ import numpy as np
 import pytest
 
 from dashpot.app.cli import run
+from tests.two_masses import one_mass
 
 RIG = Path(__file__).parents[4] / "examples" / "06_design" / "rig.toml"
 
 
-def test_contract_of_the_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def printed(capsys: pytest.CaptureFixture[str]) -> str:
+    """What the command prints, in 80 columns."""
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 80
+    assert sum("N·s/m" in line for line in shown.splitlines()) == 4
+    return shown
+
+
+def test_contract_of_the_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
     out, csv, picture = tmp_path / "plan.json", tmp_path / "plan.csv", tmp_path / "plan.png"
     args = ["--samples", "1400", "--band", "0.25:25", "--against", "1:14:0.5"]
     code = run(["design", str(RIG), *args, "--json", str(out), "--csv", str(csv), "--figure", str(picture)])
@@ -28,24 +40,28 @@ def test_contract_of_the_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert csv.read_text().count("\n") == 1 + len(told["dwells"])
     assert csv.read_text().startswith("dwell,frequency_hz,u_amplitude_m,settle_s,")
     assert picture.read_bytes().startswith(b"\x89PNG")
-    shown = capsys.readouterr().out
+    shown = printed(capsys)
     assert "0.890 %" in shown
     assert "duality gap" in shown
 
 
-def test_after_data_with_a_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_after_data_with_a_target(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The widest table: with what is known now and with another test beside."""
+    monkeypatch.setenv("COLUMNS", "80")
     data = tmp_path / "data.csv"
     given = ["--frequencies", "2,3,4,5,6,8,10,12", "--quiet"]
     assert run(["simulate", str(RIG), *given, "--samples", "56", "--out", str(data)]) == 0
     out, picture = tmp_path / "plan.json", tmp_path / "progress.png"
-    args = ["--after", str(data), "--target", "1%", "--for", "worst", "--band", "0.25:25"]
+    args = f"--after {data} --target 1% --for worst --band 0.25:25 --against 1:14:1".split()
     assert run(["design", str(RIG), *args, "--json", str(out), "--progress", str(picture)]) == 0
     told = json.loads(out.read_text())
     assert told["enough"]["reached"] is False
     assert sum(d["samples"] for d in told["dwells"]) < told["enough"]["more_samples"]
     assert max(p["relative_sd"] for p in told["predicted"].values()) <= 0.01
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert "Not enough yet" in capsys.readouterr().out
+    assert "Not enough yet" in printed(capsys)
 
 
 def told(capsys: pytest.CaptureFixture[str], *args: str) -> dict[str, Any]:
@@ -90,21 +106,9 @@ def test_targets_amplitudes_noise_and_values(capsys: pytest.CaptureFixture[str])
     assert told(capsys, "--samples", "1400", "--for", "volume", *band)["gap"] < 1e-6
 
 
-REACTION = """
-coordinates = ["x"]
-[inputs]
-u = { kind = "displacement" }
-[masses]
-m = { at = "x", guess = 2.0 }
-[springs]
-k = { between = ["x", "u"], guess = 3000 }
-[dampers]
-c = { between = ["x", "u"], guess = 12 }
-[channels]
-x = { of = "x" }
-F = { of = "u", quantity = "force" }
-u = { of = "u" }
-"""
+REACTION = one_mass(
+    "u", "guess = 2.0", "guess = 3000", "guess = 12", {"x": "", "F": 'of = "u", quantity = "force"', "u": ""}
+)
 
 
 def test_a_reaction_force_is_a_sensor_like_any_other(
@@ -206,22 +210,6 @@ def test_sensors_are_chosen(capsys: pytest.CaptureFixture[str]) -> None:
     assert [entry["figure"] for entry in found["sensors"]["ranking"]] == sorted(
         entry["figure"] for entry in found["sensors"]["ranking"]
     )
-
-
-@pytest.mark.parametrize("extra", [[], ["--after", "DATA", "--target", "1%"]], ids=["plan", "after"])
-def test_tables_fit_80_columns(
-    extra: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The widest table: with what is known now and with another test beside; units and all."""
-    monkeypatch.setenv("COLUMNS", "80")
-    data = str(tmp_path / "data.csv")
-    given = ["--frequencies", "2,3,4,5,6,8,10,12", "--samples", "56", "--quiet"]
-    assert run(["simulate", str(RIG), *given, "--out", data]) == 0
-    extra = [data if word == "DATA" else word for word in extra]
-    assert run(["design", str(RIG), "--samples", "1400", "--against", "1:14:1", *extra]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert max(len(line) for line in lines) <= 80
-    assert sum("N·s/m" in line for line in lines) == 4
 
 
 @pytest.mark.parametrize(

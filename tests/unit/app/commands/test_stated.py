@@ -5,25 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.two_masses import OPEN
+from tests.two_masses import OPEN, one_mass
 from tests.unit.app.conftest import Command
 
-RIG = """
-coordinates = ["x"]
-[inputs]
-f = { kind = "force", at = "x" }
-[masses]
-m = { at = "x", value = 2 }
-[springs]
-k = { between = ["x", "ground"], guess = 800 }
-[dampers]
-c = { between = ["x", "ground"], guess = 6 }
-[calibrations]
-calibrator = { value = 1.02, sd = "1 %" }
-[channels]
-x = { of = "x", noise = 2e-4, gain = { of = "calibrator" } }
-f = { of = "f", noise = 1e-3 }
-"""
+RIG = one_mass(
+    "f", "value = 2", "guess = 800", "guess = 6",
+    {"x": 'noise = 2e-4, gain = { of = "calibrator" }', "f": "noise = 1e-3"},
+) + '[calibrations]\ncalibrator = { value = 1.02, sd = "1 %" }\n'  # fmt: skip
 
 
 @pytest.fixture

@@ -6,30 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.two_masses import one_mass
 from tests.unit.app.conftest import Command
 
-RIG = """
-coordinates = ["x"]
-[inputs]
-u = {{ kind = "displacement" }}
-[masses]
-m = {{ at = "x", value = "1.5 kg" }}
-[springs]
-k = {{ between = ["x", "u"] }}
-{springs}
-[dampers]
-c = {{ between = ["x", "u"] }}
-{dampers}
-[channels]
-x = {{ of = "x", unit = "mm", noise = "2 µm" }}
-u = {{ of = "u", unit = "mm", noise = "0.01 µm" }}
-"""
+CHANNELS = {"x": 'unit = "mm", noise = "2 µm"', "u": 'unit = "mm", noise = "0.01 µm"'}
 CUBIC = 'k3 = { between = ["x", "u"], law = "cubic" }'
 Recorded = Callable[..., str]
 
 
 def rig(springs: str = "", dampers: str = "") -> None:
-    Path("rig.toml").write_text(RIG.format(springs=springs, dampers=dampers), encoding="utf-8")
+    text = one_mass("u", 'value = "1.5 kg"', of=CHANNELS)
+    text = text.replace("[dampers]", f"{springs}\n[dampers]").replace("[channels]", f"{dampers}\n[channels]")
+    Path("rig.toml").write_text(text, encoding="utf-8")
 
 
 def sprung(law: str) -> str:
@@ -149,21 +137,8 @@ def test_friction_fitted_to_a_stiffening_spring_does_not_fit_and_the_spring_is_n
 
 @pytest.mark.parametrize("law", ['"cubic"', '"coulomb", v0 = 0.1', '"jenkins", slip = 0.001'])
 def test_a_free_decay_has_no_input(dashpot: Command, law: str) -> None:
-    Path("rig.toml").write_text(
-        f"""
-coordinates = ["x"]
-[masses]
-m = {{ at = "x", value = 1.2 }}
-[springs]
-k = {{ between = ["x", "ground"] }}
-q = {{ between = ["x", "ground"], law = {law} }}
-[dampers]
-c = {{ between = ["x", "ground"] }}
-[channels]
-x = {{ of = "x", unit = "mm" }}
-""",
-        encoding="utf-8",
-    )
+    text = one_mass("", "value = 1.2", of={"x": 'unit = "mm"'}, q=f"law = {law}")
+    Path("rig.toml").write_text(text, encoding="utf-8")
     time = np.arange(300) / 100
     x = np.exp(-0.5 * time) * np.cos(20 * time) + 1e-3 * np.random.default_rng(1).standard_normal(300)
     np.savetxt("data.csv", np.column_stack([time, x]), "%.9g", ",", header="time_s,x", comments="")

@@ -9,23 +9,10 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from dashpot import read_rig
+from tests.two_masses import one_mass
 from tests.unit.app.conftest import Command
 
-RIG = """
-coordinates = ["x"]
-[inputs]
-f = { at = "x", kind = "force" }
-[masses]
-m = { at = "x" }
-[springs]
-k = { between = ["x", "ground"] }
-q = { between = ["x", "ground"], law = "cubic" }
-[dampers]
-c = { between = ["x", "ground"] }
-[channels]
-f = { of = "f", quantity = "force" }
-x = { of = "x" }
-"""
+RIG = one_mass("f", of={"f": 'quantity = "force"', "x": ""}, q='law = "cubic"')
 NOISE = 2e-5  # m
 
 

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from dashpot.io.atomic import LOCK
+from tests.two_masses import one_mass
 from tests.unit.app.commands.test_study import STUDY
 from tests.unit.app.conftest import RIG
 
@@ -90,20 +91,7 @@ def test_workers_end_with_their_study(tmp_path: Path, name: str) -> None:
 
 NAMES = "TERM TERM", "INT INT", "HUP HUP", "TERM HUP", "TERM INT", "INT TERM"
 PAIRS = [[f"SIG{name}" for name in pair.split()] for pair in NAMES]
-FLEET = """\
-coordinates = ["x"]
-[inputs]
-f = { kind = "force", at = "x" }
-[masses]
-m = { at = "x" }
-[springs]
-k = { between = ["x", "ground"] }
-[dampers]
-c = { between = ["x", "ground"] }
-[channels]
-x = { of = "x" }
-f = { of = "f" }
-"""
+FLEET = one_mass("f")
 
 
 def _many_machines(path: Path) -> None:

@@ -13,6 +13,7 @@ from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.observation import observation_model
 from dashpot.model.rigfile import read_rig
 from tests import two_masses
+from tests.two_masses import one_mass
 from tests.unit.app.conftest import Command
 
 RIG = two_masses.RIG.replace(", value = 4600", "").replace(", noise = 0.02", "")
@@ -183,10 +184,7 @@ def test_the_end_of_a_record_is_held_out(dashpot: Command, rig: str) -> None:
 def test_free_decay_of_a_rig_that_nothing_drives(dashpot: Command, tmp_path: Path) -> None:
     """All motion is that at the start; one known part fixes the scale, and without it that is said."""
     rig = tmp_path / "decay.toml"
-    text = (
-        'coordinates = ["x"]\n[masses]\nm = { at = "x", value = 2 }\n'
-        '[springs]\nk = { between = ["x", "ground"] }\n[dampers]\nc = { between = ["x", "ground"] }\n'
-    )
+    text = one_mass("", "value = 2", of={})
     rig.write_text(text, encoding="utf-8")
     t = np.arange(0, 6, 0.01)
     rate = np.sqrt(2000 / 2 - 0.75**2)

@@ -13,6 +13,7 @@ from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.estimate.identify import identify
 from dashpot.model.rigfile import Rig, parse_rig
+from tests.two_masses import one_mass
 from tests.unit.data.readers.column_files import TABLES, mdf, tdms, uff
 from tests.unit.data.readers.famos_bytes import HEAD, channel
 from tests.unit.data.readers.written import mat73
@@ -20,18 +21,7 @@ from tests.unit.data.readers.written import mat73
 RATE, DRIVE_HZ = 128.0, (2.0, 3.0, 4.0)
 MASS, DAMPING, STIFFNESS = 2.0, 6.0, 800.0
 MOTION, FORCE = 0.02, 50.0  # full scales, m and N
-RIG = """
-coordinates = ["x"]
-[inputs]
-f = { kind = "force", at = "x" }
-[masses]
-m = { at = "x" }
-[springs]
-k = { between = ["x", "ground"] }
-[dampers]
-c = { between = ["x", "ground"] }
-[channels]
-"""
+RIG = one_mass("f", of={}) + "[channels]\n"
 TWO_CONVERTERS = (
     'x = { of = "x", unit = "counts", bits = 16, full_scale = "20 mm" }\n'
     'f = { of = "f", unit = "counts", bits = 24, full_scale = "50 N" }\n'
