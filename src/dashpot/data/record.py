@@ -30,10 +30,10 @@ def samples_at_limit(values: Real) -> int:
 ALIKE = 3  # samples at a limit of a channel of which no two others are alike
 
 
-def at_limits(values: Real, *, in_a_row: bool = True) -> Bools:
+def at_limits(values: Real, *, with_steps: bool = False) -> Bools:
     """Which samples are at the greatest value, and which at the least, where those are limits: (2, samples).
 
-    in_a_row: three of them have to follow each other somewhere, which of a sine with few samples a period they may not.
+    with_steps: those on which a coarse converter turns count, too; the motion around has to tell them apart.
     """
     limits = np.zeros((2, len(values)), dtype=bool)
     if not len(values) or np.ptp(values) == 0:
@@ -46,7 +46,7 @@ def at_limits(values: Real, *, in_a_row: bool = True) -> Bools:
         count = int(np.count_nonzero(at))
         if count < 3 or count > AT_REST * len(values):
             continue
-        if in_a_row and not np.any(at[2:] & at[1:-1] & at[:-2]):
+        if not (with_steps or np.any(at[2:] & at[1:-1] & at[:-2])):  # three follow each other nowhere
             continue
         median = float(np.median(values[:: 1 + (len(values) >> 20)]))  # of a million samples, evenly spread
         loud = len(values)
@@ -55,26 +55,27 @@ def at_limits(values: Real, *, in_a_row: bool = True) -> Bools:
             loud = int(np.count_nonzero(beyond(values, median + 0.5 * (limit - median))))
         following = extreme(values, where=~at, initial=other)
         # 8: times as many samples as at the value next to the limit: fewer are the steps of a converter
-        if count >= SHARE * min(len(values), LOUD * loud) and count >= 8 * np.sum(values == following):
+        many = with_steps or count >= 8 * np.sum(values == following)
+        if many and count >= SHARE * min(len(values), LOUD * loud):
             limits[side] = at
     return limits
 
 
 def limits(column: Real) -> Bools:
-    """Which samples are at the greatest value, and which at the least, where those are limits: (2, samples).
+    """Which samples are at the greatest value, and which at the least, where those may be limits: (2, samples).
 
     Where values come again elsewhere, as those of a coarse converter and of a sine in step with the sampling do, three
-    have to follow each other, and to be many more than those at the next value.  Where no two others are alike, three
-    alike are a limit, and at the other end of a channel that has one two are.
+    have to follow each other.  Where no two others are alike, three alike are a limit, and at the other end of a
+    channel that has one two are.
     """
     ends = np.stack([column == np.max(column), column == np.min(column)])
     others = column[~np.any(ends, axis=0)]
     if not len(others) or np.ptp(column) == 0:
-        return at_limits(column)
+        return at_limits(column, with_steps=True)
     different = len(np.unique(np.round(others / np.ptp(column), 9)))  # but for rounding
     # 0.9 of the other samples, all of different values: then two alike at a limit are no chance
     if different <= 0.9 * len(others):
-        return at_limits(column)
+        return at_limits(column, with_steps=True)
     counts = np.count_nonzero(ends, axis=1)
     limited: Bools = (counts >= ALIKE) | ((counts >= 2) & (np.max(counts) >= ALIKE))
     return np.asarray(ends & limited[:, None])

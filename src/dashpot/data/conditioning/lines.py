@@ -52,7 +52,7 @@ from dashpot.data.conditioning.unmeasured import expected, marked, notices_of_do
 from dashpot.data.conditioning.whole_record import AT_REST, whole_records
 from dashpot.data.noise import LEVEL, moderated
 from dashpot.data.periods import averaged_periods
-from dashpot.data.record import Record, calibration
+from dashpot.data.record import Record, calibrated
 from dashpot.data.spectrum import SettledDwell, Spectrum, concatenate
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.words import counted
@@ -462,7 +462,6 @@ def _lines(
     fit = fit_harmonics(record, None, settings)
     wanted = [fit.orders.index(order) for order in settings.wanted]
     frequencies = fit.frequency_hz * np.array([fit.orders[i] for i in wanted], dtype=float)
-    h = calibration(record.channels, frequencies)
     covariance = fit.covariance[..., wanted, :, :]
     if np.any(steps > 0):
         covariance = covariance + diagonal_matrices(rounding_variance(record, fit, steps)[..., wanted, :])
@@ -474,8 +473,7 @@ def _lines(
     lines = Spectrum(
         record.channels,
         frequencies,
-        fit.amplitudes[..., wanted, :] * h,
-        covariance * h[:, :, None] * np.conj(h)[:, None, :],
+        *calibrated(record.channels, frequencies, fit.amplitudes[..., wanted, :], covariance),
         np.full(len(wanted), fit.samples),
         fit.dof[wanted],
         (fit.noise,) * len(wanted),

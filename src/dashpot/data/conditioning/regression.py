@@ -217,7 +217,7 @@ def solve_harmonics(record: Record, f: float, terms: Terms) -> HarmonicSolution:
     """Least squares of some terms over the samples.
 
     A record at its own frequency is factored once for all terms that are usual; of repeats the columns alone are.
-    Channels with samples that are not measured are solved for by themselves, `_partly_measured`.  Raises DataError
+    Channels with samples that are not measured are solved for by themselves, `partly_measured`.  Raises DataError
     where the samples of some channel cannot tell the columns apart.
     """
     if record.values.ndim > 2:
@@ -325,7 +325,7 @@ def _with_partly_measured(
     P, free, in_cells = np.array(found.P), found.free.copy(), found.in_cells.copy()
     coefficients, variance = found.coefficients.copy(), np.diagonal(found.covariance[0]).copy()
     for c in some:
-        its = _partly_measured(record, c, f, found.terms)
+        its = partly_measured(record, c, f, found.terms)
         if its is not None:
             P[c], free[c], in_cells[c] = its.P, its.free, its.in_cells
             coefficients[0, :, c], variance[c] = its.coefficients, its.variance
@@ -357,7 +357,7 @@ class PartlyMeasured:
     in_cells: bool
 
 
-def _partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMeasured | None:
+def partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMeasured | None:
     """A channel with samples that are clipped, missing or rounded to cells; None where all are as good as measured.
 
     Of a sample in a cell from a to b it is known that the noise is between: ln(Φ(τ b − A γ) − Φ(τ a − A γ)) with
@@ -382,7 +382,7 @@ def _partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMe
         cell = 0.0
     if not cell and np.all(seen):
         return None
-    least = 1e-13 * float(np.max(np.abs(y[seen])))
+    least = 1e-13 * float(np.max(np.abs(y)))
     tau = 1 / max(np.sqrt(max(variance - cell**2 / 12, (2 * COARSEST * cell) ** 2)), least)
 
     def at(beta: Real, tau: float) -> tuple[float, Real, Real]:
@@ -430,7 +430,7 @@ def _partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMe
         (beta, tau), (total, slope, info) = other, found
     free = 0.0 if inverse is None else float(tau**2 / (2 * inverse[-1, -1]))
     if cell and (free < 1 or 1 / tau < COARSEST * cell):
-        return _partly_measured(replace(record, cell=None), c, f, terms)
+        return partly_measured(replace(record, cell=None), c, f, terms)
     if inverse is None:
         raise DataError(
             f"the valid samples of {record.channels[c].name} cannot determine its motion at {f:g} Hz",

@@ -19,7 +19,7 @@ from dashpot.arrays import Ints, Real
 from dashpot.channel import Quantity
 from dashpot.data.conditioning.drive_frequency import at_frequencies, drive_frequencies
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
-from dashpot.data.conditioning.regression import Terms, in_between, solve_harmonics, window
+from dashpot.data.conditioning.regression import Terms, in_between, partly_measured, triangle, window
 from dashpot.data.conditioning.steadiness import FEW_PERIODS, periods_of
 from dashpot.data.noise import LEVEL, smoothed
 from dashpot.data.record import ABOVE, BELOW, MISSING, Record, limits, runs_of_one_value
@@ -139,13 +139,17 @@ def _perhaps_clipped(record: Record) -> Record:
 
 
 def _with_clipped(record: Record, perhaps: Ints, motion: Motion, text: str, notices: list[Notice]) -> Record:
-    """The record with those of the clipped samples marked, of what may be, beyond which its channel moves."""
+    """The record with those of the clipped samples marked, of what may be, beyond which its channel moves.
+
+    What a coarse converter rounds to the code on which it turns is beyond that by half a step at the most.
+    """
     status = np.array(perhaps)
     for c in np.flatnonzero(np.any(np.abs(perhaps) == 1, axis=0)).tolist():
         clipped, column, name = np.abs(perhaps[:, c]) == 1, record.values[:, c], record.channels[c].name
         expected = motion(c, np.where(clipped, MISSING, perhaps[:, c]))
         beyond = perhaps[clipped, c] * (expected - column)[clipped]
-        if np.nansum(beyond) > DEPTH * np.ptp(column) * len(beyond):  # others rest at it
+        least = max(DEPTH * float(np.ptp(column)), float(rounding_steps([record])[c]) / 2)
+        if np.nansum(beyond) > least * len(beyond):  # others rest at it
             count = counted(int(np.sum(clipped)), "sample")
             notices.append(Notice("unclipped", text.format(name, count), (name,)))
         else:
@@ -153,21 +157,22 @@ def _with_clipped(record: Record, perhaps: Ints, motion: Motion, text: str, noti
     return replace(record, status=status) if np.any(status) else record
 
 
-def _surroundings(record: Record, c: int, status: Ints) -> Iterator[tuple[slice, slice, Terms, Real]]:
-    """Pieces of a channel with samples not measured: samples around, those of it, terms and columns (around, terms).
+def _motions(record: Record, c: int, status: Ints) -> Iterator[tuple[slice, slice, Real, float]]:
+    """Pieces of a channel with samples not measured: samples around, those of it, motion (around,), sd of a sample.
 
-    Three periods with one more on either side.  The columns are an offset, a slope and two multiples of a steady sine,
+    Three periods with one more on either side.  The motion is an offset, a slope and two multiples of a steady sine,
     or where that leaves more than noise would, of one whose amplitude and phase run; an offset and a sine where few
-    samples are measured.
+    samples are measured.  It is the likeliest by `status`; pieces whose samples do not tell it are left out.
     """
     assert record.frequency_hz is not None
-    period = max(round(len(status) / periods_of(record)), 1)
+    f, period = record.frequency_hz, max(round(len(status) / periods_of(record)), 1)
+    one = record.channels[c : c + 1], record.values[:, c : c + 1], status[:, None]
+    alone = replace(record, channels=one[0], values=one[1], status=one[2], sd=None, cell=None)
     edges = np.linspace(0, len(status), max(len(status) // (3 * period), 1) + 1).round().astype(int).tolist()
     for begin, end in pairwise(edges):
         around = slice(max(begin - period, 0), min(end + period, len(status)))
         measured = status[around] == 0
-        time, y = record.time[around], record.values[around, c]
-        count, f, inside = int(np.count_nonzero(measured)), record.frequency_hz, window(time)
+        here, count = alone.part(around), int(np.count_nonzero(measured))
         terms = Terms(1, (1, 2)) if count >= 6 + FREEDOM else Terms(0)
         if not np.any(status[begin:end]) or count < terms.count + 2:
             continue
@@ -180,26 +185,34 @@ def _surroundings(record: Record, c: int, status: Ints) -> Iterator[tuple[slice,
                 for k in range(bends)
             ]
             order = [0, 1, *every.wave(1), *every.wave(2), *(column for three in more for column in three)]
-            A = every.columns(time, f, *inside)[measured][:, order]
-            R: Real = np.linalg.qr(np.column_stack([A, y[measured]]), mode="r")  # type: ignore[assignment]
+            A = every.columns(here.time, f, *window(here.time))[:, order]
+            R = triangle([np.column_stack([A, here.values])[measured]])
             left, at = np.cumsum(R[::-1, -1] ** 2)[::-1], 0
             for degree in range(1, bends + 1):
                 fewer, many = 6 + 3 * at, 6 + 3 * degree
                 F = (left[fewer] - left[many]) / (many - fewer) / max(left[many] / (count - many), 1e-300)
                 if fdtrc(many - fewer, count - many, F) < LEVEL:
                     terms, at = Terms(degree + 1, (1, 2), degree), degree
-        yield around, slice(begin, end), terms, terms.columns(time, f, *inside)
+        A, y = terms.columns(here.time, f, *window(here.time)), here.values[:, 0]
+        if np.any(np.abs(status[around]) == 1):
+            try:
+                found = partly_measured(here, 0, f, terms)
+            except DataError:
+                continue
+            assert found is not None
+            motion, noise = A @ found.coefficients, found.variance**0.5
+        else:
+            motion = A @ np.linalg.lstsq(A[measured], y[measured], rcond=None)[0]
+            noise = float(np.sqrt(np.sum((y - motion)[measured] ** 2) / (count - terms.count)))
+        yield around, slice(begin, end), motion, max(noise, 1e-13 * float(np.max(np.abs(y))))
 
 
 def _motion_there(record: Record, c: int, status: Ints) -> tuple[Real, Real]:
     """The motion of a channel as the samples measured show it, and their scatter, (samples,); NaN where they do not."""
     motion, scatter = np.full((2, len(status)), np.nan)
-    for around, inside, _, A in _surroundings(record, c, status):
-        measured = status[around] == 0
-        y = record.values[around, c][measured]
-        fitted = A @ np.linalg.lstsq(A[measured], y, rcond=None)[0]
+    for around, inside, fitted, noise in _motions(record, c, np.where(status != 0, MISSING, 0)):
         motion[inside] = fitted[inside.start - around.start :][: inside.stop - inside.start]
-        scatter[inside] = np.sqrt(np.sum((y - fitted[measured]) ** 2) / (len(y) - A.shape[1]))
+        scatter[inside] = noise
     return motion, scatter
 
 
@@ -211,20 +224,10 @@ def expected(record: Record) -> Record:
     """
     if record.status is None:
         return record
-    values, f = np.array(record.values), record.frequency_hz or 0.0
-    sd = np.where(record.status != 0, np.inf, 0.0)
+    values, sd = np.array(record.values), np.where(record.status != 0, np.inf, 0.0)
     for c in np.flatnonzero(~record.whole_channels).tolist():
         status = record.status[:, c]
-        for around, inside, terms, A in _surroundings(record, c, status):
-            here = record.part(around)
-            here = replace(here, channels=here.channels[c : c + 1], values=here.values[:, c : c + 1])
-            here = replace(here, status=status[around, None])
-            try:
-                found = solve_harmonics(here, f, terms)
-            except DataError:
-                continue
-            motion = A @ found.coefficients[0, :, 0]
-            noise = max(float(np.sqrt(found.covariance[0, 0, 0])), 1e-13 * float(found.largest[0, 0]))
+        for around, inside, motion, noise in _motions(record, c, status):
             side = np.where(np.abs(status[around]) == 1, status[around], 0)
             beyond = side * (record.values[around, c] - motion) / noise
             _, slope, _, curvature, _, _ = in_between(beyond, np.full(len(beyond), np.inf))

@@ -36,7 +36,7 @@ from dashpot.data.noise import (
     without_leakage,
 )
 from dashpot.data.periods import driven_lines, driven_note
-from dashpot.data.record import MISSING, Record, calibration
+from dashpot.data.record import MISSING, Record, calibrated
 from dashpot.data.spectrum import Spectrum, Unmeasured, WholeRecord, concatenate
 from dashpot.errors import DataError
 from dashpot.io.words import counted, joined
@@ -155,14 +155,13 @@ def whole_record(
         last = first + len(X) - 1
     frequency = np.arange(first, last + 1) / duration
     lines, channels = X.shape
-    h = calibration(remaining, frequency)
     if still is None:
         V = np.broadcast_to(diagonal_matrices(floor), (lines, channels, channels))
         kind, dof = FLOOR, 2.0 * lines
     else:
         V, kind, dof = still.covariance(frequency, samples), AT_REST, still.dof
-    if np.any(h != 1):
-        X, V = X * h, V * h[:, :, None] * np.conj(h)[:, None, :]
+    if any(channel.factor != 1 or channel.delay for channel in remaining):
+        X, V = calibrated(remaining, frequency, X, V)
     return Spectrum(
         record.channels,
         frequency,

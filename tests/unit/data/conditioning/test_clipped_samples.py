@@ -54,6 +54,28 @@ def test_the_amplitude_of_a_clipped_sine_is_right_and_its_sd_counts_what_is_miss
     assert wrong > 5 * abs(np.mean(away))
 
 
+@pytest.mark.parametrize("steps", [8, 128, 4096])
+@pytest.mark.parametrize("limit", [np.inf, 0.95, 0.8])
+def test_clipping_in_step_with_the_sampling_is_told_from_turning_points(steps: int, limit: float) -> None:
+    """Each value comes again in every period, those next to the limit as well: the motion around tells."""
+    rng = np.random.default_rng(3)
+    for noise in (0.0, 3e-4):
+        record = dwell(rng, limit, noise=noise)
+        coarse = replace(record, values=np.round(record.values * steps) / steps)
+        clips = 1 - limit > 0.5 / steps
+        assert [note.of for note in marked([coarse])[1]] == [("x1",)] * clips
+        assert abs(abs(amplitude(coarse)[0]) - 1) < 0.4 / steps + 1e-3
+
+
+def test_second_moments_of_a_clipped_dwell_from_a_coarse_converter_are_those_of_the_whole_sine() -> None:
+    record = dwell(np.random.default_rng(5), 0.8, noise=0.002)
+    coarse = replace(record, values=np.round(record.values * 64) / 64)
+    moments = spectrum([coarse], moments=True).moments
+    assert moments is not None
+    power = moments.products[0].diagonal() / len(record.time)
+    np.testing.assert_allclose(power, 0.5, rtol=0.02)
+
+
 def test_a_clipped_dwell_whose_frequency_is_off_is_put_right_at_its_own() -> None:
     """Stated 2 % off, 30 draws: by the stated frequency amplitudes are up to a fifth off."""
     rng = np.random.default_rng(11)
