@@ -31,13 +31,17 @@ KINDS: Mapping[str, tuple[Kind, Kind]] = {
 
 
 def block_elements(
-    name: str, letter: Literal["M", "C", "K", "H"], matrix: Any, points: Sequence[str], **known: float | None
+    name: str,
+    letter: Literal["M", "C", "K", "H"],
+    matrix: Any,
+    points: Sequence[str | None],
+    **known: float | None,
 ) -> tuple[Element, ...]:
     """The elements of factor · matrix as a part of M, C, K or H; the first one carries the factor.
 
     matrix: symmetric, dense or sparse, (points, points), in SI units; `points` names its rows, coordinates or
-    displacement inputs.  `known` are value, sd, guess, lower and upper of the factor, whose guess is 1 where nothing
-    is given: the model as it was drawn.
+    displacement inputs, None what is fixed to the ground; rows of one name are joined there.  `known` are value, sd,
+    guess, lower and upper of the factor, whose guess is 1 where nothing is given: the model as it was drawn.
     Raises ModelError where the matrix is not square, finite and symmetric, or of another size than `points`.
     """
     # The upper half of a symmetric matrix with its diagonal, sparse, without stored zeros
@@ -58,6 +62,13 @@ def block_elements(
         raise ModelError(
             f"the matrix of {name} is not symmetric", cure="give all of it, or save it as a symmetric one"
         )
+    names = list(dict.fromkeys(point for point in points if point is not None))
+    if len(names) < size:
+        place = {point: column for column, point in enumerate(names)}
+        rows = [row for row, point in enumerate(points) if point is not None]
+        columns = [place[point] for point in points if point is not None]
+        joining = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, len(names)))
+        whole = sparse.csr_array(joining.T @ whole @ joining)
     upper: Any = sparse.csr_array(sparse.triu((whole + whole.T) / 2))
     upper.eliminate_zeros()
     if known.get("value") is None and known.get("guess") is None:
@@ -76,10 +87,10 @@ def block_elements(
         rest[j] += entry
         reach[i] += abs(entry)
         reach[j] += abs(entry)
-        add(joint, {points[i]: 1.0, points[j]: -1.0}, -entry)
+        add(joint, {names[i]: 1.0, names[j]: -1.0}, -entry)
     # What rounding leaves of a row whose sum is 0 is no element.
     for i in np.flatnonzero(np.abs(rest) > 1e-14 * reach).tolist():
-        add(alone, {points[i]: 1.0}, float(rest[i]))
+        add(alone, {names[i]: 1.0}, float(rest[i]))
     return tuple(parts)
 
 

@@ -41,7 +41,7 @@ from dashpot.present.estimate import (
     warnings_in_words,
 )
 from dashpot.present.figures import spectra as figures
-from dashpot.present.figures.comparison import cost_figure, cycle_figure, estimate_figure
+from dashpot.present.figures.comparison import change_figure, cost_figure, cycle_figure, estimate_figure
 from dashpot.present.figures.spectra import rows_of_pictures
 from dashpot.present.page import figure_picture, page_html
 from dashpot.present.schematic.drawing import mode_drawing, numbered_mode, rig_picture
@@ -196,6 +196,26 @@ def fit_figure(model: Model, spectrum: Spectrum, estimate: Estimate) -> Figure:
     return figures.residual_channels_figure(found, driven[:6])
 
 
+def moved_figure(model: Model, estimate: Estimate, level: float = 0.95) -> Figure:
+    """By how much each unknown has moved from what was stated or guessed of it, with its interval.
+
+    The first 40 unknowns; no batch axes.  Raises UsageError where nothing is stated or guessed.
+    """
+    rows = []
+    low, high = estimate.interval(level)
+    for k, unknown in enumerate(model.unknowns):
+        nominal = unknown.guess if unknown.prior is None else unknown.prior
+        if nominal:
+            ends = sorted((float(low[k] / nominal), float(high[k] / nominal)))
+            rows.append((unknown.name, float(estimate.values[k] / nominal), *ends))
+    if not rows:
+        what = "nothing is stated or guessed of the unknowns, so no change can be drawn"
+        raise UsageError(what, cure="give guesses, such as guess = 1")
+    names, *numbers = zip(*rows[:40], strict=True)
+    value, lower, upper = 100 * (np.array(numbers) - 1)
+    return change_figure([str(name) for name in names], value, lower, upper)
+
+
 # The evidence.
 
 
@@ -238,6 +258,10 @@ def _evidence(
             text += " 'stated' is the value in the rig file."
         picture = figure_picture(estimate_figure(estimate), "Parameters with their intervals")
         sections.append(section("Intervals", text, picture))
+        if any(element.block == element.name and element.value is None for element in model.elements):
+            text = "Change of each unknown from the model as assembled, with its 95 % interval."
+            picture = figure_picture(moved_figure(model, estimate), "Changes from the model as assembled")
+            sections.append(section("What has changed", text, picture))
         if estimate.costs:
             figure = cost_figure(estimate.costs)
             picture = figure_picture(

@@ -97,7 +97,8 @@ def command(
     figure: Annotated[
         str | None,
         opt.FIGURE,
-        "Draw the fit: responses, measured and model; for continuous records of nonlinear rigs, time histories.",
+        "Draw the fit: responses, measured and model; for continuous records of nonlinear rigs, time histories; for "
+        "measured modes, how far each unknown is from its guess.",
     ],
     report: ReportFile,
     matrices: Annotated[bool, opt.Option("--matrices", None, opt.OUTPUT), "Print M, C and K as well."],
@@ -130,7 +131,8 @@ def command(
         _refuse(sharing, "{} needs --in-parts", "add it, or leave {} out")
     modal = len(data) == 1 and holds_modes(data[0])
     if modal:
-        options = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices, **whole}
+        options = {"--method": chosen != "auto", "--positive": positive, "--matrices": matrices}
+        options |= {"--hold-out": hold_out is not None}
         options |= {"--in-parts": in_parts, "--within": within is not None}
         _refuse(options, "{path} contains modes, to which {} does not apply", "leave {} out", path=data[0])
     read = read_rig(rig)
@@ -201,10 +203,17 @@ class Identified:
         )
 
     def draw(self, path: str, rig: Rig) -> None:
-        """Draw the fit: of records without a spectrum, their histories.  Raises UsageError where nothing is driven."""
+        """Draw the fit: of records without a spectrum, their histories; of modes, what has moved.
+
+        Raises UsageError where nothing is driven, or where nothing was guessed.
+        """
         from dashpot.present.figures.style import write_figure
 
-        if self.spectrum is None:
+        if self.spectrum is None and not self.histories:
+            from dashpot.present.identification import moved_figure
+
+            write_figure(path, moved_figure(rig.model, self.estimate))
+        elif self.spectrum is None:
             from dashpot.present.figures.spectra import drawn_of, prediction_figure
 
             write_figure(path, prediction_figure(drawn_of(self.histories)))
@@ -275,7 +284,9 @@ def of_modes(
     modes, notes = modes_and_notes(path, rig.model.coordinates, rig.channels, relative_sd)
     tell_notes(notes, quiet)
     with progress("identify", quiet):
-        return identify(rig, modes, seed=seed)
+        estimate = identify(rig, modes, seed=seed)
+    tell_notes(estimate.notes, quiet)
+    return estimate
 
 
 def _in_parts(

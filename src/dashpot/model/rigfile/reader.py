@@ -32,6 +32,7 @@ from dashpot.model.rigfile.schema import (
     NOISE,
     NUMBERS,
     SECTIONS,
+    SUBSTRUCTURES,
     BlockEntry,
     InputEntry,
     RigReading,
@@ -126,7 +127,7 @@ def _place_of(reading: RigReading, name: str | None) -> Place:
     element, _, experiment = name.partition("@")
     if experiment:
         places.append((EXPERIMENTS, experiment, element))
-    for section in ("inputs", "blocks", *SECTIONS):
+    for section in ("inputs", SUBSTRUCTURES, "blocks", *SECTIONS):
         table = reading.table.get(section)
         if isinstance(table, dict) and name in table:
             places.append((section, name))
@@ -139,11 +140,21 @@ def _place_of(reading: RigReading, name: str | None) -> Place:
 def read_blocks(reading: RigReading) -> list[Element]:
     """Elements of all blocks; files are found from the folder of the rig file."""
     elements: list[Element] = []
+    for name, points in reading.substructures.items():
+        reading.require_points(
+            (SUBSTRUCTURES, name, "joined"), dict.fromkeys(points, 1.0), reading.attachable
+        )
     for name, raw in reading.entries("blocks"):
         place, before = ("blocks", name, "coordinates"), reading.problems
         entry = reading.entry(BlockEntry, "blocks", name, raw)
         if entry is not None:
             rows = entry.coordinates or []
+            if entry.of is not None and entry.of not in reading.substructures:
+                cure = f"there are {listed(reading.substructures) or 'none'}, in [{SUBSTRUCTURES}]"
+                reading.report.add(("blocks", name, "of"), f"{written(entry.of)} is not a substructure", cure)
+            if entry.of is not None and rows:
+                cure = "the rows are those of the substructure: leave the coordinates out"
+                reading.report.add(place, "of and coordinates both say what the rows are", cure)
             if len(set(rows)) < len(rows):
                 cure = "name each row of the matrix once"
                 reading.report.add(place, "a coordinate appears twice", cure)
@@ -152,11 +163,13 @@ def read_blocks(reading: RigReading) -> list[Element]:
         if entry is not None and reading.problems == before:
             numbers = {field: getattr(entry, key) for key, field in NUMBERS.items()}
             path = Path(reading.document.path).parent / entry.file
+            points = entry.coordinates or reading.head.coordinates
+            if entry.of is not None:
+                points = reading.substructures[entry.of]
+            fixed = [None if point == GROUND else point for point in points]
             try:
                 matrix = _matrix(path, entry.array)
-                elements += block_elements(
-                    name, entry.matrix, matrix, entry.coordinates or reading.head.coordinates, **numbers
-                )
+                elements += block_elements(name, entry.matrix, matrix, fixed, **numbers)
             except DashpotError as error:
                 reading.include(("blocks", name, "file"), error)
         if reading.problems > before:

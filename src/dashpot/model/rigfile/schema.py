@@ -43,13 +43,15 @@ GROUND = "ground"
 SECTIONS: Mapping[str, Kind] = {kind.section: kind for kind in Kind}
 HEAD_KEYS = ("name", "coordinates", "angles")
 EXPERIMENTS = "experiments"
-TABLES = ("inputs", "free", "blocks", *SECTIONS, "calibrations", "channels", EXPERIMENTS)
+SUBSTRUCTURES = "substructures"
+TABLES = ("inputs", "free", SUBSTRUCTURES, "blocks", *SECTIONS, "calibrations", "channels", EXPERIMENTS)
 VERDICT, SHAKER, NOISE = "verdict", "shaker", "noise"
 
 FREE_EXAMPLE = 'free = "MCK", or [free] and below it K = "full", M = "diagonal"'
 EXAMPLES: Mapping[str, str] = {
     "inputs": '{ kind = "displacement" }',
     "masses": '{ at = "x1" }',
+    SUBSTRUCTURES: '{ coordinates = "w1:w400", joined = { w1 = "x1" } }',
     "blocks": '{ matrix = "K", file = "K1.mtx" }',
     "calibrations": '{ value = 1, sd = "1 %" }',
     "channels": '{ of = "x1", unit = "mm" }',
@@ -205,9 +207,15 @@ class ElementEntry(RigFileEntry):
     law: Text | None = None
 
 
+class SubstructureEntry(RigFileEntry):
+    coordinates: Annotated[list[Text], BeforeValidator(_coordinates)]
+    joined: dict[str, Text] = Field(default_factory=dict)
+
+
 class BlockEntry(RigFileEntry):
     matrix: Annotated[Literal["M", "C", "K", "H"], one_of("M", "C", "K", "H")]
     file: Text
+    of: Text | None = None
     array: Text | None = None
     coordinates: Names | None = None
     value: Number | None = None
@@ -246,6 +254,7 @@ class RigReading:
     points       coordinates and moved points, faulty ones too: they exist, whatever is wrong with them
     attachable   these and the ground
     inputs, elements   by name
+    substructures      by name, the point of each row of its matrices
     calibrations       those that channels share: by name, whether they are a gain or a delay
 
     What is wrong is reported, and reading goes on with a stand-in, so that all problems are told at once: an entry is
@@ -259,6 +268,7 @@ class RigReading:
         self.faulty: set[str] = set()
         self._untold = 0
         self.head = self._head()
+        self.substructures = self._substructures()
         self.angles = frozenset(self.head.angles)
         self.points: dict[str, None] = dict.fromkeys(self.head.coordinates)
         self.attachable: dict[str, None] = {}
@@ -285,8 +295,9 @@ class RigReading:
                 self.report.add((key,), "unknown key or section", cure)
                 self.faulty.add(key)  # what it holds is missing elsewhere
         raw = {key: self.table[key] for key in HEAD_KEYS if key in self.table}
-        head = validated(Head, raw, (), self.report)
-        if head is not None and (head.coordinates or self.table.get("inputs")):
+        others = self.table.get(SUBSTRUCTURES)
+        head = validated(Head, ({"coordinates": []} if others else {}) | raw, (), self.report)
+        if head is not None and (head.coordinates or others or self.table.get("inputs")):
             return head
         if head is not None:
             cure = 'list them, such as coordinates = ["x1"]'
@@ -295,6 +306,41 @@ class RigReading:
         names = raw.get("coordinates")
         usable = [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
         return Head(coordinates=usable)
+
+    def _substructures(self) -> dict[str, list[str]]:
+        """The points of each substructure's rows; those that are joined to no other are coordinates of the rig."""
+        own: dict[str, list[str]] = {}
+        joined: dict[str, str] = {}
+        seen = dict.fromkeys(self.head.coordinates)
+        for name, raw in self.entries(SUBSTRUCTURES):
+            entry = self.entry(SubstructureEntry, SUBSTRUCTURES, name, raw)
+            if entry is None:
+                self.faulty |= {name, "coordinates"}
+                continue
+            place = (SUBSTRUCTURES, name)
+            for point in entry.coordinates:
+                if point in seen:
+                    cure = f"give it another name, and join both: joined = {{ {point}_{name} = {quoted(point)} }}"
+                    self.report.add((*place, "coordinates"), f"{written(point)} exists already", cure)
+                    self.faulty |= {name, "coordinates"}
+                seen[point] = None
+            self.require_points(
+                (*place, "joined"), dict.fromkeys(entry.joined, 1.0), entry.coordinates, "row"
+            )
+            own[name] = entry.coordinates
+            joined |= entry.joined
+        for point in joined:
+            end, steps = point, 0
+            while end in joined and steps <= len(joined):
+                end, steps = joined[end], steps + 1
+            if end in joined:
+                cure = "let one of the points stay a coordinate"
+                self.report.add((SUBSTRUCTURES,), f"{written(point)} is joined to itself", cure)
+                return own
+            joined[point] = end
+        more = [point for rows in own.values() for point in rows if point not in joined]
+        self.head = self.head.model_copy(update={"coordinates": [*self.head.coordinates, *more]})
+        return {name: [joined.get(point, point) for point in rows] for name, rows in own.items()}
 
     def _settings(self, name: str, of: type[AnyEntry], example: str) -> AnyEntry | None:
         """A section of settings; None where there is none."""

@@ -99,6 +99,26 @@ def cost_figure(costs: Sequence[Cost]) -> Figure:
 
 
 @style()
+def change_figure(names: list[str], change: Real, low: Real, high: Real) -> Figure:
+    """Changes (unknowns,) with the ends of their intervals, per cent, a row each; dark where the interval leaves 0
+    out."""
+    places = np.arange(len(names))
+    figure = ShownFigure(figsize=(HALF_PAGE, 0.8 + ROW * len(names)))
+    axes = figure.subplots()
+    axes.axvline(0, color=INK, linewidth=0.8)
+    for place, value, ends in zip(places, change, np.stack([low, high], axis=-1), strict=True):
+        moved = ends[0] > 0 or ends[1] < 0
+        colour = BAD if moved else MODEL
+        axes.plot(ends, [place, place], color=colour, linewidth=1.5)
+        axes.plot([value], [place], "o", color=colour, markersize=4)
+    row_names(axes, places.tolist(), names)
+    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel("change, %")
+    return figure
+
+
+@style()
 def cycle_figure(cycles: Sequence[Cycle]) -> Figure:
     """Equivalent stiffness and damping of one specimen over the amplitude, a curve for each frequency, ± 2 sd.
 
