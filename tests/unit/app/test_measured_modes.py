@@ -1,14 +1,17 @@
 """identify from a file of measured modes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from dashpot.data.readers.modes import read_modes
+from dashpot.errors import UsageError
 from dashpot.estimate.modal import identify_modal
 from dashpot.estimate.result import Estimate
 from dashpot.export.formats import export_rig
 from dashpot.model.rigfile import read_rig
+from dashpot.present.identification import moved_figure
 from tests.unit.app.conftest import Command
 from tests.unit.export.exported import TWO_MASSES, two_masses
 
@@ -38,3 +41,19 @@ def test_a_rig_is_identified_from_its_own_modes(
     assert (refused.code, refused.err) == (
         2, ["dashpot: modes.uff contains modes, to which --method does not apply; leave --method out"],
     )  # fmt: skip
+
+
+def test_a_figure_of_what_has_moved(
+    dashpot: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the guesses of the rig file; without any there is nothing to draw."""
+    monkeypatch.chdir(tmp_path)
+    export_rig(two_masses(), "modes.uff")
+    Path("rig.toml").write_text(TWO_MASSES)
+    done = dashpot("identify", "rig.toml", "modes.uff", "--figure", "moved.svg", "-q")
+    assert (done.code, done.out) == (0, "")
+    assert "<svg" in Path("moved.svg").read_text(encoding="utf-8")
+    rig = read_rig("rig.toml")
+    bare = tuple(replace(one, guess=None, sd=None) for one in rig.model.elements)
+    with pytest.raises(UsageError, match="no change can be drawn"):
+        moved_figure(replace(rig.model, elements=bare), rig.identify("modes.uff"))
