@@ -375,20 +375,21 @@ def test_a_linear_stand_is_a_regression_of_its_force() -> None:
     np.testing.assert_allclose(estimate.covariance, np.linalg.inv(information), rtol=1e-6)
 
 
-def test_a_missing_law_is_named_one_after_the_other() -> None:
+FRICTION = 'fc = { between = ["u", "ground"], law = "coulomb", v0 = "unknown" }'
+
+
+@pytest.mark.parametrize(
+    ("damper", "named"), [("", "coulomb"), pytest.param(FRICTION, "cubic", marks=pytest.mark.long)]
+)
+def test_a_missing_law_is_named_one_after_the_other(damper: str, named: str) -> None:
     """Friction, which is the larger, then the stiffening spring beside it."""
-    text = RIG.format(spring=SPRING, damper="")
     truth = {"k": 2e4, "c": 100.0, "q": 40.0, "q.v0": 0.005}
     data = dwells("coulomb", truth, np.random.default_rng(5))
     for dwell in data:
         dwell["F"] = dwell["F"] + 4e9 * (1e-3 * dwell["u"]) ** 3
-    first = dashpot.parse_rig(text).identify(data).assessment
-    assert first.verdict == "does not fit"
-    assert "coulomb" in str(first.findings[0].change)
-    friction = 'fc = { between = ["u", "ground"], law = "coulomb", v0 = "unknown" }'
-    second = dashpot.parse_rig(RIG.format(spring=SPRING, damper=friction)).identify(data).assessment
-    assert second.verdict == "does not fit"
-    assert "cubic" in str(second.findings[0].change)
+    found = dashpot.parse_rig(RIG.format(spring=SPRING, damper=damper)).identify(data).assessment
+    assert found.verdict == "does not fit"
+    assert named in str(found.findings[0].change)
 
 
 def test_a_stand_without_its_force_is_refused() -> None:

@@ -63,7 +63,7 @@ def test_velocities_and_accelerations_are_derivatives_and_noise_is_as_stated():
 def test_a_simulated_record_gives_the_parameters_back():
     model, theta = two_masses("quintic")
     rng = np.random.default_rng(2)
-    time = np.arange(600) / 200
+    time = np.arange(300) / 200
     u = 4e-4 * np.sum(
         np.cos(2 * np.pi * rng.uniform(1, 15, 20) * time[:, None] + rng.uniform(0, 6, 20)), axis=1
     )

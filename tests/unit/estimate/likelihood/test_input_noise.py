@@ -84,7 +84,8 @@ def test_parameters_are_as_good_as_with_the_noise_stated(bench: WholeTest) -> No
 
 @pytest.mark.parametrize("at_rest", [True, False], ids=["seen at rest", "from all outputs"])
 def test_the_noise_of_a_hammer_is_found(at_rest: bool) -> None:
-    """A tap moves all frequencies, and resonances of a line or two tell little: 12 draws, seeds 0 to 11.
+    """A tap moves all frequencies, and resonances of a line or two tell little: 12 draws, seeds 0 to 11; six
+    where it is seen at rest.
 
     The spectrum alone once made it 1.9 times too large; the outputs alone once showed it in 8 draws, and once gave it
     up because they counted as noisy what it moves.  Of 40 draws the outputs show it in 28.
@@ -96,7 +97,8 @@ def test_the_noise_of_a_hammer_is_found(at_rest: bool) -> None:
     sd = np.array([0.02, 0.02, 0.0]) * exact.size
     sd[-1] = 1e-3 * np.max(exact.record.values[:, -1])
     off, stated, levels = [], [], []
-    for seed in range(12):
+    draws = 6 if at_rest else 12
+    for seed in range(draws):
         lines = whole_record(exact.noisy(np.random.default_rng(seed), sd))
         if not at_rest:
             covariance = np.array(lines.covariance)
@@ -108,7 +110,7 @@ def test_the_noise_of_a_hammer_is_found(at_rest: bool) -> None:
         off.append(estimate.values - theta)
         stated.append(estimate.sd)
     shown = np.array(levels)[np.array(levels) > 0]
-    assert len(shown) >= (12 if at_rest else 9)
+    assert len(shown) >= (draws if at_rest else 9)
     np.testing.assert_allclose(shown, 1.0, atol=0.05 if at_rest else 0.2)
     relative = np.sqrt(np.mean(np.square(off), axis=0) / np.mean(np.square(stated), axis=0))
-    assert np.all(relative < 1.6)  # 1 ± 0.2
+    assert np.all(relative < 1.6)  # 1 ± 0.2 of twelve
