@@ -27,7 +27,7 @@ from dashpot.quantities import Amount, quantity_of_unit
 if TYPE_CHECKING:
     from dashpot.model.network import Model
     from dashpot.model.rigfile import Rig
-    from dashpot.quantities import Amount
+    from dashpot.present.document import Document
 
 # Files and folders: checked before the work starts.
 #
@@ -130,6 +130,17 @@ def write_result(target: str | None, text: str) -> None:
         click.echo(text, nl=False)
     elif target is not None:
         write_text(target, text)
+
+
+def tell_result(
+    json_out: str | None, text: str, document: Callable[[], Document], quiet: bool, *, apart: bool = False
+) -> None:
+    """Write a result as JSON where that is asked for, and print it in words unless `quiet` or JSON goes there."""
+    write_result(json_out, text)
+    if not quiet and json_out != STDOUT:
+        from dashpot.present.document import say
+
+        say(document(), apart=apart)
 
 
 # What options and arguments take: one type for each kind of value, the same in every command.
@@ -698,11 +709,9 @@ def drive_amplitude(model: Model, given: Amount | Mapping[str, Amount]) -> float
     return given.si(kind, drive_is_angular(model, kind))
 
 
-def coordinate_amounts(
-    model: Model, settings: Sequence[Mapping[str, Amount]], option: str
-) -> dict[str, float]:
-    """Displacements by coordinate, m or rad: "x1=5mm".  Raises UsageError for a unit of something else."""
-    named = merged(settings, option)
+def coordinate_amounts(model: Model, settings: Sequence[Mapping[str, Amount]]) -> dict[str, float]:
+    """Displacements of --release by coordinate, m or rad: "x1=5mm".  Raises UsageError for a unit of something else."""
+    named = merged(settings, "--release")
     return {name: amount.si("displacement", name in model.angles) for name, amount in named.items()}
 
 

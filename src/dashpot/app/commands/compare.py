@@ -71,7 +71,7 @@ def command(
     from dashpot.check.structure import require_scale, require_scale_seen
     from dashpot.data.readers.modes import modes_and_notes
     from dashpot.model.rigfile import read_rig
-    from dashpot.present.document import say
+    from dashpot.present.comparison import comparison_document, comparison_report
 
     if elements:
         if not data:
@@ -112,15 +112,9 @@ def command(
 
         write_figure(figure, comparison_figure(comparison, level))
     if report:
-        from dashpot.present.comparison import comparison_report
-
         channels = read.channels if spectrum is None else spectrum.channels
         report.write(comparison_report(read.model, channels, comparison, level, report.provenance))
-    opt.write_result(json_out, comparison.to_json())
-    if not quiet and json_out != opt.STDOUT:
-        from dashpot.present.comparison import comparison_document
-
-        say(comparison_document(comparison, level))
+    opt.tell_result(json_out, comparison.to_json(), lambda: comparison_document(comparison, level), quiet)
     unsettled = [name for name, estimate in comparison.estimates.items() if not bool(estimate.converged)]
     if not unsettled:
         return 0
@@ -152,7 +146,6 @@ def _elements(rig: Rig, data: Sequence[str], records: RecordOptions, json_out: s
     """Nonlinear elements by evidence: from whole records by integration, else from the harmonics of dwells."""
     from dashpot.check.element_evidence import compare_in_dwells, compare_in_records
     from dashpot.present.comparison import elements_document
-    from dashpot.present.document import say
 
     reading = records.reading(rig, data)
     if reading.continuous:
@@ -161,7 +154,5 @@ def _elements(rig: Rig, data: Sequence[str], records: RecordOptions, json_out: s
     else:
         spectrum = records.spectrum(rig, reading, records.conditioning(rig, reading), ["hls"])
         evidence = compare_in_dwells(rig.model, spectrum)
-    opt.write_result(json_out, evidence.to_json())
-    if not records.quiet and json_out != opt.STDOUT:
-        say(elements_document(evidence))
+    opt.tell_result(json_out, evidence.to_json(), lambda: elements_document(evidence), records.quiet)
     return 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -197,6 +197,7 @@ def command(
     from dashpot.design.advise import answer, answer_to_json, plan_to_csv
     from dashpot.design.test_setup import drive_units
     from dashpot.model.rigfile import read_rig
+    from dashpot.present.design import answer_document, design_report
 
     read = read_rig(rig)
     whole, read = read, read.standing_in(experiment) if wanted.after else read.in_experiment(experiment)
@@ -216,19 +217,12 @@ def command(
         raise UsageError("--progress draws data as they came in", cure="give the data with --after DATA")
     with shared_out(dask, workers, small=True) as mapper, progress("design", quiet):
         result = answer(question, mapper=mapper)
-    opt.write_result(json_out, answer_to_json(result))
     if csv is not None and result.plan is not None:
         write_text(csv, plan_to_csv(result.plan, drive_units(read.model)))
     if report:
-        from dashpot.present.design import design_report
-
         report.write(design_report(result, report.provenance))
     _draw(result, figure, drawn_progress, question)
-    if not quiet and json_out != opt.STDOUT:
-        from dashpot.present.design import answer_document
-        from dashpot.present.document import say
-
-        say(answer_document(result), apart=True)
+    opt.tell_result(json_out, answer_to_json(result), lambda: answer_document(result), quiet, apart=True)
     return 0
 
 
@@ -238,7 +232,9 @@ def _releases(
     """The releases of a rig that nothing drives."""
     from dashpot.check.deficiencies import require_identifiable
     from dashpot.design.releases import plan_releases
+    from dashpot.estimate.result import Estimate
     from dashpot.model.observation import with_relative_noise
+    from dashpot.present.design import release_document
 
     driven: dict[str, object] = {
         "--sensors": wanted.sensors,
@@ -271,13 +267,8 @@ def _releases(
         time = wanted.samples / wanted.rate
     turning = set(rig.model.coordinates) <= set(rig.model.angles)
     channels, noise = rig.channels, wanted.relative_noise
-    values = parameter_values(rig, wanted.settings)
-    if wanted.estimate_file is not None:
-        from dashpot.estimate.result import Estimate
-
-        found = Estimate.load(wanted.estimate_file)
-        pairs = zip(found.names, found.values.tolist(), strict=True)
-        values = {name: value for name, value in pairs if name in rig.model.unknown_names} | dict(values)
+    estimate = None if wanted.estimate_file is None else Estimate.load(wanted.estimate_file)
+    values = _values(rig, wanted.settings, estimate)
     with progress("design", quiet):
         plan = plan_releases(
             rig.model,
@@ -290,13 +281,17 @@ def _releases(
             time_s=time,
             target=target,
         )
-    opt.write_result(json_out, to_json(plan.content()))
-    if not quiet and json_out != opt.STDOUT:
-        from dashpot.present.design import release_document
-        from dashpot.present.document import say
-
-        say(release_document(plan), apart=True)
+    opt.tell_result(json_out, to_json(plan.content()), lambda: release_document(plan), quiet, apart=True)
     return 0
+
+
+def _values(
+    rig: Rig, settings: Sequence[Mapping[str, Amount]], estimate: Estimate | None
+) -> dict[str, float]:
+    """Values to design for: of --set, else of the estimate."""
+    found = {} if estimate is None else dict(zip(estimate.names, estimate.values.tolist(), strict=True))
+    known = {name: value for name, value in found.items() if name in rig.model.unknown_names}
+    return known | parameter_values(rig, settings)
 
 
 def _question(rig: Rig, whole: Rig, wanted: DesignOptions, records: RecordOptions) -> Question:
@@ -316,10 +311,8 @@ def _question(rig: Rig, whole: Rig, wanted: DesignOptions, records: RecordOption
     for name, value in values.items():
         if value < 0 and units[name] == "kg":
             raise UsageError(f"--set {name}: a mass of {value:g} kg", rig.path, "give a positive mass")
-    if earlier is None and estimate is not None:
-        unknowns = rig.model.unknown_names
-        pairs = zip(estimate.names, estimate.values, strict=True)
-        values = {**{name: float(value) for name, value in pairs if name in unknowns}, **values}
+    if earlier is None:
+        values = _values(rig, wanted.settings, estimate)
     criterion, target = _criterion(wanted.aim, wanted.target)
     channels, noise = rig.channels, wanted.relative_noise
     settling = wanted.settling_time

@@ -44,6 +44,7 @@ def command(
     from dashpot.api import frf
     from dashpot.free.response import write_response
     from dashpot.model.rigfile import read_rig
+    from dashpot.present.response import response_document
 
     require_each_once(data)
     driven, shown = (None if text is None else opt.names(text) for text in (inputs, outputs))
@@ -58,9 +59,5 @@ def command(
         from dashpot.present.figures.style import write_figure
 
         write_figure(figure, measured_response_figure(found))
-    opt.write_result(json_out, to_json(found.to_dict()))
-    if not quiet and json_out != opt.STDOUT:
-        from dashpot.present.document import say
-        from dashpot.present.response import response_document
-
-        say(response_document(found, "" if out is None else printable(out)))
+    written = "" if out is None else printable(out)
+    opt.tell_result(json_out, to_json(found.to_dict()), lambda: response_document(found, written), quiet)

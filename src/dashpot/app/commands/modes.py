@@ -53,6 +53,7 @@ def command(
     from dashpot.api import draw, modes
     from dashpot.data.readers.modes import write_mode_table
     from dashpot.model.rigfile import read_rig
+    from dashpot.present.response import modes_document
 
     require_each_once(data)
     if shapes is not None and rig is None:
@@ -71,9 +72,5 @@ def command(
         from dashpot.present.figures.style import write_figure
 
         write_figure(figure, modes_figure(found))
-    opt.write_result(json_out, to_json(found.to_dict()))
-    if not quiet and json_out != opt.STDOUT:
-        from dashpot.present.document import say
-        from dashpot.present.response import modes_document
-
-        say(modes_document(found, "" if out is None else printable(out)))
+    written = "" if out is None else printable(out)
+    opt.tell_result(json_out, to_json(found.to_dict()), lambda: modes_document(found, written), quiet)

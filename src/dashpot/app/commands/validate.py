@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 from dashpot.app import options as opt
@@ -47,6 +48,8 @@ def command(
 
     FILES are the estimate, as identify writes it with --json, and the records.
     """
+    from dashpot.present.validation import validation_document, validation_report
+
     if len(files) < 2:
         raise UsageError("there is no record to predict", cure="name data files after the estimate")
     estimate, read = estimate_and_rig(files[0], rig)
@@ -57,8 +60,6 @@ def command(
 
         write_figure(figure, prediction_figure(drawn_of(predictions)))
     if report:
-        from dashpot.present.validation import validation_report
-
         report.write(
             validation_report(read.model, read.channels, estimate, predictions, findings, report.provenance)
         )
@@ -80,12 +81,8 @@ def command(
         for part in predictions
     ]
     content = {"records": rows, "diagnosis": [finding.content() for finding in findings]}
-    opt.write_result(json_out, to_json(content))
-    if not quiet and json_out != opt.STDOUT:
-        from dashpot.present.document import say
-        from dashpot.present.validation import validation_document
-
-        say(validation_document(predictions, findings), apart=True)
+    told = partial(validation_document, predictions, findings)
+    opt.tell_result(json_out, to_json(content), told, quiet, apart=True)
 
 
 def predictions_of(
