@@ -14,8 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from dashpot.data.record import Record
-from dashpot.estimate.nonlinear.record_inference import followed_record
-from dashpot.estimate.nonlinear.whole_record import fit_records
+from dashpot.estimate.nonlinear.whole_record import fit_records, followed_record
 from dashpot.model.rigfile import parse_rig
 
 RATE, NOISE, FINE = 750.0, 8e-6, 20  # samples a second; m; steps of the simulation between samples

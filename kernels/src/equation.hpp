@@ -1,5 +1,5 @@
 // The equation of motion of K repeats: cost, slope and matrices of sum e^H Omega(theta) e and its search.
-// Twins: dashpot.estimate.linear.auxiliary_model, .least_squares (starts) and .instrumental_variables.
+// Twins: dashpot.estimate.linear.gram, .least_squares (starts) and .instrumental_variables.
 #pragma once
 #include "dense.hpp"
 #include "problem.hpp"

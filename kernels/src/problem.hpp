@@ -105,7 +105,7 @@ struct Ends {
     double *sum = nullptr, *gradient = nullptr, *symmetric = nullptr, *free = nullptr;  // at the end; all or none
 };
 
-// What a law's program may do, in the order of dashpot.model.nonlinear.compiled.CODES: leaves, choices, functions of
+// What a law's program may do, in the order of dashpot.model.nonlinear.alternating.CODES: leaves, choices, functions of
 // one operand and of two.
 enum class LawCode : int {
     NUMBER, NAME, WHERE, MIN, MAX, NEGATIVE, WHOLE_POWER, ABS, SIGN, TANH, EXP, LOG, SQRT, SIN, COS,

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 
 from dashpot.arrays import Complex, Real, random_generator
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import RUNS, Channel, Quantity, kind_of
 from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.explain.effect import with_likely_causes
 from dashpot.check.explain.examine import diagnose as diagnosis
@@ -33,8 +33,8 @@ from dashpot.data.inspection import channels_in, inspect_columns, inspect_named
 from dashpot.data.modal_data import ModalData, at_coordinates
 from dashpot.data.noise import Still
 from dashpot.data.readers import Reading
-from dashpot.data.readers.experiments import Experiments
 from dashpot.data.readers.in_memory import columns_in_memory, records_of
+from dashpot.data.readers.interpretation import Experiments
 from dashpot.data.readers.modes import holds_modes, read_modes
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -50,7 +50,6 @@ from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import method_class, methods_for
 from dashpot.estimate.result import Cycle, Estimate, Origin, Value
-from dashpot.experiment import RUNS, kind_of
 from dashpot.free import MOST_MODES
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
@@ -355,7 +354,7 @@ def start(
     tells what one measures or where a force acts.
     """
     from dashpot.check.first_rig import first_rig, seen_data
-    from dashpot.model.rigfile.starter import starter_text
+    from dashpot.model.rigfile.writer import starter_text
 
     several = _several(data)
     seen = seen_data(

@@ -12,8 +12,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, DataError, IdentifiabilityError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.linear.auxiliary_model import auxiliary
-from dashpot.estimate.linear.gram import known_side, regressors
+from dashpot.estimate.linear.gram import auxiliary, known_side, regressors
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, WeightedLeastSquares
 from dashpot.estimate.linear.total_least_squares import CompensatedLeastSquares, TotalLeastSquares

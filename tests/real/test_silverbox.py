@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from dashpot.data.record import Record
-from dashpot.estimate.nonlinear.record_inference import followed_record
-from dashpot.estimate.nonlinear.whole_record import fit_records
+from dashpot.estimate.nonlinear.whole_record import fit_records, followed_record
 from dashpot.model.rigfile import read_rig
 from tests.real.recordings import EXAMPLES, RAW, needs_recordings
 

@@ -37,9 +37,8 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.nonlinear.record_inference import FittedRecords
 from dashpot.estimate.nonlinear.records import RecordData, recorded_motion
-from dashpot.estimate.nonlinear.whole_record import fit_records
+from dashpot.estimate.nonlinear.whole_record import FittedRecords, fit_records
 from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import FORMAT, Estimate
 from dashpot.io.json_document import to_json

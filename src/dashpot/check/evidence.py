@@ -430,7 +430,6 @@ class KnownErrors:
     """
 
     known: tuple[str, ...]
-    known_units: tuple[str, ...]
     known_values: Real
     stated: Real
     unknowns: tuple[str, ...]
@@ -464,20 +463,18 @@ def known_errors(
         raise UsageError(
             "no parameter of the rig is known", cure="errors of known parameters cannot be propagated"
         )
-    rows: list[tuple[str, str, float | None, float | None]] = [
-        *((e.name, model.unit(e), e.value, np.nan) for e in exact),
-        *((u.name, u.unit, u.prior, u.sd) for u in uncertain),
+    rows: list[tuple[str, float | None, float | None]] = [
+        *((e.name, e.value, np.nan) for e in exact),
+        *((u.name, u.prior, u.sd) for u in uncertain),
     ]
-    known, units, values, stated = zip(*rows, strict=True)
+    known, values, stated = zip(*rows, strict=True)
     chosen = automatic(model, spectrum) if method is None else method
     if chosen.traits.maximum_likelihood:
         slopes = _from_slopes(model, spectrum, estimate, known[: len(exact)], known[len(exact) :])
     else:
         slopes = np.array([_by_repetition(model, spectrum, chosen, name) for name in known])
-    return KnownErrors(
-        known, units, np.array(values, dtype=float), np.array(stated, dtype=float), estimate.names, estimate.units,
-        estimate.values, slopes,
-    )  # fmt: skip
+    sizes, spread = np.array(values, dtype=float), np.array(stated, dtype=float)
+    return KnownErrors(known, sizes, spread, estimate.names, estimate.units, estimate.values, slopes)
 
 
 def _from_slopes(

@@ -17,7 +17,7 @@ from dashpot.data.readers.columns import factors, is_unit
 from dashpot.errors import UsageError
 from dashpot.io.toml_document import PLACEHOLDER
 from dashpot.io.words import listed
-from dashpot.model.rigfile.starter import MOST_MASSES, Chain, ChannelLine, Drive
+from dashpot.model.rigfile.writer import MOST_MASSES, Chain, ChannelLine, Drive
 
 _LETTERS = {"a": "acceleration", "v": "velocity", "f": "force", **dict.fromkeys("xyzdsuqw", "displacement")}
 _BASE = re.compile(

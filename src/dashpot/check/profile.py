@@ -16,7 +16,7 @@ from dashpot.arrays import Bools, Ints, Real, freeze
 from dashpot.data.spectrum import SettledDwell, Spectrum
 from dashpot.errors import DashpotError, DataError, UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.inference.flat_valley import flat_valley
+from dashpot.estimate.inference.uncertainty import flat_valley
 from dashpot.estimate.likelihood.descent import Stage
 from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import (
@@ -388,9 +388,7 @@ Curve = tuple[tuple[float, ...], tuple[float, ...]]
 DRAWS = 40  # points from which other valleys are looked for
 
 
-def joint_profiles(
-    surface: Surface, wanted: Sequence[int], half: Real, root: Real, seed: int = 0
-) -> dict[int, Curve]:
+def joint_profiles(surface: Surface, wanted: Sequence[int], half: Real, root: Real) -> dict[int, Curve]:
     """Curves (`Profile.curve`) of the unknowns `wanted`, and of all whose normal interval is too short (no batch axes).
 
     half (M,): half-lengths of the normal intervals about the estimate; root (M,): of the rise of χ² at the ends.
@@ -401,7 +399,7 @@ def joint_profiles(
         ways = _Ways(base, value, half, root)
         own = base.at(value[None], np.array([0])).cost - base.cost
         # Minima that draws about the estimate lead to, with the root of their rise
-        away = np.random.default_rng(seed).standard_normal((DRAWS, len(half)))
+        away = np.random.default_rng(0).standard_normal((DRAWS, len(half)))
         # 1.5: half-lengths of the normal intervals: their standard deviation
         ends = _minimum(base, base.psi[0] + 1.5 * half * away)
         known = [

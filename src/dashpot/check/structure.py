@@ -17,11 +17,10 @@ from typing import Literal
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import RUNS, Channel, Quantity, channels_of, kind_of
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError, ModelError, Problem
 from dashpot.estimate.method import Method
-from dashpot.experiment import RUNS, channels_of, kind_of
 from dashpot.io.words import listed, with_values
 from dashpot.model.elements import Law
 from dashpot.model.modes import typical_sizes

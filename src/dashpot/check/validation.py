@@ -22,7 +22,6 @@ from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord, history_o
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.nonlinear.objective import noise_of_measured_inputs, predicted_lines
-from dashpot.estimate.nonlinear.record_inference import FollowedRecord, followed_record
 from dashpot.estimate.nonlinear.record_problem import (
     LinearisedRecord,
     NotSolvedError,
@@ -30,6 +29,7 @@ from dashpot.estimate.nonlinear.record_problem import (
     known_inputs,
 )
 from dashpot.estimate.nonlinear.records import NoiseAtRest, noise_of_channels
+from dashpot.estimate.nonlinear.whole_record import FollowedRecord, followed_record
 from dashpot.estimate.preparation import Prepared
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model

@@ -9,9 +9,8 @@ import numpy as np
 from scipy.special import fdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
-from dashpot.check.discrepancy import discrepancies
 from dashpot.check.explain.effect import Phrase
-from dashpot.check.residuals import Residuals, calibrations_of, residuals
+from dashpot.check.residuals import Residuals, calibrations_of, discrepancies, residuals
 from dashpot.data.periods import driven_lines
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import DashpotError
@@ -409,15 +408,6 @@ def _finding_of(notice: Notice) -> Finding:
     """Such a change as what may be wrong; its remedy is not tried."""
     said = remedy_in_words(notice)
     return Finding("channel" if notice.code == LIMITED else "time", notice.of, said.text, said.change, None)
-
-
-def with_change_in_time(assessment: Assessment, notice: Notice) -> Assessment:
-    """The assessment with a change of one channel in the course of a record as its first reason and cause.
-
-    What else seems to change in time is what the fit to that channel makes of the others.
-    """
-    reasons = [reason for reason in assessment.reasons if reason.code not in TIME_CHANGES]
-    return replace(assessment, reasons=(notice, *reasons), findings=(_finding_of(notice),))
 
 
 def rejected(estimate: Estimate) -> list[Notice]:

@@ -192,13 +192,12 @@ def one_period(record: Record, period_s: float, orders: Sequence[int]) -> Spectr
 
 
 def average_periods(
-    record: Record, period_s: float, orders: Sequence[int], *, skip: int = 0, drift: int = 0, inputs: int = 0
+    record: Record, period_s: float, orders: Sequence[int], *, skip: int = 0, inputs: int = 0
 ) -> Spectrum:
     """A line for each of `orders`, multiples of 1/period_s, from the periods after the first `skip`.
 
-    The first `inputs` channels drive (0: nobody says which do); `drift` is the degree of the polynomial taken out of
-    each period.  Raises DataError where the sampling is uneven, a period is not a whole number of samples, or fewer
-    than two periods are left.
+    The first `inputs` channels drive (0: nobody says which do); the mean of each period is taken out.  Raises DataError
+    where the sampling is uneven, a period is not a whole number of samples, or fewer than two periods are left.
     """
     if record.values.ndim != 2:
         raise DataError(
@@ -225,9 +224,7 @@ def average_periods(
             *driven_note(record.source, asked, wanted),
             *_distortion_note(record, every, wanted, between),
         )
-    fit = fit_harmonics(
-        periods, 1 / period_s, orders=wanted.tolist(), harmonics=(), drift=drift, noise="white"
-    )
+    fit = fit_harmonics(periods, 1 / period_s, orders=wanted.tolist(), harmonics=(), drift=0, noise="white")
     X = np.mean(fit.amplitudes, axis=0)
     away = fit.amplitudes - X
     V = np.einsum("plc,pld->lcd", away, np.conj(away)) / (count * (count - 1))

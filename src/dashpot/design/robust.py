@@ -82,14 +82,14 @@ def uniform_box_of(model: Model, nominal: Real, relative: float) -> UniformBox:
     return UniformBox(np.minimum(relative, known / size))
 
 
-def slowest_settling(setup: TestSetup, uncertainty: Uncertainty, seed: int = 0) -> float:
+def slowest_settling(setup: TestSetup, uncertainty: Uncertainty) -> float:
     """Settling time of the slowest of 65 scenarios, s.  Raises UsageError where one never settles."""
-    return _drawn(setup, uncertainty, 64, seed).settling()
+    return _drawn(setup, uncertainty, 64).settling()
 
 
-def _drawn(setup: TestSetup, uncertainty: Uncertainty, count: int, seed: int) -> TestSetup:
+def _drawn(setup: TestSetup, uncertainty: Uncertainty, count: int) -> TestSetup:
     nominal = setup.theta[0]
-    drawn = uncertainty.draw(nominal, count, random_generator(seed))
+    drawn = uncertainty.draw(nominal, count, random_generator(0))
     return replace(setup, theta=np.concatenate([nominal[None], drawn]))
 
 
@@ -113,7 +113,6 @@ def best_test(
     grid_of: Callable[[TestSetup], FrequencyGrid],
     *,
     target: float | None = None,
-    seed: int = 0,
     mapper: Map = map,
 ) -> BestTest:
     """The best test within a budget or, with a target, the shortest that reaches it; of uncertain values a safe one.
@@ -123,7 +122,7 @@ def best_test(
     `shortest`, and where the search for scenarios does not end.
     """
     if uncertainty is None or setup.over == "average":
-        wide = setup if uncertainty is None else _drawn(setup, uncertainty, 32, seed)
+        wide = setup if uncertainty is None else _drawn(setup, uncertainty, 32)
         if target is None:
             advised: Plan | None = plan(wide, criterion, budget, grid_of(wide))
         else:
@@ -146,7 +145,7 @@ def best_test(
         else:
             advised = shortest(wide, criterion, aim, budget, grid_of(wide))
             lines = NO_TEST if advised is None else advised.schedule
-        worst, at = worst_scenario(wide, criterion, lines, uncertainty, seed=seed + turn, mapper=mapper)
+        worst, at = worst_scenario(wide, criterion, lines, uncertainty, seed=turn, mapper=mapper)
         if aim is None or target is None:
             if worst**2 <= reached**2 * close:
                 break
@@ -165,7 +164,7 @@ def best_test(
             cure="assume a smaller uncertainty, or state a number of samples or a time",
         )
     final = plan(wide, criterion, budget, grid_of(wide))  # the last scenario may be new: it counts too
-    worst, _ = worst_scenario(wide, criterion, final.schedule, uncertainty, seed=seed + rounds, mapper=mapper)
+    worst, _ = worst_scenario(wide, criterion, final.schedule, uncertainty, seed=rounds, mapper=mapper)
     return BestTest(final, wide, worst)
 
 

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dashpot.arrays import Complex, Real, frozen
+from dashpot.channel import kind_of
 from dashpot.data.record import Record, real_factor
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.estimate.nonlinear.objective import dwells_of
 from dashpot.estimate.result import Cycle, Estimate
-from dashpot.experiment import kind_of
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate

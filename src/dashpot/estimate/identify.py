@@ -21,12 +21,12 @@ from dashpot.estimate.inference.diagnostics import (
     require_traces,
     unseen_laws,
 )
-from dashpot.estimate.inference.flat_valley import require_end
 from dashpot.estimate.inference.time_course import time_change_notices
 from dashpot.estimate.inference.uncertainty import (
     Inference,
     inference,
     linear_modes,
+    require_end,
     with_noise_of_residuals,
 )
 from dashpot.estimate.likelihood.heavy_tails import with_heavy_tails

@@ -17,8 +17,8 @@ import numpy as np
 from scipy import sparse
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
+from dashpot.channel import kind_of
 from dashpot.errors import ModelError, Problem, UsageError, printable
-from dashpot.experiment import kind_of
 from dashpot.io.words import counted, listed, shown
 from dashpot.model.elements import MATRICES, Element, Kind
 from dashpot.model.nonlinear.force_law import Constant, ForceLaw, unit_of
@@ -468,7 +468,7 @@ class Model:
         return {self.standing: self}
 
     def by_experiment(self, experiment: Ints | None) -> Iterator[tuple[Model, slice | Ints]]:
-        """The rig of each experiment, with the lines whose `experiment` (lines,) it is, numbered as in `experiment.py`.
+        """The rig of each experiment, with the lines whose `experiment` (lines,) it is, numbered as in `channel.py`.
 
         All lines are of the rig as it stands where it has no experiments, or none is said.
         """

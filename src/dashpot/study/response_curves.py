@@ -20,11 +20,10 @@ from dashpot.model.nonlinear.continuation import (
     frequency_sweep,
     swing,
 )
-from dashpot.model.nonlinear.harmonic_balance import periodic_response, truncation
+from dashpot.model.nonlinear.harmonic_balance import MOST_HARMONICS, periodic_response, truncation
 from dashpot.model.nonlinear.harmonics import Drive, complex_of
 
 ORDERS = {True: 7, False: 21}  # harmonics to begin with, of laws that are smooth and that are not
-MOST = 63
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,6 @@ def frequency_curve(
     band_hz: tuple[float, float],
     *,
     label: str = "",
-    orders: int | None = None,
 ) -> MotionCurve:
     """The motion at one size of the drive from the first frequency to the last, through folds.
 
@@ -76,8 +74,8 @@ def frequency_curve(
     theta (unknowns,), amplitudes in m or N.
     """
     require_nonlinear(model)
-    count = enough_orders(model, theta, amplitudes, band_hz) if orders is None else orders
-    sweep = frequency_sweep(drive_of(model, amplitudes, band_hz[0], count), 2 * np.pi * band_hz[1])
+    orders = enough_orders(model, theta, amplitudes, band_hz)
+    sweep = frequency_sweep(drive_of(model, amplitudes, band_hz[0], orders), 2 * np.pi * band_hz[1])
     return _curve(model, theta, channels, followed(model, theta, sweep), label)
 
 
@@ -87,22 +85,18 @@ def amplitude_curve(
     channels: Sequence[Channel],
     amplitudes: Mapping[str, float],
     frequency_hz: float,
-    shares: tuple[float, float] = (0.01, 1.0),
     *,
     label: str = "",
-    orders: int | None = None,
 ) -> MotionCurve:
-    """The motion at one frequency while the drive grows from the first share of its amplitudes to the last.
+    """The motion at one frequency while the drive grows from a hundredth of its amplitudes to all of them.
 
     theta (unknowns,), amplitudes in m or N.  Raises as `frequency_curve`.
     """
     require_nonlinear(model)
-    band = (frequency_hz, frequency_hz)
-    count = enough_orders(model, theta, amplitudes, band) if orders is None else orders
-    drive = drive_of(model, amplitudes, frequency_hz, count).scaled(shares[0])
-    path = followed(model, theta, amplitude_sweep(drive, shares[1] / shares[0]))
-    share = shares[0] + path.along * (shares[1] - shares[0])
-    return _curve(model, theta, channels, path, label, share)
+    orders = enough_orders(model, theta, amplitudes, (frequency_hz, frequency_hz))
+    drive, first = drive_of(model, amplitudes, frequency_hz, orders), 0.01  # of its size
+    path = followed(model, theta, amplitude_sweep(drive.scaled(first), 1 / first))
+    return _curve(model, theta, channels, path, label, first + path.along * (1 - first))
 
 
 def backbone_curve(
@@ -119,7 +113,7 @@ def backbone_curve(
 def enough_orders(
     model: Model, theta: Real, amplitudes: Mapping[str, float], band_hz: tuple[float, float]
 ) -> int:
-    """Harmonics that bring the truncation error of the responses in the band below FINEST, at most MOST.
+    """Harmonics that bring the truncation error of the responses in the band below FINEST, at most MOST_HARMONICS.
 
     theta (unknowns,).
     """
@@ -127,7 +121,7 @@ def enough_orders(
     orders = ORDERS[smooth]
     p, constants = model.parameters(theta)[None], model.inner_constants(theta)[None]
     coarse = np.geomspace(*band_hz, 5)
-    while len(coarse) and orders < MOST:
+    while len(coarse) and orders < MOST_HARMONICS:
         errors = []
         for frequency in coarse.tolist():
             drive = drive_of(model, amplitudes, frequency, orders)
@@ -137,7 +131,7 @@ def enough_orders(
             errors.append(float(error))
         coarse = coarse[np.array(errors) > 1e-4]  # truncation error of the elongations on a curve
         if len(coarse):
-            orders = min(2 * orders + 1, MOST)
+            orders = min(2 * orders + 1, MOST_HARMONICS)
     return orders
 
 

@@ -415,8 +415,6 @@ def with_constant_noise(
     channels: Sequence[Channel],
     level: float,
     reference: Dwells,
-    *,
-    drives: bool = False,
 ) -> tuple[Channel, ...]:
     """Channels whose noise has one size at all frequencies: level × rms amplitude of the channel over `reference`.
 
@@ -426,7 +424,7 @@ def with_constant_noise(
     size = np.sqrt(np.mean(np.abs(Y) ** 2, axis=-2))
     return tuple(
         channel
-        if measures_input(model, channel) and not drives
+        if measures_input(model, channel)
         else replace(
             channel, noise=level * float(rms) * abs(channel.factor) / channel.scale, relative_noise=0.0
         )

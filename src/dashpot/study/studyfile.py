@@ -34,7 +34,6 @@ from dashpot.io.toml_document import (
     Wanted,
     number,
     one_of,
-    parse_toml,
     read_toml,
     share,
     validated,
@@ -58,14 +57,6 @@ def read_study(path: str | os.PathLike[str]) -> Study:
     Raises UsageError with every problem found, each at file:line and key, DataError where the path is a device.
     """
     return _Reading(read_toml(path, UsageError, _WANTED)).study()
-
-
-def parse_study(text: str, path: str = "study.toml") -> Study:
-    """The study described by a TOML text; `path` is named in messages, and rig files are looked for in its folder.
-
-    Raises UsageError with every problem found, each at file:line and key.
-    """
-    return _Reading(parse_toml(text, path, UsageError, _WANTED)).study()
 
 
 # What the tables of a study file hold.

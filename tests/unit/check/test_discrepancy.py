@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from dashpot.arrays import random_generator
-from dashpot.check.discrepancy import discrepancies
 from dashpot.check.explain.examine import examined
-from dashpot.check.residuals import Residuals, residuals
+from dashpot.check.residuals import Residuals, discrepancies, residuals
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ModelError

@@ -16,7 +16,7 @@ from dashpot import (
     simulate_spectrum,
 )
 from dashpot.arrays import Real
-from dashpot.check.residuals import calibrations_of, channel_response, residuals, response_curve
+from dashpot.check.residuals import calibrations_of, channel_response, residuals
 from tests.networks import network
 
 MODEL = network("x1 x2", "u", "m1@x1 m2@x2=2.7 k1:x1-x2 k2:x2-u=4600 c1:x1-x2 c2:x2-u")
@@ -151,13 +151,3 @@ def test_calibrations_of_an_estimate_bring_the_residuals_down() -> None:
     # 24 numbers: their rms is within 1 ± 0.5 but for one case in a thousand.
     assert residuals(MODEL, theta, spectrum, found).rms()[4] < 1.5
     assert residuals(MODEL, theta, spectrum).rms()[4] > 10
-
-
-def test_the_curve_passes_through_the_predictions() -> None:
-    spectrum = simulated(11)
-    found = residuals(MODEL, THETA, spectrum)
-    curve = response_curve(MODEL, THETA, spectrum, found, points=2000)
-    near = np.array([np.interp(F, curve.frequency_hz, np.abs(curve.response[:, c])) for c in range(4)]).T
-    np.testing.assert_allclose(near, np.abs(curve.predicted), rtol=1e-3)
-    two = replace(MODEL, inputs=(Input("u"), Input("f", "force", {"x1": 1.0})))
-    assert response_curve(two, THETA, spectrum, found) is None

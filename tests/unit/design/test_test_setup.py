@@ -27,7 +27,7 @@ from dashpot.design.test_setup import (
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.linear.auxiliary_model import auxiliary, information
+from dashpot.estimate.linear.gram import auxiliary, information
 from dashpot.estimate.nonlinear.objective import evaluate
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model

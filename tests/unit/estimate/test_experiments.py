@@ -11,11 +11,11 @@ from scipy.signal import butter, lfilter
 import dashpot
 from dashpot import api
 from dashpot.arrays import Complex, Real
+from dashpot.channel import RUNS
 from dashpot.check.identifiability import structure
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError, IdentifiabilityError
 from dashpot.estimate.identify import identify
-from dashpot.experiment import RUNS
 from dashpot.model.observation import observation_model, transfer
 from dashpot.model.rigfile import Rig, parse_rig
 from tests.two_masses import OPEN as SHAKEN

@@ -18,7 +18,6 @@ OWN = {
     "app/serve/session.py",
     "export/fmu.py",
     "io/atomic.py",
-    "io/guarded.py",
     "present/words.py",
     "reproduce/yamane1989.py",
     "study/blocks.py",
@@ -55,9 +54,9 @@ def test_every_file_is_opened_for_reading_through_the_ledger(calls: list[tuple[s
         if place in OWN or _name(call) not in READS:
             continue
         text = ast.unparse(call)  # of bytes that are held already, where it names BytesIO
-        if not any(word in text for word in ("noted(", "devnull", "BytesIO(")) and not text.startswith(
-            MEMBERS
-        ):
+        if not any(
+            word in text for word in ("noted(", "devnull", "/proc/", "BytesIO(")
+        ) and not text.startswith(MEMBERS):
             unnoted.append(f"{place}:{call.lineno} {text[:80]}")
     assert unnoted == []
 

@@ -15,7 +15,7 @@ from dashpot.study import montecarlo
 from dashpot.study.blocks import BlockStore, Columns, Key
 from dashpot.study.montecarlo import run_study
 from dashpot.study.scenario import Study
-from dashpot.study.studyfile import parse_study
+from dashpot.study.studyfile import read_study
 from tests.two_masses import RIG, TWO_SCENARIOS
 
 STUDY = TWO_SCENARIOS.replace("draws = 4", "draws = 30")
@@ -29,7 +29,8 @@ KEY = Key("draws/here/000003", LABEL)
 @pytest.fixture
 def study(tmp_path: Path) -> Study:
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
-    return parse_study(STUDY, str(tmp_path / "study.toml"))
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    return read_study(tmp_path / "study.toml")
 
 
 def computed(seed: int) -> Columns:

@@ -8,7 +8,7 @@ import pytest
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import identify
 from dashpot.study.scenario import Scenario, scenarios
-from dashpot.study.studyfile import parse_study
+from dashpot.study.studyfile import read_study
 from tests.two_masses import one_mass
 
 RIG = one_mass("u", "value = 1", "guess = 900", "guess = 0.6", {"x": "noise = 0.02", "u": ""})
@@ -30,7 +30,8 @@ samples = [120]
 def scenario(folder: Path, transients: str = "true", more: str = "") -> Scenario:
     (folder / "rig.toml").write_text(RIG)
     text = more + STUDY.replace("TRANSIENTS", transients)
-    return scenarios(parse_study(text, str(folder / "study.toml")))[0]
+    (folder / "study.toml").write_text(text, encoding="utf-8")
+    return scenarios(read_study(folder / "study.toml"))[0]
 
 
 def test_dwells_with_transients_reach_their_bound(tmp_path: Path) -> None:

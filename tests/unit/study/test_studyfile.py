@@ -9,7 +9,7 @@ from dashpot.errors import UsageError
 from dashpot.reproduce import yamane1989
 from dashpot.study.montecarlo import run_study
 from dashpot.study.scenario import scenarios
-from dashpot.study.studyfile import parse_study, read_study
+from dashpot.study.studyfile import read_study
 from tests.two_masses import one_mass
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "07_studies"
@@ -37,7 +37,8 @@ def folder(tmp_path):
 
 
 def parsed(folder, text):
-    return parse_study(text, str(folder / "study.toml"))
+    (folder / "study.toml").write_text(text, encoding="utf-8")
+    return read_study(folder / "study.toml")
 
 
 @pytest.mark.parametrize("which", ["tables", "figures"])

@@ -51,7 +51,7 @@ def command(
         raise UsageError(f"a mass of {known:g} kg", "--first-mass", "give one below 1e9 kg")
     from dashpot.io.atomic import write_text
     from dashpot.model.rigfile import parse_rig
-    from dashpot.model.rigfile.starter import STAND_IN, Chain, starter_text
+    from dashpot.model.rigfile.writer import STAND_IN, Chain, starter_text
 
     ask = ask_for()
     usual = Chain()

@@ -136,7 +136,7 @@ def command(
             read = replace(read, channels=noisy)
         how: dict[str, Any] = {"amplitudes": drive, "periods": periods, "rate": rate}
         if release:
-            held = coordinate_amounts(read.model, release, "--release")
+            held = coordinate_amounts(read.model, release)
             with progress("simulate", quiet):
                 write_records(simulate(read, given, release=held, samples=samples, rate=rate, seed=seed), out)
             what = f"{samples} samples from the release on"

@@ -71,7 +71,7 @@ def command(
     from dashpot.data.readers.manifest import files_named, is_manifest
     from dashpot.data.readers.modes import holds_modes
     from dashpot.io.toml_document import PLACEHOLDER
-    from dashpot.model.rigfile.starter import STAND_IN, starter_text
+    from dashpot.model.rigfile.writer import STAND_IN, starter_text
     from dashpot.present.data import inspection_document
     from dashpot.present.document import say
 

@@ -373,7 +373,7 @@ def _start(call: Call, tell: Tell) -> None:
     from dashpot.check.first_rig import first_rig, seen_data
     from dashpot.data.inspection import inspect_named
     from dashpot.io.toml_document import PLACEHOLDER
-    from dashpot.model.rigfile.starter import starter_text
+    from dashpot.model.rigfile.writer import starter_text
     from dashpot.quantities import amount
 
     answers: Mapping[str, str] = {

@@ -40,18 +40,20 @@ from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError, IdentifiabilityError
 from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
 from dashpot.estimate.nonlinear.input_levels import all_linearised, cleared, drawn_noise
-from dashpot.estimate.nonlinear.record_inference import (
-    CUT_RECORD,
-    FittedRecords,
-    FollowedRecord,
-    PredictedMotion,
-    followed_record,
-    followed_records,
-)
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
 from dashpot.estimate.nonlinear.records import RecordData, total_samples
 from dashpot.estimate.nonlinear.search import linear_rig
-from dashpot.estimate.nonlinear.whole_record import EXACT, FIRST_NOISE, fit_records
+from dashpot.estimate.nonlinear.whole_record import (
+    CUT_RECORD,
+    EXACT,
+    FIRST_NOISE,
+    FittedRecords,
+    FollowedRecord,
+    PredictedMotion,
+    fit_records,
+    followed_record,
+    followed_records,
+)
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
 from dashpot.model.elements import Element, Kind

@@ -34,8 +34,7 @@ from dashpot.estimate.likelihood.objective import (
     predict,
     record_fit,
 )
-from dashpot.estimate.linear.auxiliary_model import equation_covariance
-from dashpot.estimate.linear.gram import known_side
+from dashpot.estimate.linear.gram import equation_covariance, known_side
 from dashpot.estimate.linear.least_squares import equation
 from dashpot.estimate.nonlinear.objective import dwells_of
 from dashpot.estimate.nonlinear.regression import MeasuredMotion, measured_motion, regressors_of

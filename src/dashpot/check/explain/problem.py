@@ -15,7 +15,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel, Quantity
-from dashpot.check.discrepancy import blocks_of
+from dashpot.check.residuals import blocks_of
 from dashpot.data.conditioning.unmeasured import with_likely
 from dashpot.data.modal_data import ModalData
 from dashpot.data.record import Record

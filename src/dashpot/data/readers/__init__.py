@@ -8,15 +8,14 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Unpack
 
-from dashpot.channel import Channel
+from dashpot.channel import Channel, Experiment
 from dashpot.data.clocks import ClockedRecords, clocked_lines
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
 from dashpot.data.noise import with_local_noise
 from dashpot.data.readers.amplitudes import write_amplitudes
 from dashpot.data.readers.datafile import DataFile, open_file
-from dashpot.data.readers.experiments import Experiments
-from dashpot.data.readers.interpretation import Interpreted, interpret_parts
+from dashpot.data.readers.interpretation import Experiments, Interpreted, interpret_parts
 from dashpot.data.readers.manifest import (
     FileGroup,
     is_manifest,
@@ -31,7 +30,6 @@ from dashpot.data.readers.responses import Response
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError
-from dashpot.experiment import Experiment
 from dashpot.io.words import counted
 from dashpot.notices import Notice
 

@@ -21,7 +21,6 @@ from dashpot.data.readers.columns import (
 )
 from dashpot.errors import DataError
 from dashpot.io.words import shown
-from dashpot.notices import Notice
 
 LARGE = 1 << 23  # numbers from which columns are put where they stay
 PIECE = 1 << 18  # numbers that are turned into float64 at a time
@@ -189,7 +188,6 @@ def array_columns(
     source: str,
     variables: Mapping[str, Any],
     units: Mapping[str, str | None] | None = None,
-    notes: Sequence[Notice] = (),
 ) -> ArrayColumns:
     """Columns, held or streamed, of one length.
 
@@ -207,7 +205,7 @@ def array_columns(
             f"the variables are of different lengths ({short})", source, "choose those that match"
         )
     named = tuple(None if units is None else units.get(name) for name in variables)
-    return ArrayColumns(source, tuple(variables), named, tuple(notes), len(columns[0]), columns)
+    return ArrayColumns(source, tuple(variables), named, (), len(columns[0]), columns)
 
 
 # Named arrays of a file, as scientific formats hold them, as parts: columns of one length each.

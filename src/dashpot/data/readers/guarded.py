@@ -2,25 +2,188 @@
 
 from __future__ import annotations
 
+import faulthandler
 import gc
 import io
 import logging
+import os
 import re
+import signal
+import sys
+import time
+import warnings
+import weakref
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from itertools import count
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from dashpot.data.readers.arrays import ArrayColumns, Streamed, pieces_of
 from dashpot.data.readers.datafile import DataFile, most_unpacked
 from dashpot.errors import DashpotError, DataError
-from dashpot.io.guarded import GUARDED, Child
 from dashpot.io.words import shown
+
+# Work of foreign native code in a process of its own, so that an abort, a hang or its memory costs one answer.
+#
+# The process is forked where it is needed, which takes some milliseconds where a new interpreter takes a second;
+# what it runs has been imported before, and touches no threads.  Other systems than Linux cannot fork safely: there
+# `GUARDED` is False, and the work is done here.
+
+
+if sys.platform == "linux":
+    import resource
+    from multiprocessing.connection import Connection, Pipe
+
+    GUARDED = True
+else:
+    GUARDED = False
+
+SECONDS = 30.0  # for one answer, and one more for each MiB of the file
+
+
+# Pipes to processes that live: a later one inherits them, and must not hold them open when they are to end.
+_pipes: weakref.WeakSet[Connection] = weakref.WeakSet()
+
+
+class Answers(Protocol):
+    """What a process does for another one: it answers requests, and puts away at the end what it has opened."""
+
+    def __call__(self, request: Any, /) -> Any: ...
+
+    def close(self) -> None: ...
+
+
+class Child:
+    """A process that answers requests by a function, one after another, until it is let go.
+
+    source  the file that it reads, for messages
+    memory  bytes that it may ask for beyond what this process has
+    size    bytes of the file
+    """
+
+    def __init__(self, answer: Answers, source: str, memory: int, size: int) -> None:
+        self.source, self.seconds = source, SECONDS + size / 2**20
+        self.pipe, theirs = Pipe()
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter(
+                    "ignore", DeprecationWarning
+                )  # of threads, which the answers do not touch
+                self.process = os.fork()
+        except OSError as error:
+            what = f"no process could be started to read it ({error.strerror})"
+            raise DataError(what, source, "free memory, or end other programs") from None
+        if self.process == 0:
+            for pipe in (self.pipe, *_pipes):
+                pipe.close()
+            _serve(answer, theirs, memory, self.seconds)
+        theirs.close()
+        _pipes.add(self.pipe)
+        self.end = weakref.finalize(self, _end, self.process, self.pipe, os.getpid())
+
+    def ask(self, request: object) -> Any:
+        """The answer to a request.
+
+        Raises what the function raised, and DataError where the process died, asked for too much or took too long.
+        """
+        try:
+            self.pipe.send(request)
+            if not self.pipe.poll(self.seconds):
+                self.end()
+                raise DataError(
+                    f"reading it took over {self.seconds:.0f} s", self.source, "it may be damaged"
+                )
+            fine, answer = self.pipe.recv()
+        except (EOFError, OSError):
+            what = f"the library that reads it broke off ({self._cause()})"
+            cure = "it is damaged or asks for far more memory than its data need; save it again"
+            raise DataError(what, self.source, cure) from None
+        except MemoryError:
+            fine, answer = False, MemoryError()
+        if fine:
+            return answer
+        if isinstance(answer, MemoryError):
+            what = "the file asks for more memory than there is"
+            raise DataError(what, self.source, "it may be damaged") from None
+        raise answer
+
+    def _cause(self) -> str:
+        """What ended the process."""
+        status = self.end()
+        if status is None or not os.WIFSIGNALED(status):
+            return "without a reason"
+        return signal.Signals(os.WTERMSIG(status)).name
+
+
+def _end(process: int, pipe: Connection, owner: int) -> int | None:
+    """Let a process end, by force where it is late; its status, as of waitpid."""
+    if os.getpid() != owner:
+        return None
+    pipe.close()
+    with suppress(ProcessLookupError, ChildProcessError):
+        late = time.monotonic() + 1.0  # in which it puts away what it has opened
+        while time.monotonic() < late:
+            ended, status = os.waitpid(process, os.WNOHANG)
+            if ended:
+                return status
+            time.sleep(1e-3)
+        os.kill(process, signal.SIGKILL)
+        return os.waitpid(process, 0)[1]
+    return None
+
+
+def _serve(answer: Answers, pipe: Connection, memory: int, seconds: float) -> None:
+    """Answer until nobody asks any more; this function does not return, for all else belongs to the other process."""
+    try:
+        gc.freeze()  # what is there already is not looked through, nor copied for it
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other process says when to end
+        for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
+            signal.signal(number, signal.SIG_DFL)
+        faulthandler.disable()
+        silent = os.open(os.devnull, os.O_RDWR)
+        for stream in (1, 2):
+            os.dup2(silent, stream)
+        _lower(resource.RLIMIT_CORE, 0)
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        _lower(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)
+        while True:
+            try:
+                request = pipe.recv()
+            except EOFError:
+                answer.close()
+                return
+            spent = resource.getrusage(resource.RUSAGE_SELF)
+            _lower(
+                resource.RLIMIT_CPU, int(spent.ru_utime + spent.ru_stime + seconds) + 1
+            )  # should nobody wait
+            try:
+                reply = True, answer(request)
+            except (DashpotError, MemoryError) as error:
+                reply = False, error
+            except BaseException as error:  # panics of Rust are no Exception
+                reply = False, RuntimeError(f"{type(error).__name__}: {error}")
+            try:
+                pipe.send(reply)
+            except MemoryError:
+                pipe.send((False, MemoryError()))
+    finally:
+        os._exit(0)
+
+
+def _lower(kind: int, most: int) -> None:
+    """Set a limit of this process, never above its hard one, nor above one of memory that holds."""
+    soft, hard = resource.getrlimit(kind)
+    holds = (soft, hard) if kind == resource.RLIMIT_AS else (hard,)
+    resource.setrlimit(
+        kind, (min([most, *(limit for limit in holds if limit != resource.RLIM_INFINITY)]), hard)
+    )
+
 
 Part = TypeVar("Part")
 SMALL = 1 << 16  # numbers of a part up to which its columns come with it

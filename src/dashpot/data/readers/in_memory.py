@@ -11,15 +11,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from dashpot.channel import Channel
+from dashpot.channel import Channel, Experiment
 from dashpot.data.readers.arrays import ArrayColumns, parts_of_variables
 from dashpot.data.readers.columns import TIME, TIME_NAMES, bare, time_column
-from dashpot.data.readers.experiments import Experiments
-from dashpot.data.readers.interpretation import Interpreted
+from dashpot.data.readers.interpretation import Experiments, Interpreted
 from dashpot.data.readers.records import Circumstances, read_records
 from dashpot.data.record import Record
 from dashpot.errors import DataError
-from dashpot.experiment import Experiment
 from dashpot.io.words import counted, listed, shown
 
 

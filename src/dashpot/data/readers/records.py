@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from dashpot.arrays import Ints, Real
-from dashpot.channel import Channel
+from dashpot.channel import Channel, numbered
 from dashpot.data.readers.columns import (
     FREQUENCY,
     LARGEST,
@@ -31,7 +31,6 @@ from dashpot.data.readers.columns import (
 from dashpot.data.readers.text import write_rows
 from dashpot.data.record import Record, samples_at_limit
 from dashpot.errors import DataError
-from dashpot.experiment import numbered
 from dashpot.io.words import listed, shown, written
 from dashpot.notices import Notice
 

@@ -245,7 +245,6 @@ def descend_all(
     lower: Real | float = -np.inf,
     upper: Real | float = np.inf,
     limit: int = ROUGH,
-    tolerance: float = NEAR_END,
 ) -> Real:
     """Where many starts end, each in its repeat of `rows` (k,); in logarithms of what is positive in all."""
     rows = stage.data.rows_of(len(psi)) if rows is None else rows
@@ -258,6 +257,6 @@ def descend_all(
     low = np.where(log, np.maximum(low, np.min(x, axis=0) - 46), lower)
     high = np.where(log, np.minimum(high, np.max(x, axis=0) + 46), upper)
     ends = stage.descend(
-        x, sign, rows, limit=limit, tolerance=tolerance, lower=low, upper=high, patience=limit, log=log
+        x, sign, rows, limit=limit, tolerance=NEAR_END, lower=low, upper=high, patience=limit, log=log
     )
     return np.where(log, np.exp(np.where(log, ends.x, 0.0)), ends.x)

@@ -24,7 +24,7 @@ from dashpot.estimate.likelihood.global_search import (
     seen_directly,
 )
 from dashpot.estimate.likelihood.objective import per_line
-from dashpot.estimate.linear.auxiliary_model import equation_covariance
+from dashpot.estimate.linear.gram import equation_covariance
 from dashpot.estimate.linear.least_squares import compensated, equation, where_finite, without_noise
 from dashpot.estimate.method import HeldBounds, Method, Solution, Traits
 from dashpot.estimate.nonlinear.search import search_harmonics

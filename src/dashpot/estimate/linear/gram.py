@@ -6,13 +6,14 @@ N = (B Bᵀ) ∘ Σ w aᵀ,   r = Σ w ∘ (B S f),   θ̂ = (Tᵀ N T)⁻¹ T�
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dashpot.arrays import Complex, Real, hermitian
 from dashpot.estimate.preparation import States
-from dashpot.model.dynamics import kernel_rig
+from dashpot.model.dynamics import kernel_rig, stiffness, unit_forces
 from dashpot.model.network import Model
 from dashpot.model.observation import small
 from dashpot.numerics.kernel import kernel, threads
@@ -108,3 +109,123 @@ def weighted_normal(Psi: Complex, Se: Complex, Phi: Complex) -> tuple[Complex, R
     left = Q.reshape(*Q.shape[:-3], rows, m)
     right = Phi.reshape(*Phi.shape[:-3], rows, Phi.shape[-1])
     return Q, 2 * (hermitian(left) @ right).real
+
+
+# The auxiliary model: what the amplitudes would be without noise, were θ true (paper eq. 18; THEORY §4).
+
+
+@dataclass(frozen=True)
+class Auxiliary:
+    """Equation error and instruments at one θ, (..., lines, …).
+
+    e   (..., lines, n)        equation error of the measured amplitudes, N
+    Se  (..., lines, n, n)     its covariance E[e eᴴ] = Ω⁻¹
+    Oe  (..., lines, n)        Ω e
+    w   (..., lines, elements) unit forces of the amplitudes ẑ that satisfy the model and lie nearest to the data
+    """
+
+    e: Complex
+    Se: Complex
+    Oe: Complex
+    w: Complex
+
+    def cost_per_line(self) -> Real:
+        """2 eᴴ Ω e, (..., lines): χ² distributed at the truth, 2 n degrees of freedom each."""
+        return 2 * np.sum((np.conj(self.e) * self.Oe).real, axis=-1)
+
+    def cost(self) -> Real:
+        """2 Σ eᴴ Ω e, (...,)."""
+        return np.sum(self.cost_per_line(), axis=-1)
+
+
+def auxiliary(model: Model, p: Real, data: States) -> Auxiliary:
+    """Project the amplitudes on the model: ẑ = z − Σ Hᴴ Ω H z with H = [D, −R, −S], Ω = (H Σ Hᴴ)⁻¹.
+
+    Where the inputs are exact this is the response of the auxiliary model to them; where they are noisy, inputs and
+    outputs are both corrected, as maximum likelihood does.  ẑ satisfies H ẑ = 0 exactly.
+    """
+    H, spread, Se = _equation_noise(model, p, data)
+    e = np.einsum("...ij,...j->...i", H, data.z)
+    Oe = solve_small(Se, e[..., None])
+    z = data.z - (spread @ Oe)[..., 0]
+    n, r = data.n, data.r
+    return Auxiliary(
+        e, Se, Oe[..., 0], unit_forces(model, data.omega, z[..., :n], z[..., n : n + r], data.experiment)
+    )
+
+
+def equation_covariance(model: Model, p: Real, data: States) -> Complex:
+    """Se = H Σ Hᴴ alone, (..., lines, n, n)."""
+    return _equation_noise(model, p, data)[2]
+
+
+def _equation_noise(model: Model, p: Real, data: States) -> tuple[Complex, Complex, Complex]:
+    """H, Σ Hᴴ and Se = H Σ Hᴴ."""
+    H = stiffness(model, p, data.omega, data.experiment)
+    if model.S.shape[1]:
+        S = np.broadcast_to(-model.S.astype(complex), (*H.shape[:-1], model.S.shape[1]))
+        H = np.concatenate([H, S], axis=-1)
+    spread = data.covariance @ hermitian(H)
+    Se = H @ spread
+    # Channels that are exact beside noisy ones would make Se singular: a floor far below the noise keeps it regular.
+    variance = np.diagonal(Se, axis1=-2, axis2=-1).real
+    floor = 1e-13 * np.where(variance > 0, variance, np.max(variance, axis=-1, keepdims=True, initial=0.0))
+    return H, spread, Se + floor[..., None] * np.eye(model.n)
+
+
+def information(model: Model, at: Auxiliary) -> Real:
+    """Fisher information of each line, 2 Re Ψᴴ Ω Ψ with Ψ from the auxiliary model; (..., lines, m, m)."""
+    Psi = regressors(model, at.w)
+    return 2 * (hermitian(Psi) @ solve_small(at.Se, Psi)).real
+
+
+def equation_by_line(model: Model, data: States, theta: Real) -> tuple[Real, Real, Real]:
+    """Information (K, lines, m, m), minus half the slope (K, lines, m) and cost (K, lines) of each line at θ (K, m)."""
+    equation = compiled_equation(model, data)
+    if equation is not None:
+        information, scores, cost = equation.lines(np.ascontiguousarray(theta), threads())
+        return information, scores, cost
+    at = auxiliary(model, model.parameters(theta), data)
+    Psi = regressors(model, at.w)
+    weighted: Complex = solve_small(at.Se, np.concatenate([Psi, at.e[..., None]], axis=-1))
+    products = 2 * (hermitian(Psi) @ weighted).real
+    return (
+        products[..., :-1],
+        -products[..., -1],
+        2 * np.sum((np.conj(at.e) * weighted[..., -1]).real, axis=-1),
+    )
+
+
+def equation_sums(model: Model, data: States, theta: Real) -> QuadraticModel:
+    """Cost, slope and information of all lines at θ (K, m), with the priors' rows."""
+    sums = compiled_sums(model, data, theta)
+    if sums is not None:
+        return sums
+    information, scores, cost = equation_by_line(model, data, theta)
+    return sums_of_lines(information, scores, cost, theta, model.prior_precision, model.prior_mean)
+
+
+def sums_of_lines(
+    information: Real, scores: Real, cost: Real, theta: Real, precision: Real, mean: Real
+) -> QuadraticModel:
+    """Sums over lines of what belongs to each, (K, lines, …), with the rows of priors (m,)."""
+    away = np.where(precision > 0, theta - mean, 0.0)  # θ without a prior may be beyond what has a square
+    total = np.sum(information, axis=-3) + np.diag(precision)
+    return QuadraticModel(
+        np.sum(cost, axis=-1) + np.sum(precision * away**2, axis=-1),
+        np.sum(scores, axis=-2) - precision * away,
+        total,
+        total,
+    )
+
+
+def normal_equations(model: Model, at: Auxiliary, Phi: Complex) -> tuple[Real, Real, Real]:
+    """(N of the instruments w with the measured Φ, N of w with itself, gradient −Re Ψᴴ Ω e · 2)."""
+    Psi = regressors(model, at.w)
+    Q, symmetric = weighted_normal(Psi, at.Se, Psi)
+    rows = Q.shape[-3] * Q.shape[-2]
+    left = hermitian(Q.reshape(*Q.shape[:-3], rows, Q.shape[-1]))
+    mixed = 2 * (left @ Phi.reshape(*Phi.shape[:-3], rows, Phi.shape[-1])).real
+    e = at.e.reshape(*at.e.shape[:-2], rows, 1)
+    gradient = -2 * (left @ e).real[..., 0]
+    return mixed, symmetric, gradient

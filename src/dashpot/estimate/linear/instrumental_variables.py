@@ -13,8 +13,14 @@ from scipy.special import chdtrc
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.errors import ModelError
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.linear.auxiliary_model import auxiliary, equation_sums, normal_equations
-from dashpot.estimate.linear.gram import compiled_equation, compiled_result, regressors
+from dashpot.estimate.linear.gram import (
+    auxiliary,
+    compiled_equation,
+    compiled_result,
+    equation_sums,
+    normal_equations,
+    regressors,
+)
 from dashpot.estimate.linear.least_squares import (
     Sampled,
     least_squares_sums,

@@ -10,9 +10,9 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Ints, Real, hermitian
 from dashpot.channel import Quantity
 from dashpot.errors import DataError, UsageError
-from dashpot.estimate.linear.auxiliary_model import equation_covariance
 from dashpot.estimate.linear.gram import (
     compiled_equation,
+    equation_covariance,
     gram,
     gram_force,
     known_side,

@@ -15,8 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from dashpot.arrays import Complex, Real
-from dashpot.estimate.linear.auxiliary_model import auxiliary, equation_covariance
-from dashpot.estimate.linear.gram import regressors
+from dashpot.estimate.linear.gram import auxiliary, equation_covariance, regressors
 from dashpot.estimate.linear.least_squares import (
     combined,
     equation,

@@ -18,7 +18,7 @@ from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord
 from dashpot.errors import ConvergenceError, DataError
 from dashpot.estimate.preparation import Prepared, States, states_if_seen
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.compiled import compiled_channels, compiled_rig
+from dashpot.model.nonlinear.alternating import compiled_channels, compiled_rig
 from dashpot.model.nonlinear.continuation import grown_from_rest
 from dashpot.model.nonlinear.harmonic_balance import (
     SETTLED,

@@ -34,7 +34,13 @@ from dashpot.estimate.preparation import Prepared
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import alternate
-from dashpot.model.nonlinear.harmonic_balance import Periodic, periodic_response, samples_of, truncation
+from dashpot.model.nonlinear.harmonic_balance import (
+    MOST_HARMONICS,
+    Periodic,
+    periodic_response,
+    samples_of,
+    truncation,
+)
 from dashpot.model.nonlinear.harmonics import Drive, complex_of, mirrored
 from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.notices import Notice
@@ -285,7 +291,6 @@ def _expected_motion(data: Prepared, theta: Real) -> tuple[Real, Real]:
 
 FIRST, LONGEST = 30, 100  # iterations from each of the starts, and where the best of them led
 ROUGHLY = 0.03  # standard deviations within which descents end that others follow
-MOST = 63  # harmonics
 
 
 def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, tuple[Notice, ...]]:
@@ -321,7 +326,7 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
         part = measured_part(exact)
         if data.noise_known and float(minimum.cost[0]) > 1e3 * first.rows:  # more do not help another rig
             return likelihood.descend_in(exact, minimum.x, sign, FIRST, near=near), exact, warnings
-        enough = part.dwells.orders >= MOST
+        enough = part.dwells.orders >= MOST_HARMONICS
         if not enough:
             at, p, constants, drive = _at_end(view, exact, minimum.x[:1], 0)
             missing = np.where(at.converged, truncation(view.model, p, constants, drive, at), 0.0)
@@ -336,7 +341,7 @@ def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, 
             enough = bool(np.max(missing, initial=0.0) <= allowed)
         if enough:
             return likelihood.descend_in(exact, minimum.x, sign, last), exact, warnings
-        exact = replace(exact, nonlinear=part.widened(min(2 * part.dwells.orders + 1, MOST)))
+        exact = replace(exact, nonlinear=part.widened(min(2 * part.dwells.orders + 1, MOST_HARMONICS)))
         minimum = likelihood.descend_in(exact, minimum.x, sign, near=near)
 
 

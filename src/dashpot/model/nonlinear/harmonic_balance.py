@@ -21,8 +21,9 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.alternating import Alternated, alternate
-from dashpot.model.nonlinear.compiled import (
+from dashpot.model.nonlinear.alternating import (
+    Alternated,
+    alternate,
     compiled_balance,
     compiled_rig,
     compiled_slopes,
@@ -500,6 +501,9 @@ def slopes(
     return Slopes(dX, d_a, d_delta)
 
 
+MOST_HARMONICS = 63  # with which motions are followed
+
+
 def truncation(model: Model, p: Real, constants: Real, drive: Drive, at: Periodic) -> Real:
     """Error of the elongations for harmonics left out, over their size: the force at twice the orders, (N,)."""
     wider = drive.with_orders(2 * drive.orders + 1)
@@ -529,7 +533,7 @@ def settled_orders(
     start: Real | None = None,
     *,
     tolerance: float = 1e-7,
-    most: int = 63,
+    most: int = MOST_HARMONICS,
 ) -> tuple[Periodic, Drive]:
     """The response with as many harmonics as bring the truncation error below `tolerance`, at most `most`.
 

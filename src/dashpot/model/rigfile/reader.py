@@ -22,8 +22,7 @@ from dashpot.model.matrix_elements import LETTERS, Letter, Pairs, block_elements
 from dashpot.model.network import Input, Model
 from dashpot.model.network import problems as problems_of
 from dashpot.model.rigfile.channels import read_channels, reserved
-from dashpot.model.rigfile.elements import read_elements
-from dashpot.model.rigfile.experiments import elements_of, experiments_of, tables_of
+from dashpot.model.rigfile.elements import elements_of, experiments_of, read_elements, tables_of
 from dashpot.model.rigfile.rig import Rig, default_channels
 from dashpot.model.rigfile.schema import (
     EXPERIMENTS,

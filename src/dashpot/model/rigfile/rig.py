@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from dashpot.arrays import Complex, Real
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Channel, Experiment, Quantity, channels_of
 from dashpot.errors import UsageError
-from dashpot.experiment import Experiment, channels_of
 from dashpot.io.words import counted, did_you_mean, listed, shown
 from dashpot.model.network import Model
 from dashpot.shorthand import InNotebooks, call

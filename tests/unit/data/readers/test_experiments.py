@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import dashpot
+from dashpot.channel import RUNS
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
-from dashpot.experiment import RUNS
 from dashpot.model.rigfile import Rig, parse_rig
 
 RIG = """

@@ -19,10 +19,10 @@ from scipy.io import savemat
 
 from dashpot.app.cli import run
 from dashpot.data.inspection import inspect_file
+from dashpot.data.readers import guarded
 from dashpot.data.readers.datafile import UNPACKED
+from dashpot.data.readers.guarded import Child
 from dashpot.errors import DashpotError, DataError
-from dashpot.io import guarded
-from dashpot.io.guarded import Child
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="a process is forked on Linux alone")
 

@@ -12,8 +12,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.automatic import identify_with_noise
 from dashpot.estimate.identify import identify
-from dashpot.estimate.inference.flat_valley import flat_valley, may_lack_direction
-from dashpot.estimate.inference.uncertainty import linearise
+from dashpot.estimate.inference.uncertainty import flat_valley, linearise, may_lack_direction
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.linear.instrumental_variables import OptimalIV

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dashpot.estimate.linear.auxiliary_model import sums_of_lines
+from dashpot.estimate.linear.gram import sums_of_lines
 
 
 @pytest.mark.filterwarnings("error")

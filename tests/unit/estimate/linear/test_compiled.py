@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.estimate.linear.auxiliary_model import equation_by_line, equation_covariance, equation_sums
-from dashpot.estimate.linear.gram import compiled_equation
+from dashpot.estimate.linear.gram import (
+    compiled_equation,
+    equation_by_line,
+    equation_covariance,
+    equation_sums,
+)
 from dashpot.estimate.linear.instrumental_variables import objective, search
 from dashpot.estimate.linear.least_squares import starts
 from dashpot.estimate.preparation import Prepared, prepare

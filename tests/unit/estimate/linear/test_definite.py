@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from dashpot.channel import Quantity
 from dashpot.errors import IdentifiabilityError, ModelError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.linear.auxiliary_model import auxiliary
+from dashpot.estimate.linear.gram import auxiliary
 from dashpot.estimate.linear.instrumental_variables import (
     DefiniteOptimalIV,
     FreeMatrices,

@@ -9,7 +9,7 @@ from scipy.linalg import eigh
 from dashpot import DataError
 from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.estimate.identify import identify
-from dashpot.estimate.linear.auxiliary_model import equation_covariance
+from dashpot.estimate.linear.gram import equation_covariance
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.estimate.linear.least_squares import (
     WeightedLeastSquares,

@@ -12,10 +12,9 @@ from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.noise import noise_at_rest
 from dashpot.data.record import Record
 from dashpot.estimate.nonlinear.input_levels import InputSizes, own_noise
-from dashpot.estimate.nonlinear.record_inference import record_covariances
 from dashpot.estimate.nonlinear.record_problem import RecordProblem, begun_problem, known_inputs
 from dashpot.estimate.nonlinear.records import arranged
-from dashpot.estimate.nonlinear.whole_record import fit_records
+from dashpot.estimate.nonlinear.whole_record import fit_records, record_covariances
 from dashpot.model.elements import Kind, between
 from dashpot.model.nonlinear.force_law import force_law
 from dashpot.model.nonlinear.integration import Integrator, forcing

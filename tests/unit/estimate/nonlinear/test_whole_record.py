@@ -10,11 +10,10 @@ from scipy.interpolate import CubicSpline
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import ABOVE, MISSING, Record
 from dashpot.errors import ConvergenceError, DataError
-from dashpot.estimate.nonlinear.record_inference import followed_record
 from dashpot.estimate.nonlinear.record_problem import enough_substeps
 from dashpot.estimate.nonlinear.record_regression import first_record_values
 from dashpot.estimate.nonlinear.records import arranged
-from dashpot.estimate.nonlinear.whole_record import fit_records
+from dashpot.estimate.nonlinear.whole_record import fit_records, followed_record
 from dashpot.model.elements import Element, Kind, between
 from dashpot.model.nonlinear.force_law import force_law
 from dashpot.model.nonlinear.integration import Integrator, forcing

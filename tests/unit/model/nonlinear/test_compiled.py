@@ -10,7 +10,7 @@ from dashpot.arrays import Real
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear import harmonic_balance
-from dashpot.model.nonlinear.compiled import compiled_rig
+from dashpot.model.nonlinear.alternating import compiled_rig
 from dashpot.model.nonlinear.force_law import Constant, ForceLaw, force_law
 from dashpot.model.nonlinear.harmonic_balance import (
     harmonic_unit_forces,

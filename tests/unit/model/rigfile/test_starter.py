@@ -4,7 +4,7 @@ import pytest
 
 from dashpot.errors import ModelError
 from dashpot.model.rigfile import parse_rig
-from dashpot.model.rigfile.starter import Chain, starter_text
+from dashpot.model.rigfile.writer import Chain, starter_text
 
 
 @pytest.mark.parametrize("masses", [1, 2, 5])

@@ -15,8 +15,7 @@ from dashpot.errors import DataError, UsageError
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.inference.uncertainty import mode_values
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.linear.auxiliary_model import auxiliary, information
-from dashpot.estimate.linear.gram import gram, gram_force, known_side, regressors
+from dashpot.estimate.linear.gram import auxiliary, gram, gram_force, information, known_side, regressors
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
 from dashpot.estimate.preparation import channels_correlate, noise_quality
