@@ -1,6 +1,7 @@
 """The likelihood in the compiled kernel against its twins in NumPy: rigs seen in part, and rigs undamped."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,7 +24,12 @@ COUNT = 4
 
 
 def _case(make: Callable[[], Bench]) -> tuple[Bench, Likelihood, np.ndarray, np.ndarray]:
+    """A bench of which one unknown has a prior, its likelihood, and points and signs of which some are turned."""
     bench, rng = make(), np.random.default_rng(3)
+    name = bench.model.unknowns[0].name
+    known = {"value": 1.1 * bench.truth[name], "sd": 0.2 * bench.truth[name], "guess": None}
+    elements = tuple(replace(e, **known) if e.name == name else e for e in bench.model.elements)
+    bench = replace(bench, model=replace(bench.model, elements=elements))
     likelihood = Likelihood.of(prepare(bench.model, bench.spectrum(rng, COUNT)), MaximumLikelihood().effort)
     psi = bench.psi * rng.uniform(0.7, 1.4, (COUNT, len(bench.psi)))
     sign = np.ones((COUNT, len(likelihood.view.channels)))
