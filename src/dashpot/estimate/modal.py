@@ -630,8 +630,8 @@ def on_span(
         minima = replace(reached, iterations=minima.iterations + reached.iterations)
     minima = replace(minima, converged=minima.converged & settled)
     text = (
-        f"modes computed on {V.shape[1]} motions of the {model.n} coordinates; the frequencies of the full model "
-        f"differ by {np.max(missed):.1g} of each at most"
+        f"modes were computed on a reduced basis of {V.shape[1]} motions for {model.n} coordinates; their frequencies "
+        f"differ from those of the full model by at most {100 * np.max(missed):.1g} %"
     )
     return small, minima, ends, (Notice("reduced_model", text),)
 
