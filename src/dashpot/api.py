@@ -73,7 +73,7 @@ if TYPE_CHECKING:
     from dashpot.present.schematic.drawing import Drawing, ModeDrawing
 
 AnyPath = str | os.PathLike[str]
-Columns = Any  # a mapping of names to arrays, a data frame, an xarray Dataset, a structured array: as of `records_of`
+Columns = Any  # a mapping of names to arrays, a data frame, an xarray Dataset, a structured array: as for `records_of`
 Data = (
     Spectrum | Reading | Record | AnyPath | Columns | Sequence[Record] | Sequence[AnyPath] | Sequence[Columns]
 )
@@ -86,10 +86,10 @@ def read(
     *,
     frequency_hz: float | None = None,
 ) -> Reading:
-    """Read data files; `channels` says what their columns are: those of a rig, or a list.
+    """Read data files; `channels` describes their columns: a rig, its channels, or a list of channels.
 
-    `frequency_hz` is the drive frequency of time records without such a column.  Raises DataError, one problem for
-    each cause, with file, row and column.
+    `frequency_hz` is the drive frequency of time records that have no such column.  Raises DataError with one problem
+    per cause, each with file, row and column.
     """
     if isinstance(channels, Rig):
         by = channels.experiments
@@ -118,17 +118,17 @@ def identify(
     data    a Spectrum (with batch axes: repeats of one test), files by name, Records, what `read` returned, columns
             by name with `time_s`: a data frame, a mapping of names to arrays, an xarray Dataset; or measured modes, as
             ModalData or in a file
-    method  a method or its name, such as "ml"; without one the most precise that suits the data is chosen
-    frequency_hz, conditioning  of time records: their drive frequency, and how they become amplitudes
-    judge   judge the fit and, where it fails, look for causes; `print` tells.  Without being asked, with a Rig, but not
-            with a Model or batch axes.  (`diagnose` is its former name.)
-    within  the share of every channel's motion within which the rig is to describe it, such as 0.02; without one that
-            of the rig file, or what suits the noise
-    positive, seed  hold every unknown at or above 0, and the seed of the starts that are drawn: of a method by name
+    method  a method or its name, such as "ml"; by default the most precise one that suits the data
+    frequency_hz, conditioning  for time records: their drive frequency, and how they are turned into amplitudes
+    judge   judge the fit and look for causes of a misfit; `print(estimate)` shows both.  Default: True for a Rig, False
+            for a Model and for batches.  (Formerly `diagnose`.)
+    within  share of each channel's motion that the rig may miss, such as 0.02; by default that of the rig file, or
+            what suits the noise
+    positive, seed  keep every unknown at or above 0; seed of the random starts.  For a method given by name
 
-    `progress(done, all)` is called between chunks of repeats.  Raises DataError or UsageError where the data lack what
-    the method needs, IdentifiabilityError where they do not determine the unknowns, ConvergenceError where no search
-    comes to an end, ModelError where the rig has no steady response.
+    `progress(done, all)` is called between chunks of repeats.  Raises DataError or UsageError if the data lack what
+    the method needs, IdentifiabilityError if they do not determine the unknowns, ConvergenceError if no search
+    converges, and ModelError if the rig has no steady response.
     """
     judge = diagnose if judge is None else judge
     judged = isinstance(rig, Rig) if judge is None else judge
@@ -216,9 +216,9 @@ def compare(
 ) -> Comparison:
     """Estimate the unknowns with several methods: all that suit, those named, or those given by name.
 
-    `data` as of `identify`, None where there are only measured modes (`modal`); `truth` by name in SI units;
-    `refused` are methods that were ruled out before, with the reason.  Raises as `identify` where no method gives
-    anything, and UsageError where `truth` names what is not an unknown.
+    `data` is as for `identify`, or None if there are only measured modes (`modal`).  `truth` holds true values by
+    name in SI units.  `refused` holds methods already ruled out, with the reason.  Raises the errors of `identify`
+    if every method fails, and UsageError if `truth` names something that is not an unknown.
     """
     model = _model(rig)
     if methods is None:
@@ -246,7 +246,7 @@ def check(
 ) -> Structure:
     """Whether the unknowns of a rig can be found from its channels and, with data, from their frequencies.
 
-    Raises IdentifiabilityError where the rig has no steady response, DataError where the data do not suit the rig.
+    Raises IdentifiabilityError if the rig has no steady response, DataError if the data do not suit the rig.
     """
     spectrum = None if data is None else _spectrum(rig, data, frequency_hz, None, [])
     channels = rig.all_channels if spectrum is None else spectrum.channels
@@ -271,21 +271,21 @@ def simulate(
     seed: int = 0,
     experiment: str | None = None,
 ) -> tuple[Record, ...]:
-    """The records that a rig would yield, with the noise that its channels state.
+    """Simulate the records of a rig, with the noise stated for its channels.
 
-    values       by name, SI units, or `estimate.parameters()`: unknowns, and known ones that are to be otherwise;
-                 values and guesses of the rig file stand in for what is not given
-    frequencies  Hz, of a dwell each: a sequence, or as the command line has them ("1:10:0.5", "1:10/25"); or what the
-                 inputs do, from rest: a Record, or columns by name with `time_s`, of one or more stretches of time
-    release      in place of frequencies: where the rig is held, by coordinate, m or rad, before it is let go; `samples`
-                 are taken at `rate`
-    samples      of each dwell, spread over `periods`, or taken at `rate` (Hz)
-    amplitudes   of the inputs by name, SI units, one or one for each frequency; where not given, as large as the shaker
-                 of the rig file can, 1 where it states none
-    experiment   of the rig file, in which the rig is otherwise; by default as it is in none
+    values       by name, SI units, or `estimate.parameters()`: the unknowns, and known values to be replaced;
+                 anything missing is taken from the values and guesses of the rig file
+    frequencies  Hz, one per dwell: a sequence, or text as on the command line ("1:10:0.5", "1:10/25"); or the motion of
+                 the inputs, starting from rest: a Record, or columns by name with `time_s`, in one or more stretches
+    release      instead of frequencies: the displacement at which each coordinate is held, m or rad, before it is let
+                 go; `samples` are taken at `rate`
+    samples      per dwell, spread over `periods` or taken at `rate` (Hz)
+    amplitudes   of the inputs by name, SI units, one value or one per frequency; by default the most that the shaker
+                 in the rig file can do, or 1 if none is stated
+    experiment   name of an experiment in the rig file; by default none
 
-    Raises UsageError where an unknown has no value or an input does not exist, ModelError where the rig has no steady
-    response, DataError where a channel measures what the rig has not.
+    Raises UsageError if an unknown has no value or an input does not exist, ModelError if the rig has no steady
+    response, and DataError if a channel measures something that the rig does not have.
     """
     from dashpot.study import simulate as simulation
 
@@ -341,17 +341,17 @@ def start(
     force_at: str | None = None,
     base: str | None = None,
 ) -> Rig:
-    """A rig to begin with, suggested by what is in data: a channel for each column, everything unknown.
+    """Suggest a first rig from data: one channel per column, every parameter unknown.
 
     data        files by name, a manifest of them, a data frame or a mapping of columns
-    driven_by   what drives the rig; without it what the columns suggest
-    units       of columns that state none, by name; otherwise numbers count as SI
-    first_mass  kg, where it was weighed; 1 where nothing else gives the scale
-    force_at    the mass that the force acts on, such as "x1"; needed where there are several
-    base        the column of the base's motion; needed where none is named like one
+    driven_by   what drives the rig; by default, what the columns suggest
+    units       of columns without a unit, by name; otherwise SI units are assumed
+    first_mass  kg, if it was weighed; 1 if nothing else sets the scale
+    force_at    coordinate on which the force acts, such as "x1"; required if there are several masses
+    base        column of the base motion; required if no column is named like one
 
-    `dashpot.write_rig(rig)` is its rig file.  Raises UsageError where the columns cannot be those of a rig, or nothing
-    tells what one measures or where a force acts.
+    `dashpot.write_rig(rig)` returns its rig file.  Raises UsageError if the columns cannot belong to a rig, or if it is
+    unclear what a column measures or where a force acts.
     """
     from dashpot.check.first_rig import first_rig, seen_data
     from dashpot.model.rigfile.writer import starter_text
@@ -405,12 +405,11 @@ def draw(
 ) -> Drawing | ModeDrawing:
     """The rig as a schematic: a value that notebooks show and `save("rig.svg")` writes (.svg, .png or .pdf).
 
-    estimate  whose values and intervals at `level` stand beside the elements; or modes of a test, which are drawn
-    mode      the number of a mode that is drawn in their place, 1 the slowest: of the estimate or the test, or of the
-              values and guesses that the rig states
+    estimate  its values and intervals at `level` are written beside the elements; or the modes of a test, to draw those
+    mode      draws this mode instead, 1 being the lowest: of the estimate, the test, or the values in the rig
 
-    Raises UsageError where the rig has too many bodies for a drawing, or no such mode, ModelError or DataError where
-    the rig or its channels cannot be.
+    Raises UsageError if the rig has too many bodies to draw or no such mode, and ModelError or DataError if the rig or
+    its channels are invalid.
     """
     from dashpot.check.evidence import doubtful, undetermined
     from dashpot.free.modes import MeasuredModes
@@ -438,15 +437,15 @@ def state_space(
     *,
     given: str | Mapping[str, str] | None = None,
 ) -> StateSpace:
-    """The state space of a rig from its inputs to its channels, SI units, calibrations left out.
+    """State space of a rig from its inputs to its channels, in SI units and without calibrations.
 
-    rig, source  a rig and its estimate, or values of the unknowns by name; an estimate alone stands for the rig file
-                 that it names
-    given        as what displacement inputs are given, "displacement", "velocity" or "acceleration", of all or by
-                 name; else as they are measured, differentiated as often as it takes to make all channels proper
+    rig, source  a rig with its estimate or with values of the unknowns by name; or an estimate alone, whose rig file
+                 is then read
+    given        quantity in which displacement inputs are supplied: "displacement", "velocity" or "acceleration", for
+                 all inputs or by name; by default as measured, differentiated until every channel is proper
 
-    Raises ModelError for nonlinear and hysteretic elements and coordinates without mass, UsageError where values are
-    missing or `given` is not possible, DataError where the estimate is of another rig.
+    Raises ModelError for nonlinear and hysteretic elements and for coordinates without mass, UsageError if values are
+    missing or `given` is impossible, and DataError if the estimate belongs to another rig.
     """
     from dashpot.export.state_space import state_space_of
 
@@ -461,7 +460,7 @@ def transfer_functions(
 ) -> TransferFunctions:
     """Poles, zeros, gains and polynomials from each input to each channel.
 
-    SI units; arguments, and what is raised, as of `state_space`.
+    SI units; arguments and errors as for `state_space`.
     """
     from dashpot.export.transfer_functions import transfer_functions_of
 
@@ -482,9 +481,9 @@ def export(
 
     content      such as "transfer-functions", where an ending may mean several
     frequencies  Hz, of frequency responses; those of `data` without it
-    data         measured data as of `identify`, of which frequency responses are written (.uff)
+    data         measured data as for `identify`, of which frequency responses are written (.uff)
 
-    Other arguments as of `state_space`.  Raises UsageError for an unknown ending, ModelError where the format cannot
+    Other arguments as for `state_space`.  Raises UsageError for an unknown ending, ModelError if the format cannot
     hold the rig.
     """
     from dashpot.export.formats import ExportOptions, export_rig
@@ -521,7 +520,7 @@ def estimated_frf(
     frequencies_hz  a number, or an array, whose shape both have
     rig             of an estimate that does not name its rig file
 
-    Raises UsageError where the rig has no such channel or input, ModelError as `transfer_functions`.
+    Raises UsageError if the rig has no such channel or input, ModelError as `transfer_functions`.
     """
     from dashpot.export.transfer_functions import frequency_responses
 
@@ -570,7 +569,7 @@ def predicted_motion(
     inputs   a Record, or columns by name with `time_s` (a data frame, a mapping), or the name of a file
     changes  values by name, SI units, that are to be otherwise: `with_values`
 
-    Raises DataError where an input is missing, and as `Estimate.with_values` and `simulate`.
+    Raises DataError if an input is missing, and as `Estimate.with_values` and `simulate`.
     """
     from dashpot.study.simulate import response_band
 
@@ -706,12 +705,12 @@ def frf(
 ) -> MeasuredResponse:
     """Frequency responses of outputs to inputs with their covariance, from data of any kind and without a rig's values.
 
-    data     as of `identify`
-    inputs, outputs  names of columns; of a `rig` they are its own where none are given; all other columns are outputs
+    data     as for `identify`
+    inputs, outputs  names of columns; by default those of the `rig`; without a rig, all other columns are outputs
     band     lowest and highest frequency, Hz
     frequency_hz  drive frequency of time records of stepped sine without such a column
 
-    Raises UsageError for channels that are not there, DataError where the data do not separate the inputs, are too
+    Raises UsageError for channels that are not there, DataError if the data do not separate the inputs, are too
     short, or hold no excitation in the band.
     """
     from dashpot.free.response import frequency_response
@@ -759,15 +758,15 @@ def modes(
     model: Model | None = None,
     p: Real | None = None,
 ) -> Modes | MeasuredModes:
-    """The modes that data show, with standard deviations and without a rig's values; or those of a model.
+    """Modes from data, with standard deviations and without a rig's values; or the modes of a model.
 
-    data     as of `frf`, or what that gave; records without any input are free decays
-    inputs, outputs, rig, band, frequency_hz  as of `frf`; with a `rig` shapes have the names of its coordinates
-    most     poles, at most
-    real     shapes are real, up to one complex factor each
+    data     as for `frf`, or its result; records without any input are taken as free decays
+    inputs, outputs, rig, band, frequency_hz  as for `frf`; with a `rig`, shapes are named after its coordinates
+    most     largest number of poles
+    real     hold the shapes real, up to one complex factor each
 
-    Of a Model: `modes(model, p)` with the parameters p (elements,), as `dashpot.model.modes`.  Raises as `frf`, and
-    DataError where no mode is found.
+    For a Model: `modes(model, p)` with parameters p (elements,), as `dashpot.model.modes`.  Raises the errors of
+    `frf`, and DataError if no mode is found.
     """
     model, p = data if isinstance(data, Model) else model, inputs if p is None else p
     if model is not None:
@@ -800,18 +799,18 @@ def track(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Track:
-    """The unknowns of a rig over time, from one long record in windows of some seconds, and when they change.
+    """Track the unknowns of a rig through one long record, window by window, and find when they change.
 
-    data          a file, which is read some rows at a time where it is text or Parquet; Records or columns by name
-    window        s, or text such as "20 s"
-    speed         standard deviation of the change in an hour, as a share of the value: of all unknowns, or by name
-                  (others then stand still); without it, the likeliest
-    false_alarms  share of records without a change in which one is announced
-    conditioning  how windows become amplitudes
+    data          a file (text and Parquet are read in pieces), Records, or columns by name
+    window        length in s, or text such as "20 s"
+    speed         standard deviation of the change in one hour, as a share of the value: for all unknowns, or by name
+                  (the others are then constant); by default estimated
+    false_alarms  share of records without a change in which one is reported
+    conditioning  how windows are turned into amplitudes
 
-    `progress(done, done)` is called after each window.  Window by window: `dashpot.Tracker`.  Raises DataError where
-    the data are no continuous record or no window determines the unknowns, UsageError for a window, speed or share
-    that cannot be, IdentifiabilityError where the channels do not determine the unknowns.
+    `progress(done, done)` is called after each window.  To feed windows one by one use `dashpot.Tracker`.  Raises
+    DataError if the data are not a continuous record or no window determines the unknowns, UsageError for an invalid
+    window, speed or share, and IdentifiabilityError if the channels do not determine the unknowns.
     """
     from dashpot.data.readers.pieces import records_in_pieces, windows_of
     from dashpot.fleet.tracking import Tracker
@@ -1001,7 +1000,7 @@ def _spectrum(
 
 
 def _require_measured(rig: Rig | Model, spectrum: Spectrum) -> None:
-    """Raises DataError where an experiment of the rig file has no data."""
+    """Raises DataError if an experiment of the rig file has no data."""
     measured = set(kind_of(spectrum.experiment).tolist())
     for kind, one in enumerate(rig.experiments if isinstance(rig, Rig) else (), 1):
         if kind in measured:
@@ -1033,7 +1032,7 @@ def _reading(rig: Rig | Model, data: Data, frequency_hz: float | None) -> Readin
 
 
 def _several(data: Any) -> list[Any]:
-    """Files, tables or Records, one or several, as a list.  Raises UsageError where they are none of these."""
+    """Files, tables or Records, one or several, as a list.  Raises UsageError if they are none of these."""
     if isinstance(data, Record | str | os.PathLike) or _has_columns(data):
         return [data]
     if not isinstance(data, Sequence):

@@ -24,7 +24,7 @@ MANY = 1 << 17  # numbers of all lines from which diagonal matrices are laid out
 
 
 def random_generator(seed: int) -> np.random.Generator:
-    """What draws the numbers that a seed stands for.  Raises UsageError where it is no whole number from 0 on."""
+    """What draws the numbers that a seed stands for.  Raises UsageError if it is no whole number from 0 on."""
     try:
         if index(seed) >= 0:
             return np.random.default_rng(index(seed))

@@ -32,20 +32,20 @@ class Quantity(StrEnum):
 
 @dataclass(frozen=True)
 class Channel:
-    """One channel, and how its raw numbers relate to the physical quantity in SI units.
+    """One channel, and how its raw values relate to the physical quantity in SI units.
 
-    raw(t) · scale = sign · gain · quantity(t − delay).  Known calibrations are taken out when raw numbers
-    become a Spectrum; `gain`, `delay` or `sign` None means unknown, to be estimated with the rest.  What is known of
-    such a gain or delay beforehand, and what results call it, is `gain_prior` or `delay_prior`; channels whose priors
-    have one name share it.
+    raw(t) · scale = sign · gain · quantity(t − delay).  Known calibrations are removed when raw values
+    become a Spectrum.  `gain`, `delay` or `sign` None means unknown: it is estimated with the parameters.  `gain_prior`
+    and `delay_prior` hold what is known of an unknown gain or delay beforehand, and its name in results; channels whose
+    priors have the same name share one unknown.
 
-    `name` is that of its column in data files, `unit` what its raw numbers are written in, and `scale` that unit in SI.
+    `name` is the column in data files, `unit` the unit of the raw values, and `scale` that unit in SI.
     `of` maps points (coordinates, displacement inputs) to factors.  With quantity "force", `of` names one force
     input (the applied force), one displacement input (the reaction force that moves it) or elements (the force in
     them).  `noise` (in `unit`) and `relative_noise` (of the amplitude) are standard deviations of one sample, `rate`
-    is in Hz; they serve simulation and design, never identification.  `same_gain_as` names the channel whose unknown
-    gain this one shares (the same amplifier in another experiment).  `only`: the experiment of the rig file that the
-    channel belongs to, where it takes the place of the one that its column is named like.
+    is in Hz; they are used in simulation and design, never in identification.  `same_gain_as` names the channel whose
+    unknown gain this one shares (the same amplifier in another experiment).  `only` names the one experiment of the
+    rig file that the channel belongs to; there it replaces the channel with the same column name.
     """
 
     name: str
@@ -78,19 +78,19 @@ class Channel:
 
     @property
     def factor(self) -> float:
-        """Known sign · gain, 1 for what is unknown of them: raw · scale = factor · quantity."""
+        """Known sign · gain, with 1 for unknown ones: raw · scale = factor · quantity."""
         return (1.0 if self.gain is None else self.gain) * (1.0 if self.sign is None else self.sign)
 
     @property
     def unknown_gain(self) -> Unknown | None:
-        """The gain that is estimated; None where it is known."""
+        """The gain that is estimated; None if it is known."""
         if self.gain is not None and self.same_gain_as is None:
             return None
         return self.gain_prior or Unknown(f"{self.same_gain_as or self.name}.gain", "1")
 
     @property
     def unknown_delay(self) -> Unknown | None:
-        """The delay that is estimated, s; None where it is known."""
+        """The delay that is estimated, s; None if it is known."""
         return None if self.delay is not None else self.delay_prior or Unknown(f"{self.name}.delay", "s")
 
     def without_prior(self, name: str) -> Channel:

@@ -44,7 +44,7 @@ def printable(text: str, kept: str = "") -> str:
 class DashpotError(Exception):
     """Base of all errors that a user can cause or cure.  `exit_code` is what the command line returns.
 
-    causes: what a diagnosis found behind it (`estimate.assessment.Finding`), the likeliest first.
+    causes: findings of a diagnosis (`estimate.assessment.Finding`), the most probable first.
     """
 
     exit_code = 2
@@ -68,16 +68,16 @@ class DataError(DashpotError):
 
 
 class UsageError(DashpotError):
-    """A method or an option asks for what cannot be done here."""
+    """A method or an option cannot be used here."""
 
 
 class IdentifiabilityError(DashpotError):
-    """The data, or any data, cannot give the unknown parameters."""
+    """These data, or any data of these channels, cannot determine the unknown parameters."""
 
     exit_code = 3
 
 
 class ConvergenceError(DashpotError):
-    """An iteration did not settle."""
+    """An iteration did not converge."""
 
     exit_code = 3

@@ -32,7 +32,7 @@ class Amount:
     def si(self, quantity: str, angular: bool = False) -> float:
         """The value in SI units (Hz for a frequency).  `quantity`, `angular` as in `units.scale`.
 
-        Raises UsageError where the unit is not one of that quantity, or the value leaves the range of numbers.
+        Raises UsageError if the unit is not one of that quantity, or the value leaves the range of numbers.
         """
         factor = 1.0 if self.unit is None else scale(self.unit, quantity, angular)
         return within_range(self.number * factor, str(self))
@@ -164,7 +164,7 @@ def _unit_of(piece: str) -> str | None:
 
 
 def within_range(value: float, text: str) -> float:
-    """The value; raises UsageError where squares and products of it would leave floating point."""
+    """The value; raises UsageError if squares and products of it would leave floating point."""
     if not (value == 0 or SMALLEST <= abs(value) <= LARGEST):
         raise UsageError(
             f"{text.strip()!r} is out of range", cure=f"give a magnitude from {SMALLEST:g} to {LARGEST:g}"

@@ -189,7 +189,7 @@ def scale(unit: str, quantity: str, angular: bool = False, uncalibrated: bool = 
     `quantity` is one of QUANTITIES; `angular` chooses rad, rad/s, rad/s², N·m, kg·m², N·m·s/rad and N·m/rad.  With
     `uncalibrated`, V, mV … and counts are taken too, with their factors to V and to counts.
 
-    Raises UsageError where the text is not a unit, or a unit of something else; the cure lists what is accepted.
+    Raises UsageError if the text is not a unit, or a unit of something else; the cure lists what is accepted.
     """
     wanted = _quantity(quantity, angular)
     factor, dimension = _understood(unit, quantity, f"use {wanted.accepted}")
@@ -231,7 +231,7 @@ def sensitivity(text: str, unit: str, quantity: str, angular: bool = False) -> f
     """Volts (or counts) per SI unit of `quantity`, of a sensor's sensitivity such as "100 mV/g".
 
     `unit` is what the channel is recorded in: V, mV … for a sensitivity in volts, counts for one in counts.
-    Raises UsageError where the text is not a number with such a unit per unit of the quantity.
+    Raises UsageError if the text is not a number with such a unit per unit of the quantity.
     """
     wanted = _quantity(quantity, angular)
     try:
@@ -408,7 +408,7 @@ def _times(dimension: Dimension, other: Dimension, power: int) -> Dimension:
 
 
 def _meaning_of(text: str, quantity: str) -> tuple[float, Dimension] | None:
-    """Factor and dimension of a symbol with its prefix, or of a word for one; None where it is neither."""
+    """Factor and dimension of a symbol with its prefix, or of a word for one; None if it is neither."""
     for symbol in SYMBOLS.get(text, ()):
         if symbol.only is None or quantity in symbol.only:
             return symbol.factor, symbol.dimension

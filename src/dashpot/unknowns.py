@@ -15,9 +15,9 @@ class Unknown:
     """One unknown: a parameter of the rig, or a gain or delay of its channels.
 
     name, unit    in results, SI
-    prior, sd     the stated value and its standard deviation, where it is known with one
-    guess         where iterations start
-    lower, upper  bounds, None where there are none
+    prior, sd     stated value and its standard deviation, if both are stated
+    guess         start of the iterations
+    lower, upper  bounds, None if there are none
     """
 
     name: str

@@ -56,7 +56,7 @@ class Commands(click.Group):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The click command of that name; None where there is none."""
+        """The click command of that name; None if there is none."""
         if cmd_name not in COMMANDS:
             return None
         command = import_module(f"dashpot.app.commands.{cmd_name}").command

@@ -186,7 +186,7 @@ class RecordOptions:
     def treatment(self, rig: Rig, chosen: str, positive: bool, seed: int) -> Treatment:
         """How every one of many data sets is treated.
 
-        Raises UsageError where the method holds no bounds, DataError for a noise record that cannot be used.
+        Raises UsageError if the method holds no bounds, DataError for a noise record that cannot be used.
         """
         from dashpot.fleet.data_sets import Treatment
 
@@ -209,7 +209,7 @@ def require_bounds_held(method: str, positive: bool) -> None:
 
 
 def require_each_once(paths: Sequence[str]) -> None:
-    """Raises UsageError where a file is named twice: its noise would count as that of two tests."""
+    """Raises UsageError if a file is named twice: its noise would count as that of two tests."""
     files = [os.path.realpath(path) for path in paths]
     for path, file in zip(paths, files, strict=True):
         if files.count(file) > 1:
@@ -226,7 +226,7 @@ def reading_of(paths: Sequence[str]) -> str:
 
 
 def part_of(reading: Reading, part: tuple[float, float]) -> Reading:
-    """The same with the share `part` of every record's samples.  Raises DataError where there are none."""
+    """The same with the share `part` of every record's samples.  Raises DataError if there are none."""
     if part == (0.0, 1.0):  # a share of every record's samples, from where to where: all of them
         return reading
     from dashpot.data.conditioning.clock import cut

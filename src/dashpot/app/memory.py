@@ -46,7 +46,7 @@ def one_thread() -> None:
     """Let BLAS compute on one thread, unless the user says otherwise; to be called before NumPy is imported.
 
     Matrices here are small and many: on cores that have other work, waking threads takes most of the time.
-    Where memory is limited nobody says otherwise, for each thread takes buffers of its own; Arrow, which ends the
+    Where memory is limited nothing states otherwise, for each thread takes buffers of its own; Arrow, which ends the
     process where its own pool finds no room, takes the system's.
     """
     if memory_is_limited():
@@ -61,7 +61,7 @@ def secure_room() -> None:
     """Where memory is limited: let BLAS take its buffers before anything else can take their place.
 
     OpenBLAS asks for ever for a buffer that it does not get, within C, where no signal is answered.  Raises
-    NotEnoughMemoryError where the limit leaves too little for the libraries.
+    NotEnoughMemoryError if the limit leaves too little for the libraries.
     """
     if not memory_is_limited():
         return

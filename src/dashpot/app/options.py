@@ -61,7 +61,7 @@ class InputFile(PathType):
         self.or_text = or_text
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The path or the text.  Raises UsageError where it is an output of the same call."""
+        """The path or the text.  Raises UsageError if it is an output of the same call."""
         text = str(value)
         return text if self.or_text and not os.path.exists(text) else ledger.noted(text)
 
@@ -76,7 +76,7 @@ class OutputFile(PathType):
         self.stdout, self.new, self.formats = stdout, new, tuple(formats)
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The path.  Raises UsageError where it could not be written after the work, or must not be."""
+        """The path.  Raises UsageError if it could not be written after the work, or must not be."""
         target = str(value)
         if self.stdout and target == STDOUT:
             return target
@@ -110,7 +110,7 @@ class OutputFolder(PathType):
     name = "folder"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The path.  Raises UsageError where the folder cannot be made: its parent must exist."""
+        """The path.  Raises UsageError if the folder cannot be made: its parent must exist."""
         target = str(value)
         if not target or "\0" in target:
             raise UsageError("this is not the name of a folder", target or '""', "name another folder")
@@ -694,7 +694,7 @@ def _in_si(name: str, amount: Amount, unit: str, option: str) -> float:
 def drive_amplitude(model: Model, given: Amount | Mapping[str, Amount]) -> float:
     """One amplitude for the drive, in m or rad where the rig is moved, in N or N·m where it is pushed.
 
-    Raises UsageError where inputs are named and their amplitudes differ, for what is designed is one drive.
+    Raises UsageError if inputs are named and their amplitudes differ, for what is designed is one drive.
     """
     from dashpot.model.rigfile.rig import drive_is_angular
 

@@ -107,7 +107,7 @@ def is_pdf(target: str) -> bool:
 
 
 def browser() -> str:
-    """The program that prints PDF.  Raises UsageError where there is none."""
+    """The program that prints PDF.  Raises UsageError if there is none."""
     import shutil
 
     for name in BROWSERS:

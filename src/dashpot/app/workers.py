@@ -114,7 +114,7 @@ def mapping(processes: int) -> Iterator[Map]:
     Processes are spawned, not forked, for forking a process with threads of BLAS in it may hang; each computes on one
     thread.  After an interruption or an error the processes are ended at once: what they compute is there whole or not
     at all, and waiting for them would leave a second Ctrl-C to hang in the interpreter's last breath.  They end by
-    themselves when this process dies, however it does.  The map raises UsageError where processes are killed again and
+    themselves when this process dies, however it does.  The map raises UsageError if processes are killed again and
     again before anything is finished.
     """
     if processes <= 1:
@@ -238,7 +238,7 @@ def _end_with_parent() -> None:
 def cluster_mapping(address: str, processes: int | None = None) -> Iterator[Map]:
     """A `map` over the workers of the scheduler at `address`, or over that many processes of this machine ("local").
 
-    Raises UsageError where Dask is not installed, no scheduler answers, it has no workers, they have another version of
+    Raises UsageError if Dask is not installed, no scheduler answers, it has no workers, they have another version of
     dashpot, or are killed several times at one task.
     """
     distributed = optional_library("distributed", "scale", "a Dask cluster")
@@ -298,7 +298,7 @@ def numbers_rest_on() -> dict[str, str]:
 
 
 def _require_alike(workers: dict[str, dict[str, str]], address: str) -> None:
-    """Raises UsageError where there are no workers, or some would compute other numbers."""
+    """Raises UsageError if there are no workers, or some would compute other numbers."""
     if not workers:
         cure = "start some: dask worker ADDRESS --nthreads 1"
         raise UsageError("the scheduler has no workers", address, cure)

@@ -109,7 +109,7 @@ class ElementComparison:
 
 
 def compare_in_dwells(model: Model, spectrum: Spectrum) -> ElementComparison:
-    """From settled dwells.  Raises what `identify` raises, and UsageError where no candidate can be tried."""
+    """From settled dwells.  Raises what `identify` raises, and UsageError if no candidate can be tried."""
     estimate = identify(model, spectrum, "ml")
     (sign,) = spectrum.signs(estimate.signs)
     problem = LineProblem(prepare(model, spectrum), sign, (estimate.values,))
@@ -141,8 +141,8 @@ def compare_in_records(
 ) -> ElementComparison:
     """From whole records, by integration: candidates are scored at the fit of the rig as it is, the best fitted.
 
-    Inputs count as exact: were their true values unknown, errors of theirs could explain what an element would.
-    Raises what `fit_records` raises, and DataError where channels contradict each other.
+    Inputs are treated as exact: were their true values unknown, errors of theirs could explain what an element would.
+    Raises what `fit_records` raises, and DataError if channels contradict each other.
     """
     require_sound_channels(model, records)
     base = model if len(model.nonlinear) else with_nothing(model)
@@ -273,7 +273,7 @@ def _evidence(
     base: Model, estimate: Estimate, fitted: FittedRecords, chosen: Sequence[Element], records: Sequence[Record],
     numbers: float,
 ) -> ElementEvidence | None:  # fmt: skip
-    """The rig with the candidates fitted in full, from their guesses; None where that fails."""
+    """The rig with the candidates fitted in full, from their guesses; None if that fails."""
     model, names = base, []
     for element in chosen:
         named = replace(with_open_constants(element), name=free_name(model, element))
@@ -302,7 +302,7 @@ def _evidence(
 def _fitted(
     model: Model, base: Model, estimate: Estimate, before: FittedRecords, records: Sequence[Record]
 ) -> FittedRecords | None:
-    """The larger rig fitted; None where that fails.
+    """The larger rig fitted; None if that fails.
 
     Where all is seen the motion itself tells better where to begin than the fit of the smaller rig does, whose linear
     parts make up for what it lacks.

@@ -47,7 +47,7 @@ class SeenColumn:
         return self.quantity is None or not is_unit(unit) or bool(factors(unit, self.quantity))
 
     def in_unit(self, unit: str) -> SeenColumn:
-        """The same in a unit that somebody has said.  Raises UsageError where it is none."""
+        """The same in a unit that somebody has said.  Raises UsageError if it is none."""
         if not is_unit(unit):
             raise UsageError(
                 f"{unit!r} is not a unit of a measured quantity", cure="use one such as mm, m/s, g, N or V"
@@ -71,7 +71,7 @@ class SeenData:
 
 
 def seen_data(inspections: Sequence[Inspection]) -> SeenData:
-    """What files seem to hold.  Raises UsageError where they hold no channel, or too many."""
+    """What files seem to hold.  Raises UsageError if they hold no channel, or too many."""
     by_name: dict[str, SeenColumn] = {}
     parts = [part for inspection in inspections for part in inspection.parts]
     for channel in (each for part in parts for each in part.channels):
@@ -130,7 +130,7 @@ def first_rig(
 
     Columns of different quantities whose names end in one number are of one mass.  `known` kg of the first mass, `at`
     the one that the force acts on, `base` the column of the base.  What is unknown of a channel is left open.  Raises
-    UsageError where the columns cannot be those of such a rig.
+    UsageError if the columns cannot be those of such a rig.
     """
     sensors, points = list[ChannelLine](), dict[str, str]()
     forces = [c for c in data.columns if c.quantity == "force"]
@@ -171,7 +171,7 @@ def first_rig(
             )
         )
     masses = len(set(points.values()))
-    if drive == "base" and not bases and sensors:  # the base is one of the columns, and nobody says which
+    if drive == "base" and not bases and sensors:  # the base is one of the columns, and nothing states which
         sensors[-1] = replace(sensors[-1], of=PLACEHOLDER)
         masses = max(masses - 1, 1)
     if drive == "force" and at is None:

@@ -121,8 +121,8 @@ def structure(
 ) -> Structure:
     """What the channels can tell of the unknowns; with `spectrum`, also whether its lines are enough.
 
-    Inputs that no channel measures are unknown at every line.  Raises IdentifiabilityError where the rig has no
-    steady response, DataError where a channel measures what the rig has not, UsageError for nonlinear rigs.
+    Inputs that no channel measures are unknown at every line.  Raises IdentifiabilityError if the rig has no
+    steady response, DataError if a channel measures something that the rig lacks, UsageError for nonlinear rigs.
     """
     if len(model.nonlinear):
         raise UsageError(
@@ -307,7 +307,7 @@ def nonlinear_structure(
 ) -> Structure:
     """Whether the unknowns can be found from the channels; with `spectrum` from its lines and inputs.
 
-    Raises IdentifiabilityError where no settled motion, or no finite one, is found at the nominal values, DataError
+    Raises IdentifiabilityError if no settled motion, or no finite one, is found at the nominal values, DataError
     where an input is not measured.
     """
     if not channels:
@@ -420,7 +420,7 @@ def _nominal(model: Model, elongation: float) -> Real:
 def _slopes_let_go(model: Model, channels: Sequence[Channel], psi: Real) -> Real:
     """Slopes of all channels along ψ in a motion from NOMINAL elongations on, its start being unknown; (rows, M).
 
-    Raises IdentifiabilityError where no motion follows at ψ.
+    Raises IdentifiabilityError if no motion follows at ψ.
     """
     samples, rate = 600, typical_sizes(model)[1]  # of a record of some 20 typical periods
     time = np.arange(samples) * 2 * np.pi / rate / 30
@@ -460,7 +460,7 @@ def _slopes(model: Model, spectrum: Spectrum, part: NonlinearPart, psi: Real) ->
 
 
 def blind_laws(model: Model, spectrum: Spectrum) -> Structure | None:
-    """The structure where unknowns of nonlinear elements, alone or with others, leave no trace; None where all do.
+    """The structure where unknowns of nonlinear elements, alone or with others, leave no trace; None if all do.
 
     Such data would keep an iteration busy for nothing.
     """

@@ -68,7 +68,7 @@ class Surface:
 def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surface:
     """χ² around `estimate`, weighed as `identify` weighs; leading batch axes become one of K repeats.
 
-    Raises DataError where the estimate has other unknowns.
+    Raises DataError if the estimate has other unknowns.
     """
     data = prepare(model, spectrum)
     view = data.view
@@ -175,7 +175,7 @@ def profile(
     `estimate`, found anew unless given, must be of a method on the bound (oiv, ml).  The rise of χ² at the ends is
     that of the parabola at the ends of the estimate's normal interval: it counts the noise as the estimate does.
     `surface` is χ² around that estimate, where it has been made.
-    Raises UsageError where there is no such unknown.
+    Raises UsageError if there is no such unknown.
     """
     around = identify(model, spectrum) if estimate is None else estimate
     if name not in around.names:
@@ -529,7 +529,7 @@ def with_profile_intervals(model: Model, spectrum: Spectrum, estimate: Estimate)
     if not (plain and small and sound and free and unweighed and efficient):
         return estimate
     try:
-        # 5.0: sd over the value from which on the data say nothing of it, along whatever curve
+        # 5.0: sd over the value from which on the data contain no information on it, along whatever curve
         precise = estimate.noise_sd < 5.0 * np.abs(estimate.values)
         bent = np.flatnonzero(bent_unknowns(model, spectrum, estimate) & precise)[:12]
         if not len(bent):

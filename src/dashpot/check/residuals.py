@@ -51,13 +51,13 @@ class Residuals:
     frequency_hz, experiment  of the lines, (lines,)
     measured, predicted   complex amplitudes, (lines, channels); NaN where a channel was not measured
     sd                    of the real (and of the imaginary) part of the measured amplitude, (lines, channels)
-    normalised            (measured − predicted) over the sd that this difference has after v was fitted,
-                          (lines, channels); NaN where it has none.  Re and Im have variance 1 where the model is right
-                          and the noise as stated.
-    variance              of measured − predicted where the model is right, real and imaginary part together,
+    normalised            (measured − predicted) over the standard deviation of this difference after v was fitted,
+                          (lines, channels); NaN where that is 0.  Real and imaginary parts have variance 1 if the model
+                          is right and the noise is as stated.
+    variance              of measured − predicted if the model is right, real and imaginary parts together,
                           (lines, channels)
     inputs                v̂, (lines, inputs), in the order of `input_names`
-    scaled                whether the noise was unknown and is scaled so that `normalised` has variance 1 on the whole
+    scaled                whether the noise was unknown and was scaled to give `normalised` an overall variance of 1
     """
 
     channels: tuple[str, ...]
@@ -82,7 +82,7 @@ class Residuals:
         return [i for i in range(len(self.channels)) if np.any(np.isfinite(self.normalised[:, i]))]
 
     def worst(self) -> tuple[str, float, float] | None:
-        """(channel, frequency in Hz, |normalised| / √2) of the largest residual; None where there is none."""
+        """(channel, frequency in Hz, |normalised| / √2) of the largest residual; None if there is none."""
         size = np.nan_to_num(np.abs(self.normalised)) / np.sqrt(2)
         if not size.size or not np.any(size > 0):
             return None
@@ -90,7 +90,7 @@ class Residuals:
         return self.channels[int(channel)], float(self.frequency_hz[line]), float(size[line, channel])
 
     def rms(self) -> Real:
-        """Root mean square of the normalised residuals of each channel, (channels,): 1 where all is right."""
+        """Root mean square of the normalised residuals of each channel, (channels,): 1 if model and noise are right."""
         finite = np.isfinite(self.normalised)
         power = np.sum(np.where(finite, np.abs(self.normalised) ** 2, 0.0), axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -109,7 +109,7 @@ def channel_response(
     """G(ω), (lines, channels, inputs): amplitude of each channel per unit of each input, U first, then f; SI units.
 
     p (elements,).  `calibrations` are estimated `NAME.gain`, `NAME.sign` and `NAME.delay`; what is not estimated is
-    1, 1 and 0, for known calibrations have been taken out of a Spectrum.  Raises DataError where a channel measures
+    1, 1 and 0, for known calibrations have been taken out of a Spectrum.  Raises DataError if a channel measures
     what the rig has not.
     """
     view = observation_model(model, channels, omega, experiment)
@@ -132,7 +132,8 @@ def residuals(
 ) -> Residuals:
     """Residuals of one spectrum (no batch axes) at θ (unknowns,), SI units.
 
-    Raises DataError where a channel measures what the rig has not, ModelError where the rig has no steady response.
+    Raises DataError if a channel measures something that the rig does not have, and ModelError if the rig has no
+    steady response.
     """
     known = spectrum.noise_known
     y = spectrum.amplitudes

@@ -75,7 +75,7 @@ def free_scales(model: Model, channels: Sequence[Channel]) -> tuple[tuple[str, .
 
 
 def require_scale(model: Model, channels: Sequence[Channel], where: str | None = None) -> None:
-    """Raises IdentifiabilityError where some forces scale together, one problem for each part of the rig."""
+    """Raises IdentifiabilityError if some forces scale together, one problem for each part of the rig."""
     groups = free_scales(model, channels)
     if not groups:
         return
@@ -105,7 +105,7 @@ Node = tuple[str, str]
 def require_scale_seen(
     method: type[Method], model: Model, channels: Sequence[Channel], where: str | None = None
 ) -> None:
-    """Raises IdentifiabilityError where the channels that the method uses leave the scale of the forces free."""
+    """Raises IdentifiabilityError if the channels that the method uses leave the scale of the forces free."""
     if method.traits.by_output:
         return
     if free_scales(model, [channel for channel in channels if is_direct(model, channel)]):
@@ -281,7 +281,7 @@ def view_of(model: Model, channels: Sequence[Channel]) -> ObservationModel:
 def exact(model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np.random.Generator) -> Draw:
     """Slopes at one random rig; known parameters have their values.
 
-    Raises IdentifiabilityError where the rig has no steady response, whatever its parameters.
+    Raises IdentifiabilityError if the rig has no steady response, whatever its parameters.
     """
     free, model = not model.inputs, model if model.inputs else pushed_everywhere(model)
     view = view_of(model, channels)
@@ -489,7 +489,7 @@ def floating(
 ) -> Real:
     """The rows of `exact` at ψ, real, each channel of size 1; frequencies around `rate` (rad/s) and inputs at random.
 
-    Columns are slopes by ψ itself.  psi (M,).  Raises ModelError where sizes are too far apart for floating point.
+    Columns are slopes by ψ itself.  psi (M,).  Raises ModelError if sizes are too far apart for floating point.
     """
     distinct = int(np.max(lines.frequency)) + 1
     grid = rate * np.geomspace(0.25, 3.0, distinct) * np.exp(rng.uniform(-0.05, 0.05, distinct))

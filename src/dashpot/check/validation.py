@@ -98,7 +98,7 @@ class RecordPrediction:
 
 
 def within_noise(predictions: Sequence[RecordPrediction]) -> bool | None:
-    """Whether no channel of any record differs by more than the noise of its sensors; None where it is unknown."""
+    """Whether no channel of any record differs by more than the noise of its sensors; None if it is unknown."""
     probabilities = np.concatenate([part.p for part in predictions])
     tested = probabilities[np.isfinite(probabilities)]
     if not len(tested) or len(tested) < len(probabilities):
@@ -114,7 +114,7 @@ def missed(predictions: Sequence[RecordPrediction]) -> bool:
 def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[RecordPrediction, ...]:
     """What the estimate predicts of each whole record of `spectrum` (no batch axes), and of its settled lines.
 
-    Raises DataError where the channels do not give the inputs, or do not match the estimate's rig.
+    Raises DataError if the channels do not give the inputs, or do not match the estimate's rig.
     """
     view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
     estimate.require_unknowns(view.names, ())
@@ -211,7 +211,7 @@ def validate_records(
     """What the estimate predicts of each whole record of a nonlinear rig; the state at its start is taken from it.
 
     still: the noise that a record at rest shows; χ² counts that of the channels and, through the rig, of the inputs.
-    Raises DataError where the estimate is of another rig, or a record does not suit it.
+    Raises DataError if the estimate is of another rig, or a record does not suit it.
     """
     estimate.require_unknowns([unknown.name for unknown in model.unknowns])
     return tuple(_prediction(model, estimate, record, still) for record in records)

@@ -506,7 +506,7 @@ def _unheard(left: Residuals, motions: Bools, lines: Bools) -> list[Notice]:
 def _smooth(left: Residuals, motions: Bools, least: float, uneven: bool) -> list[Notice]:
     """Channels whose residuals run smoothly over frequency, as they are or against the motion: noise does not.
 
-    What a wrong rig leaves over is in proportion to the drive, whose phase may be another at each line.  Noise that is
+    The misfit of a wrong rig is in proportion to the drive, whose phase may be another at each line.  Noise that is
     `uneven` in time runs smoothly, too, but no more so at the lines that move most than at the others.
     """
     order = np.argsort(left.frequency_hz, kind="stable")

@@ -75,7 +75,7 @@ class Sensor:
 def estimated_clock(reference: Sensor, sensor: Sensor, source: str) -> Clock:
     """Offset and drift of a sensor's clock, from the first channel of both.
 
-    Raises DataError where the two share no motion, or a motion so regular that the lag is ambiguous.
+    Raises DataError if the two share no motion, or a motion so regular that the lag is ambiguous.
     """
     step = min(float(np.median(np.diff(s.time))) for s in (reference, sensor))
     coarse, margin = _coarse_lag(reference, sensor, step)
@@ -286,7 +286,7 @@ def joined_sensors(
 ) -> tuple[Record | ClockedRecords, list[Notice]]:
     """One record of sensors on one clock, where they sampled at the same moments; else each with its own times.
 
-    Time counts from the first common moment.  Raises DataError where the recordings do not overlap.
+    Time counts from the first common moment.  Raises DataError if the recordings do not overlap.
     """
     start, end = max(s.time[0] for s in sensors), min(s.time[-1] for s in sensors)
     if not end > start:
@@ -352,7 +352,7 @@ def aligned_sensors(
     `align_s` is the part of the first one's recording, s from its start, in which all move alike: sensors that are
     shaken together before they are mounted.  Without it the whole recording has to be so.  The records' times count
     from the same start.
-    Raises DataError where a clock cannot be set, as where the phases of the rig itself hide it.
+    Raises DataError if a clock cannot be set, as where the phases of the rig itself hide it.
     """
     moved, clocks, notes = [sensors[0]], [Clock()], []
     for sensor in sensors[1:]:
@@ -392,7 +392,7 @@ def aligned_sensors(
 
 
 def _part(reference: Sensor, align_s: tuple[float, float] | None, source: str) -> Sensor:
-    """That part of the reference's recording.  Raises DataError where it is not in it."""
+    """That part of the reference's recording.  Raises DataError if it is not in it."""
     if align_s is None:
         return reference
     since = reference.time - reference.time[0]

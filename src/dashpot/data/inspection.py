@@ -96,11 +96,11 @@ class InspectedColumn:
 class InspectedPart:
     """One part of a file: a table, group, block, sheet or segment.
 
-    rates_hz     lowest and highest sampling rate of its stretches; None where there is no time
+    rates_hz     lowest and highest sampling rate of its stretches; None if there is no time
     stretches    how often the clock starts again or the drive changes its frequency
     uneven       largest departure of a step from the mean one, over the mean one
     gaps         steps that are longer than usual
-    longest_gap  (from, to), s: the longest of them; None where there is none
+    longest_gap  (from, to), s: the longest of them; None if there is none
     duration_s   of all stretches together
     frequencies  drive frequencies that the part names, Hz
     others       columns without numbers, or beyond those that are shown
@@ -142,7 +142,7 @@ class Inspection:
 
 
 def inspect_file(path: str | os.PathLike[str]) -> Inspection:
-    """What is in a file.  Raises DataError where it cannot be read at all."""
+    """What is in a file.  Raises DataError if it cannot be read at all."""
     file = open_file(path)
     reader = reader_of(file)
     parts: list[InspectedPart] = []
@@ -163,7 +163,7 @@ def inspect_file(path: str | os.PathLike[str]) -> Inspection:
 def inspect_named(path: str | os.PathLike[str]) -> list[Inspection]:
     """The files that a name stands for; those of a manifest with the columns that it chooses, by its names and units.
 
-    Raises DataError where one cannot be read.
+    Raises DataError if one cannot be read.
     """
     if not is_manifest(path):
         return [inspect_file(each) for each in files_named(path)]
@@ -181,7 +181,7 @@ def inspect_named(path: str | os.PathLike[str]) -> list[Inspection]:
 
 
 def inspect_columns(columns: Columns) -> Inspection:
-    """What is in columns that a program holds.  Raises DataError where none holds numbers."""
+    """What is in columns that a program holds.  Raises DataError if none holds numbers."""
     part = _part(columns)
     if not part.columns:
         raise DataError("no column holds numbers", columns.source, "give columns of numbers")
@@ -337,7 +337,7 @@ def _content(values: Real, stretches: Sequence[_Stretch]) -> tuple[Real, Real]:
 
 
 def guessed_quantity(name: str, unit: str | None) -> str | None:
-    """What a column may measure: by its unit, else by its name; None where neither says it."""
+    """What a column may measure: by its unit, else by its name; None if neither says it."""
     for quantity in Quantity:
         if unit and factors(unit, quantity.value):
             return quantity.value
@@ -352,7 +352,7 @@ def channels_in(data: Sequence[str | os.PathLike[str] | Columns]) -> dict[str, C
     """The channels that files or tables hold by themselves, by name: quantity and unit as the first one says them.
 
     Columns of numbers, amplitudes (NAME_re), both sides of responses (OUT/IN_re, or by the file's name); of a manifest
-    those that it names.  Raises DataError where a file cannot be read.
+    those that it names.  Raises DataError if a file cannot be read.
     """
     found: dict[str, Channel] = {}
     for one in data:

@@ -15,14 +15,14 @@ from dashpot.io.words import listed, shown
 
 @dataclass(frozen=True)
 class ModalData:
-    """Modes that swing, as a modal test gives them; amplitudes may have leading batch axes (repeats).
+    """Oscillating modes from a modal test; arrays may have leading batch axes (repeats).
 
     points            names of the points of the shapes, any of the rig's coordinates; may be none
     frequency_hz      (..., modes)            |λ| / 2π
     damping_ratio     (..., modes)            −Re λ / |λ|; NaN where not measured
     covariance        (modes, 2, 2)           of (frequency, damping ratio)
-    shapes            (..., modes, points)    of any complex scale each; NaN where not measured
-    shape_covariance  (modes, points, points) E[Δ Δᴴ] of circular noise: real and imaginary part have half of it each
+    shapes            (..., modes, points)    each with an arbitrary complex scale; NaN where not measured
+    shape_covariance  (modes, points, points) E[Δ Δᴴ] of circular noise: half each for real and imaginary part
     """
 
     points: tuple[str, ...]
@@ -57,7 +57,7 @@ class ModalData:
 
     @property
     def modes(self) -> int:
-        """How many there are."""
+        """Number of modes."""
         return int(self.frequency_hz.shape[-1])
 
     @property
@@ -81,7 +81,7 @@ def named_points(coordinates: Sequence[str], channels: Iterable[Channel]) -> dic
 def at_coordinates(
     modes: ModalData, coordinates: Sequence[str], channels: Iterable[Channel] = (), source: str = ""
 ) -> ModalData:
-    """The same modes with the coordinates for their points, in the order of these; names as of `named_points`.
+    """The same modes with the coordinates for their points, in the order of these; names as for `named_points`.
 
     Raises DataError for a point that is none, and for two of one coordinate.
     """

@@ -175,7 +175,7 @@ def without_leakage(Y: Complex) -> Real:
 def white_floor(power: Real) -> float:
     """E[Δ Δ*] of white noise, from the power (N/2 + 1,) of the lines of one channel near half the sampling rate.
 
-    0 where they are not flat, or not far below the others: then they show motion, and tell nothing of the noise.
+    0 if they are not flat, or not far below the others: then they show motion rather than noise.
     """
     top = power[int(TOP[0] * len(power)) : int(TOP[1] * len(power))]
     if len(top) < 2 * BIN:
@@ -232,7 +232,7 @@ def with_local_noise(spectrum: Spectrum) -> Spectrum:
 
 
 def _noise_of(f: Real, y: Complex) -> tuple[Real, float] | None:
-    """Variance E|Δ|² of each line of a channel and the degrees of freedom behind it; None where none is to be seen."""
+    """Variance E|Δ|² of each line of a channel and the degrees of freedom behind it; None if none is to be seen."""
     low, high = (_about_polynomials(f, y, degree) for degree in DEGREES)
     # 1.5: ratio of the variances that the two leave, above which the lower one is bent
     straight: Bools = _drawn_together(low) <= 1.5 * _drawn_together(high)

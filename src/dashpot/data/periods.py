@@ -73,7 +73,7 @@ def driven_lines(X: Complex) -> Bools:
 
 def _driven_and_not(mean: Complex, wanted: Ints, inputs: int = 0) -> tuple[Ints, Ints]:
     """Of the multiples that are wanted those that are driven, and all between that are not; mean (multiples from 0,
-    channels), of which the first `inputs` drive, or nobody says which."""
+    channels), of which the first `inputs` drive, or nothing states which."""
     every = np.arange(wanted[0], wanted[-1] + 1)
     driving = np.arange(mean.shape[1]) < inputs if inputs else moving(mean, every)
     driven = driven_lines(mean[every][:, driving])
@@ -122,7 +122,7 @@ def distortion(X: Complex, driven: Ints, classes: Sequence[Ints], inputs: int = 
 
 
 def _distortion_note(record: Record, X: Complex, driven: Ints, between: Ints) -> tuple[Notice, ...]:
-    """Which channels are distorted, by odd and even laws where the driven multiples are odd; as of `distortion`."""
+    """Which channels are distorted, by odd and even laws where the driven multiples are odd; as for `distortion`."""
     odd = bool(np.all(driven % 2 == 1))
     parity = between % 2
     classes = {" odd": between[parity == 1], " even": between[parity == 0]} if odd else {"": between}
@@ -144,7 +144,7 @@ def _distortion_note(record: Record, X: Complex, driven: Ints, between: Ints) ->
 
 
 def samples_of_period(record: Record, period_s: float) -> int:
-    """Samples in one period.  Raises DataError where the sampling is uneven, or the period no whole number of them."""
+    """Samples in one period.  Raises DataError if the sampling is uneven, or the period no whole number of them."""
     time = record.time
     step = float(time[-1] - time[0]) / (len(time) - 1)
     if np.max(np.abs(time - time[0] - step * np.arange(len(time)))) > UNEVEN * step * len(time) ** 0.5:
@@ -287,7 +287,7 @@ def averaged_periods(record: Record, inputs: int = 0) -> tuple[Spectrum, Real] |
     """The mean of the settled periods of a record that repeats, and its distortion at even and at odd multiples.
 
     Where the first `inputs` channels drive, they repeat, and the lines are those that one of them shows; else all
-    channels repeat, and all show a line.  Distortion (channels, 2) as of `distortion`.  None for other records, and for
+    channels repeat, and all show a line.  Distortion (channels, 2) as in `distortion`; None for other records, and for
     one that goes on settling; one of a stated frequency that moves at that frequency is a dwell.
     """
     samples = period_of(record.values[..., : inputs or None])

@@ -99,13 +99,13 @@ class Record(InNotebooks):
 
     time          (samples,)             s, increasing, not necessarily uniform
     values        (..., samples, channels)  SI units; gain, sign and delay of the channels are still in them
-    frequency_hz  the drive frequency of a stepped-sine dwell, None where it is not one
+    frequency_hz  drive frequency of a stepped-sine dwell, None for other records
     experiment    which experiment the record belongs to
     source        where it came from, for messages
-    sd            (samples, channels), of values that an estimate predicts: their standard deviation
-    status        (samples, channels), how values count: 0 as measured, ABOVE and BELOW as clipped, so that the signal
-                  is at or beyond them, MISSING not at all; None where all are measured
-    cell          (channels,), the step of a converter where a value stands for all that is rounded to it, else 0
+    sd            (samples, channels), standard deviation of values predicted by an estimate
+    status        (samples, channels): 0 measured, ABOVE or BELOW clipped (the signal is at or beyond the value), or
+                  MISSING (not used); None if all are measured
+    cell          (channels,), step of a converter whose values stand for everything rounded to them, else 0
     """
 
     channels: tuple[Channel, ...]
@@ -125,11 +125,11 @@ class Record(InNotebooks):
 
     @cached_property
     def kept(self) -> dict[object, object]:
-        """What several steps of conditioning ask of the samples, by what was asked."""
+        """Intermediate results that several steps of conditioning share, by key."""
         return {}
 
     def part(self, rows: slice) -> Record:
-        """Some of the samples."""
+        """The record with some of its samples only."""
         some = replace(self, time=self.time[rows], values=self.values[..., rows, :], sd=None, status=None)
         if self.sd is None and self.status is None:
             return some
@@ -142,7 +142,7 @@ class Record(InNotebooks):
 
     @property
     def whole_channels(self) -> Bools:
-        """(channels,): of which every sample is measured."""
+        """(channels,): whether every sample is measured."""
         if self.status is None:
             return np.ones(len(self.channels), dtype=bool)
         whole: Bools = ~np.any(self.status, axis=0)
@@ -219,7 +219,7 @@ def calibrated(
 
 
 def real_factor(channel: Channel) -> float:
-    """Known sign · gain.  Raises DataError where it is 0 or not finite."""
+    """Known sign · gain.  Raises DataError if it is 0 or not finite."""
     factor = channel.factor
     if factor == 0 or not np.isfinite(factor):
         raise DataError(

@@ -62,7 +62,7 @@ def labelled_spectrum(spectrum: Spectrum) -> Any:
 class SettledDwell:
     """Lines of a steady state: no transient is in them.
 
-    fundamental_hz: drive frequency whose multiples the lines are; None where each line stands for itself.
+    fundamental_hz: drive frequency whose multiples the lines are; None if each line stands for itself.
     per_unit: whether the lines are responses per unit of an input: how large the motion was they do not say.
     """
 
@@ -229,7 +229,7 @@ FITTED = "fitted"  # kind of noise
 class Moments:
     """Second moments Σ_t q qᵀ of the samples, for the methods of the paper that work on samples.
 
-    q(t) = (channels in SI units, cos ωt, sin ωt) with offset and drift taken out of every entry alike;
+    q(t) = (channels in SI units, cos ωt, sin ωt) with offset and drift removed from every entry;
     `products` has shape (..., lines, channels + 2, channels + 2).
     """
 
@@ -248,12 +248,12 @@ class Spectrum(InNotebooks):
     covariance    (..., lines, channels, channels)  V = E[Δ Δᴴ] of the amplitudes' noise Δ, taken as circular: the real
                   and the imaginary part have the covariance Re V / 2 each.  0 is exact; NaN is unknown.  Leading axes
                   may be missing where all repeats share it.
-    samples       (lines,)                      samples behind each line (1 where amplitudes are all there is)
+    samples       (lines,)                      samples behind each line (1 if only amplitudes are available)
     dof           (lines,)                      residual degrees of freedom (real) behind V; inf where V is given
     noise         (lines,)                      how V was found: "given", "white", "blocks" (lines beside each
                   harmonic), "periods" (scatter of averages of periods), of whole records "rest" (a record at rest),
-                  "floor" (where nothing moves; to be replaced by) "residual" (what a fit leaves over), of tables that
-                  give none "fitted" (its course over the lines, from what a fit leaves over), or "unknown"
+                  "floor" (where nothing moves; replaced by) "residual" (from residuals of a fit), of tables that
+                  give none "fitted" (its course over the lines, from what a fit leaves unexplained), or "unknown"
     experiment    (lines,)                      which experiment a line belongs to
     moments       second moments of the samples, where they were asked for
     notes         what a reader of results should know: samples discarded, noise that could not be judged
@@ -367,7 +367,7 @@ class Spectrum(InNotebooks):
         return bool(np.isfinite(self.amplitudes).all())
 
     def index(self, name: str) -> int:
-        """Position of a channel by name.  Raises DataError where there is none."""
+        """Position of a channel by name.  Raises DataError if there is none."""
         for i, channel in enumerate(self.channels):
             if channel.name == name:
                 return i
@@ -399,22 +399,22 @@ class Spectrum(InNotebooks):
 
     @cached_property
     def noise_given(self) -> bool:
-        """Whether the noise of every line is as it was given: no estimate of so many samples."""
+        """Whether the noise of every line was given rather than estimated from samples."""
         return bool(np.isinf(self.dof).all())
 
     @cached_property
     def noise_known(self) -> bool:
         """Whether the covariance of the amplitudes is given or was estimated from samples, at every line.
 
-        A covariance of 0 throughout says nothing of the size of residuals either: it counts as unknown.  So does one
-        that was fitted to these amplitudes.
+        A covariance of 0 throughout counts as unknown, since it gives residuals no scale.  So does one that was
+        fitted to these amplitudes.
         """
         return (
             FITTED not in self.noise and not np.isnan(self.covariance).any() and bool(self.covariance.any())
         )
 
     def derived(self, **changes: Any) -> Spectrum:
-        """The same with other arrays, read-only and of the right shapes, taken from one that has been checked."""
+        """The same spectrum with other arrays, read-only and of the right shapes; nothing is checked again."""
         other = object.__new__(Spectrum)
         other.__dict__.update(self.__dict__, **changes)
         for fact in ("present", "complete", "noise_known", "noise_given"):  # of the old arrays
@@ -439,9 +439,9 @@ class Spectrum(InNotebooks):
         )
 
     def signs(self, given: Mapping[str, Any], repeats: int = 1) -> Real:
-        """Signs of all channels, (repeats, channels): as `given` by name, one or one a repeat; 1 of the others.
+        """Signs of all channels, (repeats, channels): as `given` by name, one value or one per repeat; else 1.
 
-        Raises DataError where there is no channel of such a name.
+        Raises DataError if there is no channel of such a name.
         """
         signs = np.ones((repeats, len(self.channels)))
         for name, sign in given.items():
@@ -468,7 +468,7 @@ class Spectrum(InNotebooks):
 def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
     """Lines of all the spectra, one after another.  Channels are matched by name.
 
-    Raises DataError where there are none, channels of one name are described differently, or batches do not match.
+    Raises DataError if there are none, channels of one name are described differently, or batches do not match.
     """
     if not len(spectra):
         raise DataError("there are no data", cure="give at least one record or spectrum")
@@ -491,7 +491,7 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(spectrum, name) for spectrum in spectra])
 
-    # The same lines with dwells of which it is not decided as whole records; None where there are none
+    # The same lines with dwells of which it is not decided as whole records; None if there are none
     if all(spectrum.unsettled is None for spectrum in spectra):
         unsettled = None
     else:
@@ -545,10 +545,10 @@ def _moments(spectra: Sequence[Spectrum], names: list[str], batch: tuple[int, ..
 
 
 def merge_repeats(spectrum: Spectrum) -> Spectrum:
-    """One line for all lines of one frequency and experiment: the amplitudes averaged by their covariances.
+    """Merge the lines of one frequency and experiment into one, averaging amplitudes by their covariances.
 
     The repeats must have been driven alike.  Lines whose noise is unknown or singular are averaged evenly.  Lines of
-    whole records stay, for every record has a transient of its own; so do equal lines of different fundamentals.
+    whole records are kept, since each record has its own transient; so are equal lines of different fundamentals.
     Raises DataError as `concatenate` where lines do not go together.
     """
     groups: dict[tuple[float, int, int | float | None], list[int]] = {}

@@ -121,7 +121,7 @@ class Alternative:
     """Another test beside the plan.
 
     predicted   what it would give with the optimal estimator, from as many samples as it has
-    iv          the same with the paper's bootstrap; None where that cannot be used
+    iv          the same with the paper's bootstrap; None if that cannot be used
     factor      how many times the plan's samples it takes to be as good as the plan; inf where it never is
     factor_iv   the same with the paper's bootstrap; None after data
     """
@@ -136,7 +136,7 @@ class Alternative:
 def compare_tests(setup: TestSetup, criterion: Criterion, plan: Plan, other: Schedule) -> Alternative:
     """Another test against a plan.
 
-    Raises IdentifiabilityError where it does not determine the unknowns, whatever the number of its samples.
+    Raises IdentifiabilityError if it does not determine the unknowns, whatever the number of its samples.
     """
     M = other.information(setup)
     predicted = expected_precision(setup, criterion, M)
@@ -184,7 +184,7 @@ def choose(
 ) -> Choice:
     """The best `count` of the channels `among` (by default all that see more than inputs); the others stay.
 
-    Raises UsageError for names that are no channels, IdentifiabilityError where no set determines the unknowns.
+    Raises UsageError for names that are no channels, IdentifiabilityError if no set determines the unknowns.
     """
     names = [channel.name for channel in setup.channels]
     pool = list(among) or output_names(setup)
@@ -320,7 +320,7 @@ class Answer:
 def answer(question: Question, *, mapper: Map = map) -> Answer:
     """The next test; `mapper` shares out the search for the worst case of uncertain values.
 
-    Raises UsageError where the question lacks something, IdentifiabilityError where no test determines the unknowns.
+    Raises UsageError if the question lacks something, IdentifiabilityError if no test determines the unknowns.
     """
     notes: list[str] = []
     criterion = question.criterion

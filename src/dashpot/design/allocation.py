@@ -275,7 +275,7 @@ def optimal_shares(terms: InformationTerms, M0: Real, Mi: Real) -> Shares:
 
 
 def _newton_step(x: _Iterate, parts: Real, g: Real, curvature: Real) -> _Iterate | None:
-    """Newton's step to the central path a tenth ahead; None where its equations are singular.
+    """Newton's step to the central path a tenth ahead; None if its equations are singular.
 
     parts (K,) and g (K, lines): Φ_k and its slopes by w; curvature (lines, lines) of Σ y_k Φ_k; all over the unit.
     Unknowns dw, dt, dν; dz = μ/w − z − z dw/w, dy = (μ − y s − y ds)/s with ds = (dt − g·dw) + residual.
@@ -325,7 +325,7 @@ class Allocation:
     curve: tuple[Real, Ints, Real]
 
     def schedule(self, samples: float) -> Schedule:
-        """The test of so many samples, without what hardly counts."""
+        """The test of so many samples, without what barely contributes."""
         kept = self.share > 1e-6
         return Schedule(self.frequency_hz[kept], self.pattern[kept], samples * self.share[kept])
 
@@ -333,7 +333,7 @@ class Allocation:
 def optimise(setup: TestSetup, terms: InformationTerms, samples: float, grid: FrequencyGrid) -> Allocation:
     """The shares of `samples` over the frequencies of a band that make F smallest, beside what is known before.
 
-    Raises IdentifiabilityError where no test in the band determines the unknowns.
+    Raises IdentifiabilityError if no test in the band determines the unknowns.
     """
     on_grid = samples * setup.information(grid.frequency_hz, grid.pattern)
     if not np.isfinite(terms.at(setup.prior + np.mean(on_grid, axis=1)).F):
@@ -549,7 +549,7 @@ def expected_precision(
 ) -> ExpectedPrecision:
     """What a test's information (scenarios, q, q) in parts of the sizes, beside what is known before, will give.
 
-    Raises IdentifiabilityError where it leaves some parameter open.
+    Raises IdentifiabilityError if it leaves some parameter open.
     """
     at = criterion.at(setup, information)
     if not np.isfinite(at.F):

@@ -51,7 +51,7 @@ class Budget:
     min_dwell   s of measuring at least, in each dwell
     most        at most that many dwells
 
-    Raises UsageError where both or neither are stated, or a number makes no sense.
+    Raises UsageError if both or neither are stated, or a number makes no sense.
     """
 
     samples: float | None = None
@@ -137,7 +137,7 @@ class Plan:
 
     @property
     def time_s(self) -> float | None:
-        """Time in all, settling included; None where there is no rate."""
+        """Time in all, settling included; None if there is no rate."""
         if any(dwell.time_s is None for dwell in self.dwells):
             return None
         return sum((dwell.time_s or 0.0) + dwell.settle_s for dwell in self.dwells)
@@ -146,7 +146,7 @@ class Plan:
 def plan(setup: TestSetup, criterion: Criterion, budget: Budget, grid: FrequencyGrid) -> Plan:
     """The best test within a budget, beside what is known before.
 
-    Raises UsageError where the budget holds no test, IdentifiabilityError where no test determines the unknowns.
+    Raises UsageError if the budget holds no test, IdentifiabilityError if no test determines the unknowns.
     """
     if budget.rate is not None and grid.high > NYQUIST * budget.rate:
         raise UsageError(
@@ -203,9 +203,9 @@ def plan(setup: TestSetup, criterion: Criterion, budget: Budget, grid: Frequency
 def shortest(
     setup: TestSetup, criterion: Criterion, figure: float, budget: Budget, grid: FrequencyGrid
 ) -> Plan | None:
-    """The shortest test whose criterion's figure is at most `figure`; None where what is known suffices already.
+    """The shortest test whose criterion's figure is at most `figure`; None if what is known suffices already.
 
-    `budget` says what is short (samples or time) and is a first guess of how much.  Raises UsageError where more than
+    `budget` says what is short (samples or time) and is a first guess of how much.  Raises UsageError if more than
     1e9 would be needed.
     """
     if not (np.isfinite(figure) and figure > 0):
@@ -247,7 +247,7 @@ def shortest(
 
 
 def _plan_if_any(setup: TestSetup, criterion: Criterion, budget: Budget, grid: FrequencyGrid) -> Plan | None:
-    """The best test of that budget; None where it is too small for one."""
+    """The best test of that budget; None if it is too small for one."""
     try:
         return plan(setup, criterion, budget, grid)
     except UsageError:
@@ -274,7 +274,7 @@ class DesignProblem:
         return self.terms.at(self.setup.prior + schedule.information(self.setup)).F
 
     def optimum(self, samples: float) -> Allocation:
-        """The best shares of so many samples.  Raises IdentifiabilityError where none determine the unknowns."""
+        """The best shares of so many samples.  Raises IdentifiabilityError if none determine the unknowns."""
         return optimise(self.setup, self.terms, samples, self.grid)
 
     def ideal(self) -> Allocation:
@@ -435,7 +435,7 @@ class DwellShares:
             low, high, places = f[max(top - 1, 0)], f[min(top + 1, places - 1)], 9
 
     def rounded(self) -> Schedule | None:
-        """Whole periods (samples where there is no rate) within the budget; None where they do not fit."""
+        """Whole periods (samples where there is no rate) within the budget; None if they do not fit."""
         grid = self.problem.grid
         if grid.free:
             f = np.array([float(f"{f:.6g}") for f in self.f])  # what a controller can be told
@@ -452,7 +452,7 @@ class DwellShares:
         return Schedule(self.f, self.k, np.floor(units * unit + 1e-9))
 
     def _cut(self, total: float, unit: Real, least: Real) -> Real | None:
-        """Whole units of each dwell, at most its share and at least `least`; None where these do not fit."""
+        """Whole units of each dwell, at most its share and at least `least`; None if these do not fit."""
         ideal = self.w * total
         units = np.maximum(np.floor(ideal / unit + 1e-9), least)
         while np.sum(units * unit) > total * (1 + 1e-12):
@@ -644,7 +644,7 @@ def lines_of_dwells(records: Sequence[Record], channels: Sequence[Channel], *, j
     """The lines of dwells with their transients, with the noise that `channels` state.
 
     One record of all that follow each other where `joined`, which asks for noise of one size; else one for each, with
-    noise in proportion to what moves in it.  Raises DataError where a dwell is too short.
+    noise in proportion to what moves in it.  Raises DataError if a dwell is too short.
     """
     if joined:
         whole = [replace(record, frequency_hz=None) for record in continuous(records)]

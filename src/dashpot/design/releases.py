@@ -105,8 +105,8 @@ def plan_releases(
     deflection  of the point that moves most; without one DEFLECTION, or for a `target` (rms relative sd) what it takes
     time_s      of all recordings together; without one, as long as recording is worth it
 
-    Raises UsageError for a nonlinear rig, one without unknowns and an unknown name, IdentifiabilityError where no
-    release determines the unknowns, ModelError where the rig has no motion in time.
+    Raises UsageError for a nonlinear rig, one without unknowns and an unknown name, IdentifiabilityError if no
+    release determines the unknowns, ModelError if the rig has no motion in time.
     """
     _require_plannable(model, names)
     notes: list[str] = []
@@ -126,7 +126,7 @@ def plan_releases(
         )
     slowest = float(np.min(np.abs(found[np.abs(found) > 0]), initial=np.inf))
     decay = float(np.min(-found.real[found.real < -1e-9 * np.abs(found)], initial=np.inf))
-    # Until the slowest decay is at 1e-4, two hundred periods where it hardly decays, or not at all
+    # Until the slowest decay is at 1e-4, two hundred periods where it barely decays, or not at all
     longest = min(np.log(1e4) / decay if np.isfinite(decay) else np.inf, 200 * 2 * np.pi / slowest)
     samples = max(int(min(longest * rate, 40_000)), 4 * model.n + 4)
     ends = np.geomspace(min(4 * model.n + 4, samples), samples, 24).astype(int)
@@ -234,7 +234,7 @@ class ReleaseInformation:
         return float(np.max(relative) if self.bench.worst else np.sqrt(np.mean(relative**2)))
 
     def recorded(self, group: tuple[int, ...]) -> Recorded:
-        """Recorded until more is hardly worth it, or for an equal part of the time there is."""
+        """Recorded until more no longer pays, or for an equal part of the time there is."""
         times = (self.bench.ends / self.bench.rate).tolist()
         if self.bench.time_s is not None:
             seconds = min(self.bench.time_s / len(group), times[-1])

@@ -41,7 +41,7 @@ class UniformBox:
     def width(self, nominal: Real) -> Real:
         """Half the side of the box, (unknowns,), SI units.
 
-        Raises UsageError where the uncertainty is not between 0 and 100 %.
+        Raises UsageError if the uncertainty is not between 0 and 100 %.
         """
         relative = np.broadcast_to(np.asarray(self.relative, dtype=float), nominal.shape)
         if np.any(~np.isfinite(relative) | (relative < 0) | (relative >= 1)):
@@ -97,7 +97,7 @@ def _drawn(setup: TestSetup, uncertainty: Uncertainty, count: int) -> TestSetup:
 class BestTest:
     """A plan (None where what is known suffices already) with the setup of its scenarios.
 
-    `worst` is the criterion's figure in the worst scenario that was found; None where the values are certain.
+    `worst` is the criterion's figure in the worst scenario that was found; None if the values are certain.
     """
 
     plan: Plan | None
@@ -155,7 +155,7 @@ def best_test(
             amount = advised.samples if budget.samples is not None else advised.time_s or 0.0
             budget = budget.of(amount * (worst / target) ** 2)
             if worst <= target * close:
-                aim *= 0.999 * target / worst  # a scenario hardly worse than those that count already
+                aim *= 0.999 * target / worst  # a scenario barely worse than those that count already
                 continue
         wide = replace(wide, theta=np.concatenate([wide.theta, at[None]]))
     if target is not None:

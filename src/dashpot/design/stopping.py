@@ -26,7 +26,7 @@ def after(setup: TestSetup, estimate: Estimate) -> TestSetup:
     """The setup with what an estimate tells: the inverse of its covariance is known before the next test.
 
     Priors were in the estimate already.  Calibrations of which nothing was known are taken as unknown again.
-    Raises UsageError where the estimate is of other unknowns.
+    Raises UsageError if the estimate is of other unknowns.
     """
     stated = [u.name for u in setup.calibrations if u.sd is not None and u.name in estimate.names]
     names = (*setup.model.unknown_names, *stated)
@@ -45,7 +45,7 @@ def after(setup: TestSetup, estimate: Estimate) -> TestSetup:
 def gaussian_prior_of(model: Model, estimate: Estimate) -> GaussianPrior:
     """The uncertainty that an estimate leaves in the unknowns of the rig, by their names.
 
-    Raises UsageError where it is of other unknowns, or has no finite covariance.
+    Raises UsageError if it is of other unknowns, or has no finite covariance.
     """
     return GaussianPrior(_covariance_of(estimate, model.unknown_names))
 
@@ -118,7 +118,7 @@ def noise_from(channels: Sequence[Channel], spectrum: Spectrum) -> tuple[Channel
 
 
 def amplitude_from(model: Model, spectrum: Spectrum) -> float | None:
-    """Median amplitude of the inputs in data, m or N; None where no channel shows one, or inputs are of both kinds."""
+    """Median amplitude of the inputs in data, m or N; None if no channel shows one, or inputs are of both kinds."""
     if model.displacement_inputs and model.force_inputs:
         return None
     per_unit = np.abs(
@@ -171,7 +171,7 @@ def sequential_estimates(
 
     With `whole`, the estimate from all lines, each search starts from it instead of from far.
 
-    Raises UsageError for a batch, IdentifiabilityError where not even all lines determine the unknowns.
+    Raises UsageError for a batch, IdentifiabilityError if not even all lines determine the unknowns.
     """
     if spectrum.batch:
         raise UsageError("progress is of one test, not of a batch", cure="give one repeat")
@@ -229,7 +229,7 @@ def enough(
     `targets` are relative standard deviations by name, to be reached as the criterion of that kind is read.  `known`
     is information (q, q), SI, on the first q unknowns that did not come from these samples (priors) and does not grow.
     Where the model does not fit, the intervals count its misfit, which no number of samples lowers.  Raises
-    IdentifiabilityError where an unknown is not determined.
+    IdentifiabilityError if an unknown is not determined.
     """
     size = np.where(estimate.values == 0, 1.0, np.abs(estimate.values))
     j = [estimate.names.index(name) for name in targets]

@@ -133,7 +133,7 @@ class Outputs:
 def outputs(model: Model, p: Real, channels: Sequence[Channel], omega: Real, drive: Complex) -> Outputs:
     """What the channels show of the rig with parameters p (..., elements) under `drive` = (U, f) (..., lines, r + s).
 
-    Raises DataError where a channel measures what the rig has not.
+    Raises DataError if a channel measures something that the rig lacks.
     """
     r = len(model.displacement_inputs)
     view = observation_model(model, channels, omega)
@@ -369,8 +369,8 @@ class TestSetup:
     def drive(self, frequency_hz: Real, pattern: Ints) -> Complex:
         """Amplitudes (U, f) of each line, (lines, r + s), SI units: at the first limit met in any scenario.
 
-        frequency_hz and pattern (lines,).  Raises UsageError where the shaker meets none of its limits, or one of what
-        is not proportional to the drive of a nonlinear rig, DataError where a channel shares a gain that is known.
+        frequency_hz and pattern (lines,).  Raises UsageError if the shaker meets none of its limits, or one of what
+        is not proportional to the drive of a nonlinear rig, DataError if a channel shares a gain that is known.
         """
         unit = self.drives[pattern]
         if not self.limits.given:
@@ -380,7 +380,7 @@ class TestSetup:
     def seen(self, frequency_hz: Real, pattern: Ints) -> Outputs:
         """What the channels show at each line, at the nominal values; frequency_hz and pattern (lines,).
 
-        Raises UsageError as `drive`, DataError where a channel measures what the rig has not.
+        Raises UsageError as `drive`, DataError if a channel measures something that the rig lacks.
         """
         drive = self.drive(frequency_hz, pattern)
         return outputs(self.model, self.p[0], self.channels, 2 * np.pi * frequency_hz, drive)
@@ -389,7 +389,7 @@ class TestSetup:
         """What one sample at each line tells about ψ in parts of its size, (scenarios, lines, q, q).
 
         Nothing within 1 % of a resonance that nothing damps: no test can dwell there.  frequency_hz and pattern
-        (lines,).  Raises UsageError as `drive`, DataError where a channel measures what the rig has not, ModelError
+        (lines,).  Raises UsageError as `drive`, DataError if a channel measures what the rig lacks, ModelError
         where all parameters are 0.
         """
         every = self.per_sample(frequency_hz, self.drive(frequency_hz, pattern))
@@ -405,7 +405,7 @@ class TestSetup:
     def per_sample(self, frequency_hz: Real, drive: Complex) -> Real:
         """`information` (scenarios, lines, q, q) at a given drive (lines, r + s), SI units, near resonances as well.
 
-        frequency_hz (lines,).  Raises DataError where a channel measures what the rig has not, UsageError where one
+        frequency_hz (lines,).  Raises DataError if a channel measures something that the rig lacks, UsageError if one
         has noise in proportion to an amplitude that is 0.
         """
         model, channels, omega = self.model, self.channels, 2 * np.pi * frequency_hz
@@ -431,7 +431,7 @@ class TestSetup:
     def resonances(self) -> list[tuple[float, float]]:
         """(frequency in Hz, damping ratio) of all oscillating modes of all scenarios.
 
-        Raises ModelError where all parameters are 0.
+        Raises ModelError if all parameters are 0.
         """
         every: list[tuple[float, float]] = []
         for p in self.p:
@@ -445,7 +445,7 @@ class TestSetup:
     def settling(self) -> float:
         """Time in which the slowest transient falls to 1e-3, s, in the worst scenario.
 
-        Raises UsageError where a mode never dies out, ModelError where all parameters are 0.  Hysteretic dampers damp
+        Raises UsageError if a mode never dies out, ModelError if all parameters are 0.  Hysteretic dampers damp
         a mode as e^{−Im √… t} near its frequency; a rigid-body motion (a zero eigenvalue) is no vibration and is left
         out.
         """
@@ -512,7 +512,7 @@ def nominal_setup(
 ) -> TestSetup:
     """A setup with one scenario: the nominal values of the unknowns, θ or by name.
 
-    theta (unknowns,), SI units.  Raises ModelError where there are more or fewer values than unknowns, UsageError where
+    theta (unknowns,), SI units.  Raises ModelError if there are more or fewer values than unknowns, UsageError if
     `drives` or the channels' noise cannot be meant.
     """
     nominal = model.theta(theta) if isinstance(theta, Mapping) else np.asarray(theta, dtype=float)
@@ -589,7 +589,7 @@ def band_grid(setup: TestSetup, low: float, high: float, step: float | None = No
 def natural_band(setup: TestSetup, rate: float | None = None) -> tuple[float, float]:
     """A band about the rig's resonances: a fifth of the lowest to three times the highest, Hz, to three digits.
 
-    Raises UsageError where the rig has none.
+    Raises UsageError if the rig has none.
     """
     resonances = [f for f, _ in setup.resonances()]
     if not resonances:
@@ -625,7 +625,7 @@ def even_schedule(
 ) -> Schedule:
     """A test of given frequencies that share the samples evenly, or as `weights` say.
 
-    Raises UsageError where there is no frequency, or one is not positive.
+    Raises UsageError if there is no frequency, or one is not positive.
     """
     f = np.asarray(frequencies, dtype=float)
     if len(f) == 0:

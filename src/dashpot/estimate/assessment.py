@@ -47,12 +47,12 @@ class Finding:
     of         what is meant: the channel, both channels of a swap or of two mistakes, the frequency of a dwell or of
                two, the points that an element would join; empty where it concerns everything
     text, change  in words, and what to write in the rig file or to do with the data
-    remaining  χ² over its degrees of freedom with the remedy taken; None where it was not tried or no noise is known
+    remaining  χ² over its degrees of freedom with the remedy taken; None if it was not tried or no noise is known
     number     what was found: a gain, a delay in s, a frequency in Hz, a parameter
     channels, elements  entries of the rig file as they would be; () where the data must be mended
-    odds       of this cause after the data, among all that were tried and what was not; None where it has none
+    odds       of this cause after the data, among all that were tried and what was not; None if it has none
     explains   share of the misfit that it explains
-    group      a number shared by causes that these data cannot tell apart; None where it stands alone
+    group      a number shared by causes that these data cannot tell apart; None if it stands alone
     """
 
     kind: str
@@ -86,7 +86,7 @@ class Assessment:
                        known from more than the residuals
     worst              the amplitudes furthest from the prediction, the worst first
     findings           possible causes, the best first; empty where all is well or nothing tried explains it
-    discrepancy        what the rig leaves of each channel beyond noise; None where they cannot be told apart
+    discrepancy        what the rig leaves of each channel beyond noise; None if they cannot be told apart
     within             the share of the motion asked for, or the largest that the channels' noise suggests; None: none
     """
 
@@ -105,7 +105,7 @@ class Assessment:
 
     @property
     def cause(self) -> Finding | None:
-        """The likeliest cause; None where there is none, or something that is not listed is likelier."""
+        """The likeliest cause; None if there is none, or something that is not listed is likelier."""
         return self.findings[0] if self.findings and self.findings[0].kind != "unexplained" else None
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -143,7 +143,7 @@ class Assessment:
 
 
 def assessment_from(fit: Mapping[str, Any], diagnosis: Sequence[Mapping[str, Any]]) -> Assessment | None:
-    """The assessment in the JSON of an estimate; None where there is none.  Entries of rig files are not kept there."""
+    """The assessment in the JSON of an estimate; None if there is none.  Entries of rig files are not kept there."""
     if "verdict" not in fit:
         return None
     reasons = tuple(

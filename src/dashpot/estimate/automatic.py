@@ -43,7 +43,7 @@ def identify_with_noise(
     """The estimate that all commands and Python give, and the spectrum with the noise it rests on, which judges it.
 
     A method that is named or given stands; without one, a thorough search may take the place of the one that suits.
-    Repeats are estimated by that alone.  `seed` and `positive` as of `suited_method`.  Raises as that and `identify`.
+    Repeats are estimated by that alone.  `seed` and `positive` as for `suited_method`.  Raises as that and `identify`.
     """
     spectrum, first = estimation_plan(model, spectrum, method, seed=seed, positive=positive)
     plain = MaximumLikelihood(seed=seed)
@@ -162,7 +162,7 @@ def _converged(model: Model, spectrum: Spectrum, method: MaximumLikelihood) -> E
 
 
 def _searched(model: Model, spectrum: Spectrum, plain: MaximumLikelihood) -> Estimate | None:
-    """The likeliest rig near the likeliest one of positive parts, with what else fits alike; None where there is none.
+    """The likeliest rig near the likeliest one of positive parts, with what else fits alike; None if there is none.
 
     Noise gives parts that are hardly seen either sign, and rigs with negative parts valleys of their own: those are
     searched last, from where positive parts have led.

@@ -22,14 +22,14 @@ MODAL = "modal"  # the row of the estimate from measured modes
 
 @dataclass(frozen=True)
 class Comparison(Printable):
-    """Estimates by the name of the method, in the order asked for, and why others gave none.
+    """Estimates by method, in the order requested, and why other methods gave none.
 
     model         name of the rig
     names, units  of its unknowns
     estimates     by the name of the method
     refused       why a method gave none, by its name
     truth         true values of the unknowns, SI units, as far as known
-    most_likely   the estimates that maximise the likelihood, the one that uses the data best first
+    most_likely   the estimates that maximise the likelihood, the one that uses most of the data first
     """
 
     model: str
@@ -47,7 +47,7 @@ class Comparison(Printable):
         return min(bounds) if bounds else None
 
     def centre(self, name: str) -> float | None:
-        """The true value of an unknown, SI units, else the most likely one; None where no method gives that."""
+        """The true value of an unknown, SI units, or else the most likely one; None if no method gives that."""
         if name in self.truth:
             return self.truth[name]
         return self.estimates[self.most_likely[0]][name].value if self.most_likely else None
@@ -64,7 +64,7 @@ class Comparison(Printable):
         return data_frame(columns, "parameter")
 
     def to_json(self) -> str:
-        """Every estimate as its own JSON has it, the reasons of the others, and the truth."""
+        """Every estimate as in its own JSON, the reasons why others failed, and the true values."""
         content = {
             "dashpot": FORMAT,
             "model": self.model,
@@ -90,7 +90,7 @@ def compare(
 
     `refused`: methods that were ruled out before, with the reason.
     A method that the data do not suit is named with its reason.  Raises its error where no method gives anything, and
-    UsageError where `truth` names what is not an unknown.
+    UsageError if `truth` names what is not an unknown.
     """
     names = model.unknown_names
     true: Mapping[str, float] = {} if truth is None else truth

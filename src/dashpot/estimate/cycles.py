@@ -5,7 +5,7 @@ For an elongation d(t) = Σ_h Re(d_h e^{jhωt}) and the force F(t) of all elemen
     E = ∮ F dd = π Σ_h h Im(F_h d_h*)      K = Re(F₁/d₁)      C = Im(F₁/d₁)/ω
 
 so that K and C are the spring and the viscous damper of the same fundamental force, and E = π ω C |d₁|² of a sine.
-Standard deviations are those of the estimate's covariance, by exact slopes; the motion counts as exact.
+Standard deviations are those of the estimate's covariance, by exact slopes; the motion is treated as exact.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def _of_theta(model: Model, estimate: Estimate) -> tuple[Real, Real]:
 def cycles_of_spectrum(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Cycle, ...]:
     """The cycles of a test stand in the motion of its dwells, or as large and as fast as in its whole records.
 
-    Responses per unit of an input say nothing of a cycle: `cycles_at` gives those of a stated amplitude.
+    Responses per unit of an input contain no information on a cycle: `cycles_at` gives those of a stated amplitude.
     """
     sized = np.array([isinstance(each, WholeRecord) or not each.per_unit for each in spectrum.stretches])
     if not np.all(sized):

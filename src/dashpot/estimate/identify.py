@@ -50,7 +50,7 @@ def amplitudes_for(
 ) -> Spectrum:
     """The amplitudes of all that was read, treated as the rig and the methods need, short dwells decided.
 
-    `settings` as of `conditioning_for`.  Raises DataError where a method needs samples that the files do not hold.
+    `settings` as for `conditioning_for`.  Raises DataError if a method needs samples that the files do not hold.
     """
     treated = conditioning_for(model, reading, settings, methods)
     return with_settling_decided(model, reading.spectrum(treated))
@@ -98,7 +98,7 @@ def identify(
     `method` may be a name ("oiv"); without one, `automatic` chooses.  Leading batch axes of the spectrum are repeats of
     the same test and come back as leading axes of the Estimate; `progress(done, all)` is called between chunks of them.
 
-    Raises UsageError or DataError where the data lack what the method needs, IdentifiabilityError where they do not
+    Raises UsageError or DataError if the data lack what the method needs, IdentifiabilityError if they do not
     determine the unknowns.
     """
     return estimate_by_plan(model, *estimation_plan(model, spectrum, method), progress=progress)
@@ -126,7 +126,7 @@ def estimation_plan(
     spectrum = with_settling_decided(model, spectrum, method)
     if method is None:
         method = suited_method(None, model, spectrum, seed=seed, positive=positive)
-    # Raises UsageError where the method does not know the rig's elements or the data's transients
+    # Raises UsageError if the method does not know the rig's elements or the data's transients
     if len(model.nonlinear) and not method.traits.nonlinear:
         raise UsageError(
             f"the method {method.name} cannot handle nonlinear elements",
@@ -167,7 +167,7 @@ def estimate_by_plan(
 def suited_method(name: str | None, model: Model, spectrum: Spectrum, *, seed: int, positive: bool) -> Method:
     """The method of that name, None: the one that suits; `positive` holds every unknown at or above 0.
 
-    Raises UsageError where there is no such method, or where it cannot hold bounds.
+    Raises UsageError if there is no such method, or where it cannot hold bounds.
     """
     chosen = automatic(model, spectrum, bounded=positive).name if name is None else name
     return method_named(chosen, seed=seed, positive=True) if positive else method_named(chosen, seed=seed)
@@ -266,7 +266,7 @@ def _estimate(
 def notices(model: Model, spectrum: Spectrum, single: Inference | None, fit: Fit) -> list[Notice]:
     """What an estimate without batch axes shows of itself (None: there are several), and what the data show.
 
-    Raises IdentifiabilityError where the data do not determine a single estimate.
+    Raises IdentifiabilityError if the data do not determine a single estimate.
     """
     of_data = diagnostics.of_data(model, spectrum)
     if single is None:

@@ -87,11 +87,11 @@ class Method(ABC):
 
     @abstractmethod
     def solve(self, data: Prepared) -> Solution:
-        """Estimate θ for all repeats.  Raises DataError where the data lack what the method needs."""
+        """Estimate θ for all repeats.  Raises DataError if the data lack what the method needs."""
 
 
 def require_suited(method: Method, data: Prepared) -> None:
-    """Raises DataError or UsageError where the data lack what `method` declares to need.
+    """Raises DataError or UsageError if the data lack what `method` declares to need.
 
     Second moments of the samples are for the method to ask for: only it knows of which channels.
     """

@@ -54,7 +54,7 @@ class ModeProblem:
 
     @staticmethod
     def of(model: Model, data: ModalData) -> ModeProblem:
-        """What is measured of each mode, and its whitening.  Raises DataError where some uncertainty is missing."""
+        """What is measured of each mode, and its whitening.  Raises DataError if some uncertainty is missing."""
         repeats = int(np.prod(data.frequency_hz.shape[:-1], dtype=int))
         data = replace(
             data,
@@ -270,7 +270,7 @@ def _whitening(V: Complex | Real, what: str) -> Complex:
 
 
 def linear_start(problem: ModeProblem) -> Real | None:
-    """Least squares on (λ²M + λC + K + jH) φ = 0 at the measured λ and φ; None where some coordinate is not seen."""
+    """Least squares on (λ²M + λC + K + jH) φ = 0 at the measured λ and φ; None if some coordinate is not seen."""
     model, data = problem.model, problem.data
     if not np.all(problem.present) or set(data.points) != set(model.coordinates):
         return None
@@ -434,7 +434,7 @@ STARTS = 32
 
 
 def check_suited(model: Model, data: ModalData) -> None:
-    """Raises DataError where modes do not suit the rig, IdentifiabilityError where nothing fixes its size."""
+    """Raises DataError if modes do not suit the rig, IdentifiabilityError if nothing fixes its size."""
     model.require_unknowns()
     for name in data.points:
         if name not in model.coordinates:
@@ -460,7 +460,7 @@ def deepest_minima(
 ) -> tuple[OptimizeResult, OptimizeResult | None]:
     """The deepest minima, and for one repeat without a start of its own where all of its starts ended.
 
-    Raises UsageError without any start, ConvergenceError where none ends near the scale of what is known.
+    Raises UsageError without any start, ConvergenceError if none ends near the scale of what is known.
     """
     model, data, repeats = problem.model, problem.data, problem.repeats
     everyone, minima, ends = np.arange(repeats), None, None
@@ -581,17 +581,17 @@ NAME = "modal"
 def identify_modal(model: Model, data: ModalData, *, starts: int = STARTS, seed: int = 0) -> Estimate:
     """Estimate the unknowns of `model` from measured modes; leading axes of the data are repeats.
 
-    Where only some points are seen, several rigs may have the same modes: one of them is returned, and a warning
+    If only some points are measured, several rigs may have the same modes: one of them is returned, and a warning
     names another.
-    Large rigs start from like parts whose first frequency is that of the data; an end far outside their scale is none.
+    Large rigs start from equal parts that give the first measured frequency; results far from that scale are rejected.
     The first start is linear least squares on (λ²M + λC + K) φ = 0 where every coordinate is seen, and the model's
     guesses where it has them all; where these are missing or end with an unlikely χ², `starts` random rigs whose
     frequencies are those of the data are tried.  Displacement inputs stand still: the modes are those with them held.
     Covariance and bound are the inverse of the information, widened by χ²/dof where χ² rejects the model.
 
-    Raises DataError or UsageError where the data do not suit the rig, IdentifiabilityError where they do not determine
-    the unknowns, ConvergenceError where no search ends near the scale of what is known, ModelError where all values
-    that it ends in are 0.
+    Raises DataError or UsageError if the data do not suit the rig, IdentifiabilityError if they do not determine
+    the unknowns, ConvergenceError if no search ends near the scale of the known values, and ModelError if every
+    value found is 0.
     """
     check_suited(model, data)
     problem = ModeProblem.of(model, data)

@@ -133,7 +133,7 @@ class Prepared:
 
     view         what the channels show of the rig at the lines
     covariance   the channels' V, (K or 1, lines, channels, channels)
-    states       the channels combined to coordinates and inputs; None where some of these are not seen
+    states       the channels combined to coordinates and inputs; None if some of these are not seen
     noise_known  whether V is the noise's own; else it is so up to one factor, which the residuals supply
     correlated   (K or 1,) whether the channels' noise is correlated
     """
@@ -198,7 +198,7 @@ def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False, states: 
     """Weigh the channels, judge what is known of their noise and combine them; batch axes become K repeats.
 
     Second moments of the samples are kept only where `moments`; without `states` the channels are not combined.
-    Raises DataError where exact channels contradict each other, or measure what the model has not.
+    Raises DataError if exact channels contradict each other, or measure what the model has not.
     """
     flat = flattened(spectrum)
     if not moments and flat.moments is not None:
@@ -270,7 +270,7 @@ def states_by_point(
 
 
 def combined_by_point(C: Complex, used: Bools, V: Complex) -> tuple[Complex, Complex] | None:
-    """P (..., lines, q, channels) with ẑ = P y, and the covariance of ẑ (..., lines, q, q); None where it is not so.
+    """P (..., lines, q, channels) with ẑ = P y, and the covariance of ẑ (..., lines, q, q); None if it is not so.
 
     C (lines, channels, q) as `ObservationModel.direct`, used (lines, channels), V (..., lines, channels, channels).  A
     channel of a point weighs with |C|²/V; an exact one alone counts.
@@ -380,7 +380,7 @@ def reconstruction(
     """P with ẑ = P y, (..., lines, n + r + s, channels): generalised least squares from the direct channels.
 
     ẑ minimises (y − C z)ᴴ V⁻¹ (y − C z); exact channels are met exactly.  `channels` limits what is used.
-    Raises DataError where some entry of z is not seen.
+    Raises DataError if some entry of z is not seen.
     """
     C, used = view.direct, spectrum.present & view.is_direct
     if channels is not None:
@@ -433,7 +433,7 @@ def _contradiction() -> DataError:
 
 
 def states_if_seen(view: ObservationModel, spectrum: Spectrum, covariance: Complex) -> States | None:
-    """The amplitudes z, all direct channels combined; None where some coordinate or input is not seen.
+    """The amplitudes z, all direct channels combined; None if some coordinate or input is not seen.
 
     covariance (..., lines, channels, channels).  Raises DataError as `reconstruction`.
     """

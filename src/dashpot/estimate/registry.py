@@ -32,7 +32,7 @@ AUTOMATIC = ("oiv", "ml")  # the first that suits the data is taken where none i
 
 
 def method_class(name: str) -> type[Method]:
-    """The class of that name.  Raises UsageError where there is none."""
+    """The class of that name.  Raises UsageError if there is none."""
     from dashpot.estimate.method import Method  # the names alone load neither NumPy nor an estimator
 
     if name not in METHODS:
@@ -60,8 +60,8 @@ def methods_for(model: Model) -> list[str]:
 def method(name: str, *, seed: int | None = None, **settings: object) -> Method:
     """A method by name with its `settings`, the fields of its class.
 
-    `seed` may be given for every method: those that draw nothing have no use for it.
-    Raises UsageError where there is no such method, or where it has no such setting.
+    `seed` is accepted for every method; those without random starts ignore it.
+    Raises UsageError if there is no such method or it has no such setting.
     """
     kind = method_class(name)
     fields = tuple(getattr(kind, "__dataclass_fields__", {}))

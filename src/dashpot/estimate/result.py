@@ -225,12 +225,12 @@ class ModeValues:
 
 @dataclass(frozen=True)
 class Fit:
-    """How the residuals compare with the noise.
+    """Size of the residuals relative to the noise.
 
     chi2 (...,)  χ² of the residuals against the noise that was given or measured
-    dof          its degrees of freedom: real measured numbers less everything that was estimated
+    dof          its degrees of freedom: real measured values minus estimated ones
     p (...,)     probability of a larger χ² if the model is right
-    known_noise  False where the noise was unknown: then χ² is dof by construction and p is NaN
+    known_noise  False if the noise was unknown: then χ² equals dof by construction and p is NaN
     """
 
     chi2: Real
@@ -240,7 +240,7 @@ class Fit:
 
     @property
     def rejected(self) -> Bools:
-        """Whether residuals exceed the noise, (...,): the model, not the sensors, limits the answer."""
+        """Whether residuals exceed the noise, (...,): then the model, not the sensors, limits the accuracy."""
         return np.asarray(self.p < 1e-3)
 
     @property
@@ -312,15 +312,15 @@ class Estimate(Printable):
     names, units        of the unknowns, in order; gains and delays that were estimated follow as channel.gain …
     values (..., m)     estimates
     covariance          (..., m, m)
-    noise_covariance    (..., m, m)  what the sensors' noise alone gives; the same unless `basis` says otherwise
+    noise_covariance    (..., m, m)  from sensor noise alone; equal to `covariance` if `basis` is "sensor noise"
     bound_sd (..., m)   standard deviations at the Cramér-Rao bound, at the estimate
     dof (..., m)        degrees of freedom of the t quantile that the intervals use
     lower, upper (m,)   bounds that the estimate was held to, ±inf where there is none
-    free_values (..., m)  where it would lie without bounds, to first order; the same where none holds
-    basis               what the intervals count: "sensor noise", "residuals" or "model misfit"
-    converged (...,)    whether the iterations ended; where they did not, values are those of the last one
-    iterations (...,)   how many there were from all starts together, 0 for closed forms
-    history             start, and unknowns after each iteration of the descent that ended in the values, of the first
+    free_values (..., m)  estimate without bounds, to first order; equal to `values` if no bound is active
+    basis               what the intervals include: "sensor noise", "residuals" or "model misfit"
+    converged (...,)    whether the iterations converged; if not, values are those of the last one
+    iterations (...,)   total over all starts, 0 for closed forms
+    history             start, and unknowns after each iteration of the descent that led to the values, for the first
                         repeat, (points, unknowns): at most iterations + 1
     fit                 χ² and its p-value
     known               (name, value, unit) of the exactly known parameters
@@ -329,11 +329,11 @@ class Estimate(Printable):
     signs               ±1 (...,) of the channels whose sign was found, by name
     warnings, notes     notices of the estimate, and of the data it was made from
     assessment          verdict and diagnosis, where they were made
-    rig                 name of the rig file, where it came from one
-    profiles            profiles (`profile_interval`) of the unknowns along which χ² is no parabola, by name
-    origin              what it was made from, where that was a Rig; it is not saved
+    rig                 name of the rig file, if there is one
+    profiles            profiles (`profile_interval`) of the unknowns along which χ² is not a parabola, by name
+    origin              the Rig and data it was made from; not saved
     stated              (name, value, sd) of the unknowns that were known with a standard deviation
-    cycles              of a test stand: energy, equivalent stiffness and damping in the cycles of its data
+    cycles              for a test stand: energy, equivalent stiffness and damping of the measured cycles
     """
 
     model: str
@@ -398,14 +398,14 @@ class Estimate(Printable):
 
     @property
     def priors(self) -> tuple[Real, Real]:
-        """Values and standard deviations that were stated of the unknowns, (m,) each, SI units; NaN where none were."""
+        """Stated values and standard deviations of the unknowns, (m,) each, SI units; NaN if not stated."""
         stated = {name: (value, sd) for name, value, sd in self.stated}
         values, sd = np.array([stated.get(name, (np.nan, np.nan)) for name in self.names]).reshape(-1, 2).T
         return frozen(values, np.float64), frozen(sd, np.float64)
 
     @property
     def pulls(self) -> Real:
-        """How far each estimate was drawn from what was stated, in standard deviations of that (`unknowns.pull`).
+        """Distance of each estimate from its stated value, in standard deviations of the latter (`unknowns.pull`).
 
         (..., m), NaN where nothing was stated.
         """
@@ -413,7 +413,7 @@ class Estimate(Printable):
 
     @property
     def impacts(self) -> Real:
-        """What a standard deviation of each unknown moves the others by, C_ij/√C_jj, (..., m of, m by), SI units."""
+        """Change of each unknown for one standard deviation of another, C_ij/√C_jj, (..., m of, m by), SI units."""
         with np.errstate(divide="ignore", invalid="ignore"):  # of what is exact
             return frozen(np.nan_to_num(self.covariance / self.sd[..., None, :]), np.float64)
 
@@ -473,9 +473,9 @@ class Estimate(Printable):
         return everything
 
     def require_unknowns(self, names: Sequence[str], others: Collection[str] | None = None) -> None:
-        """Raises DataError where its unknowns are not these, those of a rig file, in their order.
+        """Raises DataError unless its unknowns are `names`, those of a rig file, in this order.
 
-        Behind them may stand `others`, in any order; any, where None.
+        They may be followed by `others` in any order; by any if that is None.
         """
         rest = self.names[len(names) :]
         if self.names[: len(names)] != tuple(names) or (others is not None and not set(rest) <= set(others)):
@@ -545,7 +545,7 @@ class Estimate(Printable):
             raise UsageError("this is a batch of estimates", cure="use to_xarray, or take one of them")
 
     def to_state_space(self, rig: Any = None, **options: Any) -> StateSpace:
-        """The state space of its rig, the one given or that of the rig file it names: `dashpot.state_space`."""
+        """State space of `rig`, or of the rig file that the estimate names: `dashpot.state_space`."""
         return cast("StateSpace", call("state_space", self, rig, **options))
 
     def to_transfer_functions(self, rig: Any = None, **options: Any) -> TransferFunctions:
@@ -553,54 +553,54 @@ class Estimate(Printable):
         return cast("TransferFunctions", call("transfer_functions", self, rig, **options))
 
     def frf(self, output: str, input: str, frequencies_hz: Any, rig: Any = None) -> tuple[Any, Any]:
-        """Amplitudes of a channel per unit of an input, and the standard deviation of real and imaginary part alike.
+        """Amplitude of a channel per unit of an input, and the standard deviation of its real and imaginary parts.
 
-        SI units, both of the shape of the frequencies (Hz).  `rig` where the estimate does not name its rig file.
-        Raises UsageError where the rig has no such channel or input, ModelError for nonlinear elements.
+        SI units; both have the shape of the frequencies (Hz).  `rig` is required if the estimate names no rig file.
+        Raises UsageError if the rig has no such channel or input, and ModelError for nonlinear elements.
         """
         return cast("tuple[Any, Any]", call("estimated_frf", self, output, input, frequencies_hz, rig))
 
     def simulate(self, inputs: Any, rig: Any = None, **changes: Any) -> tuple[Record, ...]:
-        """What the channels would show, from rest and without noise, with its standard deviation (`Record.sd`).
+        """Response of the channels from rest, without noise, with its standard deviation (`Record.sd`).
 
-        inputs   a Record, columns by name with `time_s`, or the name of a file; a Record comes back for each stretch
-        changes  values by name, SI units, that are to be otherwise, as of `with_values`
+        inputs   a Record, columns by name with `time_s`, or the name of a file; returns one Record per stretch
+        changes  values to be replaced, by name, SI units, as for `with_values`
 
-        Raises DataError where an input is missing.
+        Raises DataError if an input is missing.
         """
         return cast("tuple[Record, ...]", call("predicted_motion", self, inputs, rig, **changes))
 
     def cycles_at(self, amplitudes: Any, frequencies_hz: Any, rig: Any = None) -> tuple[Cycle, ...]:
         """Energy per cycle, equivalent stiffness and damping of elements in sines of each amplitude and frequency.
 
-        amplitudes (m, or rad between angles) and frequencies (Hz) are numbers, or one-dimensional; a Cycle comes back
-        for each pair and all elements that join the same ends.  Raises UsageError where one is not above 0.
+        amplitudes (m, or rad between angles) and frequencies (Hz) are numbers or one-dimensional.  Returns a Cycle for
+        each pair, for all elements between the same ends together.  Raises UsageError unless all are above 0.
         """
         return cast("tuple[Cycle, ...]", call("cycles", self, amplitudes, frequencies_hz, rig))
 
     def with_values(self, **changes: Any) -> Estimate:
-        """The estimate with these values, SI units, exact and the rest as it was.
+        """The estimate with these values, SI units, taken as exact and all others unchanged.
 
-        The modes are those of the rig so changed, where that is known.  Raises UsageError for a name that is no
-        unknown and no known parameter, and for a value that is no finite number.
+        The modes are recomputed if the rig is known.  Raises UsageError for a name that is neither an unknown nor a
+        known parameter, and for a value that is not finite.
         """
         return cast("Estimate", call("with_exact_values", self, changes))
 
     def report(self, path: Any, level: float = 0.95) -> str:
         """Write the report as HTML, as the command does; the name of the file.
 
-        Measured responses are in it where the estimate was made here, not where it was read from JSON.
-        Raises UsageError for another ending, for a batch, and where the rig is not known.
+        It includes measured responses if the estimate was made in this session, not if it was read from JSON.
+        Raises UsageError for any other ending, for a batch, and if the rig is not known.
         """
         return cast(str, call("report", self, path, level))
 
     def export(self, path: Any, rig: Any = None, **options: Any) -> tuple[str, ...]:
-        """Write it with its rig for another program, by the end of the file's name; the names of the files."""
+        """Write it with its rig for another program, chosen by the file's ending; returns the names of the files."""
         return cast("tuple[str, ...]", call("export", self, path, rig, **options))
 
     @staticmethod
     def from_json(text: str, where: str = "estimate") -> Estimate:
-        """The estimate that `to_json` wrote.  Raises DataError where the text is not one."""
+        """The estimate written by `to_json`.  Raises DataError if the text is not one."""
 
         try:
             estimate = estimate_from(from_json(text))
@@ -616,7 +616,7 @@ class Estimate(Printable):
 
     @staticmethod
     def load(path: str | Path) -> Estimate:
-        """The estimate in a JSON file.  Raises DataError where there is none."""
+        """The estimate in a JSON file.  Raises DataError if there is none."""
         try:
             text = Path(noted(path)).read_text(encoding="utf-8")
         except FileNotFoundError:

@@ -53,7 +53,7 @@ BASES = {
 def write_fmu(rig: IdentifiedRig, path: str | os.PathLike[str], options: ExportOptions) -> Written:
     """Write the rig as a unit for co-simulation, with a binary for this platform where `options` want one.
 
-    Raises ModelError and UsageError as `state_space_of`, DataError where it cannot be written.
+    Raises ModelError and UsageError as `state_space_of`, DataError if it cannot be written.
     """
     rig.require_viscous("an FMU")
     system = state_space_of(rig, options.given)
@@ -246,7 +246,7 @@ def _variable(variable: Variable, reference: int) -> str:
 
 
 def _compiled(contents: Mapping[str, bytes]) -> bytes | None:
-    """The shared library; None where there is no compiler.  Raises UsageError where it refuses the source."""
+    """The shared library; None if there is no compiler.  Raises UsageError if it refuses the source."""
     named = [os.environ["CC"]] if os.environ.get("CC") else []
     compiler = next(filter(None, map(shutil.which, [*named, *COMPILERS])), None)
     if compiler is None:

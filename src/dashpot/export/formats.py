@@ -54,7 +54,7 @@ class ExportFormat:
     takes: tuple[str, ...] = ()
 
     def require_use(self, path: str, given: Iterable[str]) -> None:
-        """Raises UsageError where it does not look at one of the options that are given."""
+        """Raises UsageError if it does not look at one of the options that are given."""
         for name in given:
             if name not in self.takes:
                 cause = f"an export of {self.content} does not use {IN_WORDS[name]}"
@@ -77,8 +77,8 @@ def export_rig(
 ) -> Written:
     """Write a rig in the format that the end of the file's name tells, or the first with that end and `content`.
 
-    Raises UsageError where there is no such format or it has no use for an option, ModelError where it cannot hold
-    the rig, DataError where the file cannot be written.
+    Raises UsageError if there is no such format or it has no use for an option, ModelError if it cannot hold
+    the rig, DataError if the file cannot be written.
     """
     target = os.fspath(path)
     chosen = format_of(target, content)
@@ -89,7 +89,7 @@ def export_rig(
 
 
 def format_of(path: str, content: str | None = None) -> ExportFormat:
-    """The format of a file to be written.  Raises UsageError where there is none."""
+    """The format of a file to be written.  Raises UsageError if there is none."""
     suffix = Path(path).suffix.lower()
     meant = [each for each in FORMATS if content in (None, each.content)]
     if not meant:

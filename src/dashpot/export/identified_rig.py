@@ -50,13 +50,13 @@ class IdentifiedRig:
         return tuple(c for c in self.channels if not measures_input(self.model, c))
 
     def require_linear(self, what: str) -> None:
-        """Raises ModelError where an element has a nonlinear law, which `what` cannot hold."""
+        """Raises ModelError if an element has a nonlinear law, which `what` cannot hold."""
         if len(self.model.nonlinear):
             names = ", ".join(self.model.elements[i].name for i in self.model.nonlinear)
             raise ModelError(f"{what} cannot represent the nonlinear law of {names}", cure=INSTEAD)
 
     def require_viscous(self, what: str) -> None:
-        """Raises ModelError where a motion in time is not determined: hysteretic dampers, and as `require_linear`."""
+        """Raises ModelError if a motion in time is not determined: hysteretic dampers, and as `require_linear`."""
         self.require_linear(what)
         hysteretic = self.model.by_matrix["H"]
         if len(hysteretic):
@@ -75,7 +75,7 @@ def identified_rig(
     """A rig with the values of an estimate; without one, with `values` by name (SI units), known values and guesses.
 
     As it is in one `experiment` of its own, None: in none.
-    Raises DataError where the estimate is of another rig or a batch, ModelError where an unknown has no value.
+    Raises DataError if the estimate is of another rig or a batch, ModelError if an unknown has no value.
     """
     here = rig.in_experiment(experiment)
     model, unknowns = here.model, rig.model.unknown_names

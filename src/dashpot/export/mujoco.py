@@ -23,7 +23,7 @@ from dashpot.model.modes import eigenmodes
 
 
 def write_mujoco(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
-    """Write the MJCF file.  Raises ModelError as `mujoco_model`, DataError where it cannot be written."""
+    """Write the MJCF file.  Raises ModelError as `mujoco_model`, DataError if it cannot be written."""
     write_text(path, mujoco_model(rig))
     return Written((path,))
 

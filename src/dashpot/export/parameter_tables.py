@@ -37,7 +37,7 @@ MEANING = {
 def write_matrices(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
     """Write each matrix as NAME_M.mtx, NAME_C.mtx … beside `path`, NAME.mtx.
 
-    Raises ModelError for nonlinear elements, DataError where a file cannot be written.
+    Raises ModelError for nonlinear elements, DataError if a file cannot be written.
     """
     target = Path(path)
     texts = {

@@ -82,7 +82,7 @@ class Realisation:
 def realisation(model: Model, p: Matrix, orders: Ints) -> Realisation:
     """A state space of the rig with parameters p (..., elements) that is driven by u^(d), d of `orders` (r,), and f.
 
-    Raises ModelError where a coordinate has no mass.  p may be complex: slopes are taken by complex steps.
+    Raises ModelError if a coordinate has no mass.  p may be complex: slopes are taken by complex steps.
     """
     n, r, s = model.n, len(orders), model.S.shape[1]
     lead = p.shape[:-1]
@@ -174,10 +174,10 @@ class StateSpace:
     """ż = A z + B w, y = C z + D w; SI units.
 
     name        of the rig
-    inputs      displacement inputs (u, u_rate or u_acceleration: what makes all outputs proper), then forces
-    outputs     the channels that show more than inputs, as an ideal sensor would see them
-    states      displacements and velocities of the coordinates (less a share of w where `shifts` is not 0), then
-                what is not given of the moved points: u, or u and its rate
+    inputs      displacement inputs (u, u_rate or u_acceleration, whichever makes all outputs proper), then forces
+    outputs     channels that do not measure inputs alone, as ideal sensors
+    states      displacements and velocities of the coordinates (minus a share of w if `shifts` is not 0), then
+                those of the moved points that are not given: u, or u and its rate
     parameters, values (m,), covariance (m, m)   the unknowns
     slopes      ∂A, ∂B, ∂C, ∂D by each of them, (m, …)
     shifts      (β₀, β₁): x = z₁ + β₀ w, ẋ = z₂ + β₁ w + β₀ ẇ
@@ -281,7 +281,7 @@ def state_space_of(rig: IdentifiedRig, given: str | Mapping[str, str] | None = N
     given  as what displacement inputs are given, "displacement", "velocity" or "acceleration", of all or by name.
            Without it as they are measured, differentiated as often as it takes to make all channels proper.
 
-    Raises ModelError for nonlinear and hysteretic elements and for coordinates without mass, UsageError where a channel
+    Raises ModelError for nonlinear and hysteretic elements and for coordinates without mass, UsageError if a channel
     would depend on derivatives of what is given, or there is no channel that shows more than inputs.
     """
     rig.require_viscous("a state space")

@@ -161,7 +161,7 @@ def frequency_responses(rig: IdentifiedRig, frequency_hz: Real) -> tuple[Complex
     """(H (lines, outputs, inputs), sd): amplitudes of the channels per unit of each input, U first, then f; SI units.
 
     `sd` is that of the real (and of the imaginary) part, from the covariance of the parameters.  Raises ModelError for
-    nonlinear elements and where there is no steady response, UsageError where no channel shows more than inputs.
+    nonlinear elements and where there is no steady response, UsageError if no channel shows more than inputs.
     """
     rig.require_linear("a frequency response")
     if not rig.outputs:

@@ -54,7 +54,7 @@ class Treatment:
     def spectrum(self, rig: Rig, reading: Reading) -> Spectrum:
         """The amplitudes of a data set; what its manifest says of conditioning counts first.
 
-        Raises DataError where its samples cannot be used, UsageError where there is no such method.
+        Raises DataError if its samples cannot be used, UsageError if there is no such method.
         """
         methods = [] if self.method is None else [method_class(self.method).traits]
         return amplitudes_for(rig.model, reading, self.conditioning.changed(**reading.conditioning), methods)
@@ -79,7 +79,7 @@ def expanded(patterns: Iterable[str], order: Order = "name") -> list[str]:
     """Files that names and patterns (data/*.parquet, ** for folders within) lead to, each once.
 
     In the order of their names, numbers in them counted as such (run2 before run10), of the time when they were last
-    changed, or as given.  Raises UsageError where a name leads to nothing, DataError as `files_fitting`.
+    changed, or as given.  Raises UsageError if a name leads to nothing, DataError as `files_fitting`.
     """
     files: dict[str, None] = {}
     for pattern in patterns:
@@ -217,7 +217,7 @@ class ParquetRows:
         return digest_of(self.names, self.source, self.column, self.first, self.ends, self.groups)
 
     def loaded(self) -> HeldRows:
-        """The rows read.  Raises DataError where the table cannot be read, or is not as its checksums say."""
+        """The rows read.  Raises DataError if the table cannot be read, or is not as its checksums say."""
         with readable(self.source):
             stamp = stamp_of(self.source)
             if stamp != self.stamp and any(
@@ -267,7 +267,7 @@ def _checksum(path: str) -> str:
 def of_tables(paths: Sequence[str], column: str) -> Source:
     """The rows of tables (Parquet, CSV) of which a column names the rig, those of one rig together.
 
-    Raises DataError where a table has no such column or is damaged, and where rows of one rig are not together.
+    Raises DataError if a table has no such column or is damaged, and where rows of one rig are not together.
     """
     seen: dict[str, tuple[str, int]] = {}
     tables: list[RigTable] = []
@@ -340,7 +340,7 @@ class RigTable:
     def parts(self, cuts: Iterable[tuple[int, int]]) -> Iterator[BlockPart]:
         """The rigs from one number to another, cut after cut; of a Parquet table where they stand, of CSV their rows.
 
-        Raises DataError where the table is not what it was.
+        Raises DataError if the table is not what it was.
         """
         stamp = stamp_of(self.path)
         if stamp != self.stamp:
@@ -362,7 +362,7 @@ class RigTable:
 
 
 def _opened(path: str, column: str) -> RigTable:
-    """The table with its names read.  Raises DataError where it has no such column, or a row without a name."""
+    """The table with its names read.  Raises DataError if it has no such column, or a row without a name."""
     stamp = stamp_of(path)
     with open(noted(path), "rb") as file:
         start = file.read(4)
@@ -496,7 +496,7 @@ class _Rows:
         self.from_row = self.to_row = row
 
     def between(self, first: int, end: int) -> Any:
-        """An Arrow table of the rows from `first` on, before `end`.  Raises DataError where there are no more."""
+        """An Arrow table of the rows from `first` on, before `end`.  Raises DataError if there are no more."""
         while self.to_row < end:
             batch = next(self.coming, None)
             if batch is None:
@@ -558,7 +558,7 @@ class CsvLayout:
     texts: frozenset[str] = field(default=frozenset())
 
     def batches(self) -> Iterator[Any]:
-        """The rows, some at a time.  Raises DataError where they cannot be taken apart, with the line."""
+        """The rows, some at a time.  Raises DataError if they cannot be taken apart, with the line."""
         import pyarrow.csv as text
 
         numbers = dict.fromkeys(set(self.header) - self.texts - {self.column}, pa.float64())
@@ -599,7 +599,7 @@ class NotNumbersError(Exception):
 
 
 def csv_layout(path: str, column: str) -> CsvLayout:
-    """How a table is written, from its header and the row below.  Raises DataError where there is none."""
+    """How a table is written, from its header and the row below.  Raises DataError if there is none."""
     with open(noted(path), encoding="utf-8-sig", errors="replace", newline="") as file:
         header, below = file.readline(), file.readline()
     if not header.strip():
@@ -617,7 +617,7 @@ def csv_layout(path: str, column: str) -> CsvLayout:
 
 
 def require_columns(path: str, column: str, names: tuple[str, ...]) -> None:
-    """Raises DataError where the column that names rigs is missing, or one is named twice."""
+    """Raises DataError if the column that names rigs is missing, or one is named twice."""
     if column not in names:
         what = f"column {shown(column)}: missing (it should name the rig)"
         raise DataError(what, path, f"there are {listed(names)}")

@@ -153,7 +153,7 @@ class Population:
 def pooled(name: str, unit: str, values: Real, sd: Real, used: Bools | None = None) -> Population | None:
     """The population of one parameter; values and their standard deviations (rigs,), NaN where a rig has none.
 
-    Rigs that are not `used` (outliers) say nothing of the population and keep their own estimate.  None of fewer than
+    Rigs that are not `used` (outliers) do not inform the population and keep their own estimate.  None of fewer than
     four rigs.
     """
     known = np.isfinite(values) & np.isfinite(sd) & (sd > 0)

@@ -71,7 +71,7 @@ def merge_estimates(model: Model, parts: Sequence[Estimate]) -> Merged:
     """Merge estimates of the same unknowns of `model` from data that share no noise; none has batch axes.
 
     Each counts by its information from the sensors' noise; priors count once.  Intervals are widened where those of the
-    parts are, and where the parts scatter more than they promise.  Raises DataError where their unknowns or the signs
+    parts are, and where the parts scatter more than they promise.  Raises DataError if their unknowns or the signs
     of channels differ, or one does not determine the unknowns.
     """
     first = parts[0]
@@ -117,7 +117,7 @@ def merge_estimates(model: Model, parts: Sequence[Estimate]) -> Merged:
 
 
 def _inverse(matrix: Real) -> Real:
-    """Of a covariance whose diagonal is near 1.  Raises DataError where it is singular."""
+    """Of a covariance whose diagonal is near 1.  Raises DataError if it is singular."""
     try:
         inverse = np.linalg.inv(matrix)
     except np.linalg.LinAlgError:
@@ -175,7 +175,7 @@ def _together(each: Sequence[Sequence[Notice]]) -> tuple[Notice, ...]:
 def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) -> Estimate:
     """One estimate from those of parts that share no noise, assessed; `names` says which part each is of.
 
-    Raises DataError where they cannot be merged.
+    Raises DataError if they cannot be merged.
     """
     together = merge_estimates(model, parts)
     assessed = [part.assessment for part in parts if part.assessment is not None]
@@ -303,7 +303,7 @@ def identify_in_parts(
     """Identify every file by itself, by any `mapper`, and merge what they say; parts without an answer are named.
 
     The result is the same to the bit with any mapper.  Raises what the first file raises where none gives an estimate,
-    DataError where the parts cannot be merged.
+    DataError if the parts cannot be merged.
     """
     results: dict[str, FileParts] = {}
     for done in mapper(identify_file, (FileTask(rig, treatment, path) for path in paths)):
@@ -356,7 +356,7 @@ def identify_file(task: FileTask) -> FileParts:
 def parts_of(task: FileTask, reading: Reading) -> Iterator[tuple[str, Spectrum]]:
     """The lines of a file with their name; of continuous records that have very many, those of pieces, one at a time.
 
-    How many lines the band has of a long record is asked of a piece of it.  Raises DataError where the samples cannot
+    How many lines the band has of a long record is asked of a piece of it.  Raises DataError if the samples cannot
     be used.
     """
     samples = sum(len(record.time) for record in reading.records)

@@ -55,7 +55,7 @@ def identify_block(task: FleetTask) -> Columns:
     """A row for each data set: name, source, status …, and NAME:value, NAME:sd … of every unknown.
 
     A function of the module, so that any process can be sent it.  What is wrong with a data set stands in its row.
-    Raises DataError where a table cannot be read, or has changed.
+    Raises DataError if a table cannot be read, or has changed.
     """
     names = [name for part in task.parts for name in part.names]
     sources = [source for part in task.parts for source in part.sources]
@@ -174,7 +174,7 @@ class PartReader:
         return self._one_by_one(some, first)
 
     def _lines_of_all(self, rows: HeldRows) -> Spectrum | None:
-        """The lines of all rigs one after the other; None where a rig's lines are not what each of them is alone."""
+        """The lines of all rigs one after the other; None if a rig's lines are not what each of them is alone."""
         columns = array_columns(rows.source, dict(rows.columns), dict(rows.units))
         # Phases are looked at from line to line
         if any(pair.to_radian is not None for pair in amplitude_columns(columns).values()):
@@ -341,7 +341,7 @@ def run_fleet(
     """Identify every data set, by any `mapper`, keeping finished blocks in `folder`; what is there is not computed.
 
     The result depends on rig, data and treatment alone.  `progress(done, all)` counts data sets.  Raises UsageError
-    where the folder cannot be used or holds something else, DataError where a table of data sets is damaged.
+    where the folder cannot be used or holds something else, DataError if a table of data sets is damaged.
     """
     rig.model.require_unknowns()
     how = Treatment() if treatment is None else treatment
@@ -376,7 +376,7 @@ def run_fleet(
 def outcome_of(rig: Rig, blocks: Sequence[Columns], pool: bool, kept: int = 0) -> FleetOutcome:
     """The blocks put together, with what stands out and, where asked for, the populations.
 
-    Raises UsageError where there are no data sets.
+    Raises UsageError if there are no data sets.
     """
     if not blocks:
         raise UsageError("there are no data sets", cure="name at least one file")

@@ -74,14 +74,14 @@ class Track(Printable):
 
     names, units     of the unknowns, SI
     start_s, end_s   (windows,)
-    values, sd       (windows, unknowns), by all windows together, with standard deviations
-    alone, alone_sd  (windows, unknowns), by each window alone
-    speed, speed95   (unknowns,), (unknowns, 2): standard deviation of the walk after an hour, and its 95 % interval
-    scatter          of the windows beyond their noise, as a factor of standard deviations that is counted
+    values, sd       (windows, unknowns), from all windows together, with standard deviations
+    alone, alone_sd  (windows, unknowns), from each window alone
+    speed, speed95   (unknowns,), (unknowns, 2): standard deviation of the walk after one hour, and its 95 % interval
+    scatter          of the windows beyond their noise, as a factor on standard deviations; included in sd
     changes          in order of time
-    false_alarms     share of records without a change in which one is announced
+    false_alarms     share of records without a change in which one is reported
     given            whether the speed was given
-    notes            windows that were left out, that misfit, that scatter
+    notes            windows that were left out, do not fit, or scatter
     """
 
     rig: str
@@ -110,7 +110,7 @@ class Track(Printable):
         return f"<Track of {', '.join(self.names)}: {windows}; {changed or 'no change'}>"
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON has it: lists over windows, SI units."""
+        """The track for JSON: lists over windows, SI units."""
         parameters = {
             name: {
                 "unit": self.units[j],
@@ -171,11 +171,11 @@ class Track(Printable):
 
 
 class Tracker:
-    """Tracks the unknowns of a rig window by window: of each, unknowns² + unknowns numbers are kept, and no samples.
+    """Tracks the unknowns of a rig window by window; keeps unknowns² + unknowns numbers per window and no samples.
 
-    rig           whose unknowns these are, with its channels
-    conditioning  how windows become amplitudes
-    seed          of the starts that ml draws for the first one, and of the simulations that tell chance
+    rig           with its channels; its unknowns are tracked
+    conditioning  how windows are turned into amplitudes
+    seed          of ml's random starts for the first window, and of the simulations that set thresholds
     skipped       windows that do not determine the unknowns, with the reason
     """
 
@@ -192,7 +192,7 @@ class Tracker:
     def add(self, data: Any) -> bool:
         """Take a window: a Record, or columns by name with time_s.  False where it does not determine the unknowns.
 
-        Raises DataError where the columns are not those of the rig, or the window begins before the last one ends.
+        Raises DataError if the columns are not those of the rig, or the window begins before the previous one ends.
         """
         if isinstance(data, Record):
             record = data
@@ -226,19 +226,19 @@ class Tracker:
 
     @property
     def windows(self) -> int:
-        """How many have been taken."""
+        """Number of windows taken."""
         return len(self._kept)
 
     def track(
         self, *, speed: float | Mapping[str, float] | None = None, false_alarms: float = FALSE_ALARMS
     ) -> Track:
-        """What all windows together say.
+        """The unknowns over time from all windows together.
 
-        speed         standard deviation of the change in an hour, as a share of the value: of all unknowns, or by name
-                      (others then stand still); without it, the likeliest
-        false_alarms  share of records without a change in which one is announced
+        speed         standard deviation of the change in one hour, as a share of the value: for all unknowns, or by
+                      name (the others are then constant); by default estimated
+        false_alarms  share of records without a change in which one is reported
 
-        Raises DataError where no window was taken, UsageError for a speed or a share that cannot be.
+        Raises DataError if no window was taken, and UsageError for an invalid speed or share.
         """
         if not self._kept:
             first = f": {self.skipped[0]}" if self.skipped else ""

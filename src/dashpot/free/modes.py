@@ -69,12 +69,12 @@ class MeasuredModes:
     shapes         (modes, outputs): displacements, the largest 1; shape_sd of real and imaginary part, each
     participation  (modes, inputs): residue of the largest output per unit of each input, as H = Σ φ pᵀ / (s − λ) + …;
                    without inputs (modes, 0); and its standard deviation, participation_sd
-    frequency, measured, modelled  (lines,), (lines, outputs), …: what was fitted, for the picture (of the first record)
-    chi2, dof      of the fit with the noise as it was known before it; NaN where it was not
-    order          poles of the model, of which those that are no modes in the band are not reported
+    frequency, measured, modelled  (lines,), (lines, outputs), …: data and fit, for figures (of the first record)
+    chi2, dof      of the fit, with the noise known beforehand; NaN if it was not
+    order          number of poles of the model; poles that are not modes in the band are not reported
     stabilisation  poles of least-squares fits of growing order
     real           whether shapes were held real
-    notes          what a reader should know
+    notes          notices on the result
     """
 
     inputs: tuple[Channel, ...]
@@ -180,7 +180,7 @@ def measured_modes(
 ) -> MeasuredModes:
     """The modes that data of any kind show in a band; without `inputs` records are free decays.
 
-    Raises as `frequency_response`, and DataError where no mode is found.
+    Raises as `frequency_response`, and DataError if no mode is found.
     """
     if isinstance(reading, MeasuredResponse):
         sets, found = _of_response(reading), reading

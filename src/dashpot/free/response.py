@@ -50,14 +50,14 @@ class MeasuredResponse:
     frequency_hz  (lines,)
     values        (lines, outputs, inputs)
     covariance    (lines, pairs, pairs), E[Δ Δᴴ] of the pairs in the order of `values`, circular: the real and the
-                  imaginary part have half of it each; NaN where nothing shows the noise
+                  imaginary part have half of it each; NaN where the noise is unknown
     coherence     (lines, outputs): share of an output's power that the inputs explain
-    apart         (lines,): so many lines on, an estimate shares no data with this one (1: all are independent)
-    method        "dwells", "periods" or "local", by what the data are
+    apart         (lines,): number of lines after which an estimate shares no data with this one (1: independent)
+    method        "dwells", "periods" or "local", depending on the data
     distortion    of periodic tests, share of each output's motion (rms) at even and at odd multiples that are not
-                  driven, beyond noise and what the inputs put there; 0 where chance may do as much, NaN where no such
-                  multiple is left out
-    notes         what a reader should know
+                  driven, beyond noise and the inputs' own content there; 0 if not significant, NaN if every multiple
+                  is driven
+    notes         notices on the result
     """
 
     inputs: tuple[Channel, ...]
@@ -91,19 +91,19 @@ class MeasuredResponse:
         return np.sqrt(np.maximum(variance, 0) / 2).reshape(self.values.shape)
 
     def unit(self, out: Channel, into: Channel) -> str:
-        """Unit of a pair, empty where the data do not say it."""
+        """Unit of a pair, empty if the data do not state it."""
         if not (out.unit or into.unit):
             return ""
         below = into.unit or "1"
         return f"{out.unit or '1'}/{f'({below})' if set('/·*') & set(below) else below}"
 
     def chosen(self, lines: Ints | Bools) -> MeasuredResponse:
-        """Some of the lines."""
+        """The response at some of the lines."""
         parts = {name: getattr(self, name)[lines] for name in ("frequency_hz", "values", "covariance")}
         return replace(self, **parts, coherence=self.coherence[lines], apart=self.apart[lines])
 
     def independent_of(self, lines: Bools) -> MeasuredResponse:
-        """Those of some lines.  Raises DataError where there is none."""
+        """Those of some lines.  Raises DataError if there is none."""
         if not np.any(lines):
             f = self.frequency_hz
             raise DataError(
@@ -113,7 +113,7 @@ class MeasuredResponse:
         return self.chosen(lines).independent()
 
     def independent(self) -> MeasuredResponse:
-        """Lines of which no two share data, as many as there are: what a fit that counts each line may use."""
+        """As many lines as possible that share no data, for fits that treat lines as independent."""
         kept, at = [], 0
         while at < len(self.apart):
             kept.append(at)
@@ -158,7 +158,7 @@ def frequency_response(
 
     Stepped sine and tables of amplitudes or responses: both sides noisy, as far as the noise is known.  Records that
     repeat: lines that the inputs drive, averaged over the periods.  Other records: local models, inputs exact.
-    Raises UsageError for channels that are not there, DataError where the data do not separate the inputs, are too
+    Raises UsageError for channels that are not there, DataError if the data do not separate the inputs, are too
     short, or hold no excitation in the band.
     """
     return response_of(parted(reading, inputs, outputs), band_hz)
@@ -226,7 +226,7 @@ def response_of(data: Parted, band_hz: Band | None = None) -> MeasuredResponse:
 
 
 def _of_channels(data: Data, inputs: Sequence[str], outputs: Sequence[str]) -> Data:
-    """The inputs, then the outputs.  Raises UsageError where one is not there, or is both."""
+    """The inputs, then the outputs.  Raises UsageError if one is not there, or is both."""
     names = [channel.name for channel in data.channels]
     for name in (*inputs, *outputs):
         if name not in names:
@@ -395,7 +395,7 @@ def _resting(values: Real) -> Bools:
 
 
 def _require_motion(record: Record, nu: int) -> None:
-    """Raises DataError where an output stays at one value."""
+    """Raises DataError if an output stays at one value."""
     for c in np.flatnonzero(_resting(record.values)):
         if c >= nu:
             raise DataError(f"{record.channels[c].name} does not move", record.source, "leave it out")
@@ -481,7 +481,7 @@ def local_response(
 def line_noise(parts: Sequence[RecordLines], low: float, high: float) -> list[Complex]:
     """Noise of the outputs of each record at its lines from `low` to `high` Hz, (lines, ny, ny), as local models leave.
 
-    Records with inputs share the response, free decays nothing.  Raises DataError where one is too short.
+    Records with inputs share the response, free decays nothing.  Raises DataError if one is too short.
     """
     nu = parts[0].inputs.shape[1]
     groups = [list(parts)] if nu else [[part] for part in parts]
@@ -508,7 +508,7 @@ def line_noise(parts: Sequence[RecordLines], low: float, high: float) -> list[Co
 def _smallest_half(parts: Sequence[RecordLines]) -> int:
     """Lines of the longest record, which comes first, on either side of windows that leave SPARE degrees of freedom.
 
-    Raises DataError where a record has fewer lines than a window needs.
+    Raises DataError if a record has fewer lines than a window needs.
     """
     unknowns, half = 3 * (parts[0].inputs.shape[1] + len(parts)) + 2, 3
     while sum(_lines_of(part, parts[0], half) for part in parts) < unknowns + SPARE:

@@ -89,7 +89,7 @@ class Scratch:
     folder: Path
 
     def write(self, name: str, content: bytes | Iterable[bytes]) -> Path:
-        """Where the content, whole or in pieces, now stands.  Raises DataError where there is no room for it."""
+        """Where the content, whole or in pieces, now stands.  Raises DataError if there is no room for it."""
         path = self.folder / name
         with path.open("wb", buffering=0) as file:
             for piece in (content,) if isinstance(content, bytes) else content:
@@ -104,7 +104,7 @@ class Scratch:
         return path
 
     def read(self, name: str) -> bytes:
-        """What another program has written there.  Raises OSError where it has not."""
+        """What another program has written there.  Raises OSError if it has not."""
         return (self.folder / name).read_bytes()
 
 
@@ -139,7 +139,7 @@ LOCK = ".lock"  # the file that is locked; it names the process that holds it
 def locked(folder: AnyPath) -> Iterator[None]:
     """Hold an existing folder until the end.
 
-    Raises UsageError where another process holds it, or nothing can be written there.
+    Raises UsageError if another process holds it, or nothing can be written there.
     """
     path = os.path.join(folder, LOCK)
     try:
@@ -168,7 +168,7 @@ def locked(folder: AnyPath) -> Iterator[None]:
 
 
 def _held(path: str) -> int | None:
-    """A descriptor of the locked file; None where another process has it."""
+    """A descriptor of the locked file; None if another process has it."""
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
@@ -232,7 +232,7 @@ def write_text(path: ledger.AnyPath, text: str) -> None:
 def write_bytes(path: ledger.AnyPath, content: bytes | Iterable[bytes | memoryview]) -> None:
     """Write a file from its bytes, all at once or in parts.
 
-    Raises DataError where it cannot be written, UsageError where this run reads it or has written it already.
+    Raises DataError if it cannot be written, UsageError if this run reads it or has written it already.
     """
     name = os.fspath(path)
     entries = ledger.current()

@@ -92,7 +92,7 @@ def to_json(content: object) -> str:
 
 
 def from_json(text: str | bytes) -> Any:
-    """The content of a JSON text.  Raises ValueError where it is none.
+    """The content of a JSON text.  Raises ValueError if it is none.
 
     NaN and infinities, which other programs write, are read as such: whoever wants a number says where one is missing.
     """

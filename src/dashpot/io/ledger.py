@@ -44,7 +44,7 @@ class Ledger:
         return other if os.path.exists(other) else path
 
     def note_read(self, path: AnyPath) -> None:
-        """An input.  Raises UsageError where it is an output of this run, DataError where it may not be read."""
+        """An input.  Raises UsageError if it is an output of this run, DataError if it may not be read."""
         keys = keys_of(path)
         if self.allows is not None and not self.allows(os.path.realpath(path)):
             raise DataError("is outside the folder that is served", os.fspath(path), "copy it there")
@@ -54,7 +54,7 @@ class Ledger:
         self.inputs[os.fspath(path)] = None
 
     def claim(self, path: AnyPath, by: object) -> None:
-        """An output to come, of the option `by`.  Raises UsageError where it is an input or another's output."""
+        """An output to come, of the option `by`.  Raises UsageError if it is an input or another's output."""
         keys = keys_of(path)
         if any(key in self.read for key in keys):
             raise _overwrites(path)
@@ -63,7 +63,7 @@ class Ledger:
         self.claimed.update(dict.fromkeys(keys, by))
 
     def note_written(self, path: AnyPath) -> None:
-        """An output about to be written.  Raises UsageError where it is an input, or written already."""
+        """An output about to be written.  Raises UsageError if it is an input, or written already."""
         keys = keys_of(path)
         if any(key in self.read for key in keys):
             raise _overwrites(path)
@@ -94,14 +94,14 @@ def opened(allows: Callable[[str], bool] | None = None, beside: str | None = Non
 
 
 def current() -> Ledger | None:
-    """The ledger of this run; None where there is none."""
+    """The ledger of this run; None if there is none."""
     return _current.get()
 
 
 def noted(path: Path) -> Path:
     """The path of an input, once it is in the ledger: every file is opened for reading through this.
 
-    Raises UsageError where the file is an output of this run, DataError where it is a device, which may never end.
+    Raises UsageError if the file is an output of this run, DataError if it is a device, which may never end.
     """
     if _is_device(path):
         raise DataError("is a device, not a file", os.fspath(path), "give a file")

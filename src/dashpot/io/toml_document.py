@@ -56,7 +56,7 @@ class Lines:
         return bisect_right(self._starts, position)
 
     def of(self, path: Sequence[str | int]) -> int | None:
-        """Line of the last definition of `path`, or of the nearest table around it; None where there is none."""
+        """Line of the last definition of `path`, or of the nearest table around it; None if there is none."""
         for length in range(len(path), 0, -1):
             lines = self._where.get(tuple(path[:length]))
             if lines is not None:

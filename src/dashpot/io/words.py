@@ -18,7 +18,7 @@ REPORTS = ("html", "htm", "pdf")
 
 
 def chosen_format(path: str | os.PathLike[str], formats: Sequence[str]) -> str:
-    """The one of `formats` in which the name ends, in small letters.  Raises UsageError where it is none of them."""
+    """The one of `formats` in which the name ends, in small letters.  Raises UsageError if it is none of them."""
     kind = Path(path).suffix.lower().removeprefix(".")
     if kind not in formats:
         *most, last = (f".{each}" for each in formats)

@@ -82,8 +82,8 @@ def sparse_amplitudes(
 class Matrices:
     """M ẍ + C ẋ + K x = F u̇ + G u + J ü + S f (paper eq. 1), and H of the hysteretic dampers (K + jH at ω > 0).
 
-    M, C, K, H: (..., n, n); F, G, J: (..., n, r); SI units.  J is not in the paper: it belongs to masses and
-    inerters that hang on an input.
+    M, C, K, H: (..., n, n); F, G, J: (..., n, r); SI units.  J is not in the paper: it comes from masses and
+    inerters attached to an input.
     """
 
     M: Real
@@ -109,8 +109,8 @@ def _assemble(model: Model, p: Real, letter: str) -> Real:
 def matrices(model: Model, p: Real) -> Matrices:
     """Matrices of the rig with parameters p of shape (..., elements), SI units.  Paper eq. 1 and 6.
 
-    p is what `model.parameters(theta)` gives, which raises ModelError where values are missing; NumPy raises
-    ValueError where p has another number of elements.
+    p is the result of `model.parameters(theta)`, which raises ModelError if values are missing; NumPy raises
+    ValueError if p has a different number of elements.
     """
     n, r = model.n, model.D.shape[1]
     both = {letter: _assemble(model, p, letter).reshape(*p.shape[:-1], n, n + r) for letter in MATRICES}
@@ -152,7 +152,7 @@ def dynamic_stiffness(model: Model, p: Real, omega: Real, experiment: Ints | Non
 
 
 def require_masses(M: Real | Complex) -> None:
-    """Raises ModelError where a mass matrix (..., n, n) is singular but for rounding: no motion in time follows."""
+    """Raises ModelError if a mass matrix (..., n, n) is singular but for rounding: no motion in time follows."""
     if not M.shape[-1]:
         return
     size = np.sqrt(np.abs(np.diagonal(M, axis1=-2, axis2=-1)))
@@ -192,8 +192,8 @@ def amplitudes(
 def response(model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None) -> Complex:
     """Amplitudes X of the coordinates, (..., lines, n), m, to inputs U (..., lines, r) and forces f (..., lines, s).
 
-    p (..., elements), SI units; omega (lines,), rad/s.  Raises ModelError where the rig has no steady response: an
-    undamped resonance is hit, or nothing holds a coordinate.
+    p (..., elements), SI units; omega (lines,), rad/s.  Raises ModelError if the rig has no steady response: it is
+    driven at an undamped resonance, or a coordinate is unsupported.
     """
     X = amplitudes(model, p, omega, U, f)
     if not np.all(np.isfinite(X)):
@@ -217,8 +217,8 @@ def unit_forces(model: Model, omega: Real, X: Complex, U: Complex, experiment: I
 def sensitivities(model: Model, p: Real, omega: Real, X: Complex, U: Complex) -> Complex:
     """∂X/∂p_i = −D⁻¹ b_iᵀ a_i, shape (..., lines, n, elements), m per unit of p_i.  THEORY §4.
 
-    p (..., elements), SI units; X (..., lines, n) is the response to U (..., lines, r) at omega (lines,), rad/s.  NaN,
-    and no error, where the rig has no steady response.
+    p (..., elements), SI units; X (..., lines, n) is the response to U (..., lines, r) at omega (lines,), rad/s.  NaN
+    (no error) where the rig has no steady response.
     """
     forces = model.B.T * unit_forces(model, omega, X, U)[..., None, :]
     return -solve_small(dynamic_stiffness(model, p, omega), forces)

@@ -75,7 +75,7 @@ class Kind(StrEnum):
 
     @property
     def law(self) -> Law:
-        """How the unit force follows from the elongation, and all else that goes with it."""
+        """The law of its kind: how the unit force follows from the elongation, with unit, matrix and sign."""
         return _DECLARED[self][1]
 
     @property
@@ -100,16 +100,16 @@ MATRICES: Mapping[str, Law] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Element:
-    """One element: its kind, the points along which it is stretched, and what is known of its parameter.
+    """One element: its kind, the points that it connects, and what is known of its parameter.
 
-    `along` maps coordinates and displacement inputs to their factors in the elongation δ = b·x + d·u; what is fixed
-    to the ground does not appear.  `value` without `sd` is known exactly, with `sd` (same unit) known with that
-    standard deviation, None is unknown; `guess` is a start for the iterations, `lower` and `upper` bound the estimate
-    where the method can.  `same_as` ties the parameter to another element's: p = times · p(same_as).  `free`: no part
-    of the rig but of a free matrix, so that its parameter may have any sign.  `force_law`: a nonlinear law in place of
-    that of its kind, with any sign of its parameter.  `block`: name of the matrix that it is an entry of; the element
-    of that name is attached to nothing and carries the factor, which has no unit.  `only`: the experiment of the rig
-    that it belongs to, where it takes the place of the element `stands_for`, or is added to the rig.
+    `along` maps coordinates and displacement inputs to their factors in the elongation δ = b·x + d·u; ground points
+    are omitted.  `value` without `sd` is known exactly; with `sd` (same unit) it is known with that standard deviation;
+    None is unknown.  `guess` is a start for the iterations; `lower` and `upper` bound the estimate if the method can.
+    `same_as` ties the parameter to that of another element: p = times · p(same_as).  `free`: an entry of a free matrix
+    rather than a part of the rig, so that its parameter may have any sign.  `force_law`: a nonlinear law instead of
+    that of its kind; its parameter may have any sign.  `block`: name of the matrix that it is an entry of; the element
+    of that name connects no points and carries the factor, which has no unit.  `only`: the one experiment of the rig
+    in which it is present, where it replaces the element `stands_for` or is added.
     """
 
     name: str
@@ -154,7 +154,7 @@ class Element:
 
     @property
     def is_entry(self) -> bool:
-        """Whether it is one entry of a block, which nobody knows by its own name."""
+        """Whether it is one entry of a block, whose name users do not see."""
         return self.block is not None and self.block != self.name
 
     @property
@@ -197,14 +197,14 @@ class Element:
 
 
 def mass(name: str, at: str, **known: float | str | None) -> Element:
-    """A mass at one coordinate, kg.  A Model raises ModelError where it has no such coordinate."""
+    """A mass at one coordinate, kg.  A Model raises ModelError if it has no such coordinate."""
     return Element(name, Kind.MASS, {at: 1.0}, **known)  # type: ignore[arg-type]
 
 
 def between(name: str, kind: Kind, first: str, second: str, **known: float | str | None) -> Element:
     """A two-point element; either point may be "ground", `known` are fields of Element, SI units.
 
-    A Model raises ModelError where it has no such point.
+    A Model raises ModelError if it has no such point.
     """
     along = {point: factor for point, factor in ((first, 1.0), (second, -1.0)) if point != "ground"}
     return Element(name, kind, along, **known)  # type: ignore[arg-type]

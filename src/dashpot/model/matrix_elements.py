@@ -102,9 +102,9 @@ def free_model(
     letters: str = "MCK",
     name: str = "free matrices",
 ) -> Model:
-    """A model of nothing but `free_elements`: symmetric M, C, K of which every entry, or some, are unknown.
+    """A model made of `free_elements` only: symmetric M, C, K with some or all entries unknown.
 
-    Raises ModelError for a letter other than M, C, K and for what is not a pair of coordinates.
+    Raises ModelError for a letter other than M, C, K and for an entry that is not a pair of coordinates.
     """
     elements = free_elements(coordinates, pairs=pairs, letters=letters)
     return Model(tuple(coordinates), tuple(inputs), elements, name)
@@ -118,7 +118,7 @@ def free_elements(
     Unknown m_x1 (c_x1, k_x1) acts at x1; m_x1_x2 along x1 + x2, so that it is M₁₂ itself; c_x1_x2 and k_x1_x2 along
     x1 − x2, so that they are −C₁₂ and −K₁₂: the dampers and springs between the points, where there are such.
     A letter without pairs given has all of them; `letters` leaves out whole matrices ("MK": no damping).
-    Raises ModelError for a letter other than M, C, K and for what is not a pair of coordinates.
+    Raises ModelError for a letter other than M, C, K and for an entry that is not a pair of coordinates.
     """
     given: Mapping[Letter, Pairs] = {} if pairs is None else pairs
     for letter in (*letters, *given):

@@ -47,7 +47,7 @@ def eigenmodes(model: Model, p: Real) -> Modes:
     Massless coordinates give infinite eigenvalues, which are left out; with hysteretic dampers only Im λ > 0 has a
     meaning.  A rigid-body motion without damping is a double zero.  The sensitivity is
     ∂λ/∂p_i = −φ_i(λ) (b_i·φ)² / (φᵀ (2λM + C) φ), all matrices being symmetric; it is not finite where eigenvalues
-    coincide.  None of a rig without coordinates.  Raises ModelError where all parameters are zero.
+    coincide.  None of a rig without coordinates.  Raises ModelError if all parameters are zero.
     """
     if not model.n:
         nothing = np.zeros((0, 0), dtype=np.complex128)
@@ -249,7 +249,7 @@ def sensitivities_of(
 
 
 def typical_sizes(model: Model) -> tuple[Mapping[Kind, float], float]:
-    """(a parameter's size by kind, a typical ω in rad/s) from known values and guesses, where nobody says.
+    """(a parameter's size by kind, a typical ω in rad/s) from known values and guesses, where nothing states.
 
     A damping ratio of 0.05 goes with them, and 30 rad/s where nothing tells.
     """

@@ -60,7 +60,7 @@ class LinearIntegrator:
 def integrator(model: Model, p: Real, step_s: float) -> LinearIntegrator:
     """How a rig with parameters p (elements,) goes on by one step.
 
-    Raises ModelError where it has hysteretic dampers, which no motion in time belongs to, or a coordinate without mass.
+    Raises ModelError if it has hysteretic dampers, which no motion in time belongs to, or a coordinate without mass.
     """
     from scipy.linalg import expm
 

@@ -323,12 +323,12 @@ class Model:
 
     `angles` names the coordinates and displacement inputs that are angles (rad); elements that join only angles have
     parameters in kg·m², N·m·s/rad and N·m/rad.  `name` is kept on one line, control characters escaped.
-    `experiments` names those in which the rig is otherwise: some elements belong to one of them only.  A Model is the
-    rig as it stands in one of them, number `standing`, 0 of none; `standing_in` gives the others, with all the same
-    elements and unknowns.  `distribution` is that of its sensors' noise: "normal", "student" (heavy tails), or "auto",
-    heavy tails where the data show them.
+    `experiments` names tests in which the rig differs: some elements are present in one of them only.  A Model is the
+    rig in one of them, number `standing`, or in none (0); `standing_in` gives the others, with the same elements and
+    unknowns.  `distribution` is that of the sensor noise: "normal", "student" (heavy tails), or "auto" (heavy tails if
+    the data show them).
 
-    Raises ModelError with every problem found, each placed at the name of what is wrong.
+    Raises ModelError with every problem found, each placed at the faulty name.
     """
 
     coordinates: tuple[str, ...]
@@ -433,12 +433,12 @@ class Model:
 
     @property
     def here(self) -> str | None:
-        """Name of the experiment that the rig stands in, None of none."""
+        """Name of the experiment that the rig is in, None for none."""
         return self.experiments[self.standing - 1] if self.standing else None
 
     @cached_property
     def acts(self) -> Bools:
-        """Which elements there are in the experiment that the rig stands in, (elements,)."""
+        """Which elements are present in this experiment, (elements,)."""
         here = self.here
         replaced = {e.stands_for for e in self.elements if here is not None and e.only == here}
         own = [e.only == here or (e.only is None and e.name not in replaced) for e in self.elements]
@@ -446,19 +446,19 @@ class Model:
 
     @property
     def present_elements(self) -> tuple[Element, ...]:
-        """The elements that there are in the experiment that the rig stands in."""
+        """The elements that are present in this experiment."""
         return tuple(element for element, acts in zip(self.elements, self.acts, strict=True) if acts)
 
     @property
     def alone(self) -> Model:
-        """The rig of the experiment that it stands in, without what belongs to others."""
+        """The rig of this experiment, without the elements of others."""
         if not self.experiments:
             return self
         there = (replace(element, only=None, stands_for=None) for element in self.present_elements)
         return replace(self, elements=tuple(there), experiments=(), standing=0)
 
     def standing_in(self, number: int) -> Model:
-        """The rig as it stands in one of its experiments, by number from 1; 0: in none of them."""
+        """The rig in one of its experiments, by number from 1; 0: in none of them."""
         if number not in self._standings:
             self._standings[number] = replace(self, standing=number)
         return self._standings[number]
@@ -470,7 +470,7 @@ class Model:
     def by_experiment(self, experiment: Ints | None) -> Iterator[tuple[Model, slice | Ints]]:
         """The rig of each experiment, with the lines whose `experiment` (lines,) it is, numbered as in `channel.py`.
 
-        All lines are of the rig as it stands where it has no experiments, or none is said.
+        If there are no experiments, or `experiment` is None, all lines belong to the rig as it is.
         """
         if experiment is None or not self.differs or not len(experiment):
             yield self, slice(None)
@@ -482,7 +482,7 @@ class Model:
             yield self.standing_in(number), lines
 
     def kind_of(self, experiment: Ints) -> Ints:
-        """Number from 1 of the rig's experiment that lines are of, (lines,), 0 of none."""
+        """Number from 1 of the experiment of each line, (lines,), 0 for none."""
         kind = kind_of(experiment)
         return np.where(kind <= len(self.experiments), kind, 0)
 
@@ -524,7 +524,7 @@ class Model:
 
     @cached_property
     def constant_slices(self) -> tuple[slice, ...]:
-        """For each nonlinear element, where its constants stand among all of them."""
+        """For each nonlinear element, the slice of its constants among all of them."""
         counts = [len(e.force_law.constants) for e in self.elements if e.force_law is not None]
         ends = np.cumsum([0, *counts])
         return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
@@ -532,7 +532,7 @@ class Model:
     def factors(self, omega: Real, experiment: Ints | None = None) -> Complex:
         """φ_i(ω) for `omega` of shape (lines,) in rad/s; shape (lines, elements); 0 for nonlinear elements.
 
-        0 as well for elements that are not there in the `experiment` of a line, (lines,).
+        Also 0 for elements that are absent in the `experiment` of a line, (lines,).
         """
         phi = np.zeros((*omega.shape, len(self.elements)), dtype=np.complex128)
         for rig, lines in self.by_experiment(experiment):
@@ -686,7 +686,7 @@ class Model:
         return unit_of(element.force_law.exponents[1].get(constant.name, (0.0, 0.0)), angle=angular)
 
     def theta(self, values: Mapping[str, float]) -> Real:
-        """θ, (unknowns,), from values by name, else the model's values or guesses.  Raises ModelError where none is."""
+        """θ, (unknowns,), from values by name, else the model's values or guesses.  Raises ModelError if none is."""
         theta = np.empty(len(self.unknowns))
         for j, unknown in enumerate(self.unknowns):
             value = values.get(unknown.name, unknown.nominal)
@@ -711,7 +711,7 @@ class Model:
         return prior_mean(self.unknowns)
 
     def require_unknowns(self, where: str | None = None) -> None:
-        """Raises UsageError, placed at the file `where`, if there is nothing to find."""
+        """Raises UsageError, placed at the file `where`, if nothing is unknown."""
         if not self.unknowns:
             raise UsageError(
                 "every parameter of the rig is known",
@@ -732,7 +732,7 @@ class Model:
 
     @cached_property
     def by_matrix(self) -> Mapping[str, Ints]:
-        """Indices of the elements that are there and enter M, C, K and the hysteretic H, (elements,) each."""
+        """Indices of the present elements that enter M, C, K and the hysteretic H, (elements,) each."""
         return {
             letter: frozen(
                 [
@@ -747,7 +747,7 @@ class Model:
 
     @cached_property
     def letters(self) -> Ints:
-        """Index in MATRICES of the matrix that each element enters, −1 of nonlinear and absent ones; (elements,)."""
+        """Index in MATRICES of the matrix that each element enters, −1 for nonlinear and absent ones; (elements,)."""
         index = {letter: k for k, letter in enumerate(MATRICES)}
         linear = [e.force_law is None and bool(self.acts[i]) for i, e in enumerate(self.elements)]
         letters = [index[e.law.matrix] for e in self.elements]
@@ -777,7 +777,7 @@ class Model:
 
     @cached_property
     def views(self) -> Recent:
-        """What has been made of this model for channels and frequencies."""
+        """Cache of what was derived from this model for channels and frequencies."""
         return Recent()
 
     def __getstate__(self) -> dict[str, object]:

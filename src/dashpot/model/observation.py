@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 def channel_incidence(model: Model, channels: Sequence[Channel]) -> tuple[Real, Real, Real]:
     """Factors of the channels on coordinates, on inputs and on element forces; each (channels, …).
 
-    Raises DataError where a channel shows what the rig has not.
+    Raises DataError if a channel shows what the rig has not.
     """
     r, s = len(model.displacement_inputs), len(model.force_inputs)
     on_x, on_q, force = parts = tuple(
@@ -81,7 +81,7 @@ def unknown_calibrations(channels: Sequence[Channel]) -> tuple[Unknown, ...]:
 def calibration_indices(channels: Sequence[Channel]) -> tuple[Ints, Ints]:
     """Index of each channel's unknown gain and delay, −1 where known; (channels,) each.
 
-    Raises DataError where a channel shares a gain that is known.
+    Raises DataError if a channel shares a gain that is known.
     """
     gains = dict.fromkeys(c.unknown_gain.name for c in channels if c.unknown_gain and c.same_gain_as is None)
     delays = dict.fromkeys(c.unknown_delay.name for c in channels if c.unknown_delay)
@@ -327,7 +327,7 @@ def observation_model(
     """What `channels` show of `model` at `omega` (lines,), rad/s, in the `experiment` of each line.
 
     The last views of a model are kept, for an identification asks for the same ones over and over.
-    Raises DataError where a channel measures what the rig has not, or shares a gain that is not unknown.
+    Raises DataError if a channel measures something that the rig lacks, or shares a gain that is not unknown.
     """
     # A view holds its channels, so that their ids stay theirs.
     experiment = experiment if model.differs else None
@@ -392,7 +392,7 @@ class Transfer:
     G (..., lines, channels, r + s)
     X (..., lines, n, r + s): coordinates per unit of each input
     E (..., lines, channels, elements): ∂y_c/∂p_i = E_ci a_i, the effect of an internal force in element i
-    psi (..., M): the unknowns, where G and E hold κ; None where calibrations are left out
+    psi (..., M): the unknowns, where G and E hold κ; None if calibrations are left out
     """
 
     view: ObservationModel

@@ -28,7 +28,7 @@ _choice: ContextVar[str | None] = ContextVar("kernel", default=None)
 def kernel() -> Any | None:
     """The compiled module, None where NumPy is to do the work.
 
-    Raises UsageError where the compiled kernel is asked for and not installed, or the choice is none.
+    Raises UsageError if the compiled kernel is asked for and not installed, or the choice is none.
     """
     choice = _choice.get() or environment()[0]
     if choice == "numpy":
@@ -45,7 +45,7 @@ def kernel() -> Any | None:
 
 
 def kernel_function(name: str) -> Any | None:
-    """A function of the compiled module; None where NumPy is to do the work, or where that module is older than it."""
+    """A function of the compiled module; None if NumPy is to do the work, or where that module is older than it."""
     return getattr(kernel(), name, None)
 
 
@@ -53,7 +53,7 @@ def kernel_function(name: str) -> Any | None:
 def using(choice: str) -> Iterator[None]:
     """Let `kernel` answer as `choice` says for as long as this context lasts.
 
-    Raises UsageError where there is no such choice.
+    Raises UsageError if there is no such choice.
     """
     if choice not in CHOICES:
         raise UsageError(f"no kernel {choice!r}", cure=f"there are {', '.join(CHOICES)}")
@@ -73,7 +73,7 @@ def threads() -> int:
 def environment() -> tuple[str, int]:
     """The choice and the threads that the environment asks for, read once: a single fit asks for them many times.
 
-    Raises UsageError where the threads are no whole number or too many.
+    Raises UsageError if the threads are no whole number or too many.
     """
     given = os.environ.get(THREADS) or "1"
     count = (

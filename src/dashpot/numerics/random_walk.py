@@ -274,7 +274,7 @@ class Search:
         return Search(tuple(walks[s] for s in order), null, tuple(of.get(s, -1) for s in order), allowed)
 
     def statistic(self, at: Smoothed) -> Real:
-        """Twice the logarithm by which the likeliest change is likelier than none, (B,)."""
+        """Twice the logarithm by which the most probable change is likelier than none, (B,)."""
         B, K, p = at.pull.shape[1:]
         squared = np.where(self.allowed, at.shock[: self.null] ** 2, 0.0).reshape(self.null, B, K * p)
         stepped = np.max(at.likelihood[: self.null] + 0.5 * np.max(squared, axis=-1), axis=0)
@@ -283,10 +283,10 @@ class Search:
         return np.asarray(2 * (np.maximum(stepped, walked) - none))
 
     def likeliest(self, at: Smoothed) -> tuple[int, int, float]:
-        """The window and component of the likeliest change of the first series, the window 0 where it walks; and the
+        """Window and component of the most probable change of the first series, the window 0 where it walks; and the
         logarithm of the odds of a step against a walk of that component.
 
-        Both with a normal prior about no change of the likeliest size; a step may be before any window alike.
+        Both with a normal prior about no change of the most probable size; a step may be before any window alike.
         """
         none = np.max(at.likelihood[: self.null, 0])
         squared = np.where(self.allowed, at.shock[: self.null, 0] ** 2, 0.0)
@@ -358,7 +358,7 @@ class Change:
 class Trajectory:
     """The numbers over time, (K, p), with standard deviations that allow for the speeds; speeds (p,) and their scatter.
 
-    covariance  (p, p), of the last window's, with the likeliest walk
+    covariance  (p, p), of the last window's, with the most probable walk
     speed       (p,), standard deviation of the walk after a unit of time; speed95 (p, 2) of it
     """
 

@@ -189,7 +189,7 @@ class Draws:
     def at(self, **wanted: str | float | int) -> Scenario:
         """The scenario with these factors; CASE-3, relative noise of 10 %, all unknown, 56 a frequency if not said.
 
-        Raises KeyError where there is none.
+        Raises KeyError if there is none.
         """
         samples = {} if "in_all" in wanted else {"samples": self.paper.samples}
         usual = {"frequencies": "CASE-3", "kind": "relative", "noise": 0.1, "unknowns": "all"}

@@ -81,7 +81,7 @@ class BlockStore:
 
         `f` is a function of a module, which any process can be sent.  Children of this process write their blocks, for
         they clear away what is half-written when this one is killed; others, of a cluster, send them to be written
-        here.  Raises DataError where a block cannot be written.
+        here.  Raises DataError if a block cannot be written.
         """
         kept: deque[FinishedTask[Task]] = deque()
         missing: dict[int, tuple[Key, Task]] = {}
@@ -110,7 +110,7 @@ class BlockStore:
         yield from kept
 
     def read(self, key: Key) -> Columns:
-        """A block that is there.  Raises DataError where it is not whole, or is of something else."""
+        """A block that is there.  Raises DataError if it is not whole, or is of something else."""
         columns, state = self._find(key)
         if columns is None:
             where = None if self.folder is None else str(_file_of(self.folder, key))
@@ -173,7 +173,7 @@ def write_block(folder: Path, key: Key, columns: Columns) -> None:
 def opened_store(folder: Path, own: Callable[[Path], bool], cure: str) -> Iterator[BlockStore]:
     """The store in a folder, made where there is none, held by this process alone, and cleared of half-written files.
 
-    Raises UsageError where the folder cannot be used, holds files that are not its `own`, or another process works in
+    Raises UsageError if the folder cannot be used, holds files that are not its `own`, or another process works in
     it.
     """
     try:
@@ -268,7 +268,7 @@ def write_table(
 def read_table(path: Path) -> tuple[Columns, Mapping[bytes, bytes]]:
     """Columns and metadata of such a file, page checksums verified.
 
-    Raises whatever Python and pyarrow raise where it is damaged, FileNotFoundError where there is none.
+    Raises whatever Python and pyarrow raise where it is damaged, FileNotFoundError if there is none.
     """
     import pyarrow as pa
     import pyarrow.parquet as parquet

@@ -324,7 +324,7 @@ class Results:
     store: BlockStore
 
     def repeats(self, scenario: Scenario) -> dict[str, Repeats]:
-        """The scenario's repeats by method, blocks in order.  Raises DataError where one has been damaged since."""
+        """The scenario's repeats by method, blocks in order.  Raises DataError if one has been damaged since."""
         parts: dict[str, list[Repeats]] = {name: [] for name in scenario.methods}
         unknowns = range(len(scenario.model.unknowns))
         for task in tasks([scenario], self.seed, self.block):
@@ -354,7 +354,7 @@ def run_scenarios(
 ) -> Results:
     """Compute all blocks that are not in the `store` yet, by any `mapper`; the order of its results does not matter.
 
-    `progress(done, all)` counts identifications.  Raises UsageError where two scenarios have the same factors, or
+    `progress(done, all)` counts identifications.  Raises UsageError if two scenarios have the same factors, or
     where a method cannot do what is asked.
     """
     name, times = Counter(scenario.name for scenario in scenarios).most_common(1)[0] if scenarios else ("", 0)
@@ -427,9 +427,9 @@ def run_study(
     The result depends on the study alone: not on the mapper, nor on interruptions.  A study that has grown (more
     draws, levels, methods …) uses what an earlier one left.  `progress(done, all)` counts identifications.
 
-    Raises UsageError where the folder holds something else, another process works in it, or a method cannot do what is
-    asked of it; DataError where the folder cannot be written; ModelError where a rig has no steady response;
-    IdentifiabilityError where a test does not determine the unknowns.
+    Raises UsageError if the folder holds something else, another process works in it, or a method cannot do what is
+    asked of it; DataError if the folder cannot be written; ModelError if a rig has no steady response;
+    IdentifiabilityError if a test does not determine the unknowns.
     """
     points = scenarios(study)
     rehearse(points)

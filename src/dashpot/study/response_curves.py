@@ -70,7 +70,7 @@ def frequency_curve(
 ) -> MotionCurve:
     """The motion at one size of the drive from the first frequency to the last, through folds.
 
-    Raises ConvergenceError where the curve cannot be followed, UsageError where the rig is linear.
+    Raises ConvergenceError if the curve cannot be followed, UsageError if the rig is linear.
     theta (unknowns,), amplitudes in m or N.
     """
     require_nonlinear(model)
@@ -136,7 +136,7 @@ def enough_orders(
 
 
 def require_nonlinear(model: Model) -> None:
-    """Raises UsageError where the rig has no nonlinear element."""
+    """Raises UsageError if the rig has no nonlinear element."""
     if not len(model.nonlinear):
         what = "the rig has no nonlinear element: its response curves do not depend on the amplitude"
         raise UsageError(what, cure="simulate its amplitudes at the frequencies instead")

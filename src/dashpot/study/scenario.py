@@ -109,7 +109,7 @@ class Scenario:
     def bound_sd(self) -> Real:
         """Cramér-Rao bound at the truth, (unknowns,), for the true noise.
 
-        Raises DashpotError where the test does not determine the unknowns.
+        Raises DashpotError if the test does not determine the unknowns.
         """
         if self.transients:
             calibrations = nominal_calibrations(unknown_calibrations(self.channels))
@@ -124,8 +124,8 @@ class Scenario:
     def drawn(self, rng: np.random.Generator, draws: int) -> Spectrum:
         """Repeats of the test, drawn for all methods alike.
 
-        Raises DataError where a dwell has too few samples, UsageError where a nonlinear rig is to be told noise by its
-        residuals or sample moments, or a test with transients more than they know, ConvergenceError where a rig has no
+        Raises DataError if a dwell has too few samples, UsageError if a nonlinear rig is to be told noise by its
+        residuals or sample moments, or a test with transients more than they know, ConvergenceError if a rig has no
         settled motion.
         """
         if self.transients:
@@ -236,7 +236,7 @@ class Study:
 def scenarios(study: Study) -> tuple[Scenario, ...]:
     """All points of all grids, each once: what two grids share has the methods of both and the larger number of draws.
 
-    Raises UsageError or ModelError where a combination is none.
+    Raises UsageError or ModelError if a combination is none.
     """
     by_name: dict[str, Scenario] = {}
     for grid in study.grids:
@@ -251,7 +251,7 @@ def scenarios(study: Study) -> tuple[Scenario, ...]:
 
 
 def points(study: Study, grid: ScenarioGrid) -> Iterator[Scenario]:
-    """The points of one grid.  Raises UsageError or ModelError where a combination is none."""
+    """The points of one grid.  Raises UsageError or ModelError if a combination is none."""
     ranges = (grid.rigs, grid.unknowns, grid.frequencies, grid.noise, grid.samples, grid.covariance)
     for name, unknowns, frequencies, level, samples, basis in product(*ranges):
         rig = study.rigs[name]
@@ -302,9 +302,9 @@ def _channels(study: Study, grid: ScenarioGrid, rig: TrueRig, level: float) -> t
 
 
 def share_out(samples: int, lines: int) -> Ints:
-    """So many samples in all over the lines, the first ones taking what is left over; (lines,).
+    """So many samples in all over the lines, the first ones taking the residual; (lines,).
 
-    Raises UsageError where there are fewer than two for each.
+    Raises UsageError if there are fewer than two for each.
     """
     if samples < 2 * lines:
         raise UsageError(
@@ -316,7 +316,7 @@ def share_out(samples: int, lines: int) -> Ints:
 def truth(rig: TrueRig, name: str) -> float:
     """The true value of a parameter: as stated for the study, or the rig's own value or guess.
 
-    Raises UsageError where there is neither.
+    Raises UsageError if there is neither.
     """
     if name in rig.values:
         return float(rig.values[name])

@@ -64,8 +64,8 @@ def driven_record(
     Noise is that of each channel's `noise`, and its `relative_noise` of the channel's largest value.  Inputs that are
     measured as velocity or acceleration are integrated, their mean being taken for the sensor's offset.  Known delays
     of the inputs are taken out, those of `channels` put in; before its start nothing moves.
-    Raises DataError where an input is not in `drive`, ModelError where a linear rig has no motion in time,
-    ConvergenceError where the motion cannot be followed.
+    Raises DataError if an input is not in `drive`, ModelError if a linear rig has no motion in time,
+    ConvergenceError if the motion cannot be followed.
     theta (unknowns,), SI units.
     """
     channels = tuple(channels)
@@ -253,7 +253,7 @@ def response_band(
 
     The second is (samples, channels) in the units of the record's values: √(g Σ gᵀ) with the slopes g of each sample
     and the covariance Σ of the estimate.  Gains, delays and signs are those of the estimate where it has them.
-    Raises DataError where the estimate is not of this rig, and as `driven_record`.
+    Raises DataError if the estimate is not of this rig, and as `driven_record`.
     """
     estimate.require_unknowns(model.unknown_names)
     m, names = len(model.unknowns), estimate.names
@@ -295,11 +295,11 @@ NoiseBasis = Literal["given", "estimated"]
 
 @dataclass(frozen=True)
 class Dwells:
-    """A stepped-sine test: what is driven at each frequency, and how it is sampled.
+    """A stepped-sine test: the drive at each frequency, and its sampling.
 
     frequency_hz  (lines,)    Hz
     samples       (lines,)    samples of every channel, evenly spaced from t = 0 on
-    periods       (lines,)    time of a dwell in periods; samples are periods / (samples · frequency) apart
+    periods       (lines,)    duration of a dwell in periods; samples are periods / (samples · frequency) apart
     U             (lines, r)  amplitudes of the displacement inputs, m
     f             (lines, s)  amplitudes of the forces, N
     """
@@ -344,8 +344,8 @@ def dwells(
     """The test that drives every input of `model` at each frequency.
 
     frequency_hz (lines,); samples and periods of each dwell (lines,), or one number for all.  `amplitudes` of the
-    inputs by name in SI units, one or one for each frequency, 1 where not named.  Samples are spread over `periods`, or
-    taken at `rate` (Hz).  Raises UsageError for an input that the rig has not.
+    inputs by name in SI units, one value or one per frequency, default 1.  Samples are spread over `periods`, or taken
+    at `rate` (Hz).  Raises UsageError for an input that the rig does not have.
     """
     frequencies = np.atleast_1d(np.asarray(frequency_hz, dtype=float))
     lines = len(frequencies)
@@ -380,7 +380,7 @@ def amplitudes_within(
 ) -> dict[str, complex | Complex]:
     """Amplitudes by name: those that are given, all others together as large as the shaker can at each frequency.
 
-    theta (unknowns,), frequency_hz (lines,).  Raises UsageError where no limit is met.
+    theta (unknowns,), frequency_hz (lines,).  Raises UsageError if no limit is met.
     """
     at = np.asarray(frequency_hz, dtype=float)
     names = [*model.displacement_inputs, *model.force_inputs]
@@ -435,7 +435,7 @@ def with_constant_noise(
 def clean_amplitudes(model: Model, p: Real, channels: Sequence[Channel], test: Dwells) -> Complex:
     """Amplitudes of the channels' quantities without noise, (..., lines, channels), SI units; p (..., elements).
 
-    Raises DataError where a channel measures what the rig has not.
+    Raises DataError if a channel measures something that the rig lacks.
     """
     view = observation_model(model, channels, test.omega)
     X = response(model, p, test.omega, test.U, test.f)
@@ -456,12 +456,12 @@ def simulate_records(
     draws: int | None = None,
     offset: Real | None = None,
 ) -> list[Record]:
-    """One steady record for each dwell, noise and calibrations of the channels included.
+    """One simulated steady-state record per dwell, with noise and calibrations of the channels.
 
     p (elements,), SI units; `draws` repeats make a leading axis of the values; `offset` (channels,) is added, SI units.
-    Gains and delays that are stated with an sd are drawn, one for all records; unknown ones, and signs, are as guessed,
-    else 1, 0 and 1.  Raises ModelError where the rig has no steady
-    response, DataError where a channel measures what the rig has not.
+    Gains and delays stated with an sd are drawn once for all records; unknown ones, and signs, are set to their guess,
+    or else to 1, 0 and 1.  Raises ModelError if the rig has no steady response, and DataError if a channel measures
+    something that the rig does not have.
     """
     Y = clean_amplitudes(model, p, channels, test)
     return _steady_records(channels, np.stack([np.zeros_like(Y), Y], axis=1), test, rng, draws, offset)
@@ -511,14 +511,14 @@ def simulate_spectrum(
     moments: bool = False,
     drift: int | None = None,
 ) -> Spectrum:
-    """The Spectrum of simulated records, drawn from its exact distribution without their samples.
+    """Simulate the Spectrum of such records from its exact distribution, without computing samples.
 
-    Gains and delays that are stated with an sd are drawn for each repeat, about which the noise has the same size.
+    Gains and delays stated with an sd are drawn for each repeat; the noise has the same size in all.
     `noise` "given" states the true covariance, "estimated" the one that white residuals of the records would give,
     with its degrees of freedom.  `drift` is the degree of the trend solved for (None: not even an offset), `moments`
     adds the second moments for the methods that work on samples.  The amplitudes depend on neither.
-    p (elements,), SI units; `draws` repeats make a leading axis.  Raises DataError where a dwell has too few samples or
-    a channel measures what the rig has not, ModelError where the rig has no steady response, UsageError where `draws`
+    p (elements,), SI units; `draws` repeats make a leading axis.  Raises DataError if a dwell has too few samples or
+    a channel measures what the rig has not, ModelError if the rig has no steady response, UsageError if `draws`
     or `drift` is negative.
     """
     for name, count in {"draws": draws, "drift": drift}.items():
@@ -623,7 +623,7 @@ def _covariance(spread: Real, sd: Real) -> Complex:
 
 
 def _grams(test: Dwells, drift: int | None) -> Real:
-    """Hᵀ M H of (cos ωt, sin ωt) with the trend taken out, (lines, 2, 2).  Raises DataError where it is singular."""
+    """Hᵀ M H of (cos ωt, sin ωt) with the trend taken out, (lines, 2, 2).  Raises DataError if it is singular."""
     cache: dict[tuple[int, float], Real] = {}
     for count, periods in zip(test.samples.tolist(), test.periods.tolist(), strict=True):
         if (count, periods) in cache:
@@ -726,7 +726,7 @@ def _followed(model: Model, theta: Real, drive: Drive, at: Periodic) -> Periodic
 
 
 def settled_records(motion: SettledMotion, test: Dwells, rng: np.random.Generator) -> list[Record]:
-    """One steady record for each dwell, noise and calibrations of the channels included."""
+    """One simulated steady-state record per dwell, with noise and calibrations of the channels."""
     return _steady_records(motion.channels, motion.harmonics, test, rng)
 
 

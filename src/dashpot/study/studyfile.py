@@ -54,7 +54,7 @@ _WANTED = Wanted("study file", "describe a study, starting with [rigs.NAME]")
 def read_study(path: str | os.PathLike[str]) -> Study:
     """The study in the TOML file `path`; rig files are looked for beside it.
 
-    Raises UsageError with every problem found, each at file:line and key, DataError where the path is a device.
+    Raises UsageError with every problem found, each at file:line and key, DataError if the path is a device.
     """
     return _Reading(read_toml(path, UsageError, _WANTED)).study()
 

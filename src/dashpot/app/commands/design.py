@@ -147,7 +147,7 @@ class DesignOptions:
     ]
 
     def __post_init__(self) -> None:
-        """Raises UsageError where two options contradict each other."""
+        """Raises UsageError if two options contradict each other."""
         if self.samples is not None and self.time is not None:
             raise UsageError("both --samples and --time are given", cure="give one of them as the budget")
         if self.record_band is not None and not self.after and self.against is None:
@@ -297,7 +297,7 @@ def _values(
 def _question(rig: Rig, whole: Rig, wanted: DesignOptions, records: RecordOptions) -> Question:
     """What the options ask for, in SI units, of a rig as it is in one experiment of the `whole` rig.
 
-    Raises UsageError where they contradict each other.
+    Raises UsageError if they contradict each other.
     """
     from dashpot.design.advise import Question
     from dashpot.estimate.result import Estimate

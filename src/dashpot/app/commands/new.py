@@ -77,7 +77,7 @@ def command(
 
 
 def _unit(motion: str, text: str) -> str:
-    """A unit of the motion.  Raises UsageError where it is none."""
+    """A unit of the motion.  Raises UsageError if it is none."""
     try:
         scale(text, motion)
     except DashpotError as error:

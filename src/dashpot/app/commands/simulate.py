@@ -178,7 +178,7 @@ def command(
 
 
 def _input_record(rig: Rig, path: str) -> Record:
-    """The record of the inputs.  Raises DataError where the file holds dwells, amplitudes or several records."""
+    """The record of the inputs.  Raises DataError if the file holds dwells, amplitudes or several records."""
     from dashpot.data.readers import read
     from dashpot.model.observation import measures_input
 
@@ -206,7 +206,7 @@ def _beyond(rig: Rig, drive: Mapping[str, float], frequencies: Sequence[float]) 
 
 
 def _require_drive(rig: Rig, drive: Mapping[str, complex]) -> None:
-    """Raises UsageError where an input of a nonlinear rig has no amplitude: its motion is not proportional to it."""
+    """Raises UsageError if an input of a nonlinear rig has no amplitude: its motion is not proportional to it."""
     missing = [given.name for given in rig.model.inputs if given.name not in drive and rig.shaker is None]
     if len(rig.model.nonlinear) and missing:
         raise UsageError(

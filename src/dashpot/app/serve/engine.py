@@ -311,7 +311,7 @@ def _inspect(call: Call, tell: Tell) -> None:
 
 
 def _parsed(call: Call) -> Rig | None:
-    """The rig of a call; None where there is none, or it cannot be read yet."""
+    """The rig of a call; None if there is none, or it cannot be read yet."""
     from dashpot.errors import ModelError
     from dashpot.model.rigfile import parse_rig
 
@@ -519,7 +519,7 @@ def _files(folder: Path) -> list[str]:
 
 
 def _tried(work: Callable[[], Any]) -> Any:
-    """What is drawn; None where it cannot be, which costs a picture and no answer."""
+    """What is drawn; None if it cannot be, which costs a picture and no answer."""
     try:
         return work()
     except DashpotError:

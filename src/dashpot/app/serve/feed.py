@@ -29,7 +29,7 @@ class LiveFile:
     """A live file that grows by what one recorder sends.
 
     One that connects again goes on where it was: its first line does not come twice, and a row that broke off goes.
-    Raises UsageError where another recorder is writing the file, and where it becomes too long.
+    Raises UsageError if another recorder is writing the file, and where it becomes too long.
     """
 
     _open: set[Path] = set()  # noqa: RUF012  those that are being written by this process
@@ -147,7 +147,7 @@ class _Rows(socketserver.StreamRequestHandler):
 def listening(host: str, port: int, sessions: Sessions) -> Feed:
     """Take rows at a port, in threads that end with the process.
 
-    Raises UsageError where the port is taken.
+    Raises UsageError if the port is taken.
     """
     try:
         feed = Feed(host, port, sessions)

@@ -174,7 +174,7 @@ def _is_address(name: str) -> bool:
 async def _take(
     receive: Receive, session: Session, headers: Mapping[str, str], query: Mapping[str, str]
 ) -> None:
-    """Put an upload on disk as it comes.  Raises RefusedError where it is too large, or breaks off."""
+    """Put an upload on disk as it comes.  Raises RefusedError if it is too large, or breaks off."""
     name, kind = query.get("name", ""), query.get("kind", "data")
     safe, of_rig = safe_name(name), kind == "rig"
     most = MOST_RIG if of_rig else MOST_UPLOAD
@@ -225,7 +225,7 @@ async def _take(
 
 
 async def _append(receive: Receive, session: Session, name: str) -> None:
-    """Add what a recorder sends to a live file, as it comes.  Raises RefusedError where that is too large."""
+    """Add what a recorder sends to a live file, as it comes.  Raises RefusedError if that is too large."""
     try:
         with LiveFile(session.live_place(name)) as live:
             while True:

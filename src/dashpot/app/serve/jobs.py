@@ -95,7 +95,7 @@ class Job:
 
     @property
     def share(self) -> float | None:
-        """How much of the present stage is done; None where nobody knows."""
+        """How much of the present stage is done; None if nobody knows."""
         return self.done / self.total if self.total else None
 
     @property

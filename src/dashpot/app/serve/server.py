@@ -23,7 +23,7 @@ USUAL_PORT = 8420
 def serve(folder: Path, host: str, port: int | None, browser: bool, rows_at: int | None = None) -> None:
     """Serve the page for a folder until it is interrupted; `rows_at` is the port for rows of a running test.
 
-    Raises UsageError where a port is taken, or another server works in the folder.
+    Raises UsageError if a port is taken, or another server works in the folder.
     """
     engine = Engine()
     sessions = Sessions(folder, engine)

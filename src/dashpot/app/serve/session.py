@@ -601,7 +601,7 @@ class Sessions:
         return token
 
     def of(self, token: str | None) -> Session | None:
-        """The session of a token; None where it is none."""
+        """The session of a token; None if it is none."""
         if not token or not re.fullmatch(r"[\w-]{32}", token):
             return None
         name = name_of(token)

@@ -38,13 +38,13 @@ __all__ = ["Reading", "read", "write_amplitudes", "write_records"]
 
 @dataclass(frozen=True)
 class Reading:
-    """What the files hold.
+    """The contents of data files.
 
     records       time records, in the order of the files
-    amplitudes    lines that were amplitudes already; None: no such file
-    notes         what was noticed on the way
-    joint         records of sensors with sample times of their own
-    conditioning  how a manifest says that records become amplitudes; fields of Conditioning
+    amplitudes    lines of files that hold amplitudes; None if there are none
+    notes         notices of the readers
+    joint         records of sensors with their own sample times
+    conditioning  conditioning stated in a manifest; fields of Conditioning
     """
 
     records: tuple[Record, ...]
@@ -64,16 +64,16 @@ class Reading:
 
     @property
     def continuous(self) -> bool:
-        """Whether there are records, and none names a drive frequency: of any excitation, in one piece each."""
+        """Whether there are records and none has a drive frequency, so that each is continuous."""
         return bool(self.records) and all(record.frequency_hz is None for record in self.records)
 
     def spectrum(
         self, conditioning: Conditioning | None = None, **treatments: Unpack[Treatments]
     ) -> Spectrum:
-        """All lines: those of the records, then those that were amplitudes.
+        """All lines: those of the records, then those of files that hold amplitudes.
 
-        `conditioning`, or its fields as keywords, says how records become amplitudes.
-        Raises DataError where second moments are asked for and a file holds amplitudes only.
+        `conditioning`, or its fields as keywords, sets how records are turned into amplitudes.
+        Raises DataError if second moments are requested and a file holds amplitudes only.
         """
         usual = Conditioning(**self.conditioning) if conditioning is None else conditioning
         settings = conditioning_of(usual, treatments)
@@ -140,7 +140,7 @@ def _content(file: DataFile, circumstances: Circumstances, channels: Sequence[Ch
 def _kind_of(group: FileGroup, by: Experiments) -> int:
     """Number from 1 of the experiment of the rig file that a group of a manifest is of, 0 of none.
 
-    Raises DataError where its entry names one that the rig file has not, or its files are those of two.
+    Raises DataError if its entry names one that the rig file has not, or its files are those of two.
     """
     if isinstance(group.entry.experiment, str):
         return by.number(group.entry.experiment, group.place)

@@ -43,7 +43,7 @@ PHASES = ("_phase", "_phase_deg", "_phase_rad", "_ph", "_arg")
 class AmplitudeColumns:
     """Two columns of one complex amplitude: real and imaginary part, or amplitude and phase.
 
-    to_radian  factor from the numbers of the phase to rad; None where there is none
+    to_radian  factor from the numbers of the phase to rad; None if there is none
     decibel    whether the amplitude is in dB
     """
 
@@ -64,7 +64,7 @@ class AmplitudeColumns:
 def amplitude_columns(columns: Columns) -> dict[str, AmplitudeColumns]:
     """Columns of amplitudes by the names in front of _re, or of _amplitude where there is no _re.
 
-    Raises DataError where the unit of a phase is none of angle.
+    Raises DataError if the unit of a phase is none of angle.
     """
     at = {bare(name)[0]: i for i, name in reversed(list(enumerate(columns.header)))}
     names = list(reversed(at))
@@ -101,7 +101,7 @@ def phase_factor(columns: Columns, column: int) -> float:
 def _required(
     columns: Columns, found: Mapping[str, AmplitudeColumns], stem: str, why: str = ""
 ) -> AmplitudeColumns:
-    """The columns of one amplitude.  Raises DataError where one is missing or named twice."""
+    """The columns of one amplitude.  Raises DataError if one is missing or named twice."""
     if stem in found and found[stem].to_radian is not None:
         return found[stem]
     return AmplitudeColumns(columns.need(f"{stem}_re", why), columns.need(f"{stem}_im", why))
@@ -269,7 +269,7 @@ def _frequency_at(columns: Columns, channels: Sequence[Channel]) -> int:
 def _pairs(
     columns: Columns, found: Mapping[str, AmplitudeColumns], channels: Sequence[Channel]
 ) -> list[tuple[str, str]]:
-    """Which response to which input there is.  Raises DataError where there is none, or one is missing."""
+    """Which response to which input there is.  Raises DataError if there is none, or one is missing."""
     names = {channel.name for channel in channels}
     pairs = []
     plain = (bare(column)[0] for column in columns.header)
@@ -469,7 +469,7 @@ def _covariance(
 def _stretches(
     columns: Columns, more: dict[str, int], values: dict[int, Real], lines: int
 ) -> tuple[Ints, tuple[Stretch, ...]]:
-    """Which record or dwell each line belongs to.  Raises DataError where lines of one record disagree about it."""
+    """Which record or dwell each line belongs to.  Raises DataError if lines of one record disagree about it."""
     if RECORD not in more:
         return np.zeros(lines, dtype=np.int64), (SettledDwell(),)
     numbers = whole_numbers(columns, more[RECORD], values[more[RECORD]])

@@ -175,7 +175,7 @@ class ArrayColumns(Columns):
 
 
 def _first_text(values: Any) -> tuple[int, str] | None:
-    """The first of some texts that is no number, and at which sample, from 1; None where they are no texts."""
+    """The first of some texts that is no number, and at which sample, from 1; None if they are no texts."""
     for sample, value in enumerate(values.tolist() if values.dtype.kind == "U" else (), 1):
         try:
             float(value)
@@ -191,7 +191,7 @@ def array_columns(
 ) -> ArrayColumns:
     """Columns, held or streamed, of one length.
 
-    Raises DataError where there are none, too many, or where their lengths differ.
+    Raises DataError if there are none, too many, or where their lengths differ.
     """
     if not variables:
         raise DataError("there are no variables", source, "give a file with data")
@@ -226,7 +226,7 @@ OF_ALL = (FREQUENCY, EXPERIMENT)
 def parts_of_variables(
     source: str, variables: Mapping[str, Any], units: Mapping[str, str | None] | None = None
 ) -> Iterator[ArrayColumns]:
-    """The parts, those with most variables first.  Raises DataError where there is no array of numbers."""
+    """The parts, those with most variables first.  Raises DataError if there is no array of numbers."""
     units = dict(units or {})
     scalars: dict[str, Any] = {}
     arrays: dict[str, Any] = {}
@@ -305,7 +305,7 @@ def _by_length(
 
 
 def step_of(scalars: Mapping[str, Any]) -> float | None:
-    """The sampling step in s that the scalars of a file say; None where they say none that makes sense."""
+    """The sampling step in s that the scalars of a file say; None if they say none that makes sense."""
     for name, value in scalars.items():
         try:
             number = float(value)

@@ -69,7 +69,7 @@ def read_feather(file: DataFile, feather: Any) -> Iterator[ArrayColumns]:
 
 
 def _check_unpacked(file: DataFile, schema: Any, rows: int) -> None:
-    """Raises DataError where the numbers are more than the file may unpack to; texts have the limit of the process."""
+    """Raises DataError if the numbers are more than the file may unpack to; texts have the limit of the process."""
     file.check_unpacked(rows * sum(pa.types.is_primitive(kind) for kind in schema.types) * 8)
 
 

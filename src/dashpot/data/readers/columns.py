@@ -133,7 +133,7 @@ class Columns(ABC):
     def find(self, name: str) -> int | None:
         """Position of a column, by its name, by that in front of a unit in brackets, or by its number (`names`).
 
-        Raises DataError where there are two.
+        Raises DataError if there are two.
         """
         for names in (self.header, self._bare_names):
             if name not in names:
@@ -206,7 +206,7 @@ class Columns(ABC):
         """Factor from the numbers of a column to SI units.
 
         The unit is the one that the rig file gives the channel; where it gives none, the one of the file.
-        Raises DataError where they are not the same, and where the unit is one of another quantity.
+        Raises DataError if they are not the same, and where the unit is one of another quantity.
         """
         unit = self.unit(column)
         if unit is None or unit in ("", channel.unit):
@@ -235,7 +235,7 @@ class Columns(ABC):
     def _scale_of_raw(self, unit: str, channel: Channel) -> float:
         """Factor of a column in volts or counts: the rig file has to say the same, and the sensitivity.
 
-        Raises DataError where it does not.
+        Raises DataError if it does not.
         """
         if channel.unit and _same_raw(unit, channel.unit):
             return channel.scale
@@ -316,9 +316,9 @@ LONGEST = 1e12  # s
 
 
 def time_column(columns: Columns, channels: Sequence[Channel], may_lack: bool = False) -> int | None:
-    """Position of the time: `time_s`, or a usual name of it; None where there is none and there `may_lack`.
+    """Position of the time: `time_s`, or a usual name of it; None if there is none and there `may_lack`.
 
-    Raises DataError where there is none, or several.
+    Raises DataError if there is none, or several.
     """
     at = columns.find(TIME)
     if at is not None:
@@ -422,7 +422,7 @@ def guessed_time_unit(time: Real) -> tuple[float, str]:
 def _unit_scale(columns: Columns, column: int, quantity: str, cure: str, named: str | None = None) -> float:
     """Factor of the column's unit, or of the one in its name; 1 where it has none.
 
-    Raises DataError where it is none of the quantity.
+    Raises DataError if it is none of the quantity.
     """
     unit = columns.unit(column) or named
     if not unit:
@@ -435,7 +435,7 @@ def _unit_scale(columns: Columns, column: int, quantity: str, cure: str, named: 
 
 
 def frequency_column(columns: Columns, channels: Sequence[Channel]) -> int | None:
-    """Position of the drive frequency: `frequency_hz`, or a usual name of it with a unit; None where there is none."""
+    """Position of the drive frequency: `frequency_hz`, or a usual name of it with a unit; None if there is none."""
     at = columns.find(FREQUENCY)
     if at is not None:
         return at
@@ -452,7 +452,7 @@ def frequency_column(columns: Columns, channels: Sequence[Channel]) -> int | Non
 
 
 def frequency_scale(columns: Columns, column: int) -> float:
-    """Hz per unit of the column.  Raises DataError where the unit is none of frequency."""
+    """Hz per unit of the column.  Raises DataError if the unit is none of frequency."""
     return _unit_scale(columns, column, "frequency", "give the frequency in Hz, kHz, rad/s or rpm")
 
 
@@ -542,7 +542,7 @@ def _seconds(texts: Sequence[str], month_first: bool) -> tuple[Real, int | None]
 
 
 def _date(parts: dict[str, str | None], month_first: bool) -> str | None:
-    """The date as 2025-03-06, which need not be one of the calendar; None where there is none."""
+    """The date as 2025-03-06, which need not be one of the calendar; None if there is none."""
     if parts.get("y") or parts.get("y2"):
         year, month, day = (parts[key] or parts[f"{key}2"] for key in ("y", "m", "d"))
     elif parts.get("y3"):

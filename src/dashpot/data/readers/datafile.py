@@ -61,12 +61,12 @@ class DataFile:
             return os.stat(self.path).st_size
 
     def check_unpacked(self, size: int) -> None:
-        """Raises DataError where contents of so many bytes are more than the file may unpack to."""
+        """Raises DataError if contents of so many bytes are more than the file may unpack to."""
         _check_unpacked(size, self.size, self.name)
 
     @cached_property
     def contents(self) -> bytes | mmap.mmap:
-        """All bytes; those of a large file are mapped, not held.  Raises DataError where they cannot be read."""
+        """All bytes; those of a large file are mapped, not held.  Raises DataError if they cannot be read."""
         if self.held is not None:
             return self.held
         with self.reading() as stream:
@@ -76,7 +76,7 @@ class DataFile:
 
     @contextmanager
     def reading(self) -> Iterator[BinaryIO]:
-        """The bytes as a stream.  Raises DataError where they cannot be read."""
+        """The bytes as a stream.  Raises DataError if they cannot be read."""
         with _said(self.name), Path(noted(self.path)).open("rb") as stream:
             yield stream
 
@@ -89,7 +89,7 @@ class DataFile:
 
 
 def most_unpacked(packed: int) -> int:
-    """Bytes to which a file of so many may unpack.  Raises UsageError where the environment says no number of GiB."""
+    """Bytes to which a file of so many may unpack.  Raises UsageError if the environment says no number of GiB."""
     text = os.environ.get(UNPACKED, "") or "1"
     try:
         return packed + int(float(text) * 2**30)
@@ -120,7 +120,7 @@ def whole_lines(
 def open_file(path: str | os.PathLike[str]) -> DataFile:
     """The file and its first bytes.
 
-    Raises DataError where there is none, it is a folder or a device, may not be read, is empty, or is damaged.
+    Raises DataError if there is none, it is a folder or a device, may not be read, is empty, or is damaged.
     """
     name = shown(os.fspath(path), 200)
     with _said(name):

@@ -28,7 +28,7 @@ def is_excel(file: DataFile) -> bool:
 
 
 def read_excel(file: DataFile, fastexcel: Any) -> Iterator[TextTable]:
-    """The sheets with a header row; empty ones are left out.  Raises DataError where the file cannot be read."""
+    """The sheets with a header row; empty ones are left out.  Raises DataError if the file cannot be read."""
     if file.head.startswith(ZIP):
         with damaged(file.name, "Excel"), file.reading() as stream, ZipFile(stream) as archive:
             file.check_unpacked(sum(item.file_size for item in archive.infolist()))

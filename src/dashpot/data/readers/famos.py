@@ -158,7 +158,7 @@ def _text(content: bytes, at: int) -> str:
 
 
 def _values(component: _Component, data: Content, blocks: dict[int, tuple[int, int]], source: str) -> Any:
-    """The samples of a component as numbers.  Raises DataError where they are not there."""
+    """The samples of a component as numbers.  Raises DataError if they are not there."""
     begin, end = blocks.get(component.block, (0, 0))
     first, last = begin + component.first, begin + component.first + component.size
     kind = NUMBERS.get(component.kind)

@@ -276,7 +276,7 @@ class _Parts:
         gc.collect()  # objects of asammdf hold each other, and a scratch file
 
     def __call__(self, request: Any, /) -> Any:
-        """The next part and, of a small one, its columns; the next piece of a column; None where there is none."""
+        """The next part and, of a small one, its columns; the next piece of a column; None if there is none."""
         # asammdf prints where it is slow
         with damaged(self.source, self.what), redirect_stdout(io.StringIO()):
             match request:

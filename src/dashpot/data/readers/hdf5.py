@@ -98,7 +98,7 @@ class _Walk:
             yield name, scalars, datasets
 
     def _followed(self, group: Any, key: bytes, place: str) -> Any:
-        """What a link leads to; None where it leads nowhere.  libhdf5 would follow it into another file."""
+        """What a link leads to; None if it leads nowhere.  libhdf5 would follow it into another file."""
         links, at, soft = [key], group, 0
         while links:
             key = links.pop()
@@ -124,7 +124,7 @@ class _Walk:
         return at
 
     def _has_values(self, dataset: Any, place: str) -> bool:
-        """Whether a dataset has a shape.  Raises DataError where its values are kept in other files."""
+        """Whether a dataset has a shape.  Raises DataError if its values are kept in other files."""
         plan = dataset.get_create_plist()
         if plan.get_layout() == self.h5py.h5d.VIRTUAL:
             raise self._elsewhere(place, "a virtual dataset")
@@ -144,7 +144,7 @@ class _Walk:
 
 
 def _refuse_endless_heaps(content: bytes | mmap.mmap) -> None:
-    """Raises ValueError where libhdf5 would walk for ever through a heap of texts whose objects have no size."""
+    """Raises ValueError if libhdf5 would walk for ever through a heap of texts whose objects have no size."""
     start = content.find(HEAP)
     while start >= 0:
         size = int.from_bytes(content[start + 8 : start + 16], "little")

@@ -43,18 +43,18 @@ def record(
     experiment: int | str = 0,
     source: str = "record",
 ) -> Record:
-    """One record of the channels that are named in `data`.
+    """One record, with the channels named in `data`.
 
     data      a mapping of names to arrays (samples,), a pandas or polars data frame, an xarray Dataset, a structured
               NumPy array, or an Input_output_data of the package nonlinear_benchmarks (columns u and y); numbers in
               the units of the channels
     channels  of a rig, or the rig
     experiment  a number, or the name of one of the rig's experiments
-    time      (samples,), s; else the column `time_s` (or an index or coordinate of that or a usual name), else
-              `rate_hz` in Hz
+    time      (samples,), s; by default the column, index or coordinate `time_s` (or one with a common name for time),
+              or else from `rate_hz`, Hz
 
-    Raises DataError where there are no channels, a channel or the time is missing or told twice, something is not a
-    finite number or is masked, there are fewer than two samples, or there are several records.
+    Raises DataError if there are no channels, a channel or the time is missing or given twice, a value is masked or
+    not finite, there are fewer than two samples, or there are several records.
     """
     records = records_of(
         data,
@@ -84,7 +84,7 @@ def records_of(
     experiment: int | str = 0,
     source: str = "record",
 ) -> tuple[Record, ...]:
-    """All records in `data`, with a column `frequency_hz` one for each of its blocks; arguments as of `record`.
+    """All records in `data`: one per block of equal `frequency_hz`, if that is a column; arguments as for `record`.
 
     Raises DataError as `record`.
     """
@@ -123,7 +123,7 @@ def records_of(
 
 
 def columns_in_memory(data: Any, source: str) -> ArrayColumns:
-    """All columns of a data frame, a mapping, a Dataset or a structured array.  Raises DataError where it is none."""
+    """All columns of a data frame, a mapping, a Dataset or a structured array.  Raises DataError if it is none."""
     values, units = _variables(data, source)
     variables = {name: _array(name, value, source) for name, value in values.items()}
     return next(parts_of_variables(source, variables, units))
@@ -140,7 +140,7 @@ def _array(name: str, values: Any, source: str) -> Any:
 
 
 def _check_columns(variables: Mapping[str, Any], wanted: Collection[str], source: str) -> None:
-    """Raises DataError where columns that are wanted hold no numbers, or differ in length."""
+    """Raises DataError if columns that are wanted hold no numbers, or differ in length."""
     lengths = {}
     for name, array in variables.items():
         if bare(name)[0] not in wanted:

@@ -45,7 +45,7 @@ def is_labview(file: DataFile) -> bool:
 def read_labview(file: DataFile) -> Iterator[TextTable]:
     """The segments.  Times are those written where they are, not multiples of the rounded Delta_X of the header.
 
-    Raises DataError where there is no column of time, or another one for each channel, or another step.
+    Raises DataError if there is no column of time, or another one for each channel, or another step.
     """
     data = file.contents
     ends = [match.end() for match in _END.finditer(data)]
@@ -88,9 +88,9 @@ def _listed(header: str, label: str) -> list[str]:
 
 
 def _clock(header: str, source: str) -> tuple[float, float] | None:
-    """Start and step of the times of a segment, s; None where it does not say them.
+    """Start and step of the times of a segment, s; None if it does not say them.
 
-    Raises DataError where they are no numbers or cannot be those of times, or others for each channel.
+    Raises DataError if they are no numbers or cannot be those of times, or others for each channel.
     """
     start, step = (
         {cell.replace(",", ".") for cell in _listed(header, label) if cell} for label in ("X0", "Delta_X")

@@ -260,14 +260,14 @@ def files_named(path: str | os.PathLike[str]) -> list[Path]:
 
 
 def manifest_of_pattern(pattern: str | os.PathLike[str], number: int) -> Manifest:
-    """The files whose names fit a pattern, as experiment `number`.  Raises DataError where none does."""
+    """The files whose names fit a pattern, as experiment `number`.  Raises DataError if none does."""
     folder, name = _parted(pattern)
     groups = resolved(FilesEntry(name=name), folder, shown(os.fspath(pattern), 200), number)
     return Manifest(tuple(groups), {})
 
 
 def files_fitting(pattern: str) -> list[str]:
-    """Files whose names fit a pattern, links as well.  Raises DataError where none does, or too much is there."""
+    """Files whose names fit a pattern, links as well.  Raises DataError if none does, or too much is there."""
     folder, name = _parted(pattern)
     place = shown(pattern, 200)
     paths = (str(folder / each) for each in _below(folder, name, place))
@@ -286,7 +286,7 @@ def _parted(pattern: str | os.PathLike[str]) -> tuple[Path, str]:
 
 
 def resolved(entry: FilesEntry, folder: Path, place: str, number: int) -> list[FileGroup]:
-    """The groups of one entry, by experiment and frequency.  Raises DataError where no file fits."""
+    """The groups of one entry, by experiment and frequency.  Raises DataError if no file fits."""
     names = [entry.name] if isinstance(entry.name, str) else entry.name
     groups: dict[tuple[float | None, int, str], FileGroup] = {}
     for name in names:
@@ -336,7 +336,7 @@ def _regex(name: str) -> str:
 def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[str, str], str]]:
     """Files that fit a name or pattern, what its fields are there, and their names less the sensor's; in order.
 
-    Raises DataError where none does, or one lies outside the folder.
+    Raises DataError if none does, or one lies outside the folder.
     """
     if Path(name).anchor or ".." in Path(name).parts:
         raise DataError(
@@ -369,7 +369,7 @@ def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[s
 
 
 def _inside(folder: Path, relative: str, place: str) -> Path:
-    """The path of a file.  Raises DataError where a link on the way leads out of the folder."""
+    """The path of a file.  Raises DataError if a link on the way leads out of the folder."""
     with suppress(ValueError):  # of what is no path, which says its reader
         if not Path(os.path.realpath(folder / relative)).is_relative_to(os.path.realpath(folder)):
             what = f"{shown(relative, 100)} is a link out of the folder {shown(str(folder), 150)}"
@@ -380,7 +380,7 @@ def _inside(folder: Path, relative: str, place: str) -> Path:
 def _below(folder: Path, name: str, place: str) -> set[str]:
     """What lies below a folder and may fit a pattern; hidden names and links to folders are left out by ** and *.
 
-    Raises DataError where that is too much to look through.
+    Raises DataError if that is too much to look through.
     """
     steps = re.sub(r"\*\*/(?:\*\*/)+", "**/", name).split("/")
     if "**" in steps and os.path.realpath(folder) == Path(os.path.realpath(folder)).anchor:
@@ -501,7 +501,7 @@ def _chosen(
 ) -> tuple[Columns, tuple[Channel, ...]]:
     """The columns under the names of the channels and in the units of the entry, and the channels that are meant.
 
-    Raises DataError where the entry names a channel that the rig has not, or a unit that is none.
+    Raises DataError if the entry names a channel that the rig has not, or a unit that is none.
     """
     by_name = {channel.name: channel for channel in channels}
     for name in (*names, *group.entry.units):

@@ -64,7 +64,7 @@ HEAD = 1 << 16  # bytes of an element that are looked at
 def variables_of(file: DataFile) -> Iterator[tuple[str, Any]]:
     """The name of each variable and, of a long real vector, its numbers; None of another one.
 
-    Raises DataError where one reaches beyond the end of the file, or unpacks to too much.
+    Raises DataError if one reaches beyond the end of the file, or unpacks to too much.
     """
     data, position, unpacked = file.contents, 128, 0
     order = ">" if data[126:128] == b"MI" else "<"
@@ -94,7 +94,7 @@ def variables_of(file: DataFile) -> Iterator[tuple[str, Any]]:
 def _header(head: bytes, order: str, room: int) -> tuple[str, int, np.dtype[Any] | None, int]:
     """The name of an array, how many numbers it holds and, of a long real vector, their kind and where they begin.
 
-    room: bytes of it all.  Raises ValueError where its numbers take another number of bytes, or its cells or
+    room: bytes of it all.  Raises ValueError if its numbers take another number of bytes, or its cells or
     structures, each of which is an element with a head of eight bytes, more than there are.
     """
     flags_at, _, _, following = _element(head, 0, order)

@@ -37,7 +37,7 @@ def read_mdf(file: DataFile, asammdf: Any) -> Iterator[ArrayColumns]:
 
 
 def _refuse_rings(content: bytes | mmap.mmap) -> None:
-    """Raises ValueError where the blocks of an MDF4 file lead back to themselves: asammdf would walk for ever.
+    """Raises ValueError if the blocks of an MDF4 file lead back to themselves: asammdf would walk for ever.
 
     The header leads to data groups, these to channel groups, these to channels; each to the next of its kind first.
     """

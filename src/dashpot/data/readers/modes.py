@@ -55,13 +55,13 @@ def read_modes(
     channels: Iterable[Channel] = (),
     relative_sd: tuple[float, float, float] = USUAL_SD,
 ) -> ModalData:
-    """The modes in a file, with shapes at those of the rig's `coordinates` that it has.
+    """The modes in a file, with shapes at those of the rig's `coordinates` that the file contains.
 
-    channels     of the rig: points may have the names of those that show one coordinate alone
-    relative_sd  of frequencies, of damping ratios and of shapes against their largest entry, for universal files,
-                 which have none
+    channels     of the rig: points may be named after channels that measure a single coordinate
+    relative_sd  of frequencies, damping ratios, and shapes (relative to their largest entry), for universal files,
+                 which state none
 
-    Raises DataError, one line, with file, row and column or mode, for what is missing, no number, negative or unknown.
+    Raises DataError, with file, row and column or mode, for an entry that is missing, negative, unknown or no number.
     """
     return modes_and_notes(path, coordinates, channels, relative_sd)[0]
 
@@ -120,7 +120,7 @@ def write_mode_table(modes: ModalData, path: AnyPath) -> None:
     """Write modes as the table that is read here or, where the name ends in .uff or .unv, as datasets 55.
 
     These have no uncertainties; point k is node k, direction X, and the ID lines say which point that is.
-    Raises DataError where the file cannot be written.
+    Raises DataError if the file cannot be written.
     """
     if os.fspath(path).lower().endswith((".uff", ".unv")):
         omega, zeta = 2 * np.pi * modes.frequency_hz, modes.damping_ratio

@@ -25,7 +25,7 @@ def is_numpy(file: DataFile) -> bool:
 def read_numpy(file: DataFile) -> Iterator[ArrayColumns]:
     """The arrays of one length each; their units are text arrays NAME_unit.
 
-    Raises DataError where the file cannot be read.
+    Raises DataError if the file cannot be read.
     """
     variables: dict[str, Any] = {}
     units: dict[str, str | None] = {}

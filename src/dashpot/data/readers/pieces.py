@@ -119,7 +119,7 @@ def _lines(
 
 
 def _require_growing(file: DataFile, stream: BinaryIO) -> None:
-    """Raises DataError where the file has become shorter: another one has its name, or it was emptied."""
+    """Raises DataError if the file has become shorter: another one has its name, or it was emptied."""
     if os.fstat(stream.fileno()).st_size < stream.tell():
         raise DataError("the file became shorter while it was followed", file.name, "begin again")
 
@@ -127,7 +127,7 @@ def _require_growing(file: DataFile, stream: BinaryIO) -> None:
 def windows_of(records: Iterable[Record], seconds: float) -> Iterator[Record]:
     """Windows of that length, one after the other; none reaches over a gap, what is left at its ends is dropped.
 
-    A rest of half a window or more is a window.  Raises DataError where a window would have too few samples.
+    A rest of half a window or more is a window.  Raises DataError if a window would have too few samples.
     """
     held: Record | None = None
     latest = -np.inf
@@ -157,7 +157,7 @@ def windows_of(records: Iterable[Record], seconds: float) -> Iterator[Record]:
 
 
 def _step(record: Record, seconds: float) -> float:
-    """The usual step of a record.  Raises DataError where windows of so many seconds hold too few samples."""
+    """The usual step of a record.  Raises DataError if windows of so many seconds hold too few samples."""
     step = float(np.median(np.diff(record.time[:1001]))) if len(record.time) > 1 else seconds
     if len(record.time) > 1 and seconds < FEWEST * step:
         cure = (

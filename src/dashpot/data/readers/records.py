@@ -170,7 +170,7 @@ def _blocks(
 ) -> list[int]:
     """Where records begin: the frequency or the experiment changes, or the time starts again.
 
-    Raises DataError where the time stands still or goes back without starting again.
+    Raises DataError if the time stands still or goes back without starting again.
     """
     change = experiments[1:] != experiments[:-1]
     if frequency is not None:

@@ -84,7 +84,7 @@ _NO_DATA = {  # what is given in the place of a recording, by what such files be
 
 
 def reader_of(file: DataFile) -> Reader:
-    """The first reader whose file it is.  Raises DataError where there is none."""
+    """The first reader whose file it is.  Raises DataError if there is none."""
     *formats, text = READERS
     for reader in formats:
         if file.head.startswith(reader.starts) or reader.sniff(file):

@@ -92,7 +92,7 @@ def response_named(columns: Columns) -> tuple[tuple[str, str], str | None]:
 
 
 def read_response(columns: Columns, channels: Sequence[Channel]) -> tuple[Response, list[Notice]]:
-    """The response in a file.  Raises DataError where nothing says whose it is, or a number cannot be meant."""
+    """The response in a file.  Raises DataError if nothing says whose it is, or a number cannot be meant."""
     places = _places(columns)
     assert places is not None
     frequency_at, first, second, polar = places
@@ -126,7 +126,7 @@ def read_response(columns: Columns, channels: Sequence[Channel]) -> tuple[Respon
 
 
 def _pair(source: str, channels: Sequence[Channel]) -> tuple[str, str]:
-    """Output and input of the response in a file of this name.  Raises DataError where that says neither."""
+    """Output and input of the response in a file of this name.  Raises DataError if that says neither."""
     stem = Path(source).name.lower()
     places = []
     for channel in channels:

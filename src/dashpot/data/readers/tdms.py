@@ -46,7 +46,7 @@ class SampleBlock:
 
 
 def sample_blocks(content: Any, path: str) -> list[SampleBlock] | None:
-    """The blocks of a channel of an open TdmsFile; None where its samples are no plain numbers (DAQmx, dates)."""
+    """The blocks of a channel of an open TdmsFile; None if its samples are no plain numbers (DAQmx, dates)."""
     blocks: list[SampleBlock] = []
     for segment in getattr(content._reader, "_segments", None) or ():
         objects = [stored for stored in segment.ordered_objects if stored.has_data]

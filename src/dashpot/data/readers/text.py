@@ -65,7 +65,7 @@ def text_of(head: bytes) -> str:
 
 
 def _as_utf8(file: DataFile) -> DataFile:
-    """The same in UTF-8 without a mark, with line feeds.  Raises DataError where it is no text."""
+    """The same in UTF-8 without a mark, with line feeds.  Raises DataError if it is no text."""
     encoding = _encoding(file.contents[:LOOKED_AT], file.name)
     if encoding is not None:
         try:
@@ -412,7 +412,7 @@ def open_table(
 
     The header row is the one in front of the numbers, or in front of a row of units.  With `first_column` it is the
     first row that begins with it.  `source` names the file, or the part of it, in messages.
-    Raises DataError where the file cannot be read, is not text, is empty, or has a header and no rows.
+    Raises DataError if the file cannot be read, is not text, is empty, or has a header and no rows.
     """
     file = _as_utf8(path if isinstance(path, DataFile) else open_file(path))
     source = file.name if source is None else source
@@ -601,7 +601,7 @@ def _follow_at_once(rows: Sequence[_Row], delimiter: str | None) -> bool:
 
 
 def _header_in_front(rows: Sequence[_Row], delimiter: str | None) -> int | None:
-    """The header row, where the last two rows are the first ones of numbers; None where they are not."""
+    """The header row, where the last two rows are the first ones of numbers; None if they are not."""
     mark = _delimiter(rows[-1].text) if delimiter is None else delimiter
     *_, first, second = (_cells(row.text, mark) for row in rows[-3:])
     if len(first) != len(second) or not (_is_data(first) and _is_data(second)):
@@ -702,7 +702,7 @@ _JSON = re.compile(rb'\s*\{\s*["}]')
 
 
 def read_text(file: DataFile) -> Iterator[TextTable]:
-    """The table.  Raises DataError where the text is none, but JSON."""
+    """The table.  Raises DataError if the text is none, but JSON."""
     if _JSON.match(file.head):
         cure = "name a data file; an estimate is what validate and export take first"
         raise DataError("this is JSON, not a recording", file.name, cure)
@@ -723,7 +723,7 @@ def write_rows(
 ) -> None:
     """Write a comma-separated file, numbers with all their digits, packed where the name ends in .gz.
 
-    The file appears whole or not at all.  Raises DataError where it cannot be written.  columns (rows,) each.
+    The file appears whole or not at all.  Raises DataError if it cannot be written.  columns (rows,) each.
     """
     arrays = [
         pa.array(np.asarray(c))

@@ -84,7 +84,7 @@ class UffStream:
         return text.rstrip(b"\r\n") if text else None
 
     def block(self, size: int) -> bytes:
-        """So many bytes.  Raises DataError where there are fewer."""
+        """So many bytes.  Raises DataError if there are fewer."""
         data = self._stream.read(size)
         if len(data) < size:
             raise self.cut_off()
@@ -124,7 +124,7 @@ class DatasetStart:
 def dataset_starts(stream: UffStream) -> Iterator[DatasetStart]:
     """Starts of the datasets; who asks for the next one has read the present one to its end.
 
-    Raises DataError where something else stands between datasets.
+    Raises DataError if something else stands between datasets.
     """
     while (text := stream.line_or_end()) is not None:
         if not text.strip():
@@ -145,7 +145,7 @@ def skip_dataset(stream: UffStream) -> None:
 
 
 def expect_end(stream: UffStream) -> None:
-    """The end of the dataset.  Raises DataError where something else follows."""
+    """The end of the dataset.  Raises DataError if something else follows."""
     text = stream.line()
     if not text.strip():
         text = stream.line()
@@ -316,7 +316,7 @@ def _shape(line: bytes, exact: str) -> _Shape:
 
 
 def _require_finite(abscissa: Real, place: str) -> None:
-    """Raises DataError where the abscissa is not finite."""
+    """Raises DataError if the abscissa is not finite."""
     if not np.all(np.isfinite(abscissa)):
         raise DataError("the abscissa of a function is not finite", place, "export the file again")
 
@@ -481,7 +481,7 @@ def modes_of(file: DataFile) -> Iterator[NodalMode]:
 
 
 def _mode(stream: UffStream, start: DatasetStart) -> NodalMode | None:
-    """A mode; None where the dataset holds something else."""
+    """A mode; None if the dataset holds something else."""
     ids = tuple(stream.line().decode("utf-8", errors="replace").strip() for _ in range(5))
     try:
         _, analysis, _, _, data_type, per_node = (int(field) for field in _cut(stream.line(), 10)[:6])
@@ -673,7 +673,7 @@ def read_universal(file: DataFile) -> Iterator[ArrayColumns]:
 def functions_of(file: DataFile, others: set[int] | None = None) -> Iterator[NodalFunction]:
     """All functions of a universal file (datasets 58 and 58b); the numbers of other datasets go to `others`.
 
-    Raises DataError where the file is damaged or cut off.
+    Raises DataError if the file is damaged or cut off.
     """
     with file.reading() as raw:
         stream = UffStream(raw, file)

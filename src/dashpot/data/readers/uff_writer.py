@@ -36,7 +36,7 @@ def write_functions(
 ) -> None:
     """Write functions as datasets 58b (or 58).  Start and step of even abscissae keep all their digits in ID line 5.
 
-    Ordinates in binary double precision read back to the last bit.  Raises DataError where the file cannot be written.
+    Ordinates in binary double precision read back to the last bit.  Raises DataError if the file cannot be written.
     """
     write_bytes(path, _functions(functions, binary, double, little))
 

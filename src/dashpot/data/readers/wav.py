@@ -27,7 +27,7 @@ def is_wav(file: DataFile) -> bool:
 def read_wav(file: DataFile) -> Iterator[ArrayColumns]:
     """All channels, channel_1, channel_2, …; a manifest gives them their names and units.
 
-    Raises DataError where the file ends before its last sample.
+    Raises DataError if the file ends before its last sample.
     """
     with damaged(file.name, "WAV"):
         rate, samples = _samples(file)
@@ -44,7 +44,7 @@ def read_wav(file: DataFile) -> Iterator[ArrayColumns]:
 def _samples(file: DataFile) -> tuple[int, Any]:
     """Rate in Hz and samples, (samples, channels), those of 24 bits as their bytes, (samples, channels, 3).
 
-    Raises ValueError where there are none, or the file ends before the last.
+    Raises ValueError if there are none, or the file ends before the last.
     """
     data = file.contents
     order: Literal["little", "big"] = "big" if data[:4] == b"RIFX" else "little"

@@ -143,7 +143,7 @@ def _p_values(X: Complex, inputs: Bools) -> list[Real]:
         return []
     if len(starts) > 400:
         # Those in which the inputs are strongest: a few tones are in few bins of a long record, and the others
-        # tell nothing of them.
+        # contain no information on them.
         power = np.abs(X[:, inputs]) ** 2
         total = np.sum(power / np.maximum(np.mean(power, axis=0), np.finfo(float).tiny), axis=1)
         starts = starts[np.sort(np.argsort(np.add.reduceat(total, starts))[-400:])]
@@ -275,7 +275,7 @@ def dead_channels(model: Model, spectrum: Spectrum) -> list[str]:
 
 
 def require_motion(model: Model, spectrum: Spectrum) -> None:
-    """Raises IdentifiabilityError where no channel of a moving point shows any: a rig of any size fits that."""
+    """Raises IdentifiabilityError if no channel of a moving point shows any: a rig of any size fits that."""
     dead = dead_channels(model, spectrum)
     if dead and len(dead) == sum(not measures_input(model, channel) for channel in spectrum.channels):
         raise _nothing_moves(f"the data do not determine {', '.join(model.unknown_names)}", dead)

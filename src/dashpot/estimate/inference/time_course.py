@@ -274,7 +274,7 @@ def _steps(of: _Histories) -> list[TimeChange]:
 
 
 def _share_change(of: _Histories, shape: Real) -> tuple[float, float, float, bool] | None:
-    """How the share of a shape of motion (samples,) in the residual changes; None where it does not.
+    """How the share of a shape of motion (samples,) in the residual changes; None if it does not.
 
     The time in s, the share before and after, and whether it changes gradually.
     """
@@ -316,7 +316,7 @@ def _share_change(of: _Histories, shape: Real) -> tuple[float, float, float, boo
 
 
 def _slip(measured: Real, prediction: Real, near: float) -> tuple[int, float] | None:
-    """The sample near that one from which on a history (samples,) is later, and by how many; None where none is.
+    """The sample near that one from which on a history (samples,) is later, and by how many; None if none is.
 
     Slips of more than a part of a cycle are no small delay: the motion has turned, or reads less, by its correlation
     with the prediction at no lag.  The lag at which each part of it is most like the prediction tells them apart; lags
@@ -347,7 +347,7 @@ def _lag(
     measured: Real, prediction: Real, begin: int, end: int, reach: int
 ) -> tuple[float, float, float] | None:
     """Samples by which a part of a history is late, by its correlation with the prediction, and what differs as it is
-    and with that taken out, 0 … 1; None where it is still."""
+    and with that taken out, 0 … 1; None if it is still."""
     rows = np.arange(begin - reach, end + reach)
     inside = (rows >= 0) & (rows < len(prediction))
     shown = np.where(inside, prediction[np.clip(rows, 0, len(prediction) - 1)], 0.0)
@@ -392,7 +392,7 @@ def _loud_block(by_block: Real, dof: float) -> int | None:
     apart = (behind < -1) | (behind > DECAY)
     share = np.maximum(power - 1, 1 / np.sqrt(dof)) / np.maximum(motion, TINY)
     loudest = np.flatnonzero(apart)[np.argmax(motion[apart])]
-    # Twice as far above the usual as any block apart from it, and four times what the loudest motion leaves over
+    # Twice as far above the usual as any block apart from it, and four times what the loudest motion leaves unexplained
     alone = power[j] - 1 > 2.0 * (np.max(power[apart]) - 1)
     return j if alone and share[j] > 4.0 * share[loudest] else None
 

@@ -258,7 +258,7 @@ class _Walk:
 
 
 def linear_modes(model: Model, theta: Real, covariance: Real) -> ModeValues | None:
-    """Modes of the linear elements; None where nonlinear ones hold the rig together, and of no or many coordinates.
+    """Modes of the linear elements; None if nonlinear ones hold the rig together, and of no or many coordinates.
 
     theta (m,), covariance (m, m).
     """

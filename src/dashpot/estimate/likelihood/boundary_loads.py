@@ -237,7 +237,7 @@ class RecordEnds:
         return max(len(of.channel) for of in self.unmeasured)
 
     def sampled_loads(self, psi: Real) -> SampledLoads | None:
-        """What sampling adds to the loads of a rig with unknowns ψ (K, M); None where it is known of no channel."""
+        """What sampling adds to the loads of a rig with unknowns ψ (K, M); None if it is known of no channel."""
         if not np.any(self.sampled):
             return None
         p = self.rig.model.parameters(psi[:, : self.rig.m])
@@ -285,7 +285,7 @@ def with_loads(view: ObservationModel) -> ObservationModel:
 def record_ends(
     view: ObservationModel, spectrum: Spectrum, exact: Complex | None = None
 ) -> RecordEnds | None:
-    """The columns of a spectrum's whole records; None where it has none with loads or polynomials.
+    """The columns of a spectrum's whole records; None if it has none with loads or polynomials.
 
     `exact` (lines, r + s, channels) gives the inputs from channels that are taken as exact.
     """
@@ -370,7 +370,7 @@ def _inputs_jump(view: ObservationModel, spectrum: Spectrum, lines: Ints) -> boo
 def _require_lines(
     records: list[tuple[WholeRecord, Ints]], view: ObservationModel, loads: int, terms: Bools
 ) -> None:
-    """Raises DataError where the records have no more equations than loads and polynomials."""
+    """Raises DataError if the records have no more equations than loads and polynomials."""
     outputs = int(np.sum(~view.inputs_alone))
     equations = [2 * len(lines) * outputs for _, lines in records]
     columns = [

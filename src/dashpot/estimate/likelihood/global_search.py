@@ -550,7 +550,7 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
 
     The first round starts from candidates, those after it from neighbours of the lowest minima as well.  Rounds end
     when a tenth of the first starts led to the lowest one and it fits (known noise), or half of them, or when two
-    rounds in a row find nothing lower.  Raises ConvergenceError where no start ends at a finite cost.
+    rounds in a row find nothing lower.  Raises ConvergenceError if no start ends at a finite cost.
     """
     effort = likelihood.effort
     on_basis = likelihood.view.reduced

@@ -56,7 +56,7 @@ def reduced_search(
 
     Returns that likelihood, the minimum, the signs of its channels (1, channels), and a notice where it is not unique.
 
-    Raises ConvergenceError where no start leads to a minimum.
+    Raises ConvergenceError if no start leads to a minimum.
     """
     view = likelihood.view
     psi, sign = candidates(likelihood.data, 1, random_generator(likelihood.effort.seed))
@@ -197,8 +197,8 @@ class MaximumLikelihood(Method):
     the rig at or above 0, not what belongs to a free matrix; bounds of the model hold always. With a `start`,
     values of all unknowns, and `start_sign`, signs of the channels, one descent from there takes the search's
     place, and some about its end if it is to be `thorough`; without, a `thorough` search draws its starts where all
-    is seen as well. `rivals` are further starts, with the signs of theirs, whose ends are told where they fit
-    alike. `seed` is that of the random rigs. A descent ends
+    is seen as well. `rivals` are further starts with their signs; where they end is reported if it fits equally
+    well. `seed` is that of the random rigs. A descent ends
     where no unknown moves by more than `tolerance` standard deviations, after `max_iterations` at the latest.
     """
 
@@ -224,7 +224,7 @@ class MaximumLikelihood(Method):
     def solve(self, data: Prepared) -> Solution:
         """θ, gains and delays at the maximum of the likelihood.
 
-        Raises ConvergenceError where no start leads anywhere, DataError or UsageError where a nonlinear rig's dwells
+        Raises ConvergenceError if no start leads anywhere, DataError or UsageError if a nonlinear rig's dwells
         lack the harmonics or the motions that its search needs.
         """
         likelihood = Likelihood.of(data, self.effort)

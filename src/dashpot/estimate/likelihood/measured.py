@@ -145,7 +145,7 @@ class Sums:
 
 
 def compiled_output(view: ObservationModel, data: Measured) -> Any | None:
-    """The kernel's view of the channels, made once for each `data`; None where NumPy is to do the work or must.
+    """The kernel's view of the channels, made once for each `data`; None if NumPy is to do the work or must.
 
     This part of the kernel knows small linear rigs; nonlinear ones (`nonlinear/objective.py`) and whole records
     (`record_sums.py`) have parts of their own.

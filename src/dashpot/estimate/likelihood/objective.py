@@ -53,7 +53,7 @@ from dashpot.unknowns import bounds_of
 
 
 def inputs_by_channel(view: ObservationModel, exact: Bools) -> Complex | None:
-    """Inputs by the exact channels, (lines, r + s, channels); None where they do not give them at every line."""
+    """Inputs by the exact channels, (lines, r + s, channels); None if they do not give them at every line."""
     C = view.direct_q * exact[..., None]
     count = C.shape[-1]
     scale = np.max(np.abs(C), axis=-1, keepdims=True, initial=0.0)
@@ -150,7 +150,7 @@ def _measured(data: Prepared, softness: float) -> Measured:
 
 
 def directly_driven(view: ObservationModel, data: Measured) -> Measured | None:
-    """The data with inputs as the channels that measure nothing else show them, noise or not; None where none do."""
+    """The data with inputs as the channels that measure nothing else show them, noise or not; None if none do."""
     if data.q is not None:
         return data
     alone = view.inputs_alone & np.any(view.direct_q, axis=-1) & np.all(data.y != 0, axis=0)

@@ -1,4 +1,4 @@
-"""The noise of whole records from what the model leaves over, iterated with the parameters (THEORY §8, c).
+"""The noise of whole records from what the model leaves unexplained, iterated with the parameters (THEORY §8, c).
 
 A record brings a first idea of each channel's noise, white, from where nothing moves.  After a fit the residual shows
 more: its power smoothed over neighbouring lines, with what the fitted inputs have taken out of it put back (a step of
@@ -41,7 +41,7 @@ from dashpot.notices import Notice
 # The noise of channels that measure inputs of whole records, where their own spectra do not show it.
 #
 # An error Δ of a measured input moves all outputs as the rig would move them, t Δ; no other error does.  Where Σ is the
-# covariance of a line's equations and e what the fit leaves over, the likelihood of a variance s of Δ has the slope
+# covariance of a line's equations and e the residuals, the likelihood of a variance s of Δ has the slope
 # |tᴴ Σ⁻¹ e|² − tᴴ Σ⁻¹ t and the information (tᴴ Σ⁻¹ t)²: a step of Fisher's scoring finds s.  It is taken as white, of
 # one size per sample in all records, and is never more than the quietest part of the channel's own spectrum.  What such
 # errors put into the outputs is no noise of theirs: it is taken out of their residuals when it is found, or these would
@@ -383,7 +383,7 @@ def _with_states(data: Prepared) -> Prepared:
 
 
 def _left(residual: Complex, data: Measured) -> Real:
-    """What a fit leaves over of each channel's power, (channels,); 0 of channels without any."""
+    """What a fit leaves of each channel's power, (channels,); 0 of channels without any."""
     power = np.sum(np.abs(data.y[0]) ** 2, axis=0)
     left: Real = np.sum(np.abs(residual) ** 2, axis=0) / np.where(power > 0, power, 1.0)
     return np.where(power > 0, left, 0.0)

@@ -135,7 +135,7 @@ class RecordPieces:
 
     @cached_property
     def precision(self) -> Real | None:
-        """What is known of the columns beforehand, (records, columns, columns); None where it is nothing."""
+        """What is known of the columns beforehand, (records, columns, columns); None if it is nothing."""
         if not self.ends.missing:
             return None
         out = np.zeros((len(self.ends.lines), self.count, self.count))

@@ -30,7 +30,7 @@ from dashpot.numerics.small_systems import independent, with_known_last
 
 
 def compiled_passes(pieces: RecordPieces, psi: Real, sign: Real) -> CompiledPasses | None:
-    """The kernel's passes at ψ (K, M) with signs (K, channels); None where NumPy is to do the work or must."""
+    """The kernel's passes at ψ (K, M) with signs (K, channels); None if NumPy is to do the work or must."""
     core = kernel()
     # Kernels before 0.2 know settled lines only, and none samples that are not measured.
     if core is None or not hasattr(core, "Records") or pieces.ends.missing:
@@ -107,7 +107,7 @@ class CompiledPasses:
 
 
 def _records(core: Any, pieces: RecordPieces) -> Any | None:
-    """The kernel's view of the records; None where it does not know the rig."""
+    """The kernel's view of the records; None if it does not know the rig."""
     ends = pieces.ends
     view = ends.rig
     owners = [(record, lines) for record, lines in pieces.owners if len(lines)]

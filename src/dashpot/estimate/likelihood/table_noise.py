@@ -1,4 +1,4 @@
-"""The noise of amplitudes for which none is given, from what the model leaves over of them (THEORY §11).
+"""The noise of amplitudes for which none is given, from what the model leaves of them (THEORY §11).
 
 The variance of a channel is a constant and a share of its motion, a² + b²|y|², found with the parameters by restricted
 maximum likelihood.  Each step of `sizes_of_parts` lowers the deviance where the parameters are kept; many at once are
@@ -111,7 +111,7 @@ class _Weighed:
 
 @dataclass(frozen=True)
 class _Left:
-    """What a fit leaves over of the amplitudes that were measured and are no inputs, at cells (rows,) of the table.
+    """What a fit leaves of the amplitudes that were measured and are no inputs, at cells (rows,) of the table.
 
     power (rows,) of the residuals, slopes (rows, M), parts (rows, parts): the unit of each part of the noise;
     precision (M,) of the priors.
@@ -190,7 +190,7 @@ def _of_repeat(model: Model, spectrum: Spectrum, method: Method) -> Complex | No
 
 @dataclass(frozen=True)
 class _Fit:
-    """A fit at ψ (1, M) with covariance V, and what it leaves over, weighed by parts of the noise of these sizes."""
+    """A fit at ψ (1, M) with covariance V, and its residuals, weighed by parts of the noise of these sizes."""
 
     V: Complex
     psi: Real
@@ -200,7 +200,7 @@ class _Fit:
 
 
 def _descended(fit: _Fit, fitted: Callable[[Complex, Real], tuple[Real, _Left]]) -> _Fit | None:
-    """The noise and the rig fitted in turns, until the deviance falls no more; None where it leads nowhere."""
+    """The noise and the rig fitted in turns, until the deviance falls no more; None if it leads nowhere."""
     for turn in range(30):
         for steps in (200, 1):
             sizes = sizes_of_parts(fit.left.power, fit.left.parts, fit.weighed.unused, fit.sizes, steps)
@@ -224,7 +224,7 @@ def _descended(fit: _Fit, fitted: Callable[[Complex, Real], tuple[Real, _Left]])
     return fit
 
 
-# The noise of data that do not tell it themselves, from what the model leaves over of them.
+# The noise of data that do not tell it themselves, from what the model leaves of them.
 
 
 def with_residual_noise(model: Model, spectrum: Spectrum, method: Method) -> tuple[Spectrum, Method]:

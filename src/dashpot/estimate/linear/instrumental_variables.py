@@ -61,7 +61,7 @@ class InstrumentalVariables(Method):
         """θ from (G) with instruments from the response of the auxiliary model, of nonlinear rigs by harmonic balance.
 
         Nonlinear laws of the noisy motion are biased themselves, so that instruments take out a part only (THEORY §9).
-        Raises DataError or UsageError where the channels do not show what this needs.
+        Raises DataError or UsageError if the channels do not show what this needs.
         """
         if len(data.model.nonlinear):
             equations = harmonic_equations(data)
@@ -140,7 +140,7 @@ class OptimalIV(Method):
 
         Of nonlinear rigs a is that of the model's own motion, and the best instruments are the slopes of the equation's
         error through that motion: what they make zero is the slope of the likelihood (THEORY §9).  Raises DataError or
-        UsageError where the channels do not show every coordinate and input.
+        UsageError if the channels do not show every coordinate and input.
         """
         model, states = data.model, data.seen_states
         if len(model.nonlinear):
@@ -252,7 +252,7 @@ class FreeMatrices:
 def matrices_of(model: Model, estimate: Estimate) -> FreeMatrices:
     """The matrices of an estimate of any model without hysteretic dampers, with their covariance.
 
-    Raises ModelError where the estimate is of another model.
+    Raises ModelError if the estimate is of another model.
     """
     names = model.unknown_names
     m = len(names)
@@ -286,14 +286,14 @@ def matrices_of(model: Model, estimate: Estimate) -> FreeMatrices:
 class DefiniteOptimalIV(Method):
     """oiv with M, C and K (or those of `letters`) positive semidefinite.
 
-    Where the free estimate is definite already, it is the answer.  Else the likelihood is maximised over the cone:
+    If the free estimate is definite, it is the answer.  Otherwise the likelihood is maximised over the cone:
     Gauss-Newton, each step a quadratic programme over the cone (convex, hence with one answer) by an interior-point
     method (Boyd and Vandenberghe 2004, ch. 11), shortened where the likelihood would not grow.  The answer is
     positive definite; its smallest eigenvalues are what the barrier leaves.
     The covariance stated is the free one: in the metric of the information the nearest point of a convex set that
     holds the truth is never farther from it than the free estimate.
-    A matrix that its elements cannot make definite (a coordinate without mass, a chain without ground) is to be so on
-    the subspace that they span.
+    A matrix that its elements cannot make definite (a coordinate without mass, a chain without ground) is required to
+    be so on the subspace that they span.
 
     Iterations end where no unknown moves by more than `tolerance` of its standard deviation, after `max_iterations` at
     the latest.

@@ -72,7 +72,7 @@ class Sampled:
 
 
 def sampled(data: Prepared) -> Sampled:
-    """Read the unit forces from the channels.  Raises DataError where some coordinate is not seen."""
+    """Read the unit forces from the channels.  Raises DataError if some coordinate is not seen."""
     view, spectrum, V = data.view, data.spectrum, data.covariance
     model = view.model
     _ = data.seen_states  # raises where some of them are not seen
@@ -123,7 +123,7 @@ def sampled(data: Prepared) -> Sampled:
 
 
 def _time_coefficients(reading: Complex, y: Complex, drive: np.ndarray) -> Real | None:
-    """Coefficients over q(t); None where some unit force is no instantaneous function of the channels.
+    """Coefficients over q(t); None if some unit force is no instantaneous function of the channels.
 
     Channels enter as samples, the inputs (known functions of time in the paper) by their amplitudes.
     """
@@ -216,7 +216,7 @@ class HarmonicLeastSquares(Method):
     def solve(self, data: Prepared) -> Solution:
         """θ in closed form from the combined amplitudes; of nonlinear rigs by Yasuda and Watanabe's way.
 
-        Raises DataError or UsageError where the channels do not show what this needs.
+        Raises DataError or UsageError if the channels do not show what this needs.
         """
         if len(data.model.nonlinear):
             return harmonic_least_squares(data)
@@ -237,7 +237,7 @@ class WeightedLeastSquares(Method):
     def solve(self, data: Prepared) -> Solution:
         """θ in closed form, given the weight; of nonlinear rigs from the measured harmonics.
 
-        Raises DataError or UsageError where the channels do not show what this needs.
+        Raises DataError or UsageError if the channels do not show what this needs.
         """
         model = data.model
         if len(model.nonlinear):

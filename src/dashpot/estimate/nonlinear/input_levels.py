@@ -37,7 +37,7 @@ from dashpot.model.nonlinear.shooting import FEWEST
 from dashpot.numerics.levenberg_marquardt import OptimizeResult
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
-# The sizes of the noise of outputs and inputs, from what the motion of whole records leaves over (THEORY §8, c).
+# The sizes of the noise of outputs and inputs, from what the motion of whole records leaves unexplained (THEORY §8, c).
 #
 # Restricted likelihood: the residuals less what the unknowns can explain have a covariance in which each size has a
 # part of its own. The sums of squares that measure a size are compared with those of noise that is drawn to the present
@@ -183,7 +183,7 @@ def with_uncertain_inputs(
     """The search from ψ (M,), the end of one with exact inputs, with the noise of inputs and outputs found beside it.
 
     measured: the records before any was cut; limits: bounds of ψ; at_rest: the sizes, where a record at rest tells
-    them.  None where the inputs show no noise that matters.  Raises NotSolvedError where the motion hangs too much on
+    them.  None where the inputs show no noise that matters.  Raises NotSolvedError if the motion hangs too much on
     its inputs for that.
     """
     if at_rest is not None:
@@ -238,7 +238,7 @@ def _steady_samples(model: Model, data: RecordData, sd: Real) -> int:
 
 
 def despite_wander(problem: RecordProblem, psi: Real, measured: Sequence[RecordData]) -> Real | None:
-    """ψ (M,) of the search with the noise that the inputs' own spectra show; None where they may be taken for exact.
+    """ψ (M,) of the search with the noise that the inputs' own spectra show; None if they may be taken for exact.
 
     Noise of a base's acceleration, integrated, carries what shows where the rig is far from where it was: no motion of
     exact inputs is near the measured one.  In pieces short enough for that to matter little, exact ones give a start.

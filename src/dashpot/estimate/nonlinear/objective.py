@@ -97,7 +97,7 @@ class DwellLines:
 def dwells_of(model: Model, spectrum: Spectrum) -> DwellLines:
     """The dwells that the lines of a spectrum belong to.
 
-    Raises DataError where lines are of a whole record, or a line is not a multiple of its dwell's fundamental.
+    Raises DataError if lines are of a whole record, or a line is not a multiple of its dwell's fundamental.
     """
     if any(isinstance(shared, WholeRecord) for shared in spectrum.stretches):
         raise DataError(
@@ -164,7 +164,7 @@ class WarmStart:
     def near(self, repeat: int, theta: Real) -> Real:
         """Elongations (dwells, e, W) to start from at θ (unknowns,): the last ones, moved along their slopes.
 
-        Not those of dwells that would move by more than 0.3 of theirs: slopes say nothing of that.
+        Not those of dwells that would move by more than 0.3 of theirs: slopes contain no information on that.
         """
         delta = self.delta[repeat]
         if repeat not in self.along:
@@ -293,7 +293,7 @@ def _with_orders(delta: Real, orders: int) -> Real:
 def nonlinear_part(data: Prepared, y: Complex, q: Complex | None) -> NonlinearPart:
     """Dwells, measured elongations and inputs of prepared data; y (K, lines, channels), q (K, lines, r + s) if known.
 
-    Without q, inputs are those that the channels which show nothing else measure.  Raises DataError where an input is
+    Without q, inputs are those that the channels which show nothing else measure.  Raises DataError if an input is
     not measured, or the lines do not belong to dwells.
     """
     dwells, view = dwells_of(data.model, data.spectrum), data.view
@@ -474,7 +474,7 @@ def _solved(normal: Real, right: Real) -> Real:
 def _at_estimate(
     model: Model, theta: Real, spectrum: Spectrum, V: Complex, calibrations: Mapping[str, float]
 ) -> tuple[ObservationModel, Measured, NonlinearPart, Real, Real]:
-    """View, lines as the likelihood has them, ψ (1, M) and signs (1, channels), as of `predicted_lines`."""
+    """View, lines as the likelihood has them, ψ (1, M) and signs (1, channels), as for `predicted_lines`."""
     from dashpot.estimate.likelihood.objective import measured
 
     flat = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)

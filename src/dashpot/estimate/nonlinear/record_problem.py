@@ -311,7 +311,7 @@ class LinearisedRecord:
 @dataclass(frozen=True)
 class Trail:
     """What the last evaluations of a problem have found, next to which the next ones begin: motions of the records, and
-    the likeliest errors of their inputs."""
+    the most probable errors of their inputs."""
 
     motions: dict[int, Motion] = field(default_factory=dict)
     errors: dict[int, InputErrors] = field(default_factory=dict)
@@ -620,9 +620,9 @@ class RecordProblem:
         )
 
     def linearised(self, k: int, psi: Real) -> LinearisedRecord | None:
-        """A record around ψ (M,), its inputs at their likeliest values there; None where no motion follows.
+        """A record around ψ (M,), its inputs at their likeliest values there; None if no motion follows.
 
-        Raises NotSolvedError where noise of the inputs does more than can be reckoned with.
+        Raises NotSolvedError if noise of the inputs does more than can be reckoned with.
         """
         chosen = self.columns(k)
         drifting = np.flatnonzero(self.records[k].drift)
@@ -655,7 +655,7 @@ def begun_problem(
     """The problem of a rig at θ (unknowns,), and the unknowns of the records to begin with, one after another.
 
     sd (channels,) of the noise; free: which constants of the records are unknown, those that can be found if None.
-    Raises ConvergenceError where steps would be too many.
+    Raises ConvergenceError if steps would be too many.
     """
     measured = [recorded_motion(rig, data) for data in records]
     pairs = list(zip(records, measured, strict=True))
@@ -678,7 +678,7 @@ def enough_substeps(model: Model, theta: Real, step_s: float, motion: tuple[Real
     """Steps between samples: enough for the fastest mode of the linear part, twice as many for kinks of the laws.
 
     theta (unknowns,); with a `motion`, coordinates (samples, n) and displacement inputs (samples, r), springs count as
-    stiff as they are anywhere in it.  Raises ConvergenceError where steps are more than 1000.
+    stiff as they are anywhere in it.  Raises ConvergenceError if steps are more than 1000.
     """
     parts = matrices(model, model.parameters(theta))
     n, K, chosen = model.n, parts.K, model.nonlinear

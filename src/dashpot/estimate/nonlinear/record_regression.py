@@ -181,8 +181,8 @@ def weak_equations(form: WeakForm) -> WeakEquations:
 def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
     """Guesses where all are given; else the weak form of the equation where all coordinates are measured.
 
-    (unknowns,).  Raises DataError where the motion does not determine them or a law is no number in it,
-    IdentifiabilityError where laws leave no trace in it or cannot be told apart.
+    (unknowns,).  Raises DataError if the motion does not determine them or a law is no number in it,
+    IdentifiabilityError if laws leave no trace in it or cannot be told apart.
     """
     given = [u.prior if u.prior is not None else u.guess for u in model.unknowns]
     open_names = [u.name for u, value in zip(model.unknowns, given, strict=True) if value is None]
@@ -224,7 +224,7 @@ def mostly_linear_values(model: Model, records: tuple[RecordData, ...]) -> Real 
 
 
 def _equations(model: Model, record: RecordData, open_names: Sequence[str]) -> WeakEquations:
-    """Raises DataError where the motion of the coordinates does not give first values of the unknowns."""
+    """Raises DataError if the motion of the coordinates does not give first values of the unknowns."""
     at = recorded_motion(model, record)
     if at is None:
         raise DataError(

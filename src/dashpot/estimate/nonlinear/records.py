@@ -89,7 +89,7 @@ class RecordData:
 
 
 def arranged(model: Model, record: Record) -> RecordData:
-    """Raises DataError where an input is not measured, a channel cannot be compared with a motion, or times slip."""
+    """Raises DataError if an input is not measured, a channel cannot be compared with a motion, or times slip."""
     step = uniform_step(record)
     measured = None if record.status is None else record.status == 0
     record = record if measured is None else with_likely(record)[0]
@@ -163,7 +163,7 @@ class ShownInputs:
 
 
 def measured_inputs(model: Model, record: Record) -> ShownInputs:
-    """The inputs of a record.  Raises DataError where one is missing."""
+    """The inputs of a record.  Raises DataError if one is missing."""
     weights, orders = _input_channels(model, record)
     return ShownInputs((record.values / _calibration(record)) @ weights.T, orders)
 
@@ -214,7 +214,7 @@ class NoiseAtRest:
 def noise_of_channels(model: Model, record: Record, still: Still) -> NoiseAtRest:
     """What a record at rest shows of the noise of a record's outputs and inputs.
 
-    Raises DataError where it has other channels, or one of the outputs shows no noise.
+    Raises DataError if it has other channels, or one of the outputs shows no noise.
     """
     if still.power.shape[1] != len(record.channels):
         raise DataError("the at-rest record has other channels", record.source, "record all of them at rest")
@@ -233,7 +233,7 @@ def noise_of_channels(model: Model, record: Record, still: Still) -> NoiseAtRest
 
 
 def uniform_step(record: Record) -> float:
-    """The sampling step, s.  Raises DataError where samples are not evenly spaced."""
+    """The sampling step, s.  Raises DataError if samples are not evenly spaced."""
     step = float((record.time[-1] - record.time[0]) / (len(record.time) - 1))
     slip = np.max(np.abs(record.time - record.time[0] - step * np.arange(len(record.time))))
     if slip > 0.5 * step and slip > 1e-3 * step * max(1.0, 0.01 * len(record.time)):
@@ -248,7 +248,7 @@ def uniform_step(record: Record) -> float:
 def _calibration(record: Record) -> Real:
     """Known gains and signs of the channels, 1 where they are unknown; (channels,).
 
-    Raises DataError where a channel has a delay or an unknown sign.
+    Raises DataError if a channel has a delay or an unknown sign.
     """
     for channel in record.channels:
         if channel.delay is None or channel.delay != 0 or (channel.sign is None and channel.gain is not None):
@@ -328,7 +328,7 @@ class RecordedMotion:
 
 
 def recorded_motion(model: Model, data: RecordData) -> RecordedMotion | None:
-    """The motion of a rig; None where channels of displacement with known gains do not show all its coordinates."""
+    """The motion of a rig; None if channels of displacement with known gains do not show all its coordinates."""
     C = data.on_x[displacement_channels(data)][:, : model.n]
     if model.n and not (C.size and np.linalg.matrix_rank(C) == model.n):
         return None

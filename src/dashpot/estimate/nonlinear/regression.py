@@ -26,7 +26,7 @@ from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 
 def require_finite_laws(model: Model, d: Real, v: Real) -> None:
-    """Raises DataError where a law without unknown constants divides by zero, overflows or is no number.
+    """Raises DataError if a law without unknown constants divides by zero, overflows or is no number.
 
     d, v (e, …, instants): elongations and rates of the nonlinear elements in the measured motion.
     """
@@ -92,7 +92,7 @@ class MeasuredMotion:
 def measured_motion(data: Prepared) -> MeasuredMotion:
     """The motion that the channels show.
 
-    Raises UsageError where some coordinate is not seen, DataError where a law is no finite number within the motion.
+    Raises UsageError if some coordinate is not seen, DataError if a law is no finite number within the motion.
     """
     model, states = data.model, data.states
     if states is None:
@@ -172,7 +172,7 @@ def regressors_of(model: Model, a: Complex) -> Complex:
 
 
 def require_known_constants(model: Model) -> None:
-    """Raises UsageError where an inner constant is unknown: the equation is linear in the parameters alone."""
+    """Raises UsageError if an inner constant is unknown: the equation is linear in the parameters alone."""
     unknown = [f"{element.name}.{constant.name}" for element, constant in model.constants if constant.unknown]
     if unknown:
         raise UsageError(
@@ -184,7 +184,7 @@ def require_known_constants(model: Model) -> None:
 def harmonic_least_squares(data: Prepared) -> Solution:
     """θ by least squares on measured harmonics, each dwell weighted by its power; the noise's bias is in it.
 
-    The covariance is that of the scatter between dwells.  Raises UsageError where an inner constant is unknown.
+    The covariance is that of the scatter between dwells.  Raises UsageError if an inner constant is unknown.
     """
     require_known_constants(data.model)
     motion = measured_motion(data)
@@ -353,7 +353,7 @@ def _real_blocks(blocks: Complex) -> Real:
 
 
 def require_direct(data: Prepared) -> None:
-    """Raises UsageError where a channel shows more than calibrated motions, DataError where not all is seen."""
+    """Raises UsageError if a channel shows more than calibrated motions, DataError if not all is seen."""
     for channel, direct in zip(data.spectrum.channels, data.view.is_direct, strict=True):
         if not direct:
             raise UsageError(
@@ -367,7 +367,7 @@ def require_direct(data: Prepared) -> None:
 def harmonic_equations(data: Prepared) -> HarmonicEquations:
     """The equations of prepared data.
 
-    Raises UsageError where an inner constant or a calibration is unknown, DataError where a coordinate is not seen.
+    Raises UsageError if an inner constant or a calibration is unknown, DataError if a coordinate is not seen.
     """
     require_known_constants(data.model)
     require_direct(data)

@@ -230,7 +230,7 @@ def _by_linear_rig(data: Prepared, calibrations: Real) -> tuple[Real, Real]:
 def linear_rig(model: Model, replaced: bool = False) -> Model:
     """The rig without its nonlinear elements, or with linear ones of their kind in their place.
 
-    Raises ModelError where that is not a rig.
+    Raises ModelError if that is not a rig.
     """
     kept: list[Element] = []
     for element in model.elements:
@@ -296,7 +296,7 @@ ROUGHLY = 0.03  # standard deviations within which descents end that others foll
 def search_harmonics(likelihood: Likelihood) -> tuple[OptimizeResult, Measured, tuple[Notice, ...]]:
     """The best end of all repeats, the data with as many harmonics as it needs, and what else fits alike.
 
-    Raises ConvergenceError where no start leads to a response at all.
+    Raises ConvergenceError if no start leads to a response at all.
     """
     data, view, exact = likelihood.data, likelihood.view, likelihood.exact
     near = ROUGHLY if data.noise_known else None  # unknown standard deviations are no measure
@@ -351,7 +351,7 @@ def _ends(
     """Where descents from the starting points end, and the responses there.
 
     They go on to the first that fits, or through all starts where laws have many constants.  Raises
-    ConvergenceError where none leads to a response.
+    ConvergenceError if none leads to a response.
     """
     signs = np.ones((1, len(one.view.channels)))
     acceptable = first.rows + 6 * np.sqrt(2.0 * first.rows)
@@ -439,7 +439,7 @@ def _ranked(likelihood: Likelihood, one: Prepared, stages: Sequence[Measured]) -
 
 
 def _valleys(likelihood: Likelihood, stage: Measured, points: Real) -> Real:
-    """Where rough descents from points (count, M) end in softened data, until two end alike; the likeliest first."""
+    """Where rough descents from points (count, M) end in softened data, until two end alike; the best first."""
     signs = np.ones((1, stage.y.shape[-1]))
     ends = list[OptimizeResult]()
     for psi in points:
@@ -455,7 +455,7 @@ def _valleys(likelihood: Likelihood, stage: Measured, points: Real) -> Real:
 
 
 def _best_first(view: ObservationModel, data: Measured, points: Real) -> Real:
-    """Points (count, M) of one repeat, the likeliest first."""
+    """Points (count, M) of one repeat, the most probable first."""
     return points if len(points) == 1 else points[np.argsort(_costs(view, data, points))]
 
 

@@ -365,7 +365,7 @@ def fit_records(
     still: the noise that a record at rest shows; without it the residuals tell how large it is.  exact_inputs: with the
     measured inputs for the true ones, whatever their noise.
 
-    Raises UsageError where another `method` is named, DataError where an input or all motion is not measured, or an
+    Raises UsageError if another `method` is named, DataError if an input or all motion is not measured, or an
     unknown needs a guess: where not all coordinates are measured as displacements, every unknown does.
     """
     if method not in (None, "ml"):
@@ -625,7 +625,7 @@ def _searched(
 def _with_finer_steps(
     problem: RecordProblem, search: OptimizeResult, progress: Progress | None
 ) -> tuple[RecordProblem, OptimizeResult]:
-    """A search that did not end, gone on with halved steps while what is left over is mostly their error.
+    """A search that did not end, gone on with halved steps while the residual is mostly their error.
 
     Corners of laws within steps make the misfit a staircase, on whose last steps a search of exact data goes round.
     """

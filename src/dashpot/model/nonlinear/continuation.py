@@ -50,7 +50,7 @@ SEGMENTS = 32  # of a period, integrated side by side
 def floquet_multipliers(model: Model, theta: Real, drive: Drive, at: Periodic) -> Complex:
     """Multipliers of the state over one period, (N, states), largest first; NaN where the response did not converge.
 
-    theta (unknowns,) of all N dwells.  Raises ModelError where the motion cannot be integrated: a coordinate without
+    theta (unknowns,) of all N dwells.  Raises ModelError if the motion cannot be integrated: a coordinate without
     mass, or a hysteretic damper.
     """
     times = max(128, 4 * (drive.orders + 1))
@@ -114,7 +114,7 @@ def _product(tangents: Real) -> Real:
 
 
 def stable_motions(model: Model, theta: Real, drive: Drive, at: Periodic) -> Bools | None:
-    """Whether each motion returns to itself after a small disturbance, (N,); None where that cannot be told."""
+    """Whether each motion returns to itself after a small disturbance, (N,); None if that cannot be told."""
     try:
         multipliers = floquet_multipliers(model, theta, drive, at)
     except ModelError:
@@ -200,7 +200,7 @@ def followed(
 ) -> ResponseBranch:
     """The motions from λ = 0 to λ = 1, through every fold on the way; from `start` (e, W) or the linear response.
 
-    Raises ConvergenceError where there is no response at λ = 0, or the curve cannot be followed to its end.
+    Raises ConvergenceError if there is no response at λ = 0, or the curve cannot be followed to its end.
     """
     tracer = _Tracer(model, theta, drive_at)
     q = tracer.first(start)
@@ -219,7 +219,7 @@ def followed(
 def grown_from_rest(model: Model, theta: Real, drive: Drive, *, points: int = POINTS) -> Real:
     """Elongations (e, W) of the motion that the drive of one dwell leads to when it is raised slowly, through folds.
 
-    theta (unknowns,).  Raises ConvergenceError where it cannot be followed.
+    theta (unknowns,).  Raises ConvergenceError if it cannot be followed.
     """
     tracer = _Tracer(model, theta, amplitude_sweep(drive.scaled(WEAKEST), 1 / WEAKEST))
     return tracer.trace(tracer.first(None), points)[-1][0]
@@ -296,7 +296,7 @@ class _Tracer:
         return None
 
     def trace(self, q: Real, points: int) -> list[tuple[Real, float]]:
-        """Points (δ, λ) from λ = 0 to λ = 1.  Raises ConvergenceError where the curve cannot be followed."""
+        """Points (δ, λ) from λ = 0 to λ = 1.  Raises ConvergenceError if the curve cannot be followed."""
         self.shape = q.shape
         size = self._size(q)
         point = np.append(q.ravel() / size, 0.0)
@@ -360,7 +360,7 @@ class _Corrected:
 
 
 def _tangent(by_q: Real, by_share: Real, before: Real) -> Real | None:
-    """Unit direction of the curve, (eW + 1,), on from `before`; None where it has none."""
+    """Unit direction of the curve, (eW + 1,), on from `before`; None if it has none."""
     matrix = np.concatenate([np.concatenate([by_q, by_share[:, None]], axis=1), before[None]])
     direction = _solved(matrix, np.eye(len(before))[-1])
     return None if direction is None else direction / np.linalg.norm(direction)
@@ -391,7 +391,7 @@ def channel_harmonics(
 ) -> Complex:
     """Harmonics of the channels' quantities, (N, H + 1, channels), SI units; p (N, elements) or (elements,).
 
-    Raises DataError where a channel measures what the rig has not.
+    Raises DataError if a channel measures something that the rig lacks.
     """
     N, orders = len(drive.omega), drive.orders
     omega = (drive.omega[:, None] * np.arange(orders + 1)).ravel()
@@ -428,7 +428,7 @@ def backbone(model: Model, theta: Real, mode: int, largest: float, *, orders: in
     """The motions that start from a `mode` (0 is the lowest) until an elongation has the fundamental `largest`, m.
 
     The elongation is that of the nonlinear spring that moves most in the mode.  Ends earlier where the curve cannot be
-    followed.  Raises UsageError where the rig has no nonlinear spring that keeps energy, or no such mode.
+    followed.  Raises UsageError if the rig has no nonlinear spring that keeps energy, or no such mode.
     """
     free = _undamped(model, theta)
     p, constants = free.p0[None], free.constants_map[1][None]
@@ -455,7 +455,7 @@ def backbone(model: Model, theta: Real, mode: int, largest: float, *, orders: in
 
 
 def _undamped(model: Model, theta: Real) -> Model:
-    """The rig at θ, all values known, without what dissipates.  Raises UsageError where no nonlinear spring is left."""
+    """The rig at θ, all values known, without what dissipates.  Raises UsageError if no nonlinear spring is left."""
     values, constants = model.parameters(theta).tolist(), model.inner_constants(theta).tolist()
     slices = iter(model.constant_slices)
     elements = []

@@ -284,7 +284,7 @@ def dimensions(
 
     Terms that are added or compared are alike, arguments of tanh, exp, log, sin and cos and exponents are pure
     numbers; what is left open by that is a pure number.  A number written in the expression may carry any unit.
-    Raises ModelError where no units make sense of the expression.
+    Raises ModelError if no units make sense of the expression.
     """
     solver = _Dimensions(known)
     result = solver.visit(expression.tree)

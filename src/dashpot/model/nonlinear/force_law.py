@@ -230,7 +230,7 @@ class ForceLaw:
 def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = False) -> ForceLaw:
     """The law that a rig file calls `text`: a usual name or an expression; unnamed constants are unknown.
 
-    Raises ModelError where it cannot be read, names what is not given, or is not finite at rest.
+    Raises ModelError if it cannot be read, names what is not given, or is not finite at rest.
     """
     usual = (DAMPER_LAWS if damper else SPRING_LAWS).get(text.strip().lower())
     expression = parse(text if usual is None else usual.text)
@@ -263,7 +263,7 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
 
 
 def _require_named(text: str, wanted: Sequence[str], given: Sequence[str], *, complete: bool) -> None:
-    """Raises ModelError where constants are given that the law lacks or, if `complete`, where one is not given."""
+    """Raises ModelError if constants are given that the law lacks or, if `complete`, where one is not given."""
     missing = [name for name in wanted if name not in given]
     meant = get_close_matches(text.strip().lower(), {**SPRING_LAWS, **DAMPER_LAWS}, 1)
     if complete and missing and meant:
@@ -282,7 +282,7 @@ def _require_named(text: str, wanted: Sequence[str], given: Sequence[str], *, co
 
 
 def _require_steady(law: ForceLaw) -> None:
-    """Raises ModelError where a law is no number on one side of rest, or jumps where d or v changes its sign.
+    """Raises ModelError if a law is no number on one side of rest, or jumps where d or v changes its sign.
 
     No settled motion can be followed over a jump.
     """

@@ -48,7 +48,7 @@ def mirrored(model: Model, theta: Real) -> Real | None:
 
 
 def _turned(law: ForceLaw, g: Real) -> tuple[float, tuple[float, ...]] | None:
-    """Signs of the parameter and of the constants with which the law is its own image; None where none are."""
+    """Signs of the parameter and of the constants with which the law is its own image; None if none are."""
     if law.has_state:  # stop, play and Bouc-Wen know no direction
         return 1.0, (1.0,) * len(g)
     lengths = [abs(c) for c, name in zip(g, law.constant_names, strict=True) if law.exponents[1][name][0] > 0]

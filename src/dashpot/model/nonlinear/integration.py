@@ -73,7 +73,7 @@ class Propagator:
 
 
 def propagator(model: Model, p: Real, h: float) -> Propagator:
-    """Raises ModelError where a coordinate has no mass or an element is hysteretic.  p (elements,), h in s."""
+    """Raises ModelError if a coordinate has no mass or an element is hysteretic.  p (elements,), h in s."""
     from scipy.linalg import expm
 
     parts = matrices(model, p)

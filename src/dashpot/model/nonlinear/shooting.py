@@ -81,14 +81,14 @@ def tangent(
     """Of a motion of a rig, as channels show it: on_x (channels, n), on_q (channels, r + s), derivative (channels,) of
     motions, force (channels, elements) of forces in the first elements.
 
-    Raises numpy's LinAlgError where the forces of a step have no one answer.
+    Raises numpy's LinAlgError if the forces of a step have no one answer.
     """
     N, n, h = machine.drive.intervals + 1, machine.model.n, machine.drive.step_s
     q = machine.drive.coefficients.shape[-1]
     state = motion.state[:-1]
     slope = np.zeros((N - 1, machine.states, machine.states + 4 * q))
     slope[:, range(machine.states), range(machine.states)] = 1.0
-    # The forces that a motion was found with, (samples − 1, substeps, …); None where it does not tell
+    # The forces that a motion was found with, (samples − 1, substeps, …); None if it does not tell
     steps = len(motion.forces)
     if not steps or steps % machine.substeps:
         known = None

@@ -97,7 +97,7 @@ def full_scale_gain(
 
 
 def read_channels(reading: RigReading) -> list[Channel] | None:
-    """The channels; None where the file has no such section."""
+    """The channels; None if the file has no such section."""
     # Tables of channels, and of what they are in experiments
     tables = [raw for _, raw in reading.entries("channels")]
     for _, experiment in reading.entries(EXPERIMENTS):
@@ -139,7 +139,7 @@ def read_channels(reading: RigReading) -> list[Channel] | None:
 
 
 def read_channel(reading: RigReading, name: str, raw: object, place: Place) -> Channel | None:
-    """The channel at a place of the file; None where it cannot be said, which is told."""
+    """The channel at a place of the file; None if it cannot be said, which is reported."""
     # Points, force inputs and elements, faulty ones too
     measurable = (*reading.points, *reading.inputs, *reading.elements, *sorted(reading.faulty))
     plain, tables = split_calibrations(raw)
@@ -166,7 +166,7 @@ def split_calibrations(raw: object) -> tuple[object, dict[str, dict[str, Any]]]:
 def _with_calibrations(
     reading: RigReading, channel: Channel, tables: Mapping[str, dict[str, Any]], at: Place
 ) -> Channel:
-    """The channel with the gain and the delay that tables state; told where they make no sense."""
+    """The channel with the gain and the delay that tables state; reported if they make no sense."""
     changes: dict[str, Any] = {}
     for key, table in tables.items():
         place = (*at, key)
@@ -210,7 +210,7 @@ UNITS = {"gain": "1", "delay": "s"}
 def _calibration(
     reading: RigReading, place: Place, raw: object, name: str, key: str, channel: Channel
 ) -> float | Unknown | None:
-    """A gain or a delay as stated: known, or an unknown of this name; None, and told, where it cannot be read."""
+    """A gain or a delay as stated: known, or an unknown of this name; None, and reported, if it cannot be read."""
     before = reading.problems
     entry = reading.constant_entry(place, raw, f"{written(raw)} is not a calibration")
     if entry is None:
@@ -268,7 +268,7 @@ def _check_shared_gains(reading: RigReading, channels: Sequence[Channel]) -> Non
 def _channel(
     reading: RigReading, name: str, entry: ChannelEntry, measurable: Collection[str], place: Place
 ) -> Channel | None:
-    """A channel; None where it cannot be said, which is told unless it follows from another problem."""
+    """A channel; None if it cannot be said, which is reported unless it follows from another problem."""
     before = reading.problems
     given = {point: factor for point, factor in entry.of.items() if point != GROUND}
     of = reading.factors((*place, "of"), given)
@@ -313,7 +313,7 @@ def _not_measurable(
 
 
 def _arms(reading: RigReading, of: Mapping[str, float], quantity: Quantity) -> Mapping[str, float]:
-    """Points and factors that decide between m and rad, N and N·m.  Raises UsageError where forces differ in it."""
+    """Points and factors that decide between m and rad, N and N·m.  Raises UsageError if forces differ in it."""
     first = next(iter(of))
     if quantity is not Quantity.FORCE or first in reading.points:
         return of
@@ -355,7 +355,7 @@ def _calibrated(
     quantity: Quantity,
     place: Place,
 ) -> Channel | None:
-    """A channel with its unit, calibration, noise and rate; None, and told, where a unit is not one of the quantity."""
+    """A channel with its unit, calibration, noise and rate; None, and reported, if a unit does not fit."""
     key = "unit"
     try:
         arms, angles = _arms(reading, of, quantity), reading.angles

@@ -48,7 +48,7 @@ def read_elements(reading: RigReading) -> list[Element]:
 
 
 def read_element(reading: RigReading, place: Place, raw: object) -> Element | None:
-    """The element at a place of the file that ends in its section and name; None, and told, where it is faulty."""
+    """The element at a place of the file that ends in its section and name; None, and reported, if it is faulty."""
     before, section, name = reading.problems, str(place[-2]), str(place[-1])
     keys, constants = split_constants(raw)
     entry = reading.entry(ElementEntry, section, name, keys, place)
@@ -62,7 +62,7 @@ def read_element(reading: RigReading, place: Place, raw: object) -> Element | No
 def _element(
     reading: RigReading, place: Place, entry: ElementEntry, constants: Mapping[str, Any]
 ) -> Element | None:
-    """An element with its numbers in SI units; None, and told, where it is not said what it is or is attached to."""
+    """An element with its numbers in SI units; None, and reported, if it is not said what it is or is attached to."""
     before = reading.problems
     law = read_law(reading, place, entry, constants)
     along = _attachment(reading, place, entry)
@@ -82,7 +82,7 @@ def _element(
 
 
 def _attachment(reading: RigReading, place: Place, entry: ElementEntry) -> dict[str, float]:
-    """Points and factors of the elongation; told where they are not said."""
+    """Points and factors of the elongation; reported if they are not said."""
     given = [key for key in ("at", "between", "along") if getattr(entry, key) is not None]
     if len(given) != 1:
         usual = 'at = "x1"' if place[-2] == "masses" else 'between = ["x1", "ground"]'
@@ -130,7 +130,7 @@ def split_constants(raw: object) -> tuple[object, dict[str, Any]]:
 def read_law(
     reading: RigReading, place: Place, entry: ElementEntry, constants: Mapping[str, Any]
 ) -> ForceLaw | None:
-    """The law that an entry gives; None where it gives none, or none that can be read."""
+    """The law that an entry gives; None if it gives none, or none that can be read."""
     if entry.law is None:
         return None
     if place[0] not in ("springs", "dampers"):
@@ -163,7 +163,7 @@ def read_law(
 
 
 def _constant(reading: RigReading, place: Place, entry: ConstantEntry, law: ForceLaw) -> Constant:
-    """A constant in SI units; told where its numbers make no sense."""
+    """A constant in SI units; reported if its numbers make no sense."""
     name, before = str(place[-1]), reading.problems
     exponents = law.exponents[1].get(name, (0.0, 0.0))
     constant = Constant(name, **reading.stated(place, entry, partial(_scale, exponents=exponents)))

@@ -43,7 +43,7 @@ _WANTED = Wanted("rig file", 'describe a rig, starting with coordinates = ["x1"]
 def read_rig(path: str | os.PathLike[str]) -> Rig:
     """The rig in the TOML file `path`.
 
-    Raises ModelError with every problem found, each at file:line and key, DataError where the path is a device.
+    Raises ModelError with every problem found, each at file:line and key, DataError if the path is a device.
     """
     return _rig(read_toml(path, ModelError, _WANTED))
 
@@ -247,7 +247,7 @@ def read_free(reading: RigReading) -> tuple[Element, ...]:
 
 
 def _pairs(reading: RigReading, letter: Letter, entries: object, coordinates: Sequence[str]) -> Pairs:
-    """The off-diagonal entries of a free matrix; none, and told, where they are misnamed."""
+    """The off-diagonal entries of a free matrix; none, and reported, if they are misnamed."""
     if entries == "full":
         return list(combinations(coordinates, 2))
     if entries == "diagonal":

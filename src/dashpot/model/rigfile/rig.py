@@ -96,7 +96,7 @@ class Rig(InNotebooks):
 
     within: the share of every channel's motion within which the rig is to describe it; None: what suits the noise.
     experiments: those in which elements or channels are otherwise, in the order of `model.experiments`.
-    shaker: what its drive can do at most; None where the file does not say it.
+    shaker: what its drive can do at most; None if the file does not say it.
     """
 
     model: Model
@@ -114,7 +114,7 @@ class Rig(InNotebooks):
     def in_experiment(self, name: str | None = None) -> Rig:
         """The rig as it is in one of its experiments, None: in none of them; a rig that does not differ any more.
 
-        What differs keeps its name, such as m3@added.  Raises UsageError where there is no such experiment.
+        What differs keeps its name, such as m3@added.  Raises UsageError if there is no such experiment.
         """
         if not self.experiments and name is None:
             return self
@@ -144,7 +144,7 @@ class Rig(InNotebooks):
         return replace(self, model=model, channels=channels, experiments=())
 
     def require_alike(self, doing: str) -> None:
-        """Raises UsageError where the rig differs by experiment, which `doing` does not know."""
+        """Raises UsageError if the rig differs by experiment, which `doing` does not know."""
         if self.experiments:
             what = (
                 f"{doing} does not support experiments that differ, and the rig file has "

@@ -343,7 +343,7 @@ class RigReading:
         return {name: [joined.get(point, point) for point in rows] for name, rows in own.items()}
 
     def _settings(self, name: str, of: type[AnyEntry], example: str) -> AnyEntry | None:
-        """A section of settings; None where there is none."""
+        """A section of settings; None if there is none."""
         raw = self.table.get(name, {})
         if not isinstance(raw, dict):
             self.report.add(
@@ -353,7 +353,7 @@ class RigReading:
         return validated(of, raw, (name,), self.report) if raw else None
 
     def within(self) -> float | None:
-        """The share of the motion in [verdict]; None where there is none."""
+        """The share of the motion in [verdict]; None if there is none."""
         verdict = self._settings(VERDICT, VerdictEntry, 'within = "2 %"')
         return None if verdict is None else verdict.within
 
@@ -363,7 +363,7 @@ class RigReading:
         return "normal" if noise is None else noise.distribution
 
     def shaker(self) -> ShakerLimits | None:
-        """The limits of [shaker]; None where there are none."""
+        """The limits of [shaker]; None if there are none."""
         entry, limits = self._settings(SHAKER, ShakerEntry, 'stroke = "5 mm"'), dict[str, Any]()
         if entry is None:
             return None
@@ -478,7 +478,7 @@ class RigReading:
     def stated(
         self, place: Place, entry: ConstantEntry, scale_of: Callable[[str], float], plain: float = 1.0
     ) -> dict[str, float]:
-        """The NUMBERS of what may be unknown, as `numbers`; told where they contradict each other."""
+        """The NUMBERS of what may be unknown, as `numbers`; reported if they contradict each other."""
         found = self.numbers(place, entry, plain, scale_of)
         numbers = {key: found[field] for key, field in NUMBERS.items() if field in found}
         for problem in number_problems(str(place[-1]), numbers):
@@ -488,7 +488,7 @@ class RigReading:
     def constant_entry(self, place: Place, raw: object, otherwise: str) -> ConstantEntry | None:
         """What is said of a number that may be unknown: an amount, "unknown", or a table.
 
-        None, and told, where it cannot be read; what is none of these is `otherwise`.
+        None, and reported, if it cannot be read; what is none of these is `otherwise`.
         """
         if raw == "unknown":
             return ConstantEntry()
