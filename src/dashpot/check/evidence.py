@@ -30,7 +30,6 @@ from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.method import Method
 from dashpot.estimate.preparation import prepare
-from dashpot.estimate.registry import AUTOMATIC  # those that end in the minimum of χ²
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import listed
 from dashpot.model.network import Model
@@ -57,7 +56,7 @@ def doubtful(estimate: Estimate, level: float = 0.95) -> tuple[str, ...]:
 def undetermined(model: Model, channels: Sequence[Channel]) -> tuple[str, ...]:
     """Names of the unknowns that no data of these channels can determine.
 
-    None where the rig has no steady response, or is nonlinear: ranks say nothing of those.
+    None where the rig has no steady response, or is nonlinear: ranks contain no information on those.
     """
     if not model.unknowns or not channels or len(model.nonlinear):
         return ()
@@ -121,7 +120,7 @@ def collinearity(base: Surface, covariance: Real) -> Collinearity:
     """What the first repeat of a surface determines badly; `covariance` (M, M) is the estimate's.
 
     Combinations count that inflate an interval tenfold or more over what it were with all other unknowns known.
-    Raises IdentifiabilityError where nothing is known of an unknown, or the information is not a finite number.
+    Raises IdentifiabilityError if nothing is known of an unknown, or the information is not a finite number.
     """
     total = np.sum(base.information[0], axis=0) + np.diag(base.view.prior_precision)
     known = np.all(np.isfinite(total), axis=-1) & (np.diagonal(total) > 0)
@@ -262,7 +261,7 @@ def data_findings(
 ) -> DataFindings:
     """Collinearity, the profiles of the unknowns `profiled` at `level` and, with `known`, what known errors do.
 
-    Raises UsageError where there is no such unknown, IdentifiabilityError where nothing is known of one.
+    Raises UsageError if there is no such unknown, IdentifiabilityError if nothing is known of one.
     """
     return DataFindings(
         estimate,
@@ -345,7 +344,7 @@ class Evidence:
     responses   output over input, of the channels where such can be formed
     records     whole records as the estimate predicts them from their inputs
     dwells      some of the dwells behind the lines, in time
-    profiles    of the unknowns whose normal interval misleads
+    profiles    of the unknowns whose intervals follow χ²
     """
 
     residuals: Residuals | None = None
@@ -377,12 +376,12 @@ def evidence_of(
         tuple(responses_of_channels(model, estimate, spectrum, left)),
         _records(model, spectrum, estimate),
         tuple(dwell_histories(dwells, left)),
-        _misleading(model, spectrum, estimate, level),
+        _profiles(model, spectrum, estimate, level),
     )
 
 
 def residuals_of(model: Model, spectrum: Spectrum, estimate: Estimate) -> Residuals:
-    """What the estimate leaves over of a spectrum, its calibrations included (no batch axes)."""
+    """What the estimate leaves of a spectrum, its calibrations included (no batch axes)."""
     theta = estimate.values[: len(model.unknowns)]
     return residuals(model, theta, spectrum, calibrations_of(model, estimate))
 
@@ -400,18 +399,12 @@ def _records(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[Reco
         return ()
 
 
-def _misleading(model: Model, spectrum: Spectrum, estimate: Estimate, level: float) -> tuple[Profile, ...]:
-    """Profiles where the normal interval misleads; none where they cost much, or mean nothing."""
-    # With more unknowns than 12, or more amplitudes than 3000,
-    # profiles take longer than a report is worth.
-    many = len(estimate.names) > 12 or spectrum.amplitudes.size > 3000
-    if _has_records(spectrum) or many or len(model.nonlinear) or estimate.method not in AUTOMATIC:
-        return ()
+def _profiles(model: Model, spectrum: Spectrum, estimate: Estimate, level: float) -> tuple[Profile, ...]:
+    """Profiles of the unknowns whose intervals follow χ², so that a report shows one interval of each."""
     try:
-        profiles = [profile(model, spectrum, name, level, estimate) for name in estimate.names]
+        return tuple(profile(model, spectrum, name, level, estimate) for name in estimate.profiles)
     except DashpotError:
         return ()  # nothing is said of the surface of such a rig
-    return tuple(each for each in profiles if bool(each.misleads))
 
 
 # What errors of the known parameters do to the estimates (the paper's complaint about its own method, answered).
@@ -454,7 +447,7 @@ def known_errors(
     """How errors of the known parameters move the estimate of one spectrum (no batch axes).
 
     For methods that do not sit on the bound (`method`, as given to `identify`) the slopes are differences between two
-    identifications for each known parameter.  Raises UsageError where nothing is known.
+    identifications for each known parameter.  Raises UsageError if nothing is known.
     """
     exact = [e for e in model.elements if e.value is not None and e.sd is None and e.value != 0]
     view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)

@@ -149,8 +149,9 @@ class Document:
     """A result in words, tables and pictures.  Terminals and notebooks show title and sections, pages all of it.
 
     headline    says in one sentence whether to trust the answer, statements say more, cautions what to mind
-    answer      the section beside the drawing; the others are the evidence
+    answer      the section beside the drawing, `beside` the one below that; the others are the evidence
     steps       what to do next
+    appendix    what only those need who go on working with the result
     terms       keys of `page.EXPLANATIONS`
     """
 
@@ -166,6 +167,8 @@ class Document:
     steps: tuple[str, ...] = ()
     terms: tuple[str, ...] = ()
     provenance: Provenance | None = None
+    beside: Section | None = None
+    appendix: tuple[Section, ...] = ()
 
 
 # On a terminal.

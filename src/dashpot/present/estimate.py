@@ -41,6 +41,7 @@ from dashpot.present.words import (
     with_remedy,
 )
 
+BOUND_TEXT = "The bound is the smallest ± that any unbiased method can reach (Cramér-Rao)."
 UNITS = {False: {"M": "kg", "C": "N·s/m", "K": "N/m"}, True: {"M": "kg·m²", "C": "N·m·s/rad", "K": "N·m/rad"}}
 MOST_ROWS = 200  # of tied or of known parameters; of more the table shows the first few
 FIRST_ROWS = 10
@@ -82,10 +83,9 @@ def estimate_document(
     ]
     if verbose:
         how = [convergence_in_words(estimate)] if converged else []
-        numbers = [] if assessment is None else [capitalised(sentence(_residuals(estimate.fit)))]
-        motion = [] if assessment is None else [_motion(assessment)]
+        numbers = [] if assessment is None else [residuals_in_words(estimate.fit), _of_motion(assessment)]
         about = remarks(estimate)[estimate.basis == MISFIT :]
-        sections.append(section("Details", *how, *filter(None, [*numbers, *motion]), *about))
+        sections.append(section("Details", *how, *numbers, *about))
     return Document(estimate.model, tuple(each for each in sections if each.blocks))
 
 
@@ -96,11 +96,17 @@ def _verdict_line(estimate: Estimate) -> Paragraph:
         style = ("red" if bool(fit.rejected) else "green") if is_tested(fit) else ""
         return Paragraph(fit_in_words(fit), style)
     said, _, style = VERDICTS[assessment.verdict]
-    reasons = [r for r in assessment.reasons if r.code not in ("chi2", "discrepancy")]
     how = _share_missed(assessment)
+    return Paragraph(
+        " ".join([f"{said}{how and ': '}{how}.", *reasons_in_words(estimate, assessment)]), style
+    )
+
+
+def reasons_in_words(estimate: Estimate, assessment: Assessment) -> list[str]:
+    """Reasons of the verdict beside the share of the motion and χ², each with its code."""
+    reasons = [r for r in assessment.reasons if r.code not in ("chi2", "discrepancy")]
     names = {*estimate.names, *assessment.relative_residual, *(name for r in reasons for name in r.of)}
-    texts = [f"{capitalised(sentence(reason.text), names)} [{reason.code}]" for reason in reasons]
-    return Paragraph(" ".join([f"{said}{how and ': '}{how}.", *texts]), style)
+    return [f"{capitalised(sentence(reason.text), names)} [{reason.code}]" for reason in reasons]
 
 
 def _share_missed(assessment: Assessment) -> str:
@@ -146,16 +152,17 @@ def remarks(estimate: Estimate) -> list[str]:
     noise = [sentence(capitalised(note.text)) for note in estimate.notes if note.code == INPUT_NOISE]
     texts = [basis_in_words(estimate), " ".join(noise), profiles_in_words(estimate)]
     if np.any(np.isfinite(estimate.bound_sd)):
-        texts.append("The bound is the smallest ± that any unbiased method can reach (Cramér-Rao).")
+        texts.append(BOUND_TEXT)
     return [text for text in texts if text]
 
 
-def basis_in_words(estimate: Estimate) -> str:
-    """What ± is, and what it includes."""
+def basis_in_words(estimate: Estimate, *, noise_only: bool = True) -> str:
+    """What ± is, and what it includes; `noise_only`: whether a column of that name stands beside it."""
     if estimate.basis == MISFIT:
+        other = "; 'noise only' assumes a perfect model and is too small here" if noise_only else ""
         return (
             "± is one standard deviation. It is widened for the misfit and covers what each likely cause would "
-            "change; 'noise only' assumes a perfect model and is too small here."
+            f"change{other}."
         )
     if estimate.basis == RESIDUALS:
         return "± is one standard deviation, estimated from the scatter of the residuals."
@@ -263,15 +270,17 @@ def _shown(entries: Sequence[Entry]) -> Sequence[Entry]:
     return entries if len(entries) <= MOST_ROWS else entries[:FIRST_ROWS]
 
 
-def parameter_columns(estimate: Estimate, level: float = 0.95, *, bound: bool = True) -> list[TableColumn]:
-    """Name, value, unit, ±, relative ±, interval, bound; where the model does not fit, also the ± of noise only."""
+def parameter_columns(
+    estimate: Estimate, level: float = 0.95, *, bound: bool = True, noise: bool = True
+) -> list[TableColumn]:
+    """Name, value, ±, unit, relative ±, interval; `bound`: also the bound; `noise`: of a misfit the ± of noise only."""
     rows = parameter_rows(estimate, level)
     low, high = (max((len(getattr(row, end)) for row in rows), default=0) for end in ("low", "high"))
     # ±, and whether the fit, on whose residuals it rests, could be tested
     spread = "±, not\ntested>" if estimate.basis == RESIDUALS else "±>"
     heads = ["parameter", "value>", spread, "unit", "± %>", f"{100 * level:g} % interval^"]
     bounded = bound and bool(np.any(np.isfinite(estimate.bound_sd)))
-    optional = {"±, noise\nonly>": estimate.basis == MISFIT, "bound>": bounded}
+    optional = {"±, noise\nonly>": noise and estimate.basis == MISFIT, "bound>": bounded}
     texts = []
     for row in rows:
         interval = f"{row.low.rjust(low)} … {row.high.ljust(high)}" if row.low else row.tie
@@ -279,6 +288,19 @@ def parameter_columns(estimate: Estimate, level: float = 0.95, *, bound: bool = 
         more = [text for text, there in zip((row.noise, row.bound), optional.values(), strict=True) if there]
         texts.append((row.name, row.value, row.sd, unit, row.share, interval, *more))
     return columns_of([*heads, *(head for head, there in optional.items() if there)], texts)
+
+
+def spread_columns(estimate: Estimate) -> list[TableColumn]:
+    """± of each unknown, of a misfit also that of noise only, and the bound where it is known."""
+    rows = [row for row in parameter_rows(estimate) if row.share]
+    columns = [("unknown", [row.name for row in rows]), ("±>", [row.sd for row in rows])]
+    if estimate.basis == MISFIT:
+        columns.append(("±, noise only>", [row.noise for row in rows]))
+    if np.any(np.isfinite(estimate.bound_sd)):
+        columns.append(("bound>", [row.bound for row in rows]))
+    columns.append(("unit", ["" if row.unit == "1" else row.unit for row in rows]))
+    heads, texts = zip(*columns, strict=True)
+    return columns_of(heads, zip(*texts, strict=True))
 
 
 STATED = "What was stated"
@@ -447,24 +469,37 @@ def fit_paragraphs(estimate: Estimate) -> list[Paragraph]:
         style = ("red" if bool(fit.rejected) else "green") if is_tested(fit) else ""
         return [Paragraph(fit_in_words(fit), style)]
     said = Paragraph(verdict_in_words(fit, assessment), VERDICTS[assessment.verdict][2])
-    motion = Paragraph(_motion(assessment))
+    motion = Paragraph(_of_motion(assessment))
     causes = [Paragraph(line, "cyan") for line in diagnosis_in_words(assessment.findings)]
     return [said, *([motion] if motion.text else []), *causes]
 
 
-def _motion(assessment: Assessment) -> str:
-    """How far measured and predicted amplitudes differ, what of it is noise, and where most."""
+def residuals_in_words(fit: Fit) -> str:
+    """How large the residuals are, with χ²; empty where that cannot be tested."""
+    size = _residuals(fit)
+    return capitalised(sentence(size)) if size else ""
+
+
+def worst_in_words(assessment: Assessment) -> str:
+    """Where the largest residuals are; empty where none were named."""
+    worst = [
+        f"{one.channel} at {short(one.frequency_hz, 4)} Hz ({short(one.sd, 2)} sd)"
+        for one in assessment.worst
+    ]
+    return f"Largest residuals: {joined(worst)}." if worst else ""
+
+
+def _of_motion(assessment: Assessment) -> str:
+    return " ".join(filter(None, (motion_in_words(assessment), worst_in_words(assessment))))
+
+
+def motion_in_words(assessment: Assessment) -> str:
+    """How far measured and predicted amplitudes differ, and what of it is noise."""
     parts = [f"{short(100 * part, 2)} % at {name}" for name, part in assessment.relative_residual.items()]
     sentences = (
         [f"Measured and predicted motion differ by {joined(parts)}{_noise(assessment)}."] if parts else []
     )
     sentences += _described(assessment)
-    if assessment.worst:
-        worst = [
-            f"{one.channel} at {short(one.frequency_hz, 4)} Hz ({short(one.sd, 2)} sd)"
-            for one in assessment.worst
-        ]
-        sentences.append(f"Largest residuals: {joined(worst)}.")
     return " ".join(sentences)
 
 
@@ -527,9 +562,9 @@ def _noise(assessment: Assessment) -> str:
 
 
 def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
-    """A line for each of the likeliest causes, with its odds and what to do about it."""
+    """A line for each of the most probable causes, with its odds and what to do about it."""
     lines = []
-    for rank, finding in enumerate(findings[:3]):  # the likeliest and two beside it
+    for rank, finding in enumerate(findings[:3]):  # the most probable and two beside it
         group = findings[0].group is not None and finding.group == findings[0].group
         lead = (
             "Likely cause"

@@ -17,28 +17,33 @@ from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined, listed
 from dashpot.model.network import Model
-from dashpot.present.check import profile_in_words, shares_section
+from dashpot.present.check import shares_section
 from dashpot.present.document import Document, Items, Picture, Provenance, Section, section
 from dashpot.present.estimate import (
     CYCLES,
     CYCLES_TEXT,
     STATED,
     STATED_TEXT,
-    VERDICTS,
+    basis_in_words,
     convergence_in_words,
     cycle_columns,
     diagnosis_in_words,
-    fit_paragraphs,
     has_modes,
     headline,
     mode_columns,
+    motion_in_words,
     page_verdict,
     parameter_columns,
+    profiles_in_words,
+    reasons_in_words,
     remaining_in_words,
     remarks,
+    residuals_in_words,
     signs_in_words,
+    spread_columns,
     stated_columns,
     warnings_in_words,
+    worst_in_words,
 )
 from dashpot.present.figures import spectra as figures
 from dashpot.present.figures.comparison import change_figure, cost_figure, cycle_figure, estimate_figure
@@ -76,21 +81,13 @@ def identification_report(
     found = evidence_of(model, spectrum, estimate, level, dwells)
     unsure = doubtful(estimate, level)
     names = names_of(model, shown)
-    subtitle = convergence_in_words(estimate)
-    if spectrum is not None:
-        low, high = (
-            short(float(end), 4) for end in (spectrum.frequency_hz.min(), spectrum.frequency_hz.max())
-        )
-        subtitle += f" {spectrum.lines} lines from {low} to {high} Hz."
-    # The verdict with its numbers and the motion that is left over; the headline has said the verdict itself
+    # What the headline has not said: other reasons of the verdict, and the motion by channel
     assessment = estimate.assessment
-    if assessment is None:
-        statements = []
-    else:
-        causes = set(diagnosis_in_words(assessment.findings))
-        said = f"{VERDICTS[assessment.verdict][0]}: "
-        texts = [part.text for part in fit_paragraphs(estimate) if part.text not in causes]
-        statements = [capitalised(text.removeprefix(said), names) for text in texts]
+    statements = []
+    if assessment is not None:
+        statements = [*reasons_in_words(estimate, assessment), motion_in_words(assessment)]
+        if found.residuals is None:
+            statements += [residuals_in_words(estimate.fit), worst_in_words(assessment)]
     statements += [f"Held out and predicted: {text}" for text in fits_in_words(held_out)]
     curved = [model.elements[i].name for i in model.nonlinear]
     if curved:
@@ -104,32 +101,44 @@ def identification_report(
         ("FIT",): bool(held_out or histories),
     }
     treatments = [sentence(capitalised(note.text, names)) for note in estimate.notes]
+    if spectrum is not None:
+        ends = spectrum.frequency_hz.min(), spectrum.frequency_hz.max()
+        low, high = (short(float(end), 4) for end in ends)
+        treatments.append(
+            f"Fitted: {spectrum.lines} lines from {low} to {high} Hz. Method {convergence_in_words(estimate)}"
+        )
+    else:
+        treatments.append(f"Method {convergence_in_words(estimate)}")
+    steps = next_steps(estimate, unsure, found.collinearity, plannable=not len(model.nonlinear))
     return page_html(
         Document(
             estimate.model or "Identification",
             (
                 *([prediction_section("Measured and model", histories)] if histories else []),
                 *_evidence(model, spectrum, estimate, found, held_out, len(dwells)),
-                *([section("How the data were processed", *treatments)] if treatments else []),
             ),
             page_verdict(estimate),
-            subtitle,
-            headline(estimate, unsure),
-            tuple(statements),
-            tuple(
+            headline=headline(estimate, unsure),
+            statements=tuple(filter(None, statements)),
+            cautions=tuple(
                 capitalised(text, names) for text in warnings_in_words(estimate, untried=untried, coded=True)
             ),
-            section(
+            answer=section(
                 "Parameters",
-                *remarks(estimate),
+                basis_in_words(estimate, noise_only=False),
+                profiles_in_words(estimate),
                 signs_in_words(estimate),
-                parameter_columns(estimate, level),
+                parameter_columns(estimate, level, bound=False, noise=False),
                 assumptions_in_words(model, estimate, shown),
             ),
-            rig_picture(model, shown, estimate, unsure, level),
-            tuple(next_steps(estimate, unsure, found.collinearity, plannable=not len(model.nonlinear))),
-            (*TERMS, *(term for terms, there in shown_terms.items() if there for term in terms)),
-            provenance,
+            beside=_modes(model, estimate) if has_modes(estimate) else None,
+            drawing=rig_picture(model, shown, estimate, unsure, level),
+            appendix=(
+                section("What next", Items(tuple(steps))),
+                section("How the data were processed", *treatments),
+            ),
+            terms=(*TERMS, *(term for terms, there in shown_terms.items() if there for term in terms)),
+            provenance=provenance,
         )
     )
 
@@ -184,7 +193,7 @@ def failure_report(
 def fit_figure(model: Model, spectrum: Spectrum, estimate: Estimate) -> Figure:
     """Measured and fitted: the first six responses, or the first six channels where no response can be formed.
 
-    No batch axes.  Raises UsageError where the data drive no output.
+    No batch axes.  Raises UsageError if the data drive no output.
     """
     found = residuals_of(model, spectrum, estimate)
     responses = responses_of_channels(model, estimate, spectrum, found)
@@ -232,8 +241,6 @@ def _evidence(
     if estimate.assessment is not None and estimate.assessment.findings:
         causes = Items(tuple(diagnosis_in_words(estimate.assessment.findings)))
         sections.append(section("Why it does not fit", causes, whole=True))
-    if has_modes(estimate):
-        sections.append(_modes(model, estimate))
     if estimate.cycles:
         pictures = []
         for elements in dict.fromkeys(cycle.elements for cycle in estimate.cycles):
@@ -251,13 +258,14 @@ def _evidence(
             sections.append(prediction_section("In time, as used", found.records[:1], text))
         if found.dwells:
             sections.append(_dwells(found.dwells, dwells))
-        sections += _residuals(found.residuals)
+        sections += _residuals(found.residuals, estimate)
     if len(estimate.names) <= 40:  # more unknowns do not fit in one picture
         text = "Each unknown with its 95 % interval; shaded, the interval at the Cramér-Rao bound."
         if estimate.stated:
             text += " 'stated' is the value in the rig file."
         picture = figure_picture(estimate_figure(estimate), "Parameters with their intervals")
-        sections.append(section("Intervals", text, picture))
+        about = " ".join(remarks(estimate))
+        sections.append(section("Intervals", text, about, picture, spread_columns(estimate)))
         if any(element.block == element.name and element.value is None for element in model.elements):
             text = "Change of each unknown from the model as assembled, with its 95 % interval."
             picture = figure_picture(moved_figure(model, estimate), "Changes from the model as assembled")
@@ -281,14 +289,11 @@ def _evidence(
     if found.profiles:
         names = joined([each.name for each in found.profiles])
         figure = figures.profile_figure(found.profiles)
-        sections.append(
-            section(
-                "Profiles that are not parabolic",
-                "Where the curve is not the parabola, use the interval from the profile.",
-                Items(tuple(profile_in_words(each) for each in found.profiles)),
-                figure_picture(figure, f"Rise of χ² along {names}, beside the parabola of ± sd"),
-            )
+        text = (
+            f"χ² is not a parabola along {names}; the intervals above end where its profile meets the line."
         )
+        picture = figure_picture(figure, f"Rise of χ² along {names}, beside the parabola of ± sd")
+        sections.append(section("Profiles that are not parabolic", text, picture))
     return [*sections, *([prediction_section("Predicted, not used", held_out)] if held_out else [])]
 
 
@@ -302,7 +307,7 @@ def _modes(model: Model, estimate: Estimate) -> Section:
             pictures.append(Picture(mode_drawing(model, shape, title).svg(), title, wide=False))
         except UsageError:
             break
-    return section("Modes", mode_columns(estimate.modes), *pictures, whole=True)
+    return section("Modes", mode_columns(estimate.modes), *pictures)
 
 
 def _responses(found: Evidence, left: Residuals, carries_loads: bool) -> list[Section]:
@@ -365,7 +370,7 @@ def _dwells(histories: Sequence[DwellHistory], dwells: int) -> Section:
         "Dwells in time",
         shaded,
         f"{len(histories)} of {dwells} dwells are shown, among them the one with the largest residual and the "
-        "one of which least was used. Offsets are removed; predicted is the steady state.",
+        "one with the shortest part used. Offsets are removed; predicted is the steady state.",
         figure_picture(figures.whole_dwells(histories), f"Dwells of {channels} in time. {shaded}"),
         figure_picture(
             figures.beginnings(histories), f"{channels} where the part used begins, measured and predicted"
@@ -374,7 +379,7 @@ def _dwells(histories: Sequence[DwellHistory], dwells: int) -> Section:
     )
 
 
-def _residuals(found: Residuals) -> list[Section]:
+def _residuals(found: Residuals, estimate: Estimate) -> list[Section]:
     size = np.abs(found.normalised) / np.sqrt(2)
     if not np.any(np.isfinite(size)):
         return []
@@ -387,11 +392,16 @@ def _residuals(found: Residuals) -> list[Section]:
     ]
     texts.append(f"Rms of each channel: {joined(rms)}.")
     worst = found.worst()
+    largest = ""
     if worst is not None:
         name, f, value = worst
-        texts.append(f"The largest is {short(value, 2)}: {name} at {short(f, 4)} Hz.")
+        largest = f"The largest is {short(value, 2)}: {name} at {short(f, 4)} Hz."
+    if estimate.assessment is not None:
+        texts += [residuals_in_words(estimate.fit), worst_in_words(estimate.assessment)]
+    else:
+        texts.append(largest)
     figure = figures.residual_plot(found.channels, found.frequency_hz, size, worst)
-    picture = figure_picture(figure, f"Residuals by frequency and channel. {texts[-1]}")
+    picture = figure_picture(figure, f"Residuals by frequency and channel. {largest}")
     return [section("Residuals", *texts, picture)]
 
 
@@ -479,7 +489,7 @@ def _on_fit(estimate: Estimate) -> list[str]:
 
 
 def _least_known(estimate: Estimate) -> tuple[str, str] | None:
-    """The parameter with the largest relative standard deviation, with it in per cent; None where there is none."""
+    """The parameter with the largest relative standard deviation, with it in per cent; None if there is none."""
     pairs = [
         (float(sd / abs(value)), name, percent(float(sd), float(value)))
         for name, sd, value in zip(estimate.names, estimate.sd, estimate.values, strict=True)

@@ -117,7 +117,7 @@ def page_html(page: Document) -> str:
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    sections = (*page.sections, *(() if page.answer is None else (page.answer,)))
+    sections = [*page.sections, *filter(None, (page.answer, page.beside))]
     pictures = [block.svg for part in sections for block in part.blocks if isinstance(block, Picture)]
     scripted = any("data-panels=" in svg or "<animate " in svg for svg in pictures)
     script = loader.get_source(environment, "figures.js")[0] if scripted else ""

@@ -154,7 +154,7 @@ def prediction_in_words(predictions: Sequence[RecordPrediction], findings: tuple
 
 
 def mistakes_in_words(findings: tuple[Finding, ...]) -> list[str]:
-    """What may be wrong with the data, the likeliest first, each with what to change."""
+    """What may be wrong with the data, the most probable first, each with what to change."""
     return diagnosis_in_words(tuple(replace(finding, remaining=None) for finding in findings))
 
 

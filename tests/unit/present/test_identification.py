@@ -27,7 +27,7 @@ from dashpot import (
 )
 from dashpot.check.evidence import evidence_of
 from dashpot.check.explain.examine import examined
-from dashpot.check.profile import profile
+from dashpot.check.profile import with_profile_intervals
 from dashpot.check.validation import RecordPrediction
 from dashpot.model.nonlinear.force_law import force_law
 from dashpot.present import validation
@@ -126,7 +126,19 @@ def test_the_report_stands_alone(good: Estimate) -> None:
         "a&amp;b.csv",
     ):
         assert text in html
-    assert html.index("Parameters") < html.index("What next") < html.index("<h2>Modes")
+    order = (
+        "Parameters",
+        "Modes",
+        "Measured and model",
+        "Residuals",
+        "Intervals",
+        "What next",
+        "How the data",
+        "How it was",
+    )
+    places = [html.index(f"<h2>{title}") for title in order]
+    assert places == sorted(places)
+    assert "converged in" not in html[: html.index("<h2>What next")]  # nor what only an operator needs
 
 
 def drawn_panels(html: str, name: str) -> list[dict[str, Any]]:
@@ -298,9 +310,13 @@ def test_tables_are_those_of_the_json(page: tuple[str, dict[str, Any]]) -> None:
         assert shows(row["± %"], 100 * entry["sd"] / abs(entry["value"])), row
         assert shows(low, entry["interval95"][0]), row
         assert shows(high, entry["interval95"][1]), row
-        assert shows(row["bound"], entry["bound_sd"]), row
         compared += 1
     assert compared >= 4
+    assert [row["unknown"] for row in of["unknown"]] == content["order"]
+    for row in of["unknown"]:
+        entry = content["parameters"][row["unknown"]]
+        assert shows(row["±"], entry["sd"])
+        assert shows(row["bound"], entry["bound_sd"])
     assert len(of["mode"]) == len(content["modes"])
     for row, mode in zip(of["mode"], content["modes"], strict=True):
         assert shows(row["frequency, Hz"], mode["frequency_hz"])
@@ -314,7 +330,7 @@ def test_words_are_those_of_the_json(page: tuple[str, dict[str, Any]]) -> None:
     chi2, dof = re.search(r"χ² = ([\d.e]+), (\d+) degrees of freedom", text).groups()  # type: ignore[union-attr]
     assert shows(chi2, fit["chi2"])
     assert int(dof) == fit["dof"]
-    times = re.search(r"([\d.]+) × the noise", text)
+    times = re.search(r"([\d.]+) × the noise \(χ²", text)
     assert shows(times[1], np.sqrt(fit["chi2"] / fit["dof"]))
     p = re.search(r"p (=|<) ([\d.e-]+)\)", text)
     assert shows(p[2], fit["p"]) if p[1] == "=" else fit["p"] < float(p[2])
@@ -366,17 +382,22 @@ def noisy(noise: float) -> Spectrum:
     return simulate_spectrum(RIG.model, p, channels, dwells(RIG.model, [1.0, 5.0, 7.0], 200), rng)
 
 
-def test_profiles_are_shown_where_the_normal_interval_misleads() -> None:
+def test_profiles_are_shown_of_the_intervals_that_follow_them() -> None:
+    """The report states one interval for each unknown: where a profile is drawn, the table has its ends."""
     good, poor = noisy(0.01), noisy(1.0)
-    sure = identify(RIG.model, good)
+    sure = with_profile_intervals(RIG.model, good, identify(RIG.model, good))
     assert evidence_of(RIG.model, good, sure).profiles == ()
-    unsure = identify(RIG.model, poor)
+    unsure = with_profile_intervals(RIG.model, poor, identify(RIG.model, poor))
     found = evidence_of(RIG.model, poor, unsure).profiles
-    misled = [name for name in unsure.names if profile(RIG.model, poor, name, 0.95, unsure).misleads]
-    assert misled
-    assert [each.name for each in found] == misled
-    headings = re.findall("<h[23]>([^<]*)", identification_report(RIG.model, poor, unsure))
-    assert any(heading.startswith("Profiles") for heading in headings)
+    assert found
+    assert [each.name for each in found] == list(unsure.profiles)
+    low, high = unsure.interval()
+    for each in found:
+        j = unsure.names.index(each.name)
+        np.testing.assert_allclose([each.lower, each.upper], [low[j], high[j]], rtol=0.02)
+    html = identification_report(RIG.model, poor, unsure)
+    assert any(heading.startswith("Profiles") for heading in re.findall("<h[23]>([^<]*)", html))
+    assert html.count("95 % interval from") == 0
 
 
 def test_histories_say_which_part_of_a_record_they_hold() -> None:
@@ -416,7 +437,8 @@ def test_the_fit_in_words_is_that_of_the_curves(monkeypatch: pytest.MonkeyPatch)
 def test_profiles_of_estimates_that_are_no_minimum_are_left_out() -> None:
     poor = noisy(1.0)
     least_squares = replace(identify(RIG.model, poor), method="ls")
-    assert evidence_of(RIG.model, poor, least_squares).profiles == ()
+    unchanged = with_profile_intervals(RIG.model, poor, least_squares)
+    assert evidence_of(RIG.model, poor, unchanged).profiles == ()
 
 
 def test_the_first_page_says_what_the_values_rest_on(page: tuple[str, dict[str, Any]]) -> None:

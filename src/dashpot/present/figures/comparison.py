@@ -60,7 +60,7 @@ def estimate_figure(estimate: Estimate, level: float = 0.95) -> Figure:
     low, high = estimate.interval(level)
     numbers = zip(estimate.names, estimate.values.tolist(), estimate.bound_sd.tolist(), strict=True)
     bands = {name: (value, sd) for name, value, sd in numbers if np.isfinite(sd)}
-    rows, values, lows, highs = [estimate.method], [estimate.values], [low], [high]
+    rows, values, lows, highs = ["estimate" if estimate.stated else ""], [estimate.values], [low], [high]
     if estimate.stated:
         prior, sd = estimate.priors
         reach = _reach(level)

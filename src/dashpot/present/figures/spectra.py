@@ -299,7 +299,7 @@ def beginnings(dwells: Sequence[DwellHistory]) -> Figure:
 
 def _dwell_panels(dwells: Sequence[DwellHistory]) -> tuple[Figure, Any]:
     rows = len(dwells[0].channels)
-    figure = Figure(figsize=(max(3.0 * len(dwells), 5.0), max(1.5 * rows, 2.0) + 0.5))
+    figure = Figure(figsize=(max(3.0 * len(dwells), 5.0), max(1.1 * rows, 2.0) + 0.5))
     grid = figure.subplots(rows, len(dwells), squeeze=False, sharex="col", sharey="row")
     for dwell, column in zip(dwells, grid.T, strict=True):
         column[0].set_title(f"{short(dwell.frequency_hz, 4)} Hz")

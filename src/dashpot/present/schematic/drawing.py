@@ -97,7 +97,7 @@ def schematic(
     """The rig in the field's symbols; with values and intervals of an estimate where there is one.
 
     `doubtful` names parameters that are marked as such.  Of more than 60 elements only the kinds and names
-    are drawn.  Raises UsageError where there are too many bodies for a drawing.
+    are drawn.  Raises UsageError if there are too many bodies for a drawing.
     """
     model, channels = model.alone, [channel for channel in channels if channel.only is None]
     parts = _few_bodies(model, channels)
@@ -114,7 +114,7 @@ def schematic(
 
 
 def _few_bodies(model: Model, channels: Sequence[Channel] = ()) -> Connections:
-    """What a rig consists of.  Raises UsageError where there are too many bodies for a drawing."""
+    """What a rig consists of.  Raises UsageError if there are too many bodies for a drawing."""
     found = connections(model, channels)
     if len(found.bodies) > 40:
         raise UsageError(
@@ -131,7 +131,7 @@ def rig_picture(
     unsure: Collection[str] | None = None,
     level: float = 0.95,
 ) -> Picture | None:
-    """The drawing of the rig for a page; None where it is too large for one.
+    """The drawing of the rig for a page; None if it is too large for one.
 
     `unsure` names the doubtful parameters: without it those of the estimate whose intervals say little.
     """
@@ -183,7 +183,7 @@ class ModeDrawing:
 def numbered_mode(model: Model, estimate: Estimate | None, number: int) -> tuple[str, Complex]:
     """Title and shape (coordinates,) of a mode, 1 the slowest: of an estimate, or of the values that the rig states.
 
-    Raises ModelError where the rig states no value, UsageError where there is no such mode.
+    Raises ModelError if the rig states no value, UsageError if there is no such mode.
     """
     if estimate is None:
         stated = eigenmodes(model, model.parameters(model.theta({})))
@@ -213,7 +213,7 @@ def measured_modes_drawing(
 ) -> ModeDrawing:
     """Measured shapes on the drawing of a rig: mode `number`, or all below each other.  What was not measured rests.
 
-    Raises UsageError where there is no such mode or there are too many bodies, DataError for points that the rig has
+    Raises UsageError if there is no such mode or there are too many bodies, DataError for points that the rig has
     not.
     """
     data = at_coordinates(found.modal_data, model.coordinates, channels)
@@ -242,7 +242,7 @@ def measured_modes_drawing(
 def mode_drawing(model: Model, shape: Complex, title: str) -> ModeDrawing:
     """A mode of shape (coordinates,) on the drawing of the rig; angles and displacements each to their own scale.
 
-    Raises UsageError where there are too many bodies for a drawing.
+    Raises UsageError if there are too many bodies for a drawing.
     """
     connected = _few_bodies(model)
     said = labels(model, (), None, (), numbers=False)
