@@ -1,15 +1,25 @@
-"""Docstrings as the code writes them, plain text with aligned columns, turned into reStructuredText."""
+"""Docstrings as the code writes them, shown in the sections of numpydoc.
+
+The code writes rows of names, shapes and what they are, "values (..., m)    estimates", and sentences that begin with
+"Raises": rows become Parameters of functions and Attributes of classes, the sentences become Raises, with links.
+"""
 
 from __future__ import annotations
 
+import builtins
 import re
 from typing import Any
 
 from sphinx.application import Sphinx
 
-# "data    a Spectrum, …": a name or several, two blanks or more, what it is.
-_ROW = re.compile(r"^([\w.…*]+(?:, [\w.…*]+)*)  +(\S.*)$")
-_RAISES = re.compile(r"\b(Raises(?: as)?) (`?[A-Za-z_]+`?)")
+# A name or several with one shape behind them; two blanks or more; what it is: "inputs, outputs  channels".
+_NAME = r"[\w.…*]*[\w…*]"
+_SHAPE = r"\((?:[^()]|\([^()]*\))*\)"
+_ROW = re.compile(rf"^({_NAME}(?: {_SHAPE})?(?:, {_NAME}(?: {_SHAPE})?)*)  +(\S.*)$")
+_SHAPED = re.compile(rf"^({_SHAPE})(?:[,:;]? +|$)(.*)$")
+_RAISES = re.compile(r"\bRaises (?=[A-Z]\w*Error\b)")
+_ERROR = re.compile(r"(?:, and |, | or |^)([A-Z]\w*Error)\b")
+_FUNCTIONS = ("function", "method")
 
 
 def _escaped(text: str) -> str:
@@ -21,25 +31,49 @@ def _escaped(text: str) -> str:
     )
 
 
-def _paragraph(lines: list[str]) -> list[str]:
-    """One paragraph: a table of names, an indented block, or prose."""
-    if all(line.startswith("    ") for line in lines):
-        return ["::", "", *(f"  {line}" for line in lines), ""]
-    row = _ROW.match(lines[0])
-    if row is not None:
-        rows: list[tuple[str, list[str]]] = []
-        for line in lines:
-            row = _ROW.match(line)
-            if row is not None and not line.startswith(" "):
-                rows.append((row[1], [row[2]]))
-            else:
-                rows[-1][1].append(line.strip())
-        return [*(f"- ``{name}``: {_escaped(' '.join(text))}" for name, text in rows), ""]
-    text = " ".join(line.strip() for line in lines)
-    return [_RAISES.sub(r"**\1** \2", _escaped(text)), ""]
+def _rows(lines: list[str]) -> list[tuple[str, str]]:
+    """Names and what they are, of a paragraph that begins with a row; lines further in go on."""
+    rows: list[tuple[str, list[str]]] = []
+    for line in lines:
+        row = _ROW.match(line)
+        if row is not None:
+            rows.append((row[1], [row[2]]))
+        else:
+            rows[-1][1].append(line.strip())
+    return [(names, " ".join(text)) for names, text in rows]
 
 
-def _convert(app: Sphinx, what: str, name: str, obj: object, options: Any, lines: list[str]) -> None:
+def _entry(names: str, text: str) -> list[str]:
+    """A row as numpydoc has it: the shape, behind the names or before the text, stands where a type would."""
+    behind = re.fullmatch(rf"({_NAME}(?:, {_NAME})*) ({_SHAPE})", names)
+    before = _SHAPED.match(text)
+    shape = ""
+    if behind is not None:
+        names, shape = behind[1], behind[2]
+    elif before is not None:
+        shape, text = before[1], before[2]
+    head = f"**{names.replace('*', chr(92) + '*')}**"
+    return [f"{head} : {_escaped(shape)}" if shape else head, f"    {_escaped(text)}" if text else "    |"]
+
+
+def _errors(sentence: str) -> list[str]:
+    """ "DataError or UsageError if a, and ModelError if b." as entries, each its errors and when they are raised."""
+    starts = [match.start(1) for match in _ERROR.finditer(sentence)]
+    lines: list[str] = []
+    names: list[str] = []
+    for start, end in zip(starts, [*starts[1:], len(sentence)], strict=True):
+        name, _, when = sentence[start:end].partition(" ")
+        name = name.strip(",.")
+        names.append(f":py:exc:`{name}`" if hasattr(builtins, name) else f":py:exc:`dashpot.{name}`")
+        when = re.sub(r"(?:(?:,? |^)(?:and|or)|,|\.)?\s*$", "", when)
+        if when:
+            lines += [", ".join(names), f"    {_escaped(when)}"]
+            names = []
+    return [*lines, *([", ".join(names), "    |"] if names else [])]
+
+
+def converted(lines: list[str], what: str) -> list[str]:
+    """A docstring in the sections of numpydoc; `what` it is of, as autodoc names it."""
     paragraphs: list[list[str]] = [[]]
     for line in lines:
         if line.strip():
@@ -50,7 +84,32 @@ def _convert(app: Sphinx, what: str, name: str, obj: object, options: Any, lines
             paragraphs[-1].append(line.rstrip())
         elif paragraphs[-1]:
             paragraphs.append([])
-    lines[:] = [line for paragraph in paragraphs if paragraph for line in _paragraph(paragraph)]
+    prose: list[str] = []
+    rows: list[tuple[str, str]] = []
+    raises: list[str] = []
+    for paragraph in filter(None, paragraphs):
+        if all(line.startswith("    ") for line in paragraph):
+            prose += ["::", "", *(f"  {line}" for line in paragraph), ""]
+        elif _ROW.match(paragraph[0]):
+            rows += _rows(paragraph)
+        else:
+            text, *errors = _RAISES.split(" ".join(line.strip() for line in paragraph))
+            for error in errors:
+                # what follows the full stop of the last error is prose again
+                said, stop, rest = error.partition(".  ")
+                raises += _errors(said + stop.strip())
+                text += rest
+            prose += [_escaped(text.strip()), ""] if text.strip() else []
+    section = "Parameters" if what in _FUNCTIONS else "Attributes"
+    if rows:
+        prose += [f":{section}:", *(f"    {line}" for row in rows for line in _entry(*row)), ""]
+    if raises:
+        prose += [":Raises:", *(f"    {line}" for line in raises), ""]
+    return prose
+
+
+def _convert(app: Sphinx, what: str, name: str, obj: object, options: Any, lines: list[str]) -> None:
+    lines[:] = converted(lines, what)
 
 
 def _plain_defaults(

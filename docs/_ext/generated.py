@@ -87,8 +87,11 @@ def _command(command: click.Command, context: click.Context) -> str:
         if record is not None:
             groups.setdefault(getattr(parameter, "group", "General"), []).append(record)
     groups["General"] = groups.pop("General", [])
+    lines += [f"```{{program}} {context.command_path}", "```", ""]
     for title, rows in groups.items():
-        lines += [f"**{title}**", "", *_table("option", rows)]
+        lines += [f"**{title}**", ""]
+        for names, text in rows:  # each a target of links and of the search, #cmdoption-dashpot-identify-band
+            lines += [f"```{{option}} {names}", _cell(text), "```", ""]
     examples = getattr(command, "examples", ())
     if examples:
         lines += ["```text", *examples, "```", ""]
