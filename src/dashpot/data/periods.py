@@ -265,7 +265,7 @@ def _notes(source: str, period_s: float, skip: int, mean: Complex, away: Complex
     count = len(away)
     variance = np.sum(np.abs(away) ** 2, axis=0) / (count * (count - 1))
     if np.median(np.abs(mean) ** 2 / np.maximum(variance, 1e-300)) < 4:  # chance alone makes it 1
-        text = f"{source}: its periods of {period_s:g} s hardly agree with one another. Is it periodic?"
+        text = f"{source}: successive periods of {period_s:g} s differ strongly. Is the record periodic?"
         notes.append(Notice("periods_differ", text, (source,)))
     return tuple(notes)
 

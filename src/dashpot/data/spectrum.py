@@ -253,7 +253,7 @@ class Spectrum(InNotebooks):
     noise         (lines,)                      how V was found: "given", "white", "blocks" (lines beside each
                   harmonic), "periods" (scatter of averages of periods), of whole records "rest" (a record at rest),
                   "floor" (where nothing moves; replaced by) "residual" (from residuals of a fit), of tables that
-                  give none "fitted" (its course over the lines, from what a fit leaves unexplained), or "unknown"
+                  give none "fitted" (as a function of frequency, from residuals of a fit), or "unknown"
     experiment    (lines,)                      which experiment a line belongs to
     moments       second moments of the samples, where they were asked for
     notes         what a reader of results should know: samples discarded, noise that could not be judged

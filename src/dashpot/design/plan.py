@@ -493,7 +493,7 @@ def _remarks(setup: TestSetup, schedule: Schedule) -> tuple[str, ...]:
             first = float(schedule.frequency_hz[int(np.argmax(faint[:, i]))])
             still.setdefault(first, []).append(channel.name)
     return tuple(
-        f"{joined(names)} hardly {'moves' if len(names) == 1 else 'move'} at {f:.4g} Hz, where noise stated in "
+        f"{joined(names)} barely {'moves' if len(names) == 1 else 'move'} at {f:.4g} Hz, where noise stated in "
         "per cent only is almost zero: state a noise floor as well"
         for f, names in still.items()
     )

@@ -104,7 +104,7 @@ def format_of(path: str, content: str | None = None) -> ExportFormat:
     elif suffix:
         cause = f"no export has the extension {suffix}"
     else:
-        cause = "the name has no extension to tell the format"
+        cause = "the file name has no extension, so the format is unknown"
     ends = sorted({end for each in meant for end in each.suffixes})
     raise UsageError(cause, path, f"use {', '.join(ends)}")
 

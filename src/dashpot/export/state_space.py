@@ -288,7 +288,7 @@ def state_space_of(rig: IdentifiedRig, given: str | Mapping[str, str] | None = N
     model, channels = rig.model, rig.outputs
     if not channels:
         raise UsageError(
-            "no channel shows more than inputs, so that there is no output",
+            "all channels measure inputs only, so there is no output",
             cure="list channels of the coordinates",
         )
     view = observation_model(model, channels, np.zeros(1))

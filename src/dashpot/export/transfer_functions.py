@@ -165,7 +165,7 @@ def frequency_responses(rig: IdentifiedRig, frequency_hz: Real) -> tuple[Complex
     """
     rig.require_linear("a frequency response")
     if not rig.outputs:
-        raise UsageError("no channel shows more than inputs", cure="list channels of the coordinates")
+        raise UsageError("all channels measure inputs only", cure="list channels of the coordinates")
     omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
     of_rig = transfer(observation_model(rig.model, rig.outputs, omega), rig.p)
     if not np.all(np.isfinite(of_rig.G)):

@@ -84,7 +84,7 @@ def release_document(plan: ReleasePlan) -> Document:
             section("", said, f"Expected relative standard deviation: {percent(plan.figure, 1.0)} %."),
             section("Expected", columns_of(["parameter", "value>", "±>", "unit", "± %>"], texts)),
             section(
-                "One release by itself",
+                "Single releases",
                 columns_of(["held at", f"deflection, {unit}>", "record, s>", "± %>"], rows),
             ),
             section("", *notes),
@@ -221,14 +221,14 @@ def stopping_in_words(answer: Answer) -> str:
     verdict = answer.verdict
     assert verdict is not None
     if verdict.reached:
-        return f"Enough: {verdict.reason}."
+        return f"Target reached: {verdict.reason}."
     if not math.isfinite(verdict.more):
-        return f"Not enough yet: {verdict.reason}."
+        return f"Target not reached: {verdict.reason}."
     best = ""
     if answer.plan is not None and answer.plan.predicted.figure <= 1.0001:
         best = f", or use the test below with {answer.plan.samples:,.0f}"
     return (
-        f"Not enough yet: {verdict.reason}; {verdict.more:,.0f} more samples of the same kind would be "
+        f"Target not reached: {verdict.reason}; {verdict.more:,.0f} more samples of the same kind would be "
         f"enough{best}."
     )
 

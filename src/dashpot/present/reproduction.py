@@ -141,7 +141,7 @@ def write_reproduction(
 
     `write` takes the name and the HTML of the report.
 
-    Raises DataError where a file cannot be written.
+    Raises DataError if a file cannot be written.
     """
     if report is None and figures is None:
         return []
@@ -489,6 +489,6 @@ def _steps(reproduction: Reproduction) -> tuple[str, ...]:
     steps = (
         "On data of your own, take the optimally weighted form: dashpot identify RIG DATA --method oiv.",
     )
-    more = f"{reproduction.draws:,} draws tell a share of 95 % to ± {error:.1f} points: take --draws 1000 to judge it."
+    more = f"{reproduction.draws:,} draws give a share of 95 % to ± {error:.1f} points: take --draws 1000 to judge it."
     # standard error in points with which nobody needs more draws
     return steps if error <= 1.0 else (*steps, more)

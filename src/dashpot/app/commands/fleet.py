@@ -34,7 +34,7 @@ def command(
     out: Annotated[
         str,
         opt.Option("--out -o FILE.parquet", opt.OutputFile(formats=("parquet",)), opt.OUTPUT, required=True),
-        "Write a row for each data set; finished blocks are kept beside it, in FILE.blocks.",
+        "Write a row for each data set; finished blocks are kept next to it, in FILE.blocks.",
     ],
     rig_column: Annotated[
         str | None,

@@ -245,7 +245,7 @@ class Columns(ABC):
         if unit == SHARE:
             what, known = (
                 "in shares of the full scale (FS)",
-                'full_scale = what 1 stands for, such as "50 g",',
+                'full_scale = the value of 1, such as "50 g",',
             )
         else:
             what, known = (

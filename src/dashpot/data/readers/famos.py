@@ -165,7 +165,7 @@ def _values(component: _Component, data: Content, blocks: dict[int, tuple[int, i
     width = 6 if component.kind == 13 else int(kind[1:]) if kind else 0
     if component.apart:
         what = f"the samples of {component.name or 'a channel'} lie between others"
-        raise DataError(what, source, "save each channel by itself")
+        raise DataError(what, source, "save each channel separately")
     if kind is None or width != component.width or component.first < 0 or component.size < 0 or last > end:
         what = (
             f"the samples of {component.name or 'a channel'} are not where the file says, or of no known kind"

@@ -106,13 +106,13 @@ def _header(head: bytes, order: str, room: int) -> tuple[str, int, np.dtype[Any]
     rows = prod(shape)
     # Flags hold the class of an array (cells, structures and objects hold arrays), and whether it is complex.
     if flags & 0xFF in (1, 2, 3) and 8 * rows > room:
-        raise ValueError("it claims more than it holds")
+        raise ValueError("its header states more data than it contains")
     if flags & 0xFF not in NUMERIC or flags & 0x0800 or rows < LONG or rows != max(shape):
         return name, rows, None, 0
     numbers_at, size, kind, _ = _element(head, following, order)
     dtype = np.dtype(order + TYPES[kind])
     if size != rows * dtype.itemsize:
-        raise ValueError("it claims more than it holds")
+        raise ValueError("its header states more data than it contains")
     return name, rows, dtype, numbers_at
 
 

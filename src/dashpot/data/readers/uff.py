@@ -134,7 +134,7 @@ def dataset_starts(stream: UffStream) -> Iterator[DatasetStart]:
         head = stream.line()
         number = head[:6].strip()
         if not number.isdigit():
-            raise stream.wrong("the number of a dataset should stand here")
+            raise stream.wrong("the number of a dataset is expected here")
         yield DatasetStart(int(number), head[6:7].lower() == b"b", head[7:])
 
 
@@ -349,7 +349,7 @@ def _text_blocks(stream: UffStream, shape: _Shape) -> Iterator[Block]:
                 numbers = np.array([x.replace(b"D", b"E").replace(b"d", b"e") for x in cells[:whole]])
                 table = numbers.astype(float).reshape(-1, len(widths))
             except ValueError:
-                raise stream.wrong("something that is not a number stands among the values") from None
+                raise stream.wrong("one of the values is not a number") from None
             yield (None, table) if shape.even else (table[:, 0], table[:, 1:])
             del cells[:whole]
     expect_end(stream)
@@ -508,15 +508,15 @@ def _mode(stream: UffStream, start: DatasetStart) -> NodalMode | None:
         try:
             nodes.append(int(line[:10]))
         except ValueError:
-            raise stream.wrong("the number of a node should stand here") from None
+            raise stream.wrong("the number of a node is expected here") from None
         numbers: list[float] = []
         while len(numbers) < size:
             more = _numbers(stream, stream.line())
             if not more:
-                raise stream.wrong(f"{size} numbers should stand here")
+                raise stream.wrong(f"{size} numbers are expected here")
             numbers += more
         if len(numbers) != size:
-            raise stream.wrong(f"{size} numbers should stand here, not {len(numbers)}")
+            raise stream.wrong(f"{size} numbers are expected here, not {len(numbers)}")
         rows.append(numbers)
     table = np.array(rows, dtype=float).reshape(len(nodes), size)
     shape = table[:, 0::2] + 1j * table[:, 1::2] if data_type == COMPLEX else table.astype(complex)
@@ -532,7 +532,7 @@ def _numbers(stream: UffStream, line: bytes) -> list[float]:
     try:
         return [float(field.replace(b"D", b"E")) for field in _cut(line, 13) if field.strip()]
     except ValueError:
-        raise stream.wrong("something that is not a number stands among the values") from None
+        raise stream.wrong("one of the values is not a number") from None
 
 
 # Modes of universal files (dataset 55) as modal data of a rig's coordinates.
@@ -665,7 +665,7 @@ def read_universal(file: DataFile) -> Iterator[ArrayColumns]:
         if 55 in others:
             what, cure = (
                 f"{what}, but modes (dataset 55)",
-                "identify a rig that has their coordinates by it",
+                "identify a rig with these coordinates from them",
             )
         raise DataError(what, file.name, cure)
 

@@ -444,7 +444,7 @@ def wrong_signs(model: Model, theta: Real, noise_covariance: Real) -> list[Notic
             below = f"{-value / sd[j]:.2g} standard deviations of the noise below 0"
             why = "consistent with zero" if within else f"{below}; check the model and the data"
             if within and -value > (of_kind.get(unknown.name) or np.inf):
-                why = f"the data hardly determine it (± {sd[j]:.2g} {unknown.unit})"
+                why = f"it is poorly determined (± {sd[j]:.2g} {unknown.unit})"
             text = f"{unknown.name} came out negative ({value:.4g} {unknown.unit}): {why}"
             notices.append(Notice("negative_but_zero" if within else "negative", text, (unknown.name,)))
     if not free:

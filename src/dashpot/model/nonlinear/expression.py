@@ -364,7 +364,7 @@ class _Dimensions:
         powers = self._least(A, b) if A.size else np.zeros((self.count, 2))
         if len(b) and np.max(np.abs(A @ powers - b)) > 1e-9:
             raise ModelError(
-                f"no units make sense of the law {expression.text!r}",
+                f"no consistent units exist for the law {expression.text!r}",
                 cure="add and compare only what has one unit; tanh, exp, log, sin and cos take pure numbers",
             )
         total = np.array(result[1]) + sum((share * powers[c] for c, share in result[0].items()), np.zeros(2))

@@ -61,7 +61,7 @@ def test_after_data_with_a_target(
     assert sum(d["samples"] for d in told["dwells"]) < told["enough"]["more_samples"]
     assert max(p["relative_sd"] for p in told["predicted"].values()) <= 0.01
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert "Not enough yet" in printed(capsys)
+    assert "Target not reached" in printed(capsys)
 
 
 def told(capsys: pytest.CaptureFixture[str], *args: str) -> dict[str, Any]:
