@@ -200,7 +200,7 @@ def test_endings_tell_formats(tmp_path):
     assert format_of("a.json", "transfer-functions").content == "transfer-functions"
     for path, content, said in (
         ("a.xyz", None, "no export has the extension .xyz; use .csv, .fmu"),
-        ("a", None, "the name has no extension"),
+        ("a", None, "the file name has no extension"),
         ("a.mat", "fmu", "fmu is not written to .mat files; use .fmu"),
         ("a.mat", "poem", "poem is not"),
     ):

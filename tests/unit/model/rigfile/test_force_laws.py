@@ -57,7 +57,7 @@ def test_laws_are_read_and_written(entry, unknowns):
         ('f = { between = ["x1", "u"], law = "sign(v)" }', "jumps where v"),
         ('f = { between = ["x1", "u"], law = "d*sign(v)" }', "jumps where v"),
         ('k3 = { between = ["x1", "u"], law = "d**1.5" }', "is not defined"),
-        ('k3 = { between = ["x1", "u"], law = "d + v" }', "no units make"),
+        ('k3 = { between = ["x1", "u"], law = "d + v" }', "no consistent units"),
         ('k3 = { between = ["x1", "u"], law = "open(d)" }', "there is no function"),
         ('k3 = { between = ["x1", "u"], law = "2" }', "depends on neither"),
         ('k3 = { between = ["x1", "u"], law = "d**3", unit = "N/m" }', "the unit follows"),
