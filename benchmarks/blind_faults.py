@@ -518,10 +518,11 @@ def draw_fault(rng: Rng, kind: str, name: str) -> tuple[Case, Data, float]:
                 return case, data, np.nan
             try:
                 fit = free_fit(case, data)
+                same = equivalents(case, data, fit.d) if fit.d > SHOWN else []
             except OverdampedError:
                 continue
             if fit.d > SHOWN:
-                accepted = case.truth.accepted + tuple(equivalents(case, data, fit.d))
+                accepted = case.truth.accepted + tuple(same)
                 return replace(case, truth=replace(case.truth, accepted=accepted)), data, fit.moved
     raise RuntimeError(f"no test of kind {kind} shows: {name}")
 
