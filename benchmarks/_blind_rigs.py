@@ -352,7 +352,7 @@ def draw_record(rng: Rng, kind: str, rig: Rig, low: float, high: float, finer: i
     """A stretch of a motion that repeats after a longer period: exact at every sample, no start from rest."""
     rate = float(f"{finer * high * rng.uniform(3.6, 6):.3g}")
     samples = int(np.clip(rate / low * rng.uniform(15, 40), 700, 2400 if finer == 1 else 1500))
-    period = int(samples * 1.5)
+    period = 2 * int(samples * 0.75)  # even, as `irfft` takes it by its lines
     f = np.fft.rfftfreq(period, 1 / rate)
     band = (f > 0.3 * low) & (f < min(1.6 * high, 0.42 * rate))
     if rng.random() < 0.6:
