@@ -18,7 +18,7 @@ from dashpot.data.spectrum import Moments, Spectrum, flattened, in_chunks
 from dashpot.errors import ConvergenceError, IdentifiabilityError
 from dashpot.estimate.identify import estimate_by_plan, estimation_plan, identify
 from dashpot.estimate.inference.diagnostics import of_one_sign
-from dashpot.estimate.likelihood.global_search import DOUBT, TIE, apart, not_unique
+from dashpot.estimate.likelihood.global_search import DOUBT, TIE, apart, guessed, not_unique
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.method import Method
 from dashpot.estimate.registry import method_class
@@ -26,6 +26,7 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
 from dashpot.notices import Notice
+from dashpot.unknowns import Unknown
 
 LARGEST = 8  # coordinates: beyond, many starts take longer than anyone waits
 BEYOND = 2.0  # standard deviations by which a negative part is no accident
@@ -202,7 +203,8 @@ def _likelier(model: Model, first: Estimate, second: Estimate) -> Estimate:
         above = float(second.fit.chi2 - first.fit.chi2)
         if not (first_ended and above <= DOUBT):
             return first
-        rival = not_unique(first.names, first.units, first.values, second.values, above)
+        rival = not_unique(_unknowns(model, first), first.values, [(second.values, above)], 1.0)
+        rival = replace(rival, odds=(0.0,))  # no set of values, which an interval could hold
         return replace(first, warnings=(rival, *first.warnings))
     taken, rivals = _preferred(model, first, second)
     if not taken:
@@ -216,19 +218,29 @@ def _likelier(model: Model, first: Estimate, second: Estimate) -> Estimate:
 def _preferred(model: Model, first: Estimate, second: Estimate) -> tuple[bool, tuple[Notice, ...]]:
     """Whether the second of two ends is the better one, and the notice of what else fits alike.
 
-    Among those that fit alike it is the one with fewer negative parts, else the one with the lower χ².
+    Among those that fit alike it is the one with fewer negative parts, else the one with the lower χ², or where these
+    are the same, the one nearer to the guesses.
     """
     scale = max(1.0, float(second.fit.chi2) / max(second.fit.dof, 1))
-    above = float(first.fit.chi2 - second.fit.chi2) if _ended(model, first) else np.inf
+    rise = above = float(first.fit.chi2 - second.fit.chi2) if _ended(model, first) else np.inf
     rivals = _rivals(second)
     if abs(above) <= TIE * scale and not apart(second.values, first.values, second.noise_sd):
         return False, rivals
     alike = abs(above) <= DOUBT * scale
+    unknowns = _unknowns(model, second)
+    if abs(above) <= TIE * scale:  # the guesses decide
+        above = guessed(unknowns, second.values) - guessed(unknowns, first.values)
     negative = [int(np.sum(_below(model, estimate, -BEYOND))) for estimate in (first, second)]
     taken = negative[1] < negative[0] if alike and negative[0] != negative[1] else above > 0
     if not alike:
         return taken, rivals if taken else ()
-    if not rivals:
-        better, other = (second, first) if taken else (first, second)
-        rivals = (not_unique(better.names, better.units, better.values, other.values, abs(above)),)
-    return taken, rivals
+    if rivals and (taken or not apart(second.values, first.values, second.noise_sd)):
+        return taken, rivals
+    better, other = (second, first) if taken else (first, second)
+    return taken, (not_unique(unknowns, better.values, [(other.values, abs(rise))], scale),)
+
+
+def _unknowns(model: Model, estimate: Estimate) -> tuple[Unknown, ...]:
+    """What is known beforehand of an estimate's unknowns."""
+    calibrations = zip(estimate.names, estimate.units, strict=True)
+    return (*model.unknowns, *(Unknown(*each) for each in list(calibrations)[len(model.unknowns) :]))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
+from scipy.special import stdtr, stdtrit
 
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.errors import UsageError
@@ -74,6 +75,60 @@ class Solution:
     warnings: tuple[Notice, ...] = ()
     bounds: HeldBounds | None = None
     responses: object = None
+
+
+@dataclass(frozen=True)
+class OtherMinima(Notice):
+    """That other sets of values fit nearly as well, with what the intervals need of them.
+
+    values  a set of all unknowns each, in the unit of each
+    odds    of each set against the values of the estimate, by χ² and guesses; 0 of a rig that cannot be built
+    """
+
+    values: tuple[tuple[float, ...], ...] = ()
+    odds: tuple[float, ...] = ()
+
+    def ends(self, value: Real, sd: Real, dof: Real, level: float) -> tuple[Real, Real]:
+        """Ends at `level` of the intervals of the mixture of minima, (m,) each; value, sd, dof (m,) of the estimate.
+
+        An unknown is as well known, relative to its size, in one minimum as in the other.
+        """
+        at, width, share = self._minima(value, sd)
+        reach = width * stdtrit(dof, 0.5 + level / 2)
+        ends = []
+        for tail in ((1 - level) / 2, (1 + level) / 2):
+            low, high = np.min(at - 2 * reach, axis=0), np.max(at + 2 * reach, axis=0)
+            for _ in range(60):  # halvings, to rounding
+                middle = (low + high) / 2
+                below = share @ stdtr(dof, (middle - at) / width) < tail
+                low, high = np.where(below, middle, low), np.where(below, high, middle)
+            ends.append(high)
+        return ends[0], ends[1]
+
+    def _minima(self, value: Real, sd: Real) -> tuple[Real, Real, Real]:
+        """Values and their standard deviations in all minima, (minima, m) each, and the shares of these, (minima,)."""
+        at, share = np.array([value, *self.values]), np.array([1.0, *self.odds])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return at, sd * np.where(at * value > 0, np.abs(at / value), 1.0), share / np.sum(share)
+
+    def parts(self, value: Real, sd: Real, dof: Real, level: float) -> list[list[list[float]]]:
+        """The separate intervals of each unknown that together hold it with the chance `level`, least odds left out."""
+        at, width, share = self._minima(value, sd)
+        order = np.argsort(-share, kind="stable")
+        total = np.cumsum(share[order])
+        count = int(np.searchsorted(total, level)) + 1
+        at, width = at[order[:count]], width[order[:count]]
+        reach = width * stdtrit(dof, 0.5 + level / total[count - 1] / 2)
+        found = []
+        for pairs in np.stack([at - reach, at + reach], axis=-1).transpose(1, 0, 2).tolist():
+            merged: list[list[float]] = []
+            for low, high in sorted(pairs):
+                if merged and low <= merged[-1][1]:
+                    merged[-1][1] = max(high, merged[-1][1])
+                else:
+                    merged.append([low, high])
+            found.append(merged)
+        return found
 
 
 class Method(ABC):

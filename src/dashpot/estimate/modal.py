@@ -15,7 +15,7 @@ from dashpot.data.noise import LEVEL
 from dashpot.errors import ConvergenceError, DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.inference.diagnostics import held, require_determined, wrong_signs
 from dashpot.estimate.inference.uncertainty import mode_values, with_uncertainty
-from dashpot.estimate.likelihood.global_search import COMPETING, DOUBT, TIE, apart, not_unique
+from dashpot.estimate.likelihood.global_search import COMPETING, DOUBT, TIE, rival_notice
 from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.result import MISFIT, SENSOR_NOISE, Estimate, Fit, ModeValues, estimate_of
 from dashpot.io.words import with_values
@@ -737,14 +737,6 @@ def _rivals(model: Model, minima: OptimizeResult, ends: OptimizeResult, sd: Real
     near = ends.converged & (ends.cost <= minima.cost[0] + DOUBT)
     if np.all(best >= 0):
         near &= np.all(ends.x >= 0, axis=-1)
-    others: list[Real] = []
-    above: list[float] = []
-    for k in np.argsort(ends.cost):
-        if near[k] and all(apart(other, ends.x[k], sd) for other in (best, *others)):
-            others.append(ends.x[k])
-            above.append(float(ends.cost[k] - minima.cost[0]))
-    if not others:
-        return ()
+    others = [(ends.x[k], float(ends.cost[k] - minima.cost[0])) for k in np.argsort(ends.cost) if near[k]]
     cure = "measure shapes at more points, state a value, or give an initial guess of every unknown"
-    names, units = model.unknown_names, model.unknown_units
-    return (not_unique(names, units, best, others[0], above[0], len(others) - 1, cure),)
+    return rival_notice(model.unknowns, best, sd, others, 1.0, cure)

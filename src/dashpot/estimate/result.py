@@ -14,7 +14,7 @@ from scipy.special import stdtr, stdtrit
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze, frozen
 from dashpot.errors import DataError, Problem, UsageError
 from dashpot.estimate.assessment import Assessment, assessment_from
-from dashpot.estimate.method import HeldBounds
+from dashpot.estimate.method import HeldBounds, OtherMinima
 from dashpot.io.json_document import from_json, nullable, optional_library, to_json
 from dashpot.io.ledger import noted
 from dashpot.io.words import listed, shown
@@ -435,7 +435,8 @@ class Estimate(Printable):
     def interval(self, level: float = 0.95) -> tuple[Real, Real]:
         """Lower and upper ends of the intervals at `level`, each (..., m); cut off at bounds (`bounded_interval`).
 
-        Those of `profiles` follow χ² (`profile_interval`).
+        Those of `profiles` follow χ² (`profile_interval`).  Where other minima fit nearly as well, what they make of
+        each unknown counts by its odds (`other_minima`).
         """
         low, high = bounded_interval(
             self.values, self.free_values, self.sd, self.dof, self.lower, self.upper, level
@@ -443,7 +444,18 @@ class Estimate(Printable):
         for name, curve in self.profiles.items():
             j = self.names.index(name)
             low[j], high[j] = profile_interval(curve, float(self.dof[j]), level)
-        return low, high
+        others = self.other_minima
+        if others is None:
+            return low, high
+        least, most = others.ends(self.values, self.sd, self.dof, level)
+        moved = np.any(np.abs(np.array(others.values) - self.values) > self.sd, axis=0)
+        return np.where(moved, np.minimum(low, least), low), np.where(moved, np.maximum(high, most), high)
+
+    @property
+    def other_minima(self) -> OtherMinima | None:
+        """The warning that other sets of values fit nearly as well, with these sets, where there is one."""
+        told = (each for each in self.warnings if isinstance(each, OtherMinima) and any(each.odds))
+        return next(told, None)
 
     def __iter__(self) -> Iterator[Value]:
         """The unknowns one by one (no batch axes)."""
@@ -709,6 +721,11 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         }
         for name, v in estimate.parameters().items()
     }
+    others = estimate.other_minima
+    if others is not None:
+        parts = others.parts(estimate.values, estimate.sd, estimate.dof, 0.95)
+        for name, intervals in zip(estimate.names, parts, strict=True):
+            entries[name]["intervals95"] = intervals
     columns = (estimate.noise_sd, estimate.dof, estimate.lower, estimate.upper, estimate.free_values)
     for j, name in enumerate(estimate.names):
         noise, dof, low, high, free = (float(column[j]) for column in columns)
@@ -746,6 +763,7 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
             }
             for k, value in enumerate(estimate.modes.eigenvalues)
         ],
+        **_sets_of_values(estimate),
         **({"cycles": [asdict(cycle) for cycle in estimate.cycles]} if estimate.cycles else {}),
         "fit": {
             "chi2": float(estimate.fit.chi2),
@@ -762,6 +780,19 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         "notes": [str(notice) for notice in estimate.notes],
         "note_codes": [notice.code for notice in estimate.notes],
         "note_concerns": [list(notice.of) for notice in estimate.notes],
+    }
+
+
+def _sets_of_values(estimate: Estimate) -> dict[str, Any]:
+    """Other sets of values that fit nearly as well, with their odds against those of the estimate; where there are."""
+    others = estimate.other_minima
+    if others is None:
+        return {}
+    sets = zip(others.odds, others.values, strict=True)
+    return {
+        "other_minima": [
+            {"odds": odds, "values": dict(zip(estimate.names, values, strict=True))} for odds, values in sets
+        ]
     }
 
 
@@ -826,12 +857,26 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         tied=tuple((str(a), str(b), float(c), str(d)) for a, b, c, d in content["tied"]),
         modes=modes if rows else None,
         signs={name: np.asarray(float(sign)) for name, sign in content["signs"].items()},
-        warnings=_notices(content, "warnings", "codes", "concerns"),
+        warnings=_with_minima(_notices(content, "warnings", "codes", "concerns"), content, names),
         notes=_notices(content, "notes", "note_codes", "note_concerns"),
         rig=content.get("rig"),
         stated=tuple((str(a), float(b), float(c)) for a, b, c in content.get("stated", ())),
         profiles=profiles,
         cycles=tuple(_cycle(row) for row in content.get("cycles", ())),
+    )
+
+
+def _with_minima(
+    warnings: tuple[Notice, ...], content: Mapping[str, Any], names: tuple[str, ...]
+) -> tuple[Notice, ...]:
+    sets = content.get("other_minima", ())
+    values = tuple(tuple(float(each["values"][name]) for name in names) for each in sets)
+    odds = tuple(float(each["odds"]) for each in sets)
+    return tuple(
+        OtherMinima(each.code, each.text, each.of, values, odds)
+        if sets and each.code == "not_unique"
+        else each
+        for each in warnings
     )
 
 

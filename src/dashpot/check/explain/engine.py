@@ -968,7 +968,6 @@ def _covariance(effect: Effect, fit: FittedProblem) -> Real:
     return scaled_inverse(information)
 
 
-@np.errstate(all="ignore")  # values where a search was lost may be absurd
 def allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) -> Estimate:
     """The estimate with intervals that allow for what its unknowns would be with each cause mended, by its odds.
 
@@ -976,12 +975,13 @@ def allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) ->
     odds sum to 95 %, its own covariance and the square of its distance from them, by its odds.  The engine's fit of the
     rig as it is, which weighs the lines otherwise than the estimate does, stands for what is not listed.
     """
+    names, moves = estimate.names, list[tuple[float, Real, Real | float]]()
     fits: list[tuple[float, Effect | None, tuple[FittedProblem, ...]]] = [
         (cause.odds + cause.near, cause.effect, cause.fit.parts or (cause.fit,)) for cause in found.weighed
     ]
     fits.append((found.as_stated, None, (found.as_is,)))
     fits.sort(key=lambda each: -each[0])
-    names, covariance, total = estimate.names, estimate.covariance, 0.0
+    total = 0.0
     for odds, effect, parts in fits:
         if total >= LISTED:
             break
@@ -991,12 +991,23 @@ def allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) ->
             if not set(names) <= set(there):
                 continue
             places = [there.index(name) for name in names]
-            away = part.psi[places] - estimate.values
             spread = 0.0 if effect is None else _covariance(effect, part)[np.ix_(places, places)]
-            added = odds / len(parts) * (np.outer(away, away) + spread)
-            # Information of a direction that is lost in rounding has an inverse that is no covariance.
-            if np.all(np.isfinite(added)) and np.all(np.diagonal(added) >= 0):
-                covariance = covariance + added
+            moves.append((odds / len(parts), part.psi[places], spread))
+    return allowing_for(model, estimate, moves)
+
+
+@np.errstate(all="ignore")  # values where a search was lost may be absurd
+def allowing_for(
+    model: Model, estimate: Estimate, moves: Sequence[tuple[float, Real, Real | float]]
+) -> Estimate:
+    """The estimate with intervals that allow for other values (M,) of its unknowns, each with odds and a covariance."""
+    covariance = estimate.covariance
+    for odds, values, spread in moves:
+        away = values - estimate.values
+        added = odds * (np.outer(away, away) + spread)
+        # Information of a direction that is lost in rounding has an inverse that is no covariance.
+        if np.all(np.isfinite(added)) and np.all(np.diagonal(added) >= 0):
+            covariance = covariance + added
     if not np.all(np.isfinite(covariance)):
         return estimate
     m = len(model.unknowns)

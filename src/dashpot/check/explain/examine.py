@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -15,11 +16,18 @@ from dashpot.check.explain.effect import Effect, as_is
 from dashpot.check.explain.engine import (
     LARGEST,
     Explanation,
+    allowing_for,
     allowing_for_causes,
     explain,
     explain_beside_laws,
 )
-from dashpot.check.explain.laws import called_for, called_for_in_records, laws_in_words, nonlinear_finding
+from dashpot.check.explain.laws import (
+    ScoredElement,
+    called_for,
+    called_for_in_records,
+    laws_in_words,
+    nonlinear_finding,
+)
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.record_channels import mistakes_by_equation
 from dashpot.check.explain.records import explained_records
@@ -150,6 +158,7 @@ def examined(
         assessment = Assessment("does not fit", (Notice("no_response", error.problems[0].what),), {}, ())
     unsettled = assessment.verdict == "does not fit" or not bool(estimate.converged)
     found: Explanation | None = None
+    laws: list[ScoredElement] = []
     if len(model.nonlinear):
         if unsettled:
             misfit = float(estimate.fit.misfit) ** 2
@@ -157,19 +166,22 @@ def examined(
             others = others or _in_place_of_laws(model, spectrum, misfit, seed)
             assessment = replace(assessment, findings=(*assessment.findings, *others))
     else:
-        laws = _laws_in_records(model, spectrum, estimate)
+        laws = called_for_in_records(model, spectrum, estimate) if model.n <= LARGEST else []
         if unsettled or laws:
             findings, found = _diagnosed(model, spectrum, estimate, seed)
-            assessment = _with_causes(assessment, findings, laws)
+            assessment = _with_causes(assessment, findings, _in_records(model, estimate, laws))
         elif not estimate.fit.known_noise and max(assessment.relative_residual.values(), default=0.0) > MUCH:
             findings, found = _diagnosed(model, spectrum, estimate, seed)
             assessment = _with_causes_of_much(assessment, findings)
     estimate, assessment = _without_changes_in_time(estimate, assessment)
     assessment = settled_by_size(assessment, within is not None, _harmless(estimate, found))
     estimate = _closed(model, spectrum, estimate, assessment)
-    if found is None or estimate.assessment is None or estimate.assessment.verdict != "does not fit":
+    if estimate.assessment is None or estimate.assessment.verdict != "does not fit":
         return estimate
-    return allowing_for_causes(model, estimate, found)
+    first = estimate.assessment.findings[:1]
+    if laws and laws[0].psi is not None and first and first[0].kind == "nonlinear":
+        return allowing_for(model, estimate, [(1.0, laws[0].psi, 0.0)])
+    return estimate if found is None else allowing_for_causes(model, estimate, found)
 
 
 def _harmless(estimate: Estimate, found: Explanation | None) -> bool:
@@ -224,14 +236,12 @@ def _with_causes_of_much(assessment: Assessment, found: tuple[Finding, ...]) -> 
     return replace(assessment, verdict="does not fit", reasons=kept, findings=found)
 
 
-def _laws_in_records(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[Finding, ...]:
+def _in_records(model: Model, estimate: Estimate, laws: Sequence[ScoredElement]) -> tuple[Finding, ...]:
     """Nonlinear elements that whole records call for, what explains most first."""
-    if model.n > LARGEST:
-        return ()
     misfit = float(estimate.fit.misfit) ** 2
     return tuple(
         nonlinear_finding(model, scored, misfit * (1 - scored.fall / scored.chi2), scored.fall / scored.chi2)
-        for scored in called_for_in_records(model, spectrum, estimate)
+        for scored in laws
     )
 
 

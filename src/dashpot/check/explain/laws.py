@@ -677,7 +677,7 @@ def called_for_in_records(model: Model, spectrum: Spectrum, estimate: Estimate) 
         return []
     places = _places(data.view, spectrum, fit, exact, psi, sign)
     uneven = any(notice.code == UNEVEN for notice in estimate.warnings)
-    return _scored(model, exact, spectrum, fit, slopes, places, uneven)
+    return _scored(model, exact, spectrum, fit, psi[0], slopes, places, uneven)
 
 
 def _in_time(spectrum: Spectrum) -> list[LinesInTime]:
@@ -785,11 +785,12 @@ def _scored(
     exact: Measured,
     spectrum: Spectrum,
     fit: RecordFit,
+    psi: Real,
     slopes: Complex,
     places: dict[tuple[str, str], _Place],
     uneven: bool,
 ) -> list[ScoredElement]:
-    """The candidates that pass, the best first; slopes (1, lines, channels, M).
+    """The candidates that pass, the best first; psi (M,) and slopes (1, lines, channels, M) of the fit without them.
 
     Of noise that is `uneven` in time no test holds but that of all parts of the records.
     """
@@ -803,6 +804,7 @@ def _scored(
         place.effect * (factor * place.motion)[:, None] for place in places.values() for factor in (1.0, rate)
     ]
     own = real_rows(fit.root @ slopes)
+    moved_by = np.linalg.pinv(own[0])
     beside = np.concatenate([own[0], rows(np.stack(linear, axis=-1))], axis=-1)
     test = _Test(
         times, orthonormal(own)[0][0], orthonormal(beside[None])[0][0], real_rows(fit.root @ fit.r[..., None])[0, :, 0],
@@ -812,14 +814,14 @@ def _scored(
     motions = {pair: (place.size, float(np.max(np.abs(place.rate)))) for pair, place in places.items()}
     for element in at_each_scale(candidate_elements(model, motions)):
         place = next(place for place in places.values() if set(place.along) == set(element.along))
-        column = place.effect * _amplitudes(times, place.force(element))[:, None]
-        candidate = test.of(element, rows(column[..., None])[:, 0])
+        column = rows((place.effect * _amplitudes(times, place.force(element))[:, None])[..., None])[:, 0]
+        candidate = test.of(element, column)
         if (
             candidate is not None
             and candidate.fall > LEAST * candidate.chi2
             and not feeds_motion(candidate.element, candidate.value)
         ):
-            scored.append(candidate)
+            scored.append(replace(candidate, psi=psi - moved_by @ column * candidate.value))
     return _named(scored)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtri
@@ -26,6 +26,7 @@ from dashpot.estimate.likelihood.measured import Measured, Piece, Sums, pieces
 from dashpot.estimate.likelihood.objective import directly_driven, measured, predict
 from dashpot.estimate.linear.least_squares import starts as equation_starts
 from dashpot.estimate.linear.least_squares import where_finite
+from dashpot.estimate.method import OtherMinima
 from dashpot.estimate.preparation import Prepared
 from dashpot.model.dynamics import amplitudes, unit_forces
 from dashpot.model.elements import Kind
@@ -40,6 +41,7 @@ from dashpot.model.observation import (
 )
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult
+from dashpot.unknowns import Unknown
 
 # Where searches of the likelihood ended: told apart, in order, and those that compete.
 
@@ -127,7 +129,7 @@ def candidates(data: Prepared, count: int, rng: np.random.Generator) -> tuple[Re
         if unknown.prior is not None and unknown.sd is not None:
             psi[:, j] = unknown.prior + unknown.sd * np.clip(decades[:, j], -1, 1)
         elif unknown.guess is not None:
-            psi[:, j] = unknown.guess * 10 ** (0.3 * decades[:, j])
+            psi[:, j] = unknown.guess * 10 ** (GUESSED * decades[:, j])
         else:
             psi[:, j] = size[kinds[unknown.name]] * 10 ** decades[:, j]
         if unknown.lower is not None or unknown.upper is not None:
@@ -381,6 +383,7 @@ SOFTNESS = 0.03  # relative noise added to every channel in the middle stage of 
 FAR = 20.0  # times the χ² of a fit: no rig of this kind comes near the data
 DEEPEST = 8  # minima that are followed to the bottom
 TIE = 0.01  # of χ²: what fits alike
+GUESSED = 0.3  # decades within which guesses are right
 DOUBT = 9.2  # χ² by which another minimum may lie above and be told to the user: odds of 100 to 1
 
 
@@ -399,7 +402,7 @@ def from_minima(
     repeats = likelihood.repeats
     sign = np.repeat(competing.sign[:1], repeats, axis=0)
     best = likelihood.descend(np.repeat(competing.psi[:1], repeats, axis=0), sign)
-    ends = [(np.arange(repeats), best)]
+    ends = [(np.arange(repeats), best, competing.sign[0])]
     for psi, flips in zip(competing.psi[1:], competing.sign[1:], strict=True):
         start, signs = (np.repeat(part[None], repeats, axis=0) for part in (psi, flips))
         # A few steps tell for which repeats this minimum is not out of the question.
@@ -408,17 +411,24 @@ def from_minima(
         if not len(rows):
             continue
         end = likelihood.descend(short.x[rows], signs[rows], repeats=rows)
-        ends.append((rows, end))
+        ends.append((rows, end, flips))
         sign = sign.copy()
         sign[rows[best.worse(rows, end)]] = flips
         best = best.improved(rows, end)
-    sd = likelihood.model_at(best.x, sign).sd
     if repeats == 1:
+        unknowns = likelihood.view.unknowns
+        equal = [
+            each for each in ends if each[1].converged[0] and each[1].cost[0] <= best.cost[0] + TIE * scale
+        ]
+        if len(equal) > 1:  # the guesses decide
+            _, end, flips = max(equal, key=lambda each: guessed(unknowns, each[1].x[0]))
+            best, sign = replace(end, iterations=best.iterations), flips[None]
+        sd = likelihood.model_at(best.x, sign).sd
         others = zip(competing.psi, (competing.cost - best.cost[0]).tolist(), strict=True)
-        names, units = likelihood.view.names, likelihood.view.units
-        return best, sign, rival_notice(names, units, best.x[0], sd[0], others, DOUBT * scale)
+        return best, sign, rival_notice(unknowns, best.x[0], sd[0], others, scale)
+    sd = likelihood.model_at(best.x, sign).sd
     rival = np.zeros(repeats, dtype=bool)
-    for rows, end in ends:
+    for rows, end, _ in ends:
         alike = end.converged & (end.cost - best.cost[rows] <= DOUBT * scale)
         rival[rows] |= alike & np.any(np.abs(end.x - best.x[rows]) > 3 * sd[rows], axis=-1)
     text = f"not unique in {np.sum(rival)} of {repeats} repeats: another minimum fits nearly as well there"
@@ -459,41 +469,62 @@ def apart(psi: Real, other: Real, sd: Real) -> bool:
     return bool(np.any(np.abs(other - psi) > 3 * sd))
 
 
+def guessed(unknowns: Sequence[Unknown], psi: Real) -> float:
+    """Logarithm of how likely values (M,) are by the guesses, which are right within a factor of two; 0 without any."""
+    away = [
+        np.log10(value / unknown.guess) / GUESSED
+        for unknown, value in zip(unknowns, psi.tolist(), strict=False)
+        if unknown.guess is not None and value * unknown.guess > 0
+    ]
+    return -0.5 * float(np.sum(np.square(away)))
+
+
 def rival_notice(
-    names: Sequence[str],
-    units: Sequence[str],
+    unknowns: Sequence[Unknown],
     psi: Real,
     sd: Real,
     others: Iterable[tuple[Real, float]],
-    doubt: float,
+    scale: float,
+    cure: str = "add a sensor at another point, state a value, or give an initial guess",
 ) -> tuple[Notice, ...]:
-    """A warning of the first of `others`, (ends (M,), χ² above that of ψ), that is another minimum and fits nearly as
-    well.  psi and sd (M,)."""
+    """A warning of those of `others`, (ends (M,), χ² above that of ψ), that are other minima and fit nearly as well.
+
+    psi and sd (M,); scale: what a difference of χ² is counted in.
+    """
+    found: list[tuple[Real, float]] = []
     for other, above in others:
-        if above <= doubt and apart(psi, other, sd):
-            return (not_unique(names, units, psi, other, above),)
-    return ()
+        alone = all(apart(each, other, sd) for each in (psi, *(each for each, _ in found)))
+        if above <= DOUBT * scale and alone:
+            found.append((other, above))
+    return (not_unique(unknowns, psi, found, scale, cure),) if found else ()
 
 
 def not_unique(
-    names: Sequence[str],
-    units: Sequence[str],
+    unknowns: Sequence[Unknown],
     psi: Real,
-    other: Real,
-    above: float,
-    more: int = 0,
+    others: Sequence[tuple[Real, float]],
+    scale: float,
     cure: str = "add a sensor at another point, state a value, or give an initial guess",
-) -> Notice:
-    """The notice that another minimum, whose χ² lies `above` that of `psi`, fits alike, and so many more; both (M,)."""
+) -> OtherMinima:
+    """The notice that other minima, (ends (M,), χ² above that of ψ (M,)), fit alike, the first of them in words."""
+    other, above = others[0]
     change = np.abs(other - psi) / np.maximum(np.maximum(np.abs(psi), np.abs(other)), 1e-300)
     # What differs by less than a thousandth of the largest change is not named.
     largest = [j for j in np.argsort(-change)[:4] if change[j] > 1e-3 * np.max(change)]
-    values = ", ".join(f"{names[j]} = {other[j]:.4g} {units[j]}" for j in largest)
+    values = ", ".join(f"{unknowns[j].name} = {other[j]:.4g} {unknowns[j].unit}" for j in largest)
     worse = f"almost as well (χ² is {above:.3g} larger)" if above > TIE else "equally well"
     worse = f"better (χ² is {-above:.3g} smaller)" if above < -TIE else worse
+    more = len(others) - 1
     many = f" ({more} further set{'' if more == 1 else 's'} of values likewise)" if more else ""
     text = f"not unique: {values} fits {worse}{many}; {cure}"
-    return Notice("not_unique", text, tuple(names[j] for j in largest))
+    odds = [
+        float(np.exp(guessed(unknowns, end) - guessed(unknowns, psi) - max(rise, 0.0) / (2 * scale)))
+        if not np.any((psi > 0) & (end <= 0))
+        else 0.0
+        for end, rise in others
+    ]
+    names, ends = tuple(unknowns[j].name for j in largest), tuple(tuple(end.tolist()) for end, _ in others)
+    return OtherMinima("not_unique", text, names, ends, tuple(odds))
 
 
 def searched_again(

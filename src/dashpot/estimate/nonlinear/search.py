@@ -399,14 +399,15 @@ def _rivals(
         psi = np.concatenate([image, best.x[0, view.m :]])
         others.append((psi, float(_costs(view, first, psi[None])[0])))
     misfit = float(best.cost[0]) / max(first.rows - len(view.names), 1)
-    doubt = DOUBT * (max(1.0, misfit) if noise_known else misfit)
-    near = [(cost - float(best.cost[0]), psi) for psi, cost in others if cost - float(best.cost[0]) <= doubt]
+    scale = max(1.0, misfit) if noise_known else misfit
+    above = [(cost - float(best.cost[0]), psi) for psi, cost in others]
+    near = [each for each in above if each[0] <= DOUBT * scale]
     if not near:
         return ()
     curvature = local(view, _fresh(first), best.x, np.ones((1, len(view.channels)))).symmetric[0]
     sd = np.sqrt(np.abs(np.diagonal(scaled_inverse(curvature))))
-    others = [(psi, above) for above, psi in sorted(near, key=lambda other: other[0])]
-    return rival_notice(view.names, view.units, best.x[0], sd, others, doubt)
+    others = [(psi, rise) for rise, psi in sorted(near, key=lambda other: other[0])]
+    return rival_notice(view.unknowns, best.x[0], sd, others, scale)
 
 
 def _fresh(exact: Measured) -> Measured:
