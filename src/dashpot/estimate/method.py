@@ -88,6 +88,7 @@ class OtherMinima(Notice):
     values: tuple[tuple[float, ...], ...] = ()
     odds: tuple[float, ...] = ()
 
+    @np.errstate(all="ignore")  # of what is exact, or not known at all
     def ends(self, value: Real, sd: Real, dof: Real, level: float) -> tuple[Real, Real]:
         """Ends at `level` of the intervals of the mixture of minima, (m,) each; value, sd, dof (m,) of the estimate.
 
@@ -108,9 +109,9 @@ class OtherMinima(Notice):
     def _minima(self, value: Real, sd: Real) -> tuple[Real, Real, Real]:
         """Values and their standard deviations in all minima, (minima, m) each, and the shares of these, (minima,)."""
         at, share = np.array([value, *self.values]), np.array([1.0, *self.odds])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return at, sd * np.where(at * value > 0, np.abs(at / value), 1.0), share / np.sum(share)
+        return at, sd * np.where(at * value > 0, np.abs(at / value), 1.0), share / np.sum(share)
 
+    @np.errstate(all="ignore")
     def parts(self, value: Real, sd: Real, dof: Real, level: float) -> list[list[list[float]]]:
         """The separate intervals of each unknown that together hold it with the chance `level`, least odds left out."""
         at, width, share = self._minima(value, sd)

@@ -449,7 +449,7 @@ class Estimate(Printable):
             return low, high
         least, most = others.ends(self.values, self.sd, self.dof, level)
         moved = np.any(np.abs(np.array(others.values) - self.values) > self.sd, axis=0)
-        return np.where(moved, np.minimum(low, least), low), np.where(moved, np.maximum(high, most), high)
+        return np.where(moved, np.fmin(low, least), low), np.where(moved, np.fmax(high, most), high)
 
     @property
     def other_minima(self) -> OtherMinima | None:
@@ -870,7 +870,7 @@ def _with_minima(
     warnings: tuple[Notice, ...], content: Mapping[str, Any], names: tuple[str, ...]
 ) -> tuple[Notice, ...]:
     sets = content.get("other_minima", ())
-    values = tuple(tuple(float(each["values"][name]) for name in names) for each in sets)
+    values = tuple(tuple(nullable(each["values"][name]) for name in names) for each in sets)
     odds = tuple(float(each["odds"]) for each in sets)
     return tuple(
         OtherMinima(each.code, each.text, each.of, values, odds)

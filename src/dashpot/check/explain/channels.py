@@ -1,4 +1,4 @@
-"""What may be wrong with a channel, or with two: its sign, unit, gain, clock, quantity, filter, range or place."""
+"""Mistakes of one or two channels: sign, unit, gain, clock, quantity, filter, range or position."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ def rounded(value: float, form: str = ".4g") -> str:
 
 
 def known_ratio(factor: float) -> float | None:
-    """The usual ratio of units that a factor (of either sign) is, None where it is none."""
+    """The ratio of common units nearest to a factor of either sign; None if no common ratio is near."""
     return next((ratio for ratio in RATIOS if abs(abs(factor) / ratio - 1) < CLOSE), None)
 
 
 def with_gain(channel: Channel, factor: float) -> Channel:
-    """The channel with a gain `factor` times as large, known as well as it was."""
+    """The channel with its gain multiplied by `factor`; its relative uncertainty stays."""
     prior = channel.gain_prior
     if channel.gain is not None or prior is None or prior.prior is None or prior.sd is None:
         known = 1.0 if channel.gain is None else channel.gain
@@ -87,7 +87,7 @@ def with_gain(channel: Channel, factor: float) -> Channel:
 
 
 def delayed(channel: Channel, late: float) -> Channel:
-    """The channel with a delay that is `late` (s) longer, known as well as it was."""
+    """The channel with its delay increased by `late` (s); its uncertainty stays."""
     prior = channel.delay_prior
     if channel.delay is not None or prior is None or prior.prior is None or prior.sd is None:
         return replace(channel, delay=float(f"{(channel.delay or 0.0) + late:.4g}"))
@@ -200,7 +200,7 @@ def _delayed(c: int, problem: LineProblem | TimeProblem, late: float) -> FitProb
 
 
 def _lateness(y: Complex, e: Complex, omega: Real) -> float:
-    """The delay by which y (lines,) is nearest to e, however near that is."""
+    """The delay (s) that brings y (lines,) closest to e, even if they stay far apart."""
     turn = y / e / np.abs(y / e)
     reach = 2 * np.pi * REACH / np.max(omega)
     delays = np.linspace(-reach, reach, 1201)
@@ -216,7 +216,7 @@ def late(model: Model, channel: Channel, late: float) -> Phrase:
 
 
 def derivative(baseline: Baseline) -> Iterator[Effect]:
-    """Each channel, or all motions alike, as another derivative of the motion."""
+    """Each channel, or all motion channels together, measuring another derivative of the motion."""
     channels, model = baseline.problem.channels, baseline.problem.model
     motions = [
         c for c in np.flatnonzero(~baseline.inputs).tolist() if channels[c].quantity is not Quantity.FORCE
@@ -255,7 +255,7 @@ def _article(word: str) -> str:
 
 
 def conjugate(baseline: Baseline) -> Iterator[Effect]:
-    """The phases of one channel, or of all, of opposite sign: hardly where amplitudes were made of samples."""
+    """Phases of one channel, or of all, with the opposite sign; unlikely for amplitudes computed from samples."""
     channels = baseline.problem.channels
     everything = tuple(range(len(channels)))
     for chosen in (*(() if baseline.of_samples else ((),)), *((c,) for c in everything)):
@@ -365,7 +365,7 @@ def limited(name: str, limit: float, unit: str = "(SI)") -> Phrase:
 
 
 def gain_step(baseline: Baseline) -> Iterator[Effect]:
-    """Each channel with another gain from some line on, where the others say best."""
+    """Each channel with a different gain from some line on; the other channels show from which."""
     if not baseline.lines.runs:
         return
     hertz = baseline.problem.frequency_hz
@@ -427,7 +427,7 @@ def _other_range(name: str, hertz: float, factor: float) -> Phrase:
 
 
 def swap(baseline: Baseline) -> Iterator[Effect]:
-    """Any two channels, there at the same lines, exchanged."""
+    """Any two channels exchanged, if they were measured at the same lines."""
     problem = baseline.problem
     for i, j in combinations(range(len(problem.channels)), 2):
         if np.array_equal(problem.kept[:, i], problem.kept[:, j]):
@@ -447,7 +447,7 @@ def _swap(model: Model, first: Channel, second: Channel, _: float) -> Phrase:
 
 
 def crosstalk(baseline: Baseline) -> Iterator[Effect]:
-    """A part of one channel in another, as large as the others say."""
+    """A share of one channel added to another; the other channels show how large."""
     problem = baseline.problem
     power = np.array([np.mean(np.abs(problem.y[:, c]) ** 2) for c in range(len(problem.channels))])
     for c, channel in enumerate(problem.channels):
@@ -469,19 +469,19 @@ def crosstalk(baseline: Baseline) -> Iterator[Effect]:
 
 
 def _cleared(c: int, other: int, problem: LineProblem | TimeProblem, share: float) -> FitProblem:
-    """The other's noise, times a small share, is left out."""
+    """The channel without its share of another; the noise that this share carries is neglected."""
     y = np.array(problem.y)
     y[:, c] -= share * y[:, other]
     return problem.with_amplitudes(y)
 
 
 def _mixed(name: str, other: str, share: float) -> Phrase:
-    text = f"{name} contains {rounded(share, '.3g')} × {other} beside its own signal: cross-talk?"
+    text = f"{name} contains {rounded(share, '.3g')} × {other}: cross-talk?"
     return Phrase(text, f"subtract {rounded(share)} × {other} from {name}, or check cables and amplifier")
 
 
 def place(baseline: Baseline) -> Iterator[Effect]:
-    """Each channel of the motion as one of another point, or of one on a part that joins its own to another."""
+    """Each motion channel mounted at another point, or on an element between its point and another."""
     model, channels = baseline.problem.model, baseline.problem.channels
     for c in np.flatnonzero(~baseline.inputs).tolist():
         channel = channels[c]
@@ -496,7 +496,7 @@ def place(baseline: Baseline) -> Iterator[Effect]:
 
 
 def _between(channel: Channel, point: str, share: float) -> Channel:
-    """The channel where it shows that much of another point and the rest of its own: it is between them."""
+    """The channel mounted between two points: a share of the other point's motion, the rest of its own."""
     (own,) = channel.of
     share = min(max(share, 0.0), 1.0)
     return replace(channel, of={own: 1 - share, point: share} if abs(share - 1) > CLOSE else {point: 1.0})
@@ -539,7 +539,7 @@ def without(c: int, problem: FitProblem, _: float = 1.0) -> FitProblem:
 
 
 def in_data(kind: str, of: tuple[str, ...], size: float, where: str) -> str:
-    """What to do with the numbers in `where`, where the line of the rig file is right for other data."""
+    """What to do with the numbers in the file `where`, if the rig file is right for the other data."""
     names = " and ".join(of)
     usual = known_ratio(size) if math.isfinite(size) and kind in ("unit", "sign") else None
     factor = -1.0 if kind == "sign" else math.copysign(usual, size) if usual is not None else size

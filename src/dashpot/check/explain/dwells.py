@@ -1,4 +1,4 @@
-"""What may be wrong with dwells, runs and clocks: one dwell, its label, the time base, a changed rig."""
+"""Mistakes of dwells, runs and clocks: one bad dwell, a wrong label, the time base, a rig that changed."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ RATES_IN_WORDS = {
 
 
 def dwell(baseline: Baseline) -> Iterator[Effect]:
-    """Each of the worst dwells left out; of those that help most, another frequency, an exchange, phases or signs."""
+    """Each of the worst dwells left out; for the best of them, also a wrong label or wrong channels."""
     problem = baseline.lines
     lines = len(problem.y)
     if not problem.runs or lines <= 3:
@@ -103,7 +103,7 @@ def _without(line: int, motions: Bools, problem: LineProblem, _: float = 1.0) ->
 
 
 def _own_frequency(end: FittedProblem, problem: LineProblem, line: int) -> tuple[float, ...]:
-    """Frequencies at which one line fits best by the fit without it."""
+    """Frequencies at which one line fits best, given the fit to all other lines."""
     stated = float(problem.data.spectrum.frequency_hz[line])
     points, decades = LABEL_STARTS
     grid = stated * np.logspace(-decades / 2, decades / 2, points)
@@ -143,7 +143,7 @@ def _turned(line: int, problem: LineProblem, _: float) -> LineProblem:
 
 
 def clock(baseline: Baseline) -> Iterator[Effect]:
-    """All frequencies times one factor: another unit, a time base that is wrong, or slightly off."""
+    """All frequencies multiplied by one factor: a wrong unit, or a time base that is off."""
     problem = baseline.problem
     hidden = isinstance(problem, LineProblem) and problem.runs and problem.data.states is None
     if baseline.fixed or not hidden:
@@ -166,7 +166,7 @@ def _rate(rate: float) -> Phrase:
 
 
 def hold(baseline: Baseline) -> Iterator[Effect]:
-    """Each input held from sample to sample, so that it is late by half a step and weaker at high frequencies."""
+    """Each input held between samples: half a step late, and weaker at high frequencies."""
     steps = {
         float(step)
         for each in baseline.courses.spectrum.stretches
@@ -184,7 +184,7 @@ def hold(baseline: Baseline) -> Iterator[Effect]:
 
 
 def _held(c: int, problem: LineProblem | TimeProblem, step: float) -> FitProblem:
-    """What is recorded at the samples was held for a step: the drive itself is this."""
+    """The true drive of an input that was recorded at the samples and held for a step."""
     half = problem.omega * step / 2
     return problem.scaled(c, (np.sinc(half / np.pi) * np.exp(-1j * half)).astype(np.complex128))
 
@@ -205,7 +205,7 @@ SPARE = 3.0  # real numbers for each unknown that a part must have
 
 
 def changed(baseline: Baseline) -> Iterator[Effect]:
-    """The rig another one in some of the runs: each experiment, or all from some run on, fitted by itself."""
+    """A rig that changed between runs: each experiment, or all from some run on, is fitted separately."""
     problem = baseline.lines
     spectrum = problem.data.spectrum
     numbers = 2 * np.sum(problem.kept, axis=1) - 2 * len(problem.model.inputs)

@@ -1,4 +1,4 @@
-"""One thing that may be otherwise than the rig file says, as the engine weighs it."""
+"""One way in which the rig or the data may differ from what the rig file says, as the engine weighs it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from dashpot.model.observation import measures_input
 
 @dataclass(frozen=True)
 class Phrase:
-    """What a person reads of a cause, and the edit that it asks for.
+    """The sentence for a cause, and the edit that mends it.
 
     text, change        what is wrong; the line to write in the rig file, or what to do with the data
     channels, elements  entries of the rig file as they would be; () where the data must be mended
@@ -100,7 +100,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Baseline:
-    """What the kinds of effects go by: the problem as it is, fitted, and fitted without each channel.
+    """What effects are built from: the problem as stated, its fit, and the fits without each channel.
 
     pool       all ψ that fits have led to
     silent     channels that measured nothing by their own numbers, with what they show
@@ -133,11 +133,11 @@ class Baseline:
         return np.array([measures_input(self.problem.model, channel) for channel in self.problem.channels])
 
     def share(self, c: int) -> float:
-        """Of the probability of a mistake of channels: inputs, of which there is often one, are looked after better."""
+        """Share of the probability of a channel mistake; inputs are often alone and are checked more carefully."""
         return 0.5 if self.inputs[c] else 1.0
 
     def compared(self, c: int) -> tuple[Bools, Complex, Complex]:
-        """Lines that count, and at them channel c and what all others say it should show."""
+        """The lines that count, with channel c there and what all other channels predict for it."""
         y, expected = self.problem.y[:, c], self.without[c].expected[:, c]
         with np.errstate(invalid="ignore"):
             used = self.problem.kept[:, c] & np.isfinite(expected) & (np.abs(expected) > 0) & (np.abs(y) > 0)
@@ -160,7 +160,7 @@ Failure = TypeVar("Failure", bound=DashpotError)
 
 
 def with_likely_causes(error: Failure, findings: Sequence[Finding]) -> Failure:
-    """The error, with what may be behind it; that nothing listed explains the data is no cause."""
+    """The error with its likely causes; "no listed cause" is not one of them."""
     findings = [each for each in findings if each.kind != "unexplained"]
     if not findings:
         return error

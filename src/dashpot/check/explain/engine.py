@@ -134,7 +134,7 @@ class Trial:
 
     @property
     def roughly(self) -> float:
-        """The logarithm of the evidence by χ² alone."""
+        """Log evidence from χ² alone."""
         return self.fit.roughly + log(self.prior * self.effect.share)
 
     def at(self, move: float) -> float:
@@ -146,7 +146,7 @@ class Trial:
         return self.effect.act(problem, self.at(move)).from_starts((self.fit.psi,))
 
     def take(self, ends: Sequence[tuple[float, FittedProblem]]) -> bool:
-        """Go to the best of other sizes, if it is better; whether it was."""
+        """Take the best of other sizes if it fits better; return whether it did."""
         size, fit = min(ends, key=lambda end: end[1].chi2)
         better = fit.chi2 < self.fit.chi2
         if better:
@@ -243,7 +243,7 @@ def explain_beside_laws(problem: LineProblem, silent: Mapping[str, str]) -> Expl
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
 def explain_in_steps(baseline: Baseline, kinds: Kinds, *, laws: bool = False) -> Explanation:
-    """What may be otherwise by effects of some kinds: one, or where it leaves more than noise, two at once."""
+    """The likely causes among effects of some kinds: one, or two together if one leaves more than noise."""
     first = _step(baseline, kinds, laws=laws)
     best = first.causes[0] if first.causes else first.nearest
     # Beside a law of its own every further trial is a search by harmonic balance.
@@ -275,7 +275,7 @@ def explain_in_steps(baseline: Baseline, kinds: Kinds, *, laws: bool = False) ->
 
 
 def _begun(problem: LineProblem, silent: Mapping[str, str], of_samples: bool, seed: int) -> Baseline:
-    """The problem as it is and without each channel, searched from afar."""
+    """The problem as stated and without each channel, fitted from many starts."""
     names = [channel.name for channel in problem.channels]
     own = np.eye(len(names), dtype=bool)
     without = [problem.without(np.broadcast_to(own[c], problem.kept.shape)) for c in range(len(names))]
@@ -303,7 +303,7 @@ def _begun(problem: LineProblem, silent: Mapping[str, str], of_samples: bool, se
 def begun_at(
     problem: FitProblem, silent: Mapping[str, str] | None = None, of_samples: bool = False
 ) -> Baseline:
-    """The problem as it is and without each channel, from its starts."""
+    """The problem as stated and without each channel, fitted from its own starts."""
     fits = fitted([problem, *(channels.without(c, problem) for c in range(len(problem.channels)))])
     begun = problem.from_starts(_distinct([fit.psi for fit in fits]))
     return Baseline(begun, replace(fits[0], problem=begun), tuple(fits[1:]), silent or {}, of_samples)
@@ -416,7 +416,7 @@ def explain_in_time(baseline: Baseline, of_records: Kinds) -> Explanation:
 
 
 def _follow(baseline: Baseline, trials: Sequence[Trial]) -> None:
-    """Fit records in time in full, from where their trials stand."""
+    """Fit records in time completely, starting from their trials."""
     for each in trials:
         if each.effect.found is None:
             begun = each.fit.problem.from_starts((each.fit.psi, *each.fit.problem.starts))
@@ -488,7 +488,7 @@ def _calibrated(baseline: Baseline, c: int, word: str) -> tuple[FittedProblem, f
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
 def mistakes_of_data(problem: LineProblem) -> Explanation:
-    """What may be wrong with the numbers of data that a rig, whose values stand, predicts badly."""
+    """Likely mistakes in data that a rig with fixed values predicts badly."""
     names = [channel.name for channel in problem.channels]
     fits = judged([problem, *(channels.without(c, problem) for c in range(len(names)))])
     baseline = Baseline(problem, fits[0], tuple(fits[1:]), {}, True, True)
@@ -515,7 +515,7 @@ def _step(
 
 
 def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter | None = None) -> Explanation:
-    """The best of what was tried, their sizes sought closely where `fit` can, with their odds."""
+    """The best trials with their odds; their sizes are refined if there is a `fit`."""
     hopeful = sorted(tried, key=lambda each: -each.roughly)[:CLOSELY]
     if fit is not None:
         _closely(baseline.problem, hopeful, fit)
@@ -563,7 +563,7 @@ def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter | None 
 
 
 def _same(first: Cause, second: Cause) -> bool:
-    """Whether two causes are one, of one size."""
+    """Whether two causes are the same, with the same size."""
     one, other = first.effect, second.effect
     alike = (one.kind, one.of, one.unknown, one.width is None) == (
         other.kind,
@@ -580,7 +580,7 @@ def _enough(baseline: Baseline) -> float:
 
 
 def _settles(baseline: Baseline, end: FittedProblem) -> bool:
-    """Whether an effect explains all there is, keeping all data and one rig."""
+    """Whether an effect explains the whole misfit while keeping all data and a single rig."""
     return end.reduced < _enough(baseline) and roughly_lost(end.problem) == 0.0 and not end.parts
 
 

@@ -1,4 +1,4 @@
-"""The estimate with its verdict and, where the rig does not fit, what may be the matter."""
+"""The estimate with its verdict and, if the rig does not fit, the likely causes."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ LEFT_OUT = ("channel", "dwell")  # causes that leave data out
 def diagnose(
     model: Model, spectrum: Spectrum, estimate: Estimate | None = None, *, seed: int = 0
 ) -> tuple[Finding, ...]:
-    """What may be the matter where a rig does not fit, the likeliest first; () where that cannot be looked for.
+    """Likely causes of a rig that does not fit, the likeliest first; () where they cannot be sought.
 
     `spectrum` has no batch axes.  The estimate, where there is one, is one more start.  Nothing is applied.
     """

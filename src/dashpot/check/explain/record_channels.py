@@ -1,4 +1,4 @@
-"""Plain mistakes of channels in whole records of nonlinear rigs, told before any fit.
+"""Plain channel mistakes in whole records of nonlinear rigs, found before any fit.
 
 A wrong sign or unit, or two channels exchanged, keeps a search by integration busy for minutes, to no end.
 Where the channels of displacement show all coordinates, the equation of motion in its weak form tells the mistake at
@@ -53,7 +53,7 @@ FOLLOWED = 3  # mistakes that are fitted in full
 
 
 def mistakes_by_equation(data: Prepared, misfit: float) -> tuple[Finding, ...]:
-    """What a channel may show in the place of what is stated, the best first; data of one repeat, all motion seen.
+    """What channels may measure instead of what is stated, the best first; for one repeat with all motion measured.
 
     misfit: χ² over its degrees of freedom as it is; ∞ where there is no fit.
     """
@@ -226,7 +226,7 @@ class _Contradiction:
         return float(np.sum(self.shares))
 
     def much_less_than(self, before: _Contradiction) -> bool:
-        """Whether next to nothing is left of it."""
+        """Whether almost nothing of it is left."""
         if self.guessed:
             return bool(np.max(self.shares) < CLOSE) and self.total < before.total / 2
         return self.total < MENDED_RECORD_CHANNELS * before.total

@@ -1,4 +1,4 @@
-"""What may be the matter with whole records: the engine on all of their lines, and what a channel shows in time.
+"""Likely causes in whole records: the engine on all of their lines, and what each channel shows over time.
 
 In a fit to all channels the rig, its inputs and its ends give way to the one that is wrong, and its residual does not
 show what it is.  Without that channel they do not, and what they predict of it shows its limits, its zero, or when its
@@ -90,7 +90,7 @@ def explained_records(
 def channels_in_time(
     whole: LineProblem | TimeProblem, chosen: Ints, predicted: Predicted, baseline: Baseline
 ) -> Iterator[Effect]:
-    """Each channel of the motion with an error of its own, by what it shows in time against all others.
+    """Each motion channel with an error of its own, judged over time against all other channels.
 
     chosen: the lines of the baseline's problem.  predicted: what a fit makes of a channel, (lines,) of `whole`; None
     where that cannot be told.
@@ -183,7 +183,7 @@ def _stepping(
 def _best_step(
     spectrum: Spectrum, y: Complex, predicted: Complex, number: int, name: str
 ) -> tuple[float, TimeChange]:
-    """The step that leaves least of what is wrong with a channel (lines,) in a record, and that share."""
+    """The step that leaves the smallest error of a channel (lines,) in a record, and the share it leaves."""
     at = spectrum.in_time(number)
     step_s, shown, should = at.step_s, at.history(y), at.history(predicted)
     before = np.concatenate([[0.0], np.cumsum((shown - should) ** 2)])
@@ -215,7 +215,7 @@ def _before_step(
     problem: LineProblem | TimeProblem,
     size: float,
 ) -> FitProblem:
-    """The problem where channel c is from the step on what it was before."""
+    """The problem with channel c corrected from the step on."""
     spectrum, y = whole.spectrum, whole.y[:, c]
     at = spectrum.in_time(change.record)
     mended = y * np.exp(1j * spectrum.omega * size) if change.kind == "clock" else y / size
@@ -393,7 +393,7 @@ def _of_its_ends(spectrum: Spectrum, c: int, predicted: Complex) -> Complex:
 
 
 def _wander(away: Real, duration_s: float, unit: str) -> str | None:
-    """That the zero of a channel drifts or steps, where that is most of what is wrong with it."""
+    """A drift or step of a channel's zero, if that is most of its error."""
     edges = np.linspace(0, len(away), PIECES + 1).astype(np.int64)
     means = np.add.reduceat(away, edges[:-1]) / np.diff(edges)
     if float(np.mean(means**2)) < EXPLAINED * float(np.mean(away**2)):

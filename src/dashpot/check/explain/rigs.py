@@ -1,4 +1,4 @@
-"""What the rig may have otherwise: a missing part, another value, a hidden body, modes outside the band."""
+"""Mistakes of the rig: a missing element, a wrong value, a hidden body, modes outside the band."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def _with(element: Element, problem: FitProblem, start: float) -> FitProblem:
 
 
 def missing_in_words(model: Model, element: Element, value: float) -> Phrase:
-    """An element that the rig lacks, with its line."""
+    """The sentence for a missing element, with the line for the rig file."""
     points = tuple(element.along)
     where = " and ".join(points) if len(points) > 1 else f"{points[0]} and the ground"
     at = f"at {points[0]}" if element.kind is Kind.MASS else f"between {where}"
@@ -148,7 +148,7 @@ def missing_in_words(model: Model, element: Element, value: float) -> Phrase:
 
 
 def value(baseline: Baseline) -> Iterator[Effect]:
-    """A stated value that is another one, or is in another unit."""
+    """A stated value that is wrong, or given in another unit."""
     problem, model = baseline.problem, baseline.problem.model
     listed = stated_values(model)
     promised = scores(problem, baseline.as_is.psi, listed)
@@ -185,7 +185,7 @@ def _stated(model: Model, name: str) -> Element:
 
 
 def other_value(model: Model, element: Element, found: float) -> Phrase:
-    """A stated value that would be another one, with its line."""
+    """The sentence for a stated value that should be another, with the line for the rig file."""
     name = element.name
     stated = _stated(model, name)
     assert stated.value is not None
@@ -218,7 +218,7 @@ BODY_DAMPING = 0.02  # damping ratio there
 
 
 def oscillator(baseline: Baseline) -> Iterator[Effect]:
-    """A body on a spring and a damper that the rig lacks, at each coordinate."""
+    """At each coordinate, a body on a spring and damper that the rig lacks."""
     problem, model = baseline.lines, baseline.problem.model
     if model.angles:
         return
@@ -270,7 +270,7 @@ def _body(model: Model, parts: tuple[Element, ...], x: str, stiffness: float) ->
 
 
 def unmeasured(baseline: Baseline) -> Iterator[Effect]:
-    """A force at one coordinate that no channel measures, another one at each line."""
+    """An unmeasured force at one coordinate, with its own amplitude at each line."""
     model = baseline.problem.model
     motions = np.flatnonzero(~baseline.inputs)
     if len(motions) < 3 or not baseline.problem.noise_known:  # it would take up what tests the rig
@@ -299,7 +299,7 @@ BELOW = (0.0, 0.25, 0.5, 0.75)
 
 
 def residual(baseline: Baseline) -> Iterator[Effect]:
-    """What a mode outside the band adds to a channel: above it a compliance, below it a mass line."""
+    """What a mode outside the band adds to a channel: a compliance from above, a mass line from below."""
     problem, model = baseline.lines, baseline.problem.model
     channels, omega = problem.channels, problem.omega
     resonances = [float(np.max(omega)) * ratio for ratio in ABOVE]

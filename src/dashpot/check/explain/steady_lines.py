@@ -1,4 +1,4 @@
-"""Whole records as lines without transients, good to a few per cent: what gross mistakes are looked for in.
+"""Whole records as a few lines without transients, accurate to a few per cent, in which gross mistakes are sought.
 
 A trial of a remedy is a fit, and with boundary loads hundreds of them take too long.  A Hann window does without the
 loads: it is small where they act.  A record that moves at one frequency becomes one line of its second half, by when
