@@ -49,6 +49,7 @@ from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.time_course import TIME_CHANGES
 from dashpot.estimate.likelihood.global_search import candidates
+from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.nonlinear.search import linear_rig, starting_points
 from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import Estimate
@@ -157,6 +158,7 @@ def examined(
         # A search that was lost may end at a rig without any response; what misled it can be told all the same.
         assessment = Assessment("does not fit", (Notice("no_response", error.problems[0].what),), {}, ())
     unsettled = assessment.verdict == "does not fit" or not bool(estimate.converged)
+    known = estimate.fit.known_noise and RESIDUAL not in spectrum.noise  # from more than what this fit leaves
     found: Explanation | None = None
     laws: list[ScoredElement] = []
     if len(model.nonlinear):
@@ -170,7 +172,7 @@ def examined(
         if unsettled or laws:
             findings, found = _diagnosed(model, spectrum, estimate, seed)
             assessment = _with_causes(assessment, findings, _in_records(model, estimate, laws))
-        elif not estimate.fit.known_noise and max(assessment.relative_residual.values(), default=0.0) > MUCH:
+        elif not known and max(assessment.relative_residual.values(), default=0.0) > MUCH:
             findings, found = _diagnosed(model, spectrum, estimate, seed)
             assessment = _with_causes_of_much(assessment, findings)
     estimate, assessment = _without_changes_in_time(estimate, assessment)

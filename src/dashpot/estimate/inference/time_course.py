@@ -256,7 +256,7 @@ def _steps(of: _Histories) -> list[TimeChange]:
     change = _share_change(of, of.prediction)
     if change is not None:
         time_s, before, after, gradual = change
-        ratio = (1 + after) / (1 + before)
+        ratio = (1 + after) / (1 + before) if before != -1 else np.inf  # of what reads nothing before
         if abs(ratio - 1) > 0.01:  # a smaller step is of no account
             changes.append(TimeChange("gain", (of.channel,), of.record, time_s, ratio, gradual))
     change = _share_change(of, of.slope)
