@@ -42,16 +42,14 @@ from dashpot.notices import Notice
 #
 # An error Δ of a measured input moves all outputs as the rig would move them, t Δ; no other error does.  Where Σ is the
 # covariance of a line's equations and e the residuals, the likelihood of a variance s of Δ has the slope
-# |tᴴ Σ⁻¹ e|² − tᴴ Σ⁻¹ t and the information (tᴴ Σ⁻¹ t)²: a step of Fisher's scoring finds s.  Whether there is any, the
-# likelihood beside that of none tells, however few the lines.  It is taken as white, of one size per sample in all
-# records, and is never more than the quietest part of the channel's own spectrum.  What such errors put into the
-# outputs is no noise of theirs: it is taken out of their residuals when it is found, or these would be counted as noisy
-# where the rig moves most, and explain what the inputs' noise does.
+# |tᴴ Σ⁻¹ e|² − tᴴ Σ⁻¹ t and the information (tᴴ Σ⁻¹ t)²: a step of Fisher's scoring finds s.  It is taken as white, of
+# one size per sample in all records, and is never more than the quietest part of the channel's own spectrum.  What such
+# errors put into the outputs is no noise of theirs: it is taken out of their residuals when it is found, or these would
+# be counted as noisy where the rig moves most, and explain what the inputs' noise does.
 
 INPUT_NOISE = "input_noise"  # code of a notice
-SHOWS = 4.0  # standard deviations of many lines whose likelihood ratio shows a variance
-STAYS = 3.0  # and below which it is given up again
-TINY = np.finfo(float).tiny
+SHOWS = 4.0  # standard deviations of a variance, from which on it is one; few lines may tell it
+STAYS = 3.0  # and up to which it is given up again
 ROOM = 1 + STAYS / (2 * HALF_WINDOW + 1) ** 0.5  # the least of many means, over the mean
 
 
@@ -127,15 +125,8 @@ class InputNoise:
         left = np.where(begun, np.maximum(1 - fitted / (2 * telling), 0.5), 1.0)
         step = np.sum(each * (score / left - scale), axis=0) / information
         level = np.clip(self.level + step, self.least, self.most)
-
-        def likelihood(of: Real) -> Real:
-            """Logarithm for other levels (channels,), beside that of the present ones."""
-            more = each * (of - self.level)
-            grown = np.maximum(1 + more * scale, TINY)
-            return np.sum(more * score / grown - np.log(grown), axis=0)
-
-        shown = likelihood(level) - likelihood(self.least) > np.where(begun, STAYS, SHOWS) ** 2 / 2
-        level = np.where(usable & shown & (level > self.least), level, self.least)
+        more = np.where(begun, STAYS, SHOWS) / np.sqrt(information)
+        level = np.where(usable & (level > self.least + more), level, self.least)
         return replace(self, sought=self.sought & (~begun | (level > self.least)), level=level)
 
     def moves(self, view: ObservationModel, spectrum: Spectrum, G: Complex) -> Real:
