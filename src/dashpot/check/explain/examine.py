@@ -49,9 +49,10 @@ from dashpot.estimate.assessment import Assessment, Finding
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.time_course import TIME_CHANGES
 from dashpot.estimate.likelihood.global_search import candidates
-from dashpot.estimate.likelihood.record_noise import RESIDUAL
+from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
+from dashpot.estimate.likelihood.record_noise import RESIDUAL, with_record_noise
 from dashpot.estimate.nonlinear.search import linear_rig, starting_points
-from dashpot.estimate.preparation import prepare
+from dashpot.estimate.preparation import Prepared, prepare
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input, observation_model
@@ -95,20 +96,34 @@ def explained(
     if spectrum.carries_loads:
         if not model.inputs:
             return None
-        at = identify(model, spectrum, "ml") if estimate is None else estimate
         silent = silent_channels(model, spectrum) if _one_line_each(spectrum) else {}
-        return explained_records(model, spectrum, at, silent=silent, seed=seed)
+        method = MaximumLikelihood(seed=seed)
+        if estimate is None:  # what data with a mistake leave undetermined, they determine once it is mended
+            try:
+                spectrum, method = with_record_noise(model, spectrum, method)
+            except DashpotError:
+                return None
+        psi, sign = _begun_at(prepare(model, spectrum, states=False), estimate, seed)
+        if estimate is None and method.start:
+            psi, sign = np.array(method.start), np.array(method.start_sign)
+        return explained_records(model, spectrum, psi, sign, silent=silent, seed=seed)
     if not spectrum.noise_known:
         spectrum = _with_supposed_noise(model, spectrum)
     silent = silent_channels(model, spectrum)
     data = prepare(model, spectrum)
-    (psi, *_), (sign, *_) = candidates(data, 1, random_generator(seed))
-    if estimate is not None and np.all(np.isfinite(estimate.values)):
-        psi = estimate.values
-        for name, value in estimate.signs.items():
-            sign[spectrum.index(name)] = float(value)
+    psi, sign = _begun_at(data, estimate, seed)
     of_samples = set(spectrum.noise) <= OF_SAMPLES
     return explain(LineProblem(data, sign, (psi,)), silent=silent, of_samples=of_samples, seed=seed)
+
+
+def _begun_at(data: Prepared, estimate: Estimate | None, seed: int) -> tuple[Real, Real]:
+    """ψ (M,) and the signs of all channels (channels,) of the estimate, or of a typical rig if there is none."""
+    (psi, *_), (sign, *_) = candidates(data, 1, random_generator(seed))
+    if estimate is None or not np.all(np.isfinite(estimate.values)):
+        return psi, sign
+    for name, value in estimate.signs.items():
+        sign[data.spectrum.index(name)] = float(value)
+    return estimate.values, sign
 
 
 def _one_line_each(spectrum: Spectrum) -> bool:

@@ -36,7 +36,6 @@ from dashpot.estimate.likelihood.descent import loudest
 from dashpot.estimate.likelihood.objective import RecordFit, record_fit
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.preparation import prepare
-from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import calibrated_transfer, channel_unit, observation_model
 
@@ -53,17 +52,18 @@ Predicted = Callable[[int, FittedProblem], Complex | None]
 def explained_records(
     model: Model,
     spectrum: Spectrum,
-    estimate: Estimate,
+    psi: Real,
+    sign: Real,
     *,
     silent: dict[str, str] | None = None,
     seed: int = 0,
 ) -> Explanation | None:
-    """What may be otherwise where whole records (no batch axes) do not fit; None where they cannot be looked at.
+    """Likely causes if whole records (no batch axes) do not fit, from ψ (M,) and the channels' signs (channels,) on.
+
+    None if they cannot be sought.
 
     Noise that was read from the residuals of this very rig is taken to be as low as where it is lowest.
     """
-    if not np.all(np.isfinite(estimate.values)):
-        return None
     quiet = spectrum
     if RESIDUAL in spectrum.noise:
         variance = working_noise(spectrum)[:, :, None] * np.eye(len(spectrum.channels))
@@ -73,13 +73,10 @@ def explained_records(
         noise = np.maximum(working_noise(quiet), 1e-300)
         power = np.sum(np.abs(np.nan_to_num(quiet.amplitudes)) ** 2 / noise, axis=1)
         chosen = loudest(quiet.frequency_hz, power, MOST_LINES // 30)
-    (sign,) = quiet.signs(estimate.signs)
     try:
-        lines = LineProblem(prepare(model, steady_lines(model, spectrum)), sign, (estimate.values,), False)
-        whole = LineProblem(prepare(model, quiet, states=False), sign, (estimate.values,), False)
-        part = LineProblem(
-            prepare(model, quiet.select(chosen), states=False), sign, (estimate.values,), False
-        )
+        lines = LineProblem(prepare(model, steady_lines(model, spectrum)), sign, (psi,), False)
+        whole = LineProblem(prepare(model, quiet, states=False), sign, (psi,), False)
+        part = LineProblem(prepare(model, quiet.select(chosen), states=False), sign, (psi,), False)
         in_time = partial(channels_in_time, whole, chosen, partial(_by_all_others, whole))
         of_records = ((CHANGED_CHANNEL, in_time), (UNDRIVEN, tones), (HELD, between_samples))
         return explain_records(lines, part, of_records, silent=silent, seed=seed)

@@ -11,10 +11,12 @@ from dashpot.channel import Channel, Quantity
 from dashpot.check.explain.steady_lines import working_noise
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, WholeRecord
+from dashpot.errors import IdentifiabilityError
 from dashpot.model.elements import Kind, between, mass
+from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model, transfer
-from tests.whole_rigs import chain, record_of
+from tests.whole_rigs import chain, excitation, record_of
 
 
 @pytest.fixture(scope="module")
@@ -235,3 +237,39 @@ def test_what_an_input_does_between_its_samples_is_told_by_its_images(straight: 
     assert (first.kind, first.of) == ("hold", ("f",))
     assert word in first.text
     assert first.remaining is None or first.remaining < 1.5
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_channel_that_a_fit_takes_for_noise_is_looked_at(seed: int) -> None:
+    """A velocity declared as a displacement, beside a force that tells the rig: all of it was noise of 100 %."""
+    elements = (
+        mass("m1", "x1", value=62.0), mass("m2", "x2", value=171.0),
+        between("k1", Kind.SPRING, "x1", "u"), between("k2", Kind.SPRING, "x2", "x1"),
+        between("c1", Kind.DAMPER, "x1", "u"), between("c2", Kind.DAMPER, "x2", "x1", value=1630.0),
+    )  # fmt: skip
+    model, rng = Model(("x1", "x2"), (Input("u"),), elements), np.random.default_rng(seed)
+    p, time = model.parameters(np.array([6.3e6, 2.27e6, 2040.0])), np.arange(4001) / 4000.0
+    base = 1e-3 * excitation("random", time, 8.0, 80.0, rng)[:, None]
+    motion = integrator(model, p, float(time[1])).motion(base, np.zeros(4))
+    channels = (
+        Channel("v1", {"x1": 1.0}, Quantity.VELOCITY),
+        Channel("r", {"u": 1.0}, Quantity.FORCE),
+        Channel("u", {"u": 1.0}, Quantity.DISPLACEMENT),
+    )
+    values = channel_samples(observation_model(model, channels, np.ones(1)), p, motion)[::4]
+    values = values + rng.normal(size=values.shape) * [0.01, 0.008, 0.0] * values.std(axis=0)
+    stated = (replace(channels[0], quantity=Quantity.DISPLACEMENT), *channels[1:])
+    assessment = dashpot.identify(model, Record(stated, time[::4], values), diagnose=True).assessment
+    assert assessment.verdict == "does not fit"
+    assert (assessment.findings[0].kind, assessment.findings[0].of) == ("quantity", ("v1",))
+
+
+@pytest.mark.parametrize("times", [1000.0, 25.4])
+def test_a_record_that_is_refused_for_a_wrong_unit_names_it(times: float) -> None:
+    """The other channel alone leaves a flat valley.  The search for a cause had been refused as well."""
+    model, theta = chain(2, 0.03, base=True, seed=1)
+    test = record_of(model, theta, "random", decay_times=8, seed=1)
+    record = test.noisy(np.random.default_rng(1), 0.005 * test.size * [1, 1, 0])
+    with pytest.raises(IdentifiabilityError) as refused:
+        dashpot.identify(model, replace(record, values=record.values * [times, 1, 1]), diagnose=True)
+    assert [(each.kind, each.of) for each in refused.value.causes] == [("unit", ("x1_dis",))]
