@@ -162,7 +162,7 @@ def test_the_gradient_of_the_likelihood_vanishes_and_its_curvature_is_the_covari
     data = states(
         rig.model, replace(spectrum, amplitudes=spectrum.amplitudes[None]), spectrum.covariance[None]
     )
-    root = np.linalg.cholesky(estimate.covariance)
+    root = np.linalg.cholesky(estimate.noise_covariance)  # without what a misfit by chance adds
 
     def cost(step: np.ndarray) -> float:
         theta = estimate.values + root @ step

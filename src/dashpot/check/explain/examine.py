@@ -97,15 +97,17 @@ def explained(
         if not model.inputs:
             return None
         silent = silent_channels(model, spectrum) if _one_line_each(spectrum) else {}
-        method = MaximumLikelihood(seed=seed)
+        start: tuple[tuple[float, ...], tuple[float, ...]] = (), ()
         if estimate is None:  # what data with a mistake leave undetermined, they determine once it is mended
             try:
-                spectrum, method = with_record_noise(model, spectrum, method)
+                spectrum, method = with_record_noise(model, spectrum, MaximumLikelihood(seed=seed))
             except DashpotError:
                 return None
+            if isinstance(method, MaximumLikelihood):
+                start = method.start, method.start_sign
         psi, sign = _begun_at(prepare(model, spectrum, states=False), estimate, seed)
-        if estimate is None and method.start:
-            psi, sign = np.array(method.start), np.array(method.start_sign)
+        if start[0]:
+            psi, sign = np.array(start[0]), np.array(start[1])
         return explained_records(model, spectrum, psi, sign, silent=silent, seed=seed)
     if not spectrum.noise_known:
         spectrum = _with_supposed_noise(model, spectrum)
