@@ -201,15 +201,29 @@ class ModeProblem:
         parts = (like_parts(self.model, self.data, self), usual_parts(self.model, self.data))
         return 1e5 * np.maximum(*np.abs(parts))
 
-    def search(self, start: Real, rows: Ints, limit: int, *, rough: bool = False) -> OptimizeResult:
-        """The least χ² from starts (k, unknowns), of the repeats they belong to; ends far outside the scale of
-        everything known are none.
+    def refined(self, start: Real, rows: Ints, limit: int) -> OptimizeResult:
+        """The least χ² near starts (k, unknowns), of the repeats they belong to, in values, which may be negative.
 
-        In logarithms of what starts positive, in steps of a neper at most, for from afar a step in values leads beyond
-        zero or any size; `rough` leaves it at that, else the end is refined in values, which may be negative.
+        Ends far outside the scale of everything known are none.
         """
         lower, upper = self.model.bounds
-        logs = np.all(start > 0, axis=0) & (self.model.bounds[1] > 0) & ~self._of_any_sign
+        ends = minimise(
+            lambda theta, some: self.evaluate(theta, rows[some]),
+            start,
+            limit=limit,
+            tolerance=1e-6,
+            lower=lower,
+            upper=upper,
+        )
+        return self._within(ends)
+
+    def search(self, start: Real, rows: Ints, limit: int, *, rough: bool = False) -> OptimizeResult:
+        """As `refined`, from starts that may be far away: a step in values would lead beyond zero or any size.
+
+        In logarithms of what starts positive, in steps of a neper at most; `rough` leaves it at that.
+        """
+        lower, upper = self.model.bounds
+        logs = np.all(start > 0, axis=0) & (upper > 0) & ~self._of_any_sign
         with np.errstate(divide="ignore"):
             low, high = (np.where(logs, np.log(np.maximum(end, 0.0)), end) for end in (lower, upper))
 
@@ -233,17 +247,14 @@ class ModeProblem:
             patience=limit,
         )
         ends = replace(ends, x=values(ends.x), history=values(ends.history))
-        if not rough:
-            near = minimise(
-                lambda theta, some: self.evaluate(theta, rows[some]),
-                ends.x,
-                limit=limit,
-                tolerance=1e-6,
-                lower=lower,
-                upper=upper,
-            )
-            history = np.concatenate([ends.history, near.history[1:]])
-            ends = replace(near, iterations=ends.iterations + near.iterations, history=history)
+        if rough:
+            return self._within(ends)
+        near = self.refined(ends.x, rows, limit)
+        history = np.concatenate([ends.history, near.history[1:]])
+        return replace(near, iterations=ends.iterations + near.iterations, history=history)
+
+    def _within(self, ends: OptimizeResult) -> OptimizeResult:
+        """The ends; those of a rig far too large are none."""
         lost = np.any(np.abs(ends.x) > self.largest, axis=-1)
         return replace(ends, cost=np.where(lost, np.inf, ends.cost), converged=ends.converged & ~lost)
 
@@ -465,15 +476,17 @@ def deepest_minima(
     model, data, repeats = problem.model, problem.data, problem.repeats
     everyone, minima, ends = np.arange(repeats), None, None
     choices = [u.prior if u.guess is None else u.guess for u in model.unknowns]
-    firsts = [None if problem.span is not None else linear_start(problem)]
+    begun = linear_start(problem) if problem.span is None else None
+    if begun is not None:  # which is near, if anything is
+        minima = problem.refined(begun, everyone, 100)
+    firsts = []
     if None not in choices:
         firsts.append(np.tile(np.array(choices, dtype=float), (repeats, 1)))
     if model.n > 8:  # coordinates: like parts that lead to a fit are then taken without a look for others
         firsts.append(np.tile(like_parts(_without_guesses(model), data, problem), (repeats, 1)))
     for first in firsts:
-        if first is not None:
-            reached = problem.search(first, everyone, 100)
-            minima = reached if minima is None else minima.improved(everyone, reached)
+        reached = problem.search(first, everyone, 100)
+        minima = reached if minima is None else minima.improved(everyone, reached)
     lonely = minima is None and repeats == 1
     for attempt in range(2 if starts else 0):
         astray = everyone

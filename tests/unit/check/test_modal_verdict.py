@@ -79,7 +79,7 @@ def test_a_mistake_is_named_first(mistake: Mistake, kind: str, of: tuple[str, ..
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("mistake", "kind"), [(loss_factors, "damping")])
+@pytest.mark.parametrize(("mistake", "kind"), [(loss_factors, "damping"), (angular, "frequency")])
 def test_other_units_of_modes_are_named_where_known_parts_show_them(mistake: Mistake, kind: str) -> None:
     model, data = clean(k1={"value": 4000.0}, k2={"value": 2500.0}, c1={"value": 6.0}, c2={"value": 3.0})
     assert assessed(model, mistake(data)).findings[0].kind == kind
