@@ -51,6 +51,7 @@ from dashpot.estimate.inference.time_course import TIME_CHANGES
 from dashpot.estimate.likelihood.global_search import candidates
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.record_noise import RESIDUAL, with_record_noise
+from dashpot.estimate.method import Method
 from dashpot.estimate.nonlinear.search import linear_rig, starting_points
 from dashpot.estimate.preparation import Prepared, prepare
 from dashpot.estimate.result import Estimate
@@ -97,17 +98,15 @@ def explained(
         if not model.inputs:
             return None
         silent = silent_channels(model, spectrum) if _one_line_each(spectrum) else {}
-        start: tuple[tuple[float, ...], tuple[float, ...]] = (), ()
+        method: Method = MaximumLikelihood(seed=seed)
         if estimate is None:  # what data with a mistake leave undetermined, they determine once it is mended
             try:
-                spectrum, method = with_record_noise(model, spectrum, MaximumLikelihood(seed=seed))
+                spectrum, method = with_record_noise(model, spectrum, method)
             except DashpotError:
                 return None
-            if isinstance(method, MaximumLikelihood):
-                start = method.start, method.start_sign
         psi, sign = _begun_at(prepare(model, spectrum, states=False), estimate, seed)
-        if start[0]:
-            psi, sign = np.array(start[0]), np.array(start[1])
+        if isinstance(method, MaximumLikelihood) and method.start:  # where the search for the noise has ended
+            psi, sign = np.array(method.start), np.array(method.start_sign)
         return explained_records(model, spectrum, psi, sign, silent=silent, seed=seed)
     if not spectrum.noise_known:
         spectrum = _with_supposed_noise(model, spectrum)

@@ -804,7 +804,6 @@ def _scored(
         place.effect * (factor * place.motion)[:, None] for place in places.values() for factor in (1.0, rate)
     ]
     own = real_rows(fit.root @ slopes)
-    moved_by = np.linalg.pinv(own[0])
     beside = np.concatenate([own[0], rows(np.stack(linear, axis=-1))], axis=-1)
     test = _Test(
         times, orthonormal(own)[0][0], orthonormal(beside[None])[0][0], real_rows(fit.root @ fit.r[..., None])[0, :, 0],
@@ -821,7 +820,8 @@ def _scored(
             and candidate.fall > LEAST * candidate.chi2
             and not feeds_motion(candidate.element, candidate.value)
         ):
-            scored.append(replace(candidate, psi=psi - moved_by @ column * candidate.value))
+            moved = np.linalg.lstsq(own[0], column, rcond=None)[0]
+            scored.append(replace(candidate, psi=psi - candidate.value * moved))
     return _named(scored)
 
 

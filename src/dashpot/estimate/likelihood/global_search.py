@@ -384,6 +384,7 @@ FAR = 20.0  # times the χ² of a fit: no rig of this kind comes near the data
 DEEPEST = 8  # minima that are followed to the bottom
 TIE = 0.01  # of χ²: what fits alike
 GUESSED = 0.3  # decades within which guesses are right
+DECIDES = "add a sensor at another point, state a value, or give an initial guess"
 DOUBT = 9.2  # χ² by which another minimum may lie above and be told to the user: odds of 100 to 1
 
 
@@ -485,7 +486,7 @@ def rival_notice(
     sd: Real,
     others: Iterable[tuple[Real, float]],
     scale: float,
-    cure: str = "add a sensor at another point, state a value, or give an initial guess",
+    cure: str = DECIDES,
 ) -> tuple[Notice, ...]:
     """A warning of those of `others`, (ends (M,), χ² above that of ψ), that are other minima and fit nearly as well.
 
@@ -504,7 +505,7 @@ def not_unique(
     psi: Real,
     others: Sequence[tuple[Real, float]],
     scale: float,
-    cure: str = "add a sensor at another point, state a value, or give an initial guess",
+    cure: str = DECIDES,
 ) -> OtherMinima:
     """The notice that other minima, (ends (M,), χ² above that of ψ (M,)), fit alike, the first of them in words."""
     other, above = others[0]
