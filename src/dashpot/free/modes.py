@@ -27,7 +27,11 @@ from dashpot.free import MOST_MODES
 from dashpot.free.response import (
     Band,
     MeasuredResponse,
+    Parted,
+    RecordLines,
+    doubled,
     in_units,
+    likelihood_by_others,
     line_noise,
     local_response,
     parted,
@@ -182,20 +186,14 @@ def measured_modes(
 
     Raises as `frequency_response`, and DataError if no mode is found.
     """
-    if isinstance(reading, MeasuredResponse):
-        sets, found = _of_response(reading), reading
-        inputs_of, outputs_of, notes = reading.inputs, reading.outputs, reading.notes
+    data = reading if isinstance(reading, MeasuredResponse) else parted(reading, inputs, outputs)
+    if isinstance(data, Parted) and data.records:
+        channels, notes = data.records[0].channels, data.notes
+        inputs_of, outputs_of = channels[: data.inputs], channels[data.inputs :]
+        sets = _of_records(data.records, data.inputs, band_hz)
     else:
-        data = parted(reading, inputs, outputs)
-        if data.records:
-            sets = _of_records(data.records, data.inputs, band_hz)
-            channels = data.records[0].channels
-            inputs_of, outputs_of = channels[: data.inputs], channels[data.inputs :]
-            notes = data.notes
-        else:
-            found = response_of(data, band_hz)
-            sets = _of_response(found)
-            inputs_of, outputs_of, notes = found.inputs, found.outputs, found.notes
+        found = response_of(data, band_hz) if isinstance(data, Parted) else data
+        inputs_of, outputs_of, notes, sets = found.inputs, found.outputs, found.notes, _of_response(found)
     fit, stabilisation, first = _by_evidence(sets, most)
     kept, left = _modes_among(fit, sets)
     if not len(kept):
@@ -257,12 +255,10 @@ class _Set:
 
     @cached_property
     def precision(self) -> Complex:
-        """Inverse of the noise."""
-        floor = 1e-24 * np.mean(np.abs(self.outputs) ** 2) + 1e-300
-        inverse: Complex = np.linalg.inv(self.noise + floor * np.eye(self.noise.shape[-1])).astype(
-            np.complex128
-        )
-        return inverse
+        """Inverse of the noise, which is at least the rounding of each line."""
+        floor = 1e-24 * np.mean(np.abs(self.outputs) ** 2, axis=1) + 1e-300
+        noise = self.noise + floor[:, None, None] * np.eye(self.noise.shape[-1])
+        return np.linalg.inv(noise).astype(np.complex128)
 
     @property
     def s(self) -> Complex:
@@ -271,6 +267,9 @@ class _Set:
 
 
 def _of_response(found: MeasuredResponse) -> list[_Set]:
+    """Lines of the records that responses are local models of; or the responses, where they share no data."""
+    if found.records:
+        return _of_lines(found.records, float(found.frequency_hz[0]), float(found.frequency_hz[-1]))
     one = found.independent()
     units = in_units(one.inputs, one.outputs)
     values = (one.values / units).reshape(len(one.values), -1)
@@ -285,27 +284,21 @@ def _of_response(found: MeasuredResponse) -> list[_Set]:
 
 
 def _of_records(records: Sequence[Record], nu: int, band_hz: Band | None) -> list[_Set]:
-    """Lines of records in the band, with the noise that local models show."""
+    """Lines of records in the band: by default where they respond."""
     if nu and band_hz is None:
-        f = local_response(records, nu, every_line=False).frequency_hz
-        band_hz = float(f[0]), float(f[-1])
+        return _of_response(local_response(records, nu, every_line=False))
     parts = [record_lines(record, nu) for record in records]
-    low, high = band_hz or (0.0, 0.9 * float(min(part.frequency_hz[-1] for part in parts)))
+    return _of_lines(parts, *(band_hz or (0.0, 0.9 * float(min(part.frequency_hz[-1] for part in parts)))))
+
+
+def _of_lines(parts: Sequence[RecordLines], low: float, high: float) -> list[_Set]:
+    """Lines of records from `low` to `high` Hz, with the noise that local models show."""
     noise = line_noise(parts, low, high)
     sets = []
     for part, level in zip(parts, noise, strict=True):
-        inside = (part.frequency_hz >= low) & (part.frequency_hz <= high)
-        step = part.duration_s / part.samples
-        sets.append(
-            _Set(
-                part.frequency_hz[inside],
-                part.inputs[inside],
-                part.outputs[inside],
-                level,
-                step,
-                2 * np.pi * high,
-            )
-        )
+        f = part.frequency_hz
+        inside, step = (f >= low) & (f <= high), part.duration_s / part.samples
+        sets.append(_Set(f[inside], part.inputs[inside], part.outputs[inside], level, step, 2 * np.pi * high))
     return sets
 
 
@@ -524,7 +517,7 @@ def _least_squares_poles(sets: Sequence[_Set]) -> Stabilisation:
         R, S, T = np.zeros((columns, n, columns, n)), np.zeros((columns, n, n)), np.zeros((n, n))
         for k, (one, turn) in enumerate(zip(sets, turns, strict=True)):
             w = 1 / np.sqrt(
-                np.maximum(one.noise[:, i, i].real, 1e-24 * np.mean(np.abs(one.outputs[:, i]) ** 2))
+                np.maximum(one.noise[:, i, i].real, 1e-24 * np.abs(one.outputs[:, i]) ** 2 + 1e-300)
             )
             ends = [np.ones(len(w)) if k == record else np.zeros(len(w)) for record in records]
             U = np.column_stack([one.inputs, *ends]) * w[:, None]
@@ -697,13 +690,13 @@ def _with_noise_of(sets: Sequence[_Set], fit: _Fit) -> list[_Set]:
     longest, q = max(map(len, shown)), shown[0].shape[1]
     apart = [outer * np.eye(q) for outer in shown]
     choices = []
-    for half in [*_doubled(NARROWEST, longest), longest]:
+    for half in [*doubled(NARROWEST, longest), longest]:
         for outers, size in ((apart, 1), (shown, q)):
             counts = [min(2 * half + 1, len(outer)) for outer in outers]
             if min(counts) < 4 * size + 2:  # of the others too few for an inverse
                 continue
             levels = [smoothed(outer, half) for outer in outers]
-            likely = sum(map(_likelihood_by_others, outers, levels, counts))
+            likely = sum(map(likelihood_by_others, outers, levels, counts))
             choices.append(
                 (likely, [n_l * (n / (n - size)) ** 2 for n_l, n in zip(levels, counts, strict=True)])
             )
@@ -712,18 +705,6 @@ def _with_noise_of(sets: Sequence[_Set], fit: _Fit) -> list[_Set]:
 
 
 NARROWEST = 7  # lines on either side
-
-
-def _doubled(first: int, end: int) -> list[int]:
-    """first, 2 first, 4 first, … below the end."""
-    return [first << k for k in range(max(0, end.bit_length())) if first << k < end]
-
-
-def _likelihood_by_others(outer: Complex, level: Complex, count: int) -> float:
-    """Log-likelihood of each line's noise under the mean of the other lines that `level` is of, summed."""
-    others = (count * level - outer) / (count - 1)
-    spread = np.einsum("lij,lji->l", np.linalg.inv(others), outer).real
-    return -float(np.sum(np.linalg.slogdet(others)[1] + spread))
 
 
 def _taken(sets: Sequence[_Set], fit: _Fit) -> list[Complex]:

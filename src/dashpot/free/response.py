@@ -23,7 +23,7 @@ from dashpot.data.conditioning.clock import even_step
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.whole_record import without_gaps
-from dashpot.data.noise import moderated, with_local_noise
+from dashpot.data.noise import moderated, smoothed, with_local_noise
 from dashpot.data.periods import ROUNDING, averaged_periods
 from dashpot.data.readers import Reading
 from dashpot.data.readers.text import write_rows
@@ -58,6 +58,8 @@ class MeasuredResponse:
                   driven, beyond noise and the inputs' own content there; 0 if not significant, NaN if every multiple
                   is driven
     notes         notices on the result
+    records       lines of the records whose local models these are, in SI units: they tell more of sharp resonances
+                  than the responses do, and `modes` takes them instead; files do not hold them
     """
 
     inputs: tuple[Channel, ...]
@@ -70,6 +72,7 @@ class MeasuredResponse:
     method: str
     distortion: dict[str, tuple[float, float]] = field(default_factory=dict)
     notes: tuple[Notice, ...] = ()
+    records: tuple[RecordLines, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -422,6 +425,9 @@ class RecordLines:
     duration_s: float
     samples: int
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 def record_lines(record: Record, nu: int) -> RecordLines:
     """The lines of a record.  Raises DataError for uneven stamps, and outputs that do not move."""
@@ -474,6 +480,7 @@ def local_response(
         power / np.maximum(power + noise, 1e-300),
         np.full(len(grid), apart),
         "local",
+        records=tuple(parts),
     )
     return _where_it_shows(found, stated=band_hz is not None)
 
@@ -560,7 +567,7 @@ def _windows(
     parts: Sequence[RecordLines], grid: Ints, half: int, beside: int
 ) -> tuple[Complex, Complex, Complex]:
     """H (lines, ny, nu), its covariance (lines, pairs, pairs) and the outputs' noise (lines, ny, ny), from windows of
-    2·half + 1 lines; the noise is smoothed over 2·beside + 1 of the grid's."""
+    2·half + 1 lines; of those `beside` of the grid's lines apart each has its own half."""
     first = parts[0]
     nu, ny = first.inputs.shape[1], first.outputs.shape[1]
     numbers = sum(_lines_of(part, first, half) for part in parts) * (3 * (nu + len(parts)) + 2)
@@ -569,9 +576,38 @@ def _windows(
         _fitted(*_window_rows(parts, grid[k : k + chunk], half), nu, ny) for k in range(0, len(grid), chunk)
     ]
     H, gain, noise = (np.concatenate([one[k] for one in found]) for k in range(3))
-    noise = _mean_beside(noise.real, beside) + 1j * _mean_beside(noise.imag, beside)
+    noise = pooled(noise, 2 * beside)
     covariance = (noise[:, :, None, :, None] * gain).reshape(len(grid), ny * nu, ny * nu)
     return H, covariance, noise
+
+
+def pooled(noise: Complex, apart: int) -> Complex:
+    """Mean of noise (lines, q, q) over as many neighbouring lines as make each likeliest by the mean of the others.
+
+    Lines that are `apart` share no data.  Noise goes on over frequency; what a local model misses does not.
+    """
+    q = noise.shape[1]
+    alone = noise[::apart] * (1 + 1e-9 * np.eye(q)) + 1e-300 * np.eye(q)
+    enough = [half for half in doubled(1, len(alone) // 2) if 2 * half * SPARE > 2 * q]  # for an inverse
+    levels = (
+        (half, smoothed(alone, half)) for half in [*enough, len(alone)] if len(alone) > 2 * q / SPARE + 1
+    )
+    scores = [
+        (likelihood_by_others(alone, level, min(2 * half + 1, len(alone))), half) for half, level in levels
+    ]
+    return smoothed(noise, max(scores)[1] * apart if scores else len(noise))
+
+
+def doubled(first: int, end: int) -> list[int]:
+    """first, 2 first, 4 first, … below the end."""
+    return [first << k for k in range(max(0, end.bit_length())) if first << k < end]
+
+
+def likelihood_by_others(outer: Complex, level: Complex, count: int) -> float:
+    """Log-likelihood of each line's noise under the mean of the other lines that `level` is of, summed."""
+    others = (count * level - outer) / (count - 1)
+    spread = np.einsum("lij,lji->l", np.linalg.inv(others), outer).real
+    return -float(np.sum(np.linalg.slogdet(others)[1] + spread))
 
 
 def _window_rows(parts: Sequence[RecordLines], grid: Ints, width: int) -> tuple[Real, Complex, Complex, Ints]:

@@ -94,6 +94,34 @@ def test_deviations_are_those_of_the_bound_though_the_noise_is_that_of_residuals
     assert told == pytest.approx(np.sqrt(np.diagonal(bound.covariance)[:4]) * unit, rel=0.05)
 
 
+def test_responses_of_a_record_give_its_modes() -> None:
+    """As by the record itself, though a resonance is narrower than the lines are apart."""
+    bench = Bench((3.0, 7.0), (0.001, 0.02), 3)
+    rng = np.random.default_rng(5)
+    record = bench.record(bench.noise(rng, 100.0, 1), rng, 0.03)
+    response = dashpot.frf(record, "u0", band=(1, 20))
+    direct, first = dashpot.modes(record, "u0", band=(1, 20)), dashpot.modes(response)
+    assert first.eigenvalues == pytest.approx(direct.eigenvalues, rel=1e-4)
+    assert first.damping_sd == pytest.approx(direct.damping_sd, rel=0.02)
+    alone = dashpot.modes(replace(response, records=()))
+    assert np.all(alone.damping_sd > 1.1 * direct.damping_sd)
+    assert np.all(np.abs(alone.damping_ratio - bench.damping) < 3.5 * alone.damping_sd)
+
+
+def test_a_line_without_any_drive_hides_no_mode() -> None:
+    bench = Bench((4.0, 9.0), (0.01, 0.02))
+    rng = np.random.default_rng(2)
+    response = dashpot.frf(
+        bench.record(bench.noise(rng, 60.0, 1), rng, 0.02), "u0", band=(1, 20)
+    ).independent()
+    response = replace(response, records=())
+    values, covariance = response.values.copy(), response.covariance.copy()
+    values[-1], covariance[-1] = 1e14, 1e28 * np.eye(len(covariance[-1]))
+    poor = dashpot.modes(replace(response, values=values, covariance=covariance))
+    whole = dashpot.modes(response)
+    assert np.all(np.abs(poor.eigenvalues - whole.eigenvalues) < np.sqrt(whole.covariance[:, 0, 0]))
+
+
 def test_units_of_the_force_change_participations_alone() -> None:
     """Deviations of the shapes of a building had been rounding, since 1 N moves it by next to nothing."""
     rng = np.random.default_rng(4)

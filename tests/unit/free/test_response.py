@@ -12,10 +12,11 @@ from scipy import signal
 import dashpot
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
+from dashpot.data.noise import smoothed
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
-from dashpot.free.response import MeasuredResponse, frequency_response, write_response
+from dashpot.free.response import MeasuredResponse, frequency_response, pooled, write_response
 from tests.unit.free.bench import RIG, Bench
 
 TWO = Bench((4.0, 9.0), (0.01, 0.02))
@@ -54,6 +55,49 @@ def test_local_models_are_the_textbooks_least_squares() -> None:
         A = np.stack([U, r * U, r**2 * U, r**0, r, r**2], axis=1)
         alike.append(abs(H / np.linalg.lstsq(A, Y, rcond=None)[0][0] - 1) < 1e-8)
     assert np.mean(alike) > 0.8
+
+
+@pytest.mark.parametrize("damping", [0.001, 0.01, 0.1])
+def test_errors_are_as_large_as_the_covariance_says(damping: float) -> None:
+    """Mean χ² a degree of freedom, of three outputs together, at resonances narrower and broader than the lines."""
+    bench = Bench((4.0, 7.0, 9.0), (damping,) * 3, 3)
+    rng, each = np.random.default_rng(round(1e4 * damping)), []
+    for _ in range(3):
+        record = bench.record(bench.noise(rng, 100.0, 1), rng, 0.03)
+        found = dashpot.frf(record, "u0", band=(1, 20)).independent()
+        e = (found.values - bench.accelerance(found.frequency_hz, 1))[..., 0]
+        each.append(
+            np.einsum("li,li->l", np.conj(e), np.linalg.solve(found.covariance, e[..., None])[..., 0]).real
+            / 3
+        )
+    assert np.mean(each) == pytest.approx(
+        1, abs=0.1
+    )  # 2,100 degrees of freedom: 3 standard errors and their excess
+
+
+def test_noise_is_pooled_where_the_others_make_it_likeliest() -> None:
+    """Slowly, line by line, against each width; noise that goes on is pooled over all, a step is not."""
+    rng = np.random.default_rng(1)
+
+    def scatter(levels: Real) -> Complex:
+        e = (rng.standard_normal((len(levels), 8, 2, 2)) @ [1, 1j]) * levels[:, None, None] ** 0.5
+        return np.asarray(np.einsum("lki,lkj->lij", e, np.conj(e)) / 8)
+
+    def slowly(noise: Complex, half: int) -> float:
+        total, n = 0.0, len(noise)
+        for k in range(n):
+            first = int(np.clip(k - half, 0, max(0, n - 2 * half - 1)))
+            others = [noise[i] for i in range(first, min(first + 2 * half + 1, n)) if i != k]
+            level = sum(others) / len(others)
+            total -= np.log(np.linalg.det(level).real) + np.trace(np.linalg.inv(level) @ noise[k]).real
+        return total
+
+    even, step = scatter(np.ones(64)), scatter(np.repeat([1.0, 30.0], 32))
+    for noise in (even, step):
+        best = max([1, 2, 4, 8, 16, 64], key=lambda half: slowly(noise, half))
+        assert pooled(noise, 1) == pytest.approx(smoothed(noise, best))
+    assert pooled(even, 1) == pytest.approx(np.broadcast_to(np.mean(even, axis=0), even.shape))
+    assert pooled(step, 1)[60, 0, 0].real / pooled(step, 1)[3, 0, 0].real == pytest.approx(30, rel=0.5)
 
 
 def test_lines_that_are_told_apart_share_no_window(monkeypatch: pytest.MonkeyPatch) -> None:
