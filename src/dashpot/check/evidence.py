@@ -386,12 +386,8 @@ def residuals_of(model: Model, spectrum: Spectrum, estimate: Estimate) -> Residu
     return residuals(model, theta, spectrum, calibrations_of(model, estimate))
 
 
-def _has_records(spectrum: Spectrum) -> bool:
-    return any(getattr(stretch, "samples", 0) for stretch in spectrum.stretches)
-
-
 def _records(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[RecordPrediction, ...]:
-    if len(model.nonlinear) or not _has_records(spectrum):
+    if len(model.nonlinear) or not any(getattr(stretch, "samples", 0) for stretch in spectrum.stretches):
         return ()
     try:
         return tuple(part for part in validate(model, estimate, spectrum) if part.samples)

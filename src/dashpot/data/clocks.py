@@ -13,7 +13,7 @@ from dashpot.channel import Channel
 from dashpot.data.conditioning.drive_frequency import OWN, refine_frequency
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.settings import Conditioning
-from dashpot.data.conditioning.transients import settled, without_start
+from dashpot.data.conditioning.steadiness import settled, without_start
 from dashpot.data.record import Record, calibrated
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
@@ -87,7 +87,15 @@ def estimated_clock(reference: Sensor, sensor: Sensor, source: str) -> Clock:
         )
     clock = Clock(offset=coarse, middle=float(np.mean(sensor.time)))
     for _ in range(4):  # the lag is a first-order term: exact once it is small
-        lags, variances, centres = _lags_of_pieces(reference, sensor, clock, step)
+        time = clock.on_reference(sensor.time)
+        start, end = max(reference.time[0], time[0]), min(reference.time[-1], time[-1])
+        rows = []
+        for a, b in itertools.pairwise(np.linspace(start, end, PIECES + 1).tolist()):
+            fit = _fine_lag(reference, time, sensor.values[:, 0], a, b, step)
+            if fit is not None:
+                rows.append((*fit, float(np.interp((a + b) / 2, time, sensor.time))))
+        table = np.array(rows).reshape(-1, 3)
+        lags, variances, centres = table[:, 0], table[:, 1], table[:, 2]
         if len(lags) < 3:
             raise DataError(
                 f"cannot synchronise {sensor.name} with {reference.name}: they share no motion",
@@ -158,19 +166,6 @@ def _lags_of_bands(reference: Sensor, sensor: Sensor, clock: Clock, step: float)
         variance = max(1 - coherence, 1e-12) / (2 * coherence * looks)
         found.append((float(np.angle(total)) / omega, variance / omega**2))
     return found
-
-
-def _lags_of_pieces(reference: Sensor, sensor: Sensor, clock: Clock, step: float) -> tuple[Real, Real, Real]:
-    """Lags that a clock leaves in pieces of the recording, s, their variances, and the sensor's time of each piece."""
-    time = clock.on_reference(sensor.time)
-    start, end = max(reference.time[0], time[0]), min(reference.time[-1], time[-1])
-    rows = []
-    for a, b in itertools.pairwise(np.linspace(start, end, PIECES + 1).tolist()):
-        fit = _fine_lag(reference, time, sensor.values[:, 0], a, b, step)
-        if fit is not None:
-            rows.append((*fit, float(np.interp((a + b) / 2, time, sensor.time))))
-    table = np.array(rows).reshape(-1, 3)
-    return table[:, 0], table[:, 1], table[:, 2]
 
 
 def _corrected(clock: Clock, lags: Real, variances: Real, centres: Real) -> Clock:

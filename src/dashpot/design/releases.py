@@ -188,8 +188,21 @@ class Bench:
 
     @cached_property
     def held(self) -> list[Real]:
-        """Static shapes from which the rig is let go, (n,) each, the largest entry 1 in size."""
-        return _shapes(self.model, self.model.parameters(self.theta))
+        """Static shapes from which the rig is let go, (n,) each, the largest entry 1 in size.
+
+        Each is the one under a force at a coordinate; what nothing holds moves by itself.
+        """
+        p = self.model.parameters(self.theta)
+        K = matrices(self.model, p).K
+        shapes = []
+        for k in range(self.model.n):
+            force = np.zeros(self.model.n)
+            force[k] = 1.0
+            x = np.linalg.lstsq(K, force, rcond=1e-12)[0]
+            if not np.allclose(K @ x, force, atol=1e-9) or x[k] <= 0:
+                x = force
+            shapes.append(x / np.max(np.abs(x)))
+        return shapes
 
     def at_size(self, size: float) -> ReleaseInformation:
         """The information of releases whose largest deflection is `size`, m or rad."""
@@ -302,23 +315,6 @@ def _require_plannable(model: Model, names: Sequence[str]) -> None:
         raise UsageError(
             f"{wrong[0]} is not an unknown", cure=f"the unknowns are {', '.join(model.unknown_names)}"
         )
-
-
-def _shapes(model: Model, p: Real) -> list[Real]:
-    """Static shapes under a force at each coordinate, the largest entry 1 in size, (n,) each.
-
-    What nothing holds moves by itself.
-    """
-    K = matrices(model, p).K
-    shapes = []
-    for k in range(model.n):
-        force = np.zeros(model.n)
-        force[k] = 1.0
-        x = np.linalg.lstsq(K, force, rcond=1e-12)[0]
-        if not np.allclose(K @ x, force, atol=1e-9) or x[k] <= 0:
-            x = force
-        shapes.append(x / np.max(np.abs(x)))
-    return shapes
 
 
 def _with_noise(channels: Sequence[Channel], notes: list[str]) -> list[Channel]:

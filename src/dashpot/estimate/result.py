@@ -829,6 +829,10 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         _numbers([row["damping_sd"] for row in rows]),
         np.array([[complex(*z) for z in row["shape"]] for row in rows]),
     )
+    warnings = _notices(content, "warnings", "codes", "concerns")
+    sets = content.get("other_minima", ())
+    values = tuple(tuple(nullable(each["values"][name]) for name in names) for each in sets)
+    odds = tuple(float(each["odds"]) for each in sets)
     return Estimate(
         model=content["model"],
         method=content["method"],
@@ -857,26 +861,17 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         tied=tuple((str(a), str(b), float(c), str(d)) for a, b, c, d in content["tied"]),
         modes=modes if rows else None,
         signs={name: np.asarray(float(sign)) for name, sign in content["signs"].items()},
-        warnings=_with_minima(_notices(content, "warnings", "codes", "concerns"), content, names),
+        warnings=tuple(
+            OtherMinima(each.code, each.text, each.of, values, odds)
+            if sets and each.code == "not_unique"
+            else each
+            for each in warnings
+        ),
         notes=_notices(content, "notes", "note_codes", "note_concerns"),
         rig=content.get("rig"),
         stated=tuple((str(a), float(b), float(c)) for a, b, c in content.get("stated", ())),
         profiles=profiles,
         cycles=tuple(_cycle(row) for row in content.get("cycles", ())),
-    )
-
-
-def _with_minima(
-    warnings: tuple[Notice, ...], content: Mapping[str, Any], names: tuple[str, ...]
-) -> tuple[Notice, ...]:
-    sets = content.get("other_minima", ())
-    values = tuple(tuple(nullable(each["values"][name]) for name in names) for each in sets)
-    odds = tuple(float(each["odds"]) for each in sets)
-    return tuple(
-        OtherMinima(each.code, each.text, each.of, values, odds)
-        if sets and each.code == "not_unique"
-        else each
-        for each in warnings
     )
 
 

@@ -98,6 +98,7 @@ def watch(
     """
     from dashpot.api import read
     from dashpot.app.commands.identify import identified
+    from dashpot.data.inspection import inspect_file
 
     history: list[dict[str, Any]] = []
     told: dict[str, Any] = {"history": history, "waiting": "Waiting for the first samples", "target": target}
@@ -105,7 +106,12 @@ def watch(
     before: object = None
     while True:
         time.sleep(POLL)
-        now = _sizes(source)
+        paths = (
+            sorted(path for path in source.iterdir() if not path.name.startswith("."))
+            if source.is_dir()
+            else [source]
+        )
+        now = [(str(path), path.stat().st_size) for path in paths if path.is_file() and path.stat().st_size]
         complete = all(time.time() - os.stat(path).st_mtime > STILL for path, _ in now)
         if not now or (now, complete) == before:
             continue
@@ -117,7 +123,7 @@ def watch(
             found = identified(rig, files, records, "auto", False, 0, 0.0, False, False)
             told = {"history": history, "target": target, **_words(found.estimate, target)}
             told["lost"] = list(dict.fromkeys([*told["lost"], *lost_samples(read([*files], rig).records)]))
-            samples = _samples(files)
+            samples = sum(part.samples for name in files for part in inspect_file(name).parts)
             history[:] = [
                 *(each for each in history if each["samples"] < samples),
                 {"samples": samples, "rows": told["rows"]},
@@ -135,16 +141,6 @@ def watch(
         except DashpotError as error:
             told |= {"unplanned": str(error.problems[0])}
         tell(told)
-
-
-def _sizes(source: Path) -> list[tuple[str, int]]:
-    """The files, and how long they are."""
-    paths = (
-        sorted(path for path in source.iterdir() if not path.name.startswith("."))
-        if source.is_dir()
-        else [source]
-    )
-    return [(str(path), path.stat().st_size) for path in paths if path.is_file() and path.stat().st_size]
 
 
 def _readable(path: Path, into: Path) -> str | None:
@@ -195,13 +191,6 @@ def _whole_dwells(text: bytes) -> bytes:
     while kept and len(fields[kept - 1]) > at and fields[kept - 1][at] == last:
         kept -= 1
     return head + b"\n" + b"".join(lines[:kept])
-
-
-def _samples(files: Sequence[str]) -> int:
-    """How many samples the files hold."""
-    from dashpot.data.inspection import inspect_file
-
-    return sum(part.samples for name in files for part in inspect_file(name).parts)
 
 
 def _picture(history: Sequence[Mapping[str, Any]], i: int) -> str:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -113,15 +112,10 @@ def _lines(
                 break
             wait(LOOK)
             idle += LOOK
-            _require_growing(file, stream)
+            if os.fstat(stream.fileno()).st_size < stream.tell():
+                raise DataError("the file became shorter while it was followed", file.name, "begin again")
         if rest.strip() and follow is None:  # a last line without an end
             yield rest
-
-
-def _require_growing(file: DataFile, stream: BinaryIO) -> None:
-    """Raises DataError if the file has become shorter: another one has its name, or it was emptied."""
-    if os.fstat(stream.fileno()).st_size < stream.tell():
-        raise DataError("the file became shorter while it was followed", file.name, "begin again")
 
 
 def windows_of(records: Iterable[Record], seconds: float) -> Iterator[Record]:

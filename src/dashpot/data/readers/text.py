@@ -586,7 +586,12 @@ def _in_front_of_numbers(data: Text, candidate: _Row, delimiter: str | None) -> 
             header = _header_in_front(rows, delimiter)
             if header is not None:
                 return rows[header]
-            if _only_remarks_above(rows, delimiter):
+            # Whether the last two rows are the first ones of numbers, and the row above has too few cells to
+            # name them
+            mark = _delimiter(rows[-1].text) if delimiter is None else delimiter
+            above, first, second = (_cells(row.text, mark) for row in rows[-3:])
+            alike = len(first) == len(second) > 1 and all(map(_is_number, (*first, *second)))
+            if alike and 2 * len(above) <= len(first) and not any(map(_is_number, above)):
                 return rows[-2]
     return candidate
 
@@ -615,14 +620,6 @@ def _header_in_front(rows: Sequence[_Row], delimiter: str | None) -> int | None:
         if not _is_unit_row(cells):
             return at
     return None
-
-
-def _only_remarks_above(rows: Sequence[_Row], delimiter: str | None) -> bool:
-    """Whether the last two rows are the first ones of numbers, and the row above has too few cells to name them."""
-    mark = _delimiter(rows[-1].text) if delimiter is None else delimiter
-    above, first, second = (_cells(row.text, mark) for row in rows[-3:])
-    alike = len(first) == len(second) > 1 and all(map(_is_number, (*first, *second)))
-    return alike and 2 * len(above) <= len(first) and not any(map(_is_number, above))
 
 
 def _delimiter(text: str) -> str:
