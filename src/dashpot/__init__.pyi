@@ -20,7 +20,7 @@ from dashpot.data.conditioning.harmonic_fit import HarmonicFit as HarmonicFit
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics as fit_harmonics
 from dashpot.data.conditioning.lines import spectrum as spectrum
 from dashpot.data.conditioning.settings import Conditioning as Conditioning
-from dashpot.data.conditioning.transients import settled as settled
+from dashpot.data.conditioning.steadiness import settled as settled
 from dashpot.data.modal_data import ModalData as ModalData
 from dashpot.data.readers import Reading as Reading
 from dashpot.data.readers import write_amplitudes as write_amplitudes

@@ -136,7 +136,7 @@ def identify(
     if isinstance(data, str | os.PathLike) and holds_modes(data):
         data = read_modes(data, model.coordinates, _channels(rig))
     if isinstance(data, ModalData):
-        from dashpot.check.modal_verdict import examined_modes
+        from dashpot.check.explain.modal import examined_modes
 
         if isinstance(rig, Rig):
             rig.require_alike("identification from measured modes")
@@ -655,7 +655,7 @@ def text(value: Estimate | Comparison | Track) -> str:
     from dashpot.present.estimate import estimate_text
 
     if isinstance(value, Track):
-        from dashpot.present.tracking import track_document
+        from dashpot.present.fleet import track_document
 
         return printed(track_document(value))
     return printed(comparison_document(value)) if isinstance(value, Comparison) else estimate_text(value)
@@ -674,7 +674,7 @@ def html(value: Rig | Record | Spectrum | Estimate | Comparison | Track) -> str:
             return f"<p>{len(value.values)} estimates</p>"
         return html_of(estimate_document(value, untried=()))
     if isinstance(value, Track):
-        from dashpot.present.tracking import track_document
+        from dashpot.present.fleet import track_document
 
         return html_of(track_document(value))
     return html_of(comparison_document(value) if isinstance(value, Comparison) else notebook_document(value))
@@ -685,7 +685,7 @@ def plot(value: Estimate | Comparison | Track, level: float = 0.95) -> Any:
     from dashpot.fleet.tracking import Track
 
     if isinstance(value, Track):
-        from dashpot.present.figures.tracking import track_figure
+        from dashpot.present.figures.study import track_figure
 
         return track_figure(value, level)
     from dashpot.present.figures.comparison import comparison_figure, estimate_figure

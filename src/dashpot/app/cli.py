@@ -18,17 +18,22 @@ import click
 from click.shell_completion import CompletionItem
 
 from dashpot.app.commands import COMMANDS, GROUPS, OTHER
-from dashpot.app.memory import (
+from dashpot.app.process import (
+    ANSWERED,
     CURE,
     EXIT_CODE,
+    Ended,
     NotEnoughMemoryError,
+    answered,
+    end_on_signals,
     lacked,
+    leave_signals,
     memory_is_limited,
     one_thread,
+    request_lost,
     secure_room,
 )
 from dashpot.app.report_files import ARGUMENTS
-from dashpot.app.signals import ANSWERED, Ended, answered, end_on_signals, leave_signals, request_lost
 from dashpot.errors import DashpotError, printable
 from dashpot.io import ledger
 

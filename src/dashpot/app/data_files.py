@@ -230,7 +230,7 @@ def part_of(reading: Reading, part: tuple[float, float]) -> Reading:
     if part == (0.0, 1.0):  # a share of every record's samples, from where to where: all of them
         return reading
     from dashpot.data.conditioning.clock import cut
-    from dashpot.data.conditioning.transients import continuous
+    from dashpot.data.conditioning.whole_record import continuous
 
     if reading.amplitudes is not None:
         raise DataError("a table of amplitudes has no samples to hold out", cure="give the records")

@@ -17,8 +17,7 @@ from functools import partial
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from dashpot.app.memory import one_thread, secure_room
-from dashpot.app.signals import ENDING, end_at_once, held_back
+from dashpot.app.process import ENDING, end_at_once, held_back, one_thread, secure_room
 from dashpot.errors import UsageError
 from dashpot.io.json_document import optional_library
 from dashpot.numerics.blas_threads import THREADS

@@ -13,8 +13,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.channel import Channel
-from dashpot.data.conditioning.transients import continuous, dwells_with_transients
-from dashpot.data.conditioning.whole_record import whole_records
+from dashpot.data.conditioning.whole_record import continuous, dwells_with_transients, whole_records
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.design.allocation import (

@@ -21,7 +21,7 @@ from dashpot.check.verdict import (
     worst_of,
 )
 from dashpot.data.conditioning.clock import cut
-from dashpot.data.conditioning.transients import continuous
+from dashpot.data.conditioning.whole_record import continuous
 from dashpot.data.noise import LEVEL
 from dashpot.data.readers import Reading, read
 from dashpot.data.spectrum import Spectrum

@@ -12,7 +12,7 @@ import pytest
 from dashpot import Estimate, __version__, read, read_rig
 from dashpot.app import cli
 from dashpot.app.commands import COMMANDS
-from dashpot.app.signals import Ended
+from dashpot.app.process import Ended
 from dashpot.estimate.registry import method
 from tests.two_masses import one_mass
 from tests.unit.app.conftest import RIG, SET, VALUES, Command

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dashpot.app import memory
+from dashpot.app import process as memory
 from dashpot.app.cli import run
 from dashpot.errors import DataError
 from tests.fuzz import corpus

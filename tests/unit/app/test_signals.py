@@ -133,7 +133,7 @@ BEGUN = """
 import signal, sys
 from dashpot import __main__ as entry
 from dashpot.app import cli
-from dashpot.app.signals import end_on_signals
+from dashpot.app.process import end_on_signals
 
 def command():
     print(signal.getsignal(signal.SIGINT))

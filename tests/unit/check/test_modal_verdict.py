@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot.check.modal_verdict import examined_modes
+from dashpot.check.explain.modal import examined_modes
 from dashpot.data.modal_data import ModalData
 from dashpot.estimate.assessment import Assessment
 from dashpot.estimate.modal import identify_modal

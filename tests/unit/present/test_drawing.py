@@ -13,7 +13,7 @@ from dashpot import Estimate, Kind, Model, UsageError, between, mass, parse_rig
 from dashpot.check.evidence import doubtful, undetermined
 from dashpot.present.estimate import parameter_rows
 from dashpot.present.schematic.drawing import mode_drawing, numbered_mode, schematic
-from dashpot.present.schematic.labels import elongation, law_in_symbols
+from dashpot.present.schematic.placing import elongation, law_in_symbols
 from tests.networks import network
 from tests.two_masses import UNDETERMINED
 from tests.unit.present.conftest import RIG

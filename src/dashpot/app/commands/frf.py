@@ -55,7 +55,7 @@ def command(
     if out is not None:
         write_response(found, out)
     if figure is not None:
-        from dashpot.present.figures.free import measured_response_figure
+        from dashpot.present.figures.spectra import measured_response_figure
         from dashpot.present.figures.style import write_figure
 
         write_figure(figure, measured_response_figure(found))

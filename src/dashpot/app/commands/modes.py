@@ -68,7 +68,7 @@ def command(
     if out is not None:
         write_mode_table(found.modal_data, out)
     if figure is not None:
-        from dashpot.present.figures.free import modes_figure
+        from dashpot.present.figures.spectra import modes_figure
         from dashpot.present.figures.style import write_figure
 
         write_figure(figure, modes_figure(found))

@@ -79,7 +79,7 @@ def command(
     from dashpot.io.json_document import to_json
     from dashpot.model.rigfile import read_rig
     from dashpot.present.document import say
-    from dashpot.present.tracking import change_line, track_document
+    from dashpot.present.fleet import change_line, track_document
 
     known = read_rig(rig)
     still = noise_at_rest(read(noise_record, known.channels).records) if noise_record else None
@@ -96,8 +96,8 @@ def command(
         if out is not None:
             track.save(out)
         if figure is not None:
+            from dashpot.present.figures.study import track_figure
             from dashpot.present.figures.style import write_figure
-            from dashpot.present.figures.tracking import track_figure
 
             write_figure(figure, track_figure(track, level))
         return track

@@ -709,7 +709,7 @@ def serve_calls() -> None:
     import threading
     from queue import SimpleQueue
 
-    from dashpot.app.memory import one_thread
+    from dashpot.app.process import one_thread
 
     one_thread()
     calls: SimpleQueue[str] = SimpleQueue()

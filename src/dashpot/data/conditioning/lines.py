@@ -37,19 +37,15 @@ from dashpot.data.conditioning.steadiness import (
     UNSTEADY,
     WANDERS,
     Unsteady,
+    driven_throughout,
     periods_of,
+    settled,
     shows_settling,
     slopes_show,
-)
-from dashpot.data.conditioning.transients import (
-    continuous,
-    driven_throughout,
-    dwells_with_transients,
-    settled,
     without_start,
 )
 from dashpot.data.conditioning.unmeasured import expected, marked, notices_of_doubt
-from dashpot.data.conditioning.whole_record import AT_REST, whole_records
+from dashpot.data.conditioning.whole_record import AT_REST, continuous, dwells_with_transients, whole_records
 from dashpot.data.noise import LEVEL, moderated
 from dashpot.data.periods import averaged_periods
 from dashpot.data.record import Record, calibrated

@@ -2,7 +2,7 @@
 
 Each test gives p-values of single dwells, or of their channels, which `together` makes one.  Terms that a regression
 may have more are tested by `Nested`, what changes from one whole period to the next by `Blocks`.  `UNSTEADY` has what
-makes dwells whole records.
+makes dwells whole records; `settled` is the part of one that is driven and where its transient has decayed.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
+from dashpot.data.conditioning.harmonic_fit import SIGNIFICANT
 from dashpot.data.conditioning.regression import (
     BELOW_HALF_RATE,
     CHUNK,
@@ -27,6 +28,7 @@ from dashpot.data.conditioning.regression import (
 from dashpot.data.noise import LEVEL
 from dashpot.data.record import Record, kept
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 
 # In fewer a transient, drift of a sensor, another frequency and a sine that grows look alike
 FEW_PERIODS = 2.0
@@ -528,3 +530,136 @@ CHEAP = 5.0  # periods from which on a slope costs nothing
 def slopes_show(records: Sequence[Record], orders: Sequence[int]) -> float:
     """p-value of no slope in any dwell or channel, whose motion has these multiples of its frequency."""
     return together(map(Nested(Terms(1, tuple(orders)), (1,)).tails, records))
+
+
+# The part of a dwell that is driven and where the transient has decayed.
+
+
+@dataclass(frozen=True)
+class Settled:
+    """The part of a dwell that is driven and where the transient has decayed, and what was thrown away around it.
+
+    `note` says so in words; it is None where nothing was thrown away and a transient would have been seen.
+    """
+
+    record: Record
+    dropped_samples: int
+    dropped_s: float
+    note: Notice | None
+
+
+def settled(record: Record) -> Settled:
+    """The part of a dwell that is driven, after its transient.
+
+    Blocks of whole periods, counted from the end, give amplitudes and residuals.  The longest run of blocks with more
+    than half of the greatest lasting amplitude is what was driven.  Within it the cut is where the mean of what
+    remains is known best (White's marginal standard error rule, Simulation 69, 1997), at most half way, and only if
+    what comes before it differs significantly (p < 0.01) from what comes after.  A small error of the frequency does
+    not matter.  Raises DataError where the frequency is not known.
+    """
+    f, time = record.frequency_hz, record.time
+    if f is None:
+        raise DataError("the drive frequency is not known", record.source, "give the frequency of the record")
+    blocks = period_blocks(record)
+    if blocks is None:
+        periods = int(f * duration(time) + 1e-6)
+        text = (
+            f"{record.source}: {periods} periods at {f:g} Hz are too few to detect a transient, or have gaps"
+        )
+        return Settled(record, 0, 0.0, Notice("transient_undetectable", text, (record.source,)))
+    starts, Z, rms = blocks.starts, blocks.amplitudes, blocks.rms
+    begin, end = _driven(Z)
+    if end - begin >= 8:
+        # Features of blocks, in units of their scatter over the last half: amplitudes turned by the phase of the
+        # steadiest channel, which makes them blind to a small error of the frequency, and residual rms
+        Z = Z[begin:end]
+        tail = len(Z) // 2
+        size = np.median(np.abs(Z), axis=0)
+        floor = np.maximum(1e-9 * size, 1e-13 * float(np.max(np.abs(record.values)))) + np.finfo(float).tiny
+        steady = int(np.argmax(size / np.maximum(np.std(np.abs(Z[tail:]), axis=0), floor)))
+        turned = Z * np.exp(-1j * np.angle(Z[:, steady]))[:, None]
+        values = np.concatenate([turned.real, turned.imag, rms[begin:end]], axis=1)
+        scatter = np.maximum(np.std(values[tail:], axis=0, ddof=1), np.tile(floor, 3))
+        begin += _truncation((values - np.mean(values[tail:], axis=0)) / scatter)
+    first = 0 if begin == 0 else int(starts[begin])
+    last = len(time) if end == len(starts) else int(starts[end])
+    dropped = len(time) - (last - first)
+    if not dropped:
+        return Settled(record, 0, 0.0, None)
+    kept = record.part(slice(first, last))
+    what = [f"the first {time[first] - time[0]:.4g} s"] * (first > 0) + [
+        f"the last {time[-1] - time[last - 1]:.4g} s"
+    ] * (last < len(time))
+    whole = float(time[-1] - time[0])
+    text = f"{record.source}: discarded {' and '.join(what)} of {whole:.4g} s at {f:g} Hz (transient)"
+    note = Notice("transient_discarded", text, (record.source,))
+    return Settled(kept, dropped, float(time[-1] - time[0] - (kept.time[-1] - kept.time[0])), note)
+
+
+def without_start(record: Record, seconds: float) -> Record:
+    """The record without its first seconds.  Raises DataError where less than two samples are left."""
+    first = int(np.searchsorted(record.time, record.time[0] + seconds))
+    if len(record.time) - first < 2:
+        length = float(record.time[-1] - record.time[0])
+        raise DataError(
+            f"the record is {length:.4g} s long and its first {seconds:g} s are to be dropped",
+            record.source,
+            "drop less, or record longer",
+        )
+    return record.part(slice(first, None))
+
+
+@kept
+def driven_throughout(record: Record) -> bool:
+    """Whether a dwell moves from its first period to its last; True where it has too few periods to tell."""
+    blocks = period_blocks(record) if record.values.ndim == 2 else None
+    if blocks is None:
+        return True
+    Z = blocks.amplitudes
+    noise = np.median(blocks.rms, axis=0) * np.sqrt(4 / np.min(blocks.ends - blocks.starts))
+    heard = (
+        _level(np.abs(Z)) > 6 * noise
+    )  # standard deviations of a block's amplitude: no other channel tells
+    return not np.any(heard) or _driven(Z[:, heard]) == (0, len(Z))
+
+
+def _driven(Z: Complex) -> tuple[int, int]:
+    """Longest run of driven blocks, [begin, end); those in which the drive comes or goes are left out.
+
+    A channel's level is the greatest that it keeps for four blocks.
+    """
+    size = np.abs(Z)
+    level = _level(size)
+    on = np.ones(len(Z), dtype=bool)
+    if np.any(level > 0):
+        on = np.median(size[:, level > 0] / level[level > 0], axis=1) > 0.5
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]])))
+    runs = edges.reshape(-1, 2)
+    begin, end = (int(k) for k in runs[np.argmax(runs[:, 1] - runs[:, 0])])
+    if end - begin < 4:
+        return 0, len(Z)
+    return begin + (begin > 0), end - (end < len(Z))
+
+
+def _level(size: Real) -> Real:
+    """The greatest amplitude that each channel keeps for four blocks, (channels,), of (blocks, channels)."""
+    return np.max(np.min(np.lib.stride_tricks.sliding_window_view(size, 4, axis=0), axis=-1), axis=0)
+
+
+def _truncation(features: Real) -> int:
+    """Number of blocks to drop."""
+    blocks, width = features.shape
+    score = []
+    for cut in range(blocks // 2 + 1):
+        rest = features[cut:]
+        spread = np.sum((rest - np.mean(rest, axis=0)) ** 2) + len(rest) * 1e-3 * width
+        score.append(spread / len(rest) ** 2)
+    cut = int(np.argmin(score))
+    if cut == 0:
+        return 0
+    before, rest = features[:cut], features[cut:]
+    free = len(rest) - 1
+    spread = np.sum((rest - np.mean(rest, axis=0)) ** 2, axis=0) + free * 1e-3
+    F = np.sum((before - np.mean(rest, axis=0)) ** 2, axis=0) / cut / (spread / free)
+    p = fdtrc(cut, free, F / (1 + 1 / len(rest)))
+    return cut if float(np.min(p)) * width < SIGNIFICANT else 0

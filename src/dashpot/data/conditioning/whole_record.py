@@ -3,6 +3,9 @@
 Nothing has to settle, to repeat or to end where it began: what the ends of the record leave in its lines is smooth in
 frequency, a load a + jωb at every coordinate and a few real polynomial columns in each channel, and the likelihood
 solves for it.  Here the samples are checked, put through one FFT, and limited to the band in which something moves.
+
+A dwell of any number of periods, whole or not, is a whole record too, and dwells that follow each other without a gap
+are one.  Long settled dwells lose nothing by harmonic regression and are cheaper by it.
 """
 
 from __future__ import annotations
@@ -16,7 +19,10 @@ from scipy import fft
 
 from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel
-from dashpot.data.conditioning.clock import even_step, fewest_samples
+from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL, even_step, fewest_samples
+from dashpot.data.conditioning.harmonic_fit import fit_harmonics
+from dashpot.data.conditioning.regression import Terms, solve_harmonics
+from dashpot.data.conditioning.steadiness import periods_of
 from dashpot.data.conditioning.unmeasured import (
     MOST_MISSING,
     MOST_UNKNOWN,
@@ -36,7 +42,7 @@ from dashpot.data.noise import (
     without_leakage,
 )
 from dashpot.data.periods import driven_lines, driven_note
-from dashpot.data.record import MISSING, Record, calibrated
+from dashpot.data.record import MISSING, Record, calibrated, real_factor
 from dashpot.data.spectrum import Spectrum, Unmeasured, WholeRecord, concatenate
 from dashpot.errors import DataError
 from dashpot.io.words import counted, joined
@@ -426,3 +432,103 @@ def _moving(X: Complex, source: str, highest_hz: float) -> int:
             "with --band",
         )
     return min(lines, int((out[-1] + 2) * each))
+
+
+SHORT = 200  # lines: below it two polynomial columns serve
+
+
+def continuous(records: Sequence[Record]) -> list[Record]:
+    """Blocks that follow each other by one step of time put together, as records without a frequency."""
+    groups: list[list[Record]] = []
+    for record in records:
+        if groups and _follows(groups[-1][-1], record):
+            groups[-1].append(record)
+        else:
+            groups.append([record])
+    return [
+        group[0]
+        if len(group) == 1
+        else replace(
+            group[0],
+            time=np.concatenate([record.time for record in group]),
+            values=np.concatenate([record.values for record in group], axis=-2),
+            frequency_hz=None,
+        )
+        for group in groups
+    ]
+
+
+def _follows(first: Record, second: Record) -> bool:
+    """Whether the second record goes on one step after the first, as the same experiment."""
+    if first.channels != second.channels or first.experiment != second.experiment:
+        return False
+    if first.values.shape[:-2] != second.values.shape[:-2] or min(len(first.time), len(second.time)) < 2:
+        return False
+    step = float(np.median(np.diff(first.time)))
+    after = float(second.time[0] - first.time[-1])
+    alike = abs(float(np.median(np.diff(second.time))) - step) <= 0.01 * step
+    return alike and abs(after - step) <= step / 2
+
+
+def dwells_with_transients(
+    records: Sequence[Record],
+    band_hz: tuple[float, float] | None = None,
+    still: Still | None = None,
+    *,
+    why: str = "not settled",
+    slopes: bool = False,
+) -> Spectrum:
+    """Lines of each dwell with boundary loads of its own, and a column for a slope of each output where `slopes`.
+
+    A note says `why`.  Raises as `whole_record`.
+    """
+    spectra = []
+    for record in records:
+        if len(record.time) < FEWEST_OF_A_DWELL:
+            raise DataError(
+                f"a dwell of {len(record.time)} samples is too short to separate its transient from its motion",
+                record.source,
+                f"record at least {FEWEST_OF_A_DWELL} samples, or wait until it has settled",
+            )
+        even_step(record)
+        lines = whole_record(record, band_hz=band_hz, still=still)
+        if lines.lines < SHORT:
+            lines = whole_record(record, band_hz=band_hz, still=still, polynomial=2)
+        (whole,) = (value for value in lines.stretches if isinstance(value, WholeRecord))
+        dwell = replace(whole, drive_hz=record.frequency_hz, ramp=slopes)
+        lines = replace(lines, stretches=(dwell,))
+        spectra.append(_with_sine_floor(lines, record) if still is None else lines)
+    dwells = "one dwell is" if len(spectra) == 1 else f"{len(spectra)} dwells are"
+    text = f"{dwells} {why}: all samples are used, and start and end transients are estimated"
+    joined = concatenate(spectra)
+    return replace(joined, notes=(Notice("dwells_with_transients", text),))
+
+
+def _with_sine_floor(lines: Spectrum, record: Record) -> Spectrum:
+    """The noise of each channel from what a sine leaves over, where that is less than its floor or there is none.
+
+    Beside a slope and harmonics amplitude and phase of the sine follow a polynomial of fewer degrees than it has
+    periods, that neither harmonics nor slopes can look like.
+    """
+    f, samples = record.frequency_hz, len(record.time)
+    if f is None:
+        return lines
+    if record.status is not None:  # what stands for samples that are clipped is no limit any more
+        record = replace(record, status=np.where(record.status == 0, 0, MISSING))
+    try:
+        orders = fit_harmonics(record, orders=(1,), drift=1, noise="white").orders
+        # 8: degree that is enough for any drive
+        bends = min(8, int(periods_of(record)), (samples - 2 - 2 * len(orders)) // 6)
+        found = solve_harmonics(record, f, Terms(1, orders, max(bends, 0)))
+    except DataError:
+        return lines
+    residual = (
+        np.diagonal(found.covariance[0])
+        * 4
+        / samples
+        / np.array([real_factor(channel) for channel in record.channels]) ** 2
+    )
+    floor = np.diagonal(lines.covariance[0]).real
+    variance = np.where(floor > 0, np.minimum(floor, residual), residual)
+    V = np.broadcast_to(np.diag(variance).astype(np.complex128), lines.covariance.shape)
+    return replace(lines, covariance=V)

@@ -1,4 +1,5 @@
-"""Figures of an identification: lines and records as measured and predicted, residuals, what data tell."""
+"""Figures of an identification: lines and records as measured and predicted, residuals, what data tell; of what data
+show without a rig, frequency responses and modes."""
 
 from __future__ import annotations
 
@@ -15,6 +16,8 @@ from dashpot.arrays import Complex, Real
 from dashpot.check.profile import Profile
 from dashpot.check.residuals import DwellHistory, FrequencyResponse, Residuals
 from dashpot.check.validation import RecordPrediction
+from dashpot.free.modes import MeasuredModes
+from dashpot.free.response import MeasuredResponse
 from dashpot.present.figures.interactive import AxisLabel, hover, hover_cells
 from dashpot.present.figures.style import (
     BAD,
@@ -398,7 +401,13 @@ def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
             value = float(matrix[i, j])
             text = f"{value:.2f}".replace("0.", ".").replace("-", "−") if i != j else "1"
             text = "0" if abs(value) < 0.005 else text
-            ink = "white" if _luminance(colours[i, j]) < 0.18 else INK
+            # Relative luminance of the colour, WCAG 2: text on less than 0.18 is best white
+            linear = [
+                c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
+                for c in colours[i, j, :3].tolist()
+            ]
+            luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+            ink = "white" if luminance < 0.18 else INK
             axes.text(j, i, text, ha="center", va="center", color=ink, fontsize=7.5)
     if count <= 40:
         axes.set_xticks(range(count), names, rotation=45 if max(map(len, names)) > 3 else 0)
@@ -408,12 +417,6 @@ def correlation_plot(names: Sequence[str], matrix: Real) -> Figure:
         spine.set_visible(False)
     figure.colorbar(image, ax=axes, shrink=0.8, ticks=[-1, 0, 1])
     return figure
-
-
-def _luminance(colour: Real) -> float:
-    """Relative luminance of a colour (red, green, blue, …), WCAG 2: text on less than 0.18 is best white."""
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour[:3].tolist()]
-    return float(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
 
 
 @style()
@@ -469,4 +472,74 @@ def profile_figure(profiles: Sequence[Profile]) -> Figure:
         axes.set_xlabel(unit)
         axes.set_ylabel("rise of χ²")
     grid[0].legend(loc="upper center")
+    return figure
+
+
+@style()
+def measured_response_figure(found: MeasuredResponse) -> Figure:
+    """Magnitude with its standard deviation, phase and coherence over frequency; a column for each input."""
+    nu = len(found.inputs)
+    figure = Figure(figsize=(7.6 if nu == 1 else 4.6 * nu, 7.2))
+    grid = figure.subplots(3, nu, squeeze=False, sharex=True, height_ratios=(3, 1.6, 1))
+    f, sd = found.frequency_hz, found.sd
+    thin = 0.8 if len(f) > 300 else 1.2
+    marks = "." if len(f) < 80 else ""
+    for j, into in enumerate(found.inputs):
+        magnitude, phase, coherence = grid[:, j]
+        for i, out in enumerate(found.outputs):
+            H, colour, label = found.values[:, i, j], COLOURS[i % len(COLOURS)], f"{out.name}/{into.name}"
+            unit = found.unit(out, into)
+            label = f"{label}, {unit}" if unit else label
+            magnitude.plot(f, np.abs(H), marks + "-", color=colour, lw=thin, ms=3, label=label)
+            magnitude.plot(f, sd[:, i, j], ":", color=colour, lw=0.8)
+            phase.plot(f, np.degrees(np.angle(H)), ".", color=colour, ms=2)
+            coherence.plot(f, found.coherence[:, i], color=colour, lw=thin)
+            if marks:
+                spread = REACH * sd[:, i, j]
+                low = np.maximum(np.abs(H) - spread, 1e-2 * np.abs(H))
+                magnitude.fill_between(f, low, np.abs(H) + spread, color=colour, alpha=0.2, lw=0)
+        magnitude.plot([], [], ":", color=MUTED, label="standard deviation")
+        magnitude.set_yscale("log")
+        magnitude.set_title(f"responses to {into.name}")
+        magnitude.legend(loc="best")
+        phase.set_yticks([-180, -90, 0, 90, 180])
+        coherence.set_ylim(0, 1.05)
+        coherence.set_xlabel("frequency, Hz")
+        frequency_axis(coherence, f)
+    for axes, label in zip(grid[:, 0], ("magnitude", "phase, °", "coherence"), strict=True):
+        axes.set_ylabel(label)
+    return figure
+
+
+@style()
+def modes_figure(found: MeasuredModes) -> Figure:
+    """The outputs as measured and fitted, and above them poles of least-squares fits of growing order.
+
+    Poles that the order below has too are dots; the modes that were found are lines.
+    """
+    figure = Figure(figsize=(7.6, 6.6))
+    poles, lines = figure.subplots(2, 1, sharex=True, height_ratios=(1.4, 2))
+    f, of_orders = found.frequency, found.stabilisation
+    inside = (of_orders.frequency_hz > f[0]) & (of_orders.frequency_hz < f[-1])
+    for stable, marker, colour, label in ((False, "+", MUTED, "new pole"), (True, "o", MODEL, "stable pole")):
+        some = inside & (of_orders.stable == stable)
+        poles.plot(
+            of_orders.frequency_hz[some], of_orders.order[some], marker, ms=3, color=colour, label=label
+        )
+    poles.set_ylabel("order")
+    poles.set_title("stabilisation")
+    size, fitted = (np.sqrt(np.sum(np.abs(x) ** 2, axis=1)) for x in (found.measured, found.modelled))
+    error = np.sqrt(np.sum(np.abs(found.measured - found.modelled) ** 2, axis=1))
+    lines.plot(f, size, ".", color=DATA, ms=3 if len(f) < 500 else 1.5, label="measured")
+    lines.plot(f, error, ".", color=MUTED, ms=1.5, label="difference")
+    lines.plot(f, fitted, color=MODEL, lw=1.0, label="fitted")
+    for k, hz in enumerate(found.frequency_hz):
+        for axes in (poles, lines):
+            axes.axvline(hz, color=COLOURS[1], lw=0.8, zorder=1, label="mode" if k == 0 else None)
+    lines.set_yscale("log")
+    lines.set_title("all outputs together (root of the sum of squares)")
+    lines.set_xlabel("frequency, Hz")
+    frequency_axis(lines, f)
+    for axes in (poles, lines):
+        axes.legend(loc="best")
     return figure

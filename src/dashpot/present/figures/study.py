@@ -1,4 +1,4 @@
-"""Figures of Monte Carlo studies, from arrays alone."""
+"""Figures of Monte Carlo studies, from arrays alone, and of the unknowns of a rig over time."""
 
 from __future__ import annotations
 
@@ -12,9 +12,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from scipy.special import ndtri
 
 from dashpot.arrays import Real
-from dashpot.present.figures.style import INK, MUTED, limit_axis, panels, plain_log, row_names, style
+from dashpot.fleet.tracking import Track
+from dashpot.present.figures.style import (
+    BAD,
+    DATA,
+    INK,
+    MODEL,
+    MUTED,
+    limit_axis,
+    panels,
+    plain_log,
+    row_names,
+    style,
+)
 
 BOUND: dict[str, Any] = {"color": INK, "lw": 1.1, "ls": (0, (4, 2))}  # the Cramér-Rao bound
 WASH: dict[str, Any] = {"color": MUTED, "alpha": 0.25, "lw": 7}  # a band in a legend
@@ -257,3 +270,36 @@ def _positive(axes: Axes) -> None:
     room = (high / low) ** 0.06 if high > low else 1.5
     limit_axis(axes.set_ylim, low / room, high * room)
     plain_log(axes.yaxis, (1.0, 2.0, 5.0) if high / low < 1e3 else (1.0,), "{x:,g}")
+
+
+@style()
+def track_figure(track: Track, level: float = 0.95) -> Figure:
+    """A panel for each unknown: windows alone with their standard deviations, all together with intervals, changes."""
+    count = len(track.names)
+    figure = Figure(figsize=(7.6, 1.2 + 1.5 * count))
+    grid = figure.subplots(count, 1, squeeze=False, sharex=True)[:, 0]
+    middle, reach = (track.start_s + track.end_s) / 2, float(ndtri((1 + level) / 2))
+    size = 2.5 if len(middle) < 200 else 1.0
+    for j, axes in enumerate(grid):
+        value, spread = track.values[:, j], reach * track.sd[:, j]
+        shown = np.isfinite(track.alone_sd[:, j])
+        axes.errorbar(
+            middle[shown],
+            track.alone[shown, j],
+            track.alone_sd[shown, j],
+            fmt=".",
+            ms=size,
+            lw=0.6,
+            color=DATA,
+            label="window alone, ± sd",
+        )
+        axes.fill_between(middle, value - spread, value + spread, color=MODEL, alpha=0.25, lw=0, step="mid")
+        axes.plot(middle, value, color=MODEL, lw=1.2, ds="steps-mid", label=f"all windows, {100 * level:g} %")
+        for change in track.changes:
+            if change.name == track.names[j] and change.kind == "abrupt":
+                axes.axvspan(*change.time95_s, color=BAD, alpha=0.15, lw=0)
+                axes.axvline(change.time_s, color=BAD, lw=0.9, label="abrupt change")
+        axes.set_ylabel(f"{track.names[j]}, {track.units[j]}" if track.units[j] else track.names[j])
+    grid[0].legend(loc="best")
+    grid[-1].set_xlabel("time, s")
+    return figure

@@ -30,8 +30,7 @@ from dashpot.present.document import Picture
 from dashpot.present.estimate import aperiodic_in_words
 from dashpot.present.figures.style import DPI, style
 from dashpot.present.schematic.bodies import Connections, connections, forest
-from dashpot.present.schematic.labels import BADGES, Knowledge, Labels, labels
-from dashpot.present.schematic.placing import Placed, Placer
+from dashpot.present.schematic.placing import BADGES, Knowledge, Labels, Placed, Placer, labels
 from dashpot.present.schematic.symbols import (
     MARGIN,
     SMALL,

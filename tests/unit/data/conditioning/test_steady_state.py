@@ -6,7 +6,7 @@ import pytest
 from dashpot.data.conditioning.drive_frequency import refine_frequency
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.lines import spectrum
-from dashpot.data.conditioning.transients import settled, without_start
+from dashpot.data.conditioning.steadiness import settled, without_start
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from tests.unit.data.conditioning.signals import X1, X2, wave

@@ -8,7 +8,7 @@ import pytest
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.steadiness import BENT, UNSETTLED, transients_show
-from dashpot.data.conditioning.transients import continuous
+from dashpot.data.conditioning.whole_record import continuous
 from dashpot.data.readers import Reading
 from dashpot.data.record import Record
 from dashpot.data.spectrum import SettledDwell, WholeRecord
