@@ -29,7 +29,7 @@ SCALED = {"sign": ("x1", -1.0), "unit": ("x2", 1000.0)}
 
 
 @pytest.mark.parametrize(
-    "mistake", ["sign", "dwell", *(pytest.param(m, marks=pytest.mark.long) for m in ("unit", "swap"))]
+    "mistake", ["sign", *(pytest.param(m, marks=pytest.mark.long) for m in ("dwell", "unit", "swap"))]
 )
 def test_mistakes_in_the_frames_amplitudes_are_named_first(mistake: str) -> None:
     # The chain lacks the springs that represent bending, which explain more than an exchange of channels does.

@@ -43,7 +43,11 @@ def modal_test(rig: Rig, points: int, rng: np.random.Generator) -> ModalData | N
     return ModalData(names, f, zeta, sd[:, :, None] ** 2 * np.eye(2), noisy, V.astype(complex))
 
 
-@pytest.mark.parametrize(("n", "points"), [(3, 3), (3, 2), (4, 3)], ids=["all-of-3", "2-of-3", "3-of-4"])
+@pytest.mark.parametrize(
+    ("n", "points"),
+    [(3, 3), (3, 2), pytest.param(4, 3, marks=pytest.mark.long)],
+    ids=["all-of-3", "2-of-3", "3-of-4"],
+)
 def test_parameters_and_intervals_without_guesses(n: int, points: int) -> None:
     """Six random rigs, seed 20: each fits, and the intervals hold the truth but for four binomial errors below 95 %."""
     rng = np.random.default_rng(20)

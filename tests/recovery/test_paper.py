@@ -19,8 +19,7 @@ SEED = 2
 CASES = tuple(paper_prints().cases)
 SCENARIOS = [
     *((case, "given") for case in CASES),
-    pytest.param(("CASE-1", "estimated"), marks=pytest.mark.long),
-    ("CASE-3", "estimated"),
+    *(pytest.param((case, "estimated"), marks=pytest.mark.long) for case in ("CASE-1", "CASE-3")),
 ]
 
 

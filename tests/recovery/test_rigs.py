@@ -93,7 +93,9 @@ def test_oiv_sits_on_the_bound_and_its_intervals_hold(case: Case) -> None:
         assert abs(np.mean(estimate.fit.p < level) - level) < 4 * sd + 0.002
 
 
-@pytest.mark.parametrize("case", CASES[1:4], ids=str)
+@pytest.mark.parametrize(
+    "case", [CASES[1], *(pytest.param(case, marks=pytest.mark.long) for case in CASES[2:4])], ids=str
+)
 def test_other_methods_know_their_spread(case: Case) -> None:
     """iv, hls and wls about their own mean; iv has no bias to speak of, and χ² is the model's, not the method's."""
     rig = case.rig()

@@ -145,6 +145,7 @@ def test_modes_that_only_just_determine_the_rig_cannot_tell() -> None:
     assert "few_degrees" in {reason.code for reason in assessment.reasons}
 
 
+@pytest.mark.long
 def test_two_mistakes_at_once_are_two_causes() -> None:
     model, data = clean()
     findings = assessed(model, in_g(turned(data))).findings

@@ -184,7 +184,7 @@ def test_lines_of_a_large_rig_are_each_of_their_experiment() -> None:
 def test_whole_records_of_two_experiments_give_one_estimate() -> None:
     text = f'{SHAKEN}[experiments.added]\n{ADDED}\nc1 = "own"\nx1.gain = "own"\n'
     rig, rng = parse_rig(text), np.random.default_rng(5)
-    time = np.arange(2000) * 0.01
+    time = np.arange(800) * 0.01
     records = []
     for experiment, gain in ((None, 1.0), ("added", 1.1)):
         here = rig.in_experiment(experiment)

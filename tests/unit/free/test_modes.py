@@ -52,7 +52,8 @@ def decays(bench: Bench, rng: np.random.Generator, count: int, seconds: float, n
 
 
 @pytest.mark.parametrize(
-    ("bench", "seconds", "inputs", "records"), [(TWO, 40.0, 1, 1), (CLOSE, 60.0, 1, 1), (TWO, 20.0, 2, 2)]
+    ("bench", "seconds", "inputs", "records"),
+    [pytest.param(TWO, 40.0, 1, 1, marks=pytest.mark.long), (CLOSE, 60.0, 1, 1), (TWO, 20.0, 2, 2)],
 )
 def test_random_records(bench: Bench, seconds: float, inputs: int, records: int) -> None:
     rng = np.random.default_rng(2)

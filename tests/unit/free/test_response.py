@@ -29,7 +29,14 @@ def z_scores(found: MeasuredResponse, truth: Complex) -> Real:
 
 
 @pytest.mark.parametrize(
-    ("inputs", "seconds"), [(1, (60.0,)), (2, (60.0,)), (1, (20.0,) * 4), (2, (20.0, 33.0)), (6, (6.0, 33.0))]
+    ("inputs", "seconds"),
+    [
+        (1, (60.0,)),
+        pytest.param(2, (60.0,), marks=pytest.mark.long),
+        pytest.param(1, (20.0,) * 4, marks=pytest.mark.long),
+        (2, (20.0, 33.0)),
+        (6, (6.0, 33.0)),
+    ],
 )
 def test_records_of_random_excitation(inputs: int, seconds: tuple[float, ...]) -> None:
     rng, bench = np.random.default_rng(3), replace(TWO, points=6) if inputs > 2 else TWO

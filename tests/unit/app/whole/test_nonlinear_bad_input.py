@@ -139,8 +139,8 @@ def test_friction_fitted_to_a_stiffening_spring_does_not_fit_and_the_spring_is_n
 def test_a_free_decay_has_no_input(dashpot: Command, law: str) -> None:
     text = one_mass("", "value = 1.2", of={"x": 'unit = "mm"'}, q=f"law = {law}")
     Path("rig.toml").write_text(text, encoding="utf-8")
-    time = np.arange(300) / 100
-    x = np.exp(-0.5 * time) * np.cos(20 * time) + 1e-3 * np.random.default_rng(1).standard_normal(300)
+    time = np.arange(150) / 100
+    x = np.exp(-0.5 * time) * np.cos(20 * time) + 1e-3 * np.random.default_rng(1).standard_normal(150)
     np.savetxt("data.csv", np.column_stack([time, x]), "%.9g", ",", header="time_s,x", comments="")
     done = dashpot("identify", "rig.toml", "data.csv")
     assert done.code in (0, 3)

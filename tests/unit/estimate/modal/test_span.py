@@ -45,7 +45,13 @@ def modes_of(model: Model, seen: list[int], count: int, damped: bool) -> ModalDa
 
 
 @pytest.mark.parametrize(
-    ("damping", "held"), [(None, True), (None, False), (Kind.DAMPER, True), (Kind.HYSTERETIC, True)]
+    ("damping", "held"),
+    [
+        (None, True),
+        (None, False),
+        (Kind.DAMPER, True),
+        pytest.param(Kind.HYSTERETIC, True, marks=pytest.mark.long),
+    ],
 )
 def test_a_rig_on_few_motions_gives_what_the_whole_one_does(
     damping: Kind | None, held: bool, monkeypatch: pytest.MonkeyPatch

@@ -53,7 +53,7 @@ def by_scipy(model, theta, time, u):
     [
         ("cubic", 1, 1e-6),
         ("v**3", 1, 1e-6),
-        ("d**3 + b*d**2", 1, 1e-6),
+        pytest.param("d**3 + b*d**2", 1, 1e-6, marks=pytest.mark.long),
         ("gap", 8, 1e-5),
         ("coulomb", 4, 1e-4),
     ],
