@@ -321,7 +321,6 @@ def whole_records(
     *,
     band_hz: tuple[float, float] | None = None,
     still: Still | None = None,
-    polynomial: int = POLYNOMIAL,
     ramp: bool = False,
     marks: bool = True,
 ) -> Spectrum:
@@ -338,10 +337,7 @@ def whole_records(
             each, told = marked_whole(part) if marks else ([part], ())
             pieces += each
             notes += told
-    spectra = [
-        whole_record(piece, band_hz=band_hz, still=still, polynomial=polynomial, ramp=ramp)
-        for piece in pieces
-    ]
+    spectra = [whole_record(piece, band_hz=band_hz, still=still, ramp=ramp) for piece in pieces]
     every = concatenate(spectra)
     used = sum(len(piece.time) for piece in pieces)
     low, high = float(np.min(every.frequency_hz)), float(np.max(every.frequency_hz))

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from dashpot.data.readers.arrow_files import read_feather, read_parquet
 from dashpot.data.readers.columns import Columns
 from dashpot.data.readers.datafile import DataFile
-from dashpot.data.readers.excel import is_excel, read_excel
 from dashpot.data.readers.famos import read_famos
 from dashpot.data.readers.guarded import guarded, library
 from dashpot.data.readers.hdf5 import is_hdf5, read_hdf5
@@ -17,7 +16,7 @@ from dashpot.data.readers.matlab import read_matlab
 from dashpot.data.readers.mdf import read_mdf
 from dashpot.data.readers.numpy_files import is_numpy, read_numpy
 from dashpot.data.readers.tdms import read_tdms
-from dashpot.data.readers.text import is_text, read_text
+from dashpot.data.readers.text import is_excel, is_text, read_excel, read_text
 from dashpot.data.readers.uff import is_universal, read_universal
 from dashpot.data.readers.wav import is_wav, read_wav
 from dashpot.errors import DataError

@@ -19,7 +19,7 @@ from dashpot.model.elements import Element, Kind
 from dashpot.model.matrix_elements import free_entries
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import unknown_calibrations
-from dashpot.model.rigfile.elements import law_fields
+from dashpot.model.rigfile.reader import law_fields
 from dashpot.model.rigfile.rig import Rig, is_electrical
 from dashpot.model.rigfile.schema import EXPERIMENTS, GROUND, NOISE, NUMBERS, SHAKER, VERDICT
 from dashpot.unknowns import Unknown
