@@ -579,41 +579,32 @@ def _candidates(sets: Sequence[_Set], stabilisation: Stabilisation) -> Complex:
 
 
 def _gains(sets: Sequence[_Set], fit: _Fit, candidates: Complex) -> Real:
-    """By how much χ² falls with each candidate beside the present poles, the noise between outputs left out, (k,)."""
-    X = _design(sets, fit.poles, fit.powers)
-    size = np.sqrt(sum(np.sum(np.abs(A) ** 2, axis=0) for A in X)) + 1e-300
-    q, nu = sets[0].outputs.shape[1], sets[0].inputs.shape[1]
-    gains = np.zeros(len(candidates))
-    factors = []
-    for i in range(q):
-        w = [np.sqrt(one.precision[:, i, i].real)[:, None] for one in sets]
-        Q, _ = np.linalg.qr(_stacked([a * A / size for a, A in zip(w, X, strict=True)]))
-        factors.append(
-            (
-                w,
-                Q.astype(np.float32),
-                _stacked([a * e[:, i, None] for a, e in zip(w, fit.residuals, strict=True)])[:, 0].astype(
-                    np.float32
-                ),
-            )
-        )
+    """By how much χ² falls with each candidate beside the present poles, (k,), to rank them.
+
+    The noise between outputs is left out, and how it goes over the lines is that of their geometric mean.
+    """
+    each = [np.diagonal(one.precision, axis1=1, axis2=2).real ** 0.5 for one in sets]  # (lines, q)
+    size = np.exp(np.mean(np.log(np.concatenate(each)), axis=0))
+    weights = [np.exp(np.mean(np.log(w / size), axis=1))[:, None] for w in each]
+    X = _stacked([w * A for w, A in zip(weights, _design(sets, fit.poles, fit.powers), strict=True)])
+    Q = np.linalg.qr(X / (np.linalg.norm(X, axis=0) + 1e-300))[0].astype(np.float32)
+    e = _stacked([w * size * one for w, one in zip(weights, fit.residuals, strict=True)]).astype(np.float32)
+    nu, gains = sets[0].inputs.shape[1], np.zeros(len(candidates))
     for first in range(0, len(candidates), TOGETHER):
         some = candidates[first : first + TOGETHER]
         m = len(some)
         # Of each input and each record the residues of every candidate, without the polynomials of the ends
-        each = [2 * m] * nu + [2 * m + ENDS] * sum(1 for one in sets if one.step)
-        starts = np.cumsum([0, *each])[:-1]
+        columns = [2 * m] * nu + [2 * m + ENDS] * sum(1 for one in sets if one.step)
+        starts = np.cumsum([0, *columns])[:-1]
         of = (starts[None, :, None] + 2 * np.arange(m)[:, None, None] + np.arange(2)).reshape(-1)
-        Z = [A[:, of] for A in _design(sets, some, ())]
-        for w, Q, e in factors:
-            z = _stacked([a * A for a, A in zip(w, Z, strict=True)])
-            z = (z / np.maximum(np.linalg.norm(z, axis=0), 1e-300)).astype(np.float32)  # ranks need no more
-            z = z - Q @ (Q.T @ z)
-            z = z / np.maximum(np.linalg.norm(z, axis=0), np.float32(1e-6))
-            z3 = np.moveaxis(z.reshape(len(z), m, -1), 1, 0)
-            G = np.swapaxes(z3, 1, 2) @ z3 + np.float32(1e-5) * np.eye(z3.shape[2], dtype=np.float32)
-            b = (z.T @ e).reshape(m, -1, 1)
-            gains[first : first + m] += 2 * np.sum(b * np.linalg.solve(G, b), axis=(1, 2))
+        z = _stacked([w * A[:, of] for w, A in zip(weights, _design(sets, some, ()), strict=True)])
+        z = (z / np.maximum(np.linalg.norm(z, axis=0), 1e-300)).astype(np.float32)  # ranks need no more
+        z = z - Q @ (Q.T @ z)
+        z = z / np.maximum(np.linalg.norm(z, axis=0), np.float32(1e-6))
+        z3 = np.moveaxis(z.reshape(len(z), m, -1), 1, 0)
+        G = np.swapaxes(z3, 1, 2) @ z3 + np.float32(1e-5) * np.eye(z3.shape[2], dtype=np.float32)
+        b = (z.T @ e).reshape(m, -1, e.shape[1])
+        gains[first : first + m] = 2 * np.sum(b * np.linalg.solve(G, b), axis=(1, 2))
     return gains
 
 
