@@ -429,19 +429,19 @@ def _solved(
     size = np.sqrt(sum(np.sum(np.abs(A) ** 2, axis=0) for A in X)) + 1e-300
     X = [A / size for A in X]
     N = _sums(sets, X)
-    weighed = [np.einsum("lij,lj->li", one.precision, one.outputs) for one in sets]
-    rhs = sum((np.conj(A.T) @ w).real for A, w in zip(X, weighed, strict=True)).T.ravel()
+    weighed = [(one.precision @ one.outputs[..., None])[..., 0] for one in sets]
+    rhs = np.sum([(np.conj(A.T) @ w).real for A, w in zip(X, weighed, strict=True)], axis=0).T.ravel()
     scale = np.sqrt(np.maximum(np.diagonal(N), 1e-300))
     N = N / np.outer(scale, scale) + 1e-13 * np.eye(len(N))
     inverse = np.linalg.inv(N) / np.outer(scale, scale)
     theta = (inverse @ rhs).reshape(q, count)
     residuals = [one.outputs - A @ theta.T for one, A in zip(sets, X, strict=True)]
     chi2 = 2 * sum(
-        float(np.einsum("li,lij,lj->", np.conj(e), one.precision, e).real)
+        float(np.vdot(e, (one.precision @ e[..., None])[..., 0]).real)
         for one, e in zip(sets, residuals, strict=True)
     )
     slopes = _slopes(sets, poles, theta / size, len(powers))
-    weighed_J = [np.einsum("lij,ljp->lip", one.precision, J) for one, J in zip(sets, slopes, strict=True)]
+    weighed_J = [one.precision @ J for one, J in zip(sets, slopes, strict=True)]
     pp = sum(
         np.einsum("lip,lir->pr", np.conj(J), W, optimize=True).real
         for J, W in zip(slopes, weighed_J, strict=True)
