@@ -145,6 +145,8 @@ def write_reproduction(
     """
     if report is None and figures is None:
         return []
+    if figures is not None:
+        write_pictures(figures, {})  # a folder that cannot be made is refused before anything is drawn
     drawn = images(reproduction)
     written: list[str] = []
     if figures is not None:
