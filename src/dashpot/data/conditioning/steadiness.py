@@ -360,8 +360,7 @@ def wholly_measured(record: Record) -> Record:
 CLEAR = 6.0  # standard deviations of a change that no drift of a sensor makes: one of them is enough
 SEEN = 3.0  # and of changes that are transients where there are many
 MANY = 0.1  # of all dwells and channels
-SLIGHT = 3e-3  # of an amplitude: what a transient may leave in it of a long dwell
-SLIGHT_IN_FEW = 5e-4  # and in a short one, whose noise does not contain it
+SLIGHT = 3e-3  # of an amplitude: what a transient may leave in it of a long dwell, whose noise contains it
 FEWEST_A_BLOCK = 6  # samples, for amplitudes of single periods with a residual
 
 
@@ -388,7 +387,7 @@ class DwellChange:
         """(channels,): changes `beyond` so many sd that, spread over all periods, are more than gains are known to."""
         change = np.abs(self.difference)
         share = change / (np.maximum(self.amplitude, 1e-300) * self.periods)
-        slight = SLIGHT if self.periods >= MANY_PERIODS else SLIGHT_IN_FEW
+        slight = SLIGHT if self.periods >= MANY_PERIODS else SLIGHT_DRIFT
         return (share > slight) & (change > beyond * np.sqrt(self.variance))
 
 

@@ -30,7 +30,8 @@ from dashpot.notices import Notice
 Motion = Callable[[int, Ints], Real]  # of a channel, with samples marked: what is expected there, (samples,)
 DEPTH = 1e-3  # of a channel's range, by which the motion goes beyond a limit in the mean: less is no matter
 MOST = 0.6  # of a channel's samples: of one that clips more the rest says too little
-BEYOND = 4.0  # times the scatter of the motion around a run of one value by which that departs from it
+# Times the scatter of the motion around a run of one value, or steps of the converter, by which it departs from that
+BEYOND = 4.0
 SPIKE = 10.0  # times that scatter by which a single sample does
 MOST_MISSING = 0.1  # of a channel's samples: a channel that misses more is at fault throughout
 PER_PERIOD = 0.5  # runs at the most: a mass that sticks rests twice in each period
@@ -267,10 +268,8 @@ SHORTEST_HELD_SAMPLES = 4  # samples of a run
 LONG_HELD = 10  # samples, in which no motion of many steps a sample turns about
 CHANCE_HELD = 1e-6  # that a motion through a short run is as far from its value
 AROUND = 20  # samples on either side that show how a channel moves
-# Steps of the converter, or standard deviations, by which a motion does not stand still by chance
-RESOLVED = 4.0
 MOST_RUNS = 5  # in one channel: what rests more often does so for a reason
-SIDES = 64  # samples of a part that is used
+SHORTEST = 64  # samples of a piece that is used, between gaps or runs of one value
 ALONE = 4.0  # times the largest departure around a spike by which it departs: the motion before and behind is alike
 AT_ONCE = 2.0  # and that by which no other channel does: a blow moves several
 MOST_SPIKES = 20  # in one channel: more are part of its motion, as where parts of a rig meet
@@ -313,7 +312,7 @@ def marked_whole(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
             )
     edges = [0, *(np.flatnonzero(np.diff(held)) + 1).tolist(), len(held)]
     spiky = replace(record, status=status) if np.any(status) else record
-    parts = [spiky.part(slice(a, b)) for a, b in pairwise(edges) if not held[a] and b - a >= SIDES]
+    parts = [spiky.part(slice(a, b)) for a, b in pairwise(edges) if not held[a] and b - a >= SHORTEST]
     if np.count_nonzero(status) <= MOST_UNKNOWN or not parts:
         parts, used = [spiky], "treated as missing"
     else:
@@ -376,7 +375,7 @@ def _runs_held(column: Real) -> list[tuple[int, int]]:
         return []
     step = float(np.min(np.diff(values)))
     runs = [
-        (a, b) for a, b in runs if a > 0 and b < len(column) and _moves_around(column, a, b, RESOLVED * step)
+        (a, b) for a, b in runs if a > 0 and b < len(column) and _moves_around(column, a, b, BEYOND * step)
     ]
     lost = [(a, b) for a, b in runs if b - a >= LONG_HELD]
     short = [(a, b) for a, b in runs if b - a < LONG_HELD]
@@ -391,7 +390,7 @@ def _runs_held(column: Real) -> list[tuple[int, int]]:
     for begin, end in short:
         own = (at >= begin) & (at < end)
         square = away[own] @ np.linalg.solve(covariance[np.ix_(own, own)], away[own])
-        if np.max(np.abs(away[own])) > RESOLVED * step and chdtrc(end - begin, square) < CHANCE_HELD:
+        if np.max(np.abs(away[own])) > BEYOND * step and chdtrc(end - begin, square) < CHANCE_HELD:
             lost.append((begin, end))
     return lost
 

@@ -26,6 +26,7 @@ from dashpot.data.conditioning.steadiness import periods_of
 from dashpot.data.conditioning.unmeasured import (
     MOST_MISSING,
     MOST_UNKNOWN,
+    SHORTEST,
     Known,
     marked_whole,
     told_by_lines,
@@ -49,7 +50,6 @@ from dashpot.io.words import counted, joined
 from dashpot.notices import Notice
 
 GAP = 1.5  # sampling steps: where the next sample is later than this, another record begins
-SHORTEST = 64  # samples of a piece between gaps
 SLIP = 0.1  # of a step: where the next sample is early or late by more, the clock has slipped
 UNEVEN = 0.02  # share of gaps from which on they are the clock's
 HIGHEST = 0.9  # of half the sampling rate: above it the input between the samples is not known well enough
