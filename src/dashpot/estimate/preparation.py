@@ -19,6 +19,8 @@ from dashpot.numerics.kernel import kernel_function
 
 # What estimates are worth: information, bound, and what estimating the noise costs (THEORY §5).
 
+COSTS = 4.0  # times the variance, beyond which a line's own correlations cost more than they tell: twice the width
+
 
 @dataclass(frozen=True)
 class NoiseQuality:
@@ -39,24 +41,56 @@ def noise_quality(spectrum: Spectrum, correlated: Bools) -> NoiseQuality:
 
     White residuals give a real Wishart matrix with ν degrees of freedom, E[S⁻¹] = 1/(ν−q−1) and
     E[S⁻²] = (ν−1) / ((ν−q)(ν−q−1)(ν−q−3)); blocks and periods give a complex one with ν/2 (Muirhead 1982, §3.2; Maiwald
-    and Kraus 2000).  q is the number of noisy channels, 1 where they are taken as uncorrelated.
+    and Kraus 2000).  q is the number of noisy channels, 1 where they are taken as uncorrelated, or as correlated as
+    they are over all lines.
     """
     nu = spectrum.dof
+    noisy, blocks = _noisy_channels(spectrum), _of_complex(spectrum)
+    q = np.where(correlated[:, None] & ~told_by_all(nu, noisy, blocks), noisy, 1)
+    given = ~np.isfinite(nu)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shrink = np.where(blocks, (nu / 2 - q) / (nu / 2), (nu - q - 1) / nu)
+    inflation = _inflation(nu, q, blocks)
+    shrink = np.where(np.isfinite(inflation), shrink, np.nan)
+    return NoiseQuality(np.where(given, 1.0, inflation), np.where(given, 1.0, shrink), nu)
+
+
+def _noisy_channels(spectrum: Spectrum) -> Ints:
+    """How many channels have noise, (lines,)."""
     variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
-    variance = np.max(variance.reshape(-1, *variance.shape[-2:]), axis=0)
-    q = np.where(correlated[:, None], np.sum(variance > 0, axis=-1), 1)
-    blocks = _of_complex(spectrum)
+    return np.sum(np.max(variance.reshape(-1, *variance.shape[-2:]), axis=0) > 0, axis=-1)
+
+
+def _inflation(nu: Real, q: Ints, blocks: Bools) -> Real:
+    """κ of covariances of q channels from nu degrees of freedom; inf where their inverse has no such moment."""
     K = nu / 2
     with np.errstate(invalid="ignore", divide="ignore"):
-        white_inflation = nu * (nu - 1) / ((nu - q) * (nu - q - 3))
-        white_shrink = (nu - q - 1) / nu
-        block_inflation = K**2 / ((K - q) ** 2 - 1)
-        block_shrink = (K - q) / K
-    given = ~np.isfinite(nu)
-    enough = given | (np.where(blocks, K - q - 1, nu - q - 3) > 0)
-    inflation = np.where(enough, np.where(blocks, block_inflation, white_inflation), np.inf)
-    shrink = np.where(enough, np.where(blocks, block_shrink, white_shrink), np.nan)
-    return NoiseQuality(np.where(given, 1.0, inflation), np.where(given, 1.0, shrink), nu)
+        white = nu * (nu - 1) / ((nu - q) * (nu - q - 3))
+        inflation = np.where(blocks, K**2 / ((K - q) ** 2 - 1), white)
+    return np.where(np.where(blocks, K - q - 1, nu - q - 3) > 0, inflation, np.inf)
+
+
+def told_by_all(nu: Real, q: Ints, blocks: Bools) -> Bools:
+    """Lines whose nu degrees of freedom tell so little of the correlation of q channels that all lines tell it."""
+    return np.isfinite(nu) & (_inflation(nu, q, blocks) > COSTS)
+
+
+def correlated_as_all(spectrum: Spectrum, V: Complex) -> Complex:
+    """Covariances (K or 1, lines, channels, channels) of which lines that tell too little take the correlation of all.
+
+    Their variances stay their own.  Where all lines together tell no more, the channels count as uncorrelated.
+    """
+    nu, q, blocks = spectrum.dof, _noisy_channels(spectrum), _of_complex(spectrum)
+    few = told_by_all(nu, q, blocks)
+    if not np.any(few):
+        return V
+    sd = np.sqrt(np.diagonal(V, axis1=-2, axis2=-1).real)
+    sizes = sd[..., :, None] * sd[..., None, :]
+    R, weight = np.divide(V, sizes, out=np.zeros_like(V), where=sizes > 0), np.where(np.isfinite(nu), nu, 0.0)
+    R = np.einsum("l,klcd->kcd", weight, R)[:, None] / np.sum(weight)
+    if np.any(told_by_all(np.full(len(nu), np.sum(weight)), q, blocks)):
+        R = R * np.eye(R.shape[-1])
+    return np.where(few[:, None, None], R * sizes, V)
 
 
 def _of_complex(spectrum: Spectrum) -> Bools:
@@ -213,6 +247,8 @@ def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False, states: 
     correlated = np.atleast_1d(channels_correlate(flat)) if known else np.ones(len(V), dtype=bool)
     if not correlated.all() and not is_diagonal(V):
         V = np.where(correlated[:, None, None, None], V, V * np.eye(V.shape[-1]))
+    if known and correlated.any():
+        V = correlated_as_all(flat, V)
     return Prepared(view, flat, V, states_if_seen(view, flat, V) if states else None, known, correlated)
 
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.special import stdtrit
 
 from dashpot.channel import Quantity
@@ -10,7 +11,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.model.dynamics import response
 from dashpot.model.elements import Kind, between
-from tests.rigs import Rig, channels, covariance, noisy, random_rig
+from tests.rigs import Rig, channels, complex_noise, covariance, noisy, random_rig
 
 
 def with_a_forgotten_spring(seed: int) -> tuple[Rig, Spectrum]:
@@ -64,3 +65,32 @@ def test_repeats_that_do_not_fit_are_widened_as_if_alone() -> None:
     np.testing.assert_allclose(together.sd[1], alone.sd[0], rtol=1e-6)
     assert together.dof[1].tolist() == alone.dof[0].tolist()
     np.testing.assert_array_equal(together.sd[0], together.noise_sd[0])
+
+
+@pytest.mark.parametrize("few", [3, 6])
+def test_lines_with_few_blocks_take_the_correlation_of_all_lines(few: int) -> None:
+    """Four noisy channels, correlated by 0.9; every other line has `few` blocks, the rest 100.
+
+    From 3 such data were refused, from 6 the intervals were 1.7 times too wide.  60 draws, seeds 0 to 59, 295 errors:
+    their size is known to within 5 %, one standard error.
+    """
+    errors: list[float] = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        rig = random_rig(rng, 2, worst=100.0)
+        seen = channels(rig, (Quantity.DISPLACEMENT, Quantity.VELOCITY))
+        V = covariance(rig, seen, 0.005, correlation=0.9)
+        blocks = np.where(np.arange(rig.lines) % 2, few, 100)
+        scatter = np.empty(V.shape, dtype=complex)
+        for count in (few, 100):
+            rows = complex_noise(rng, V, count)
+            scatter[blocks == count] = (np.einsum("bli,blj->lij", rows, rows.conj()) / count)[blocks == count]
+        estimate = identify(
+            rig.model,
+            replace(
+                noisy(rig, seen, V, rng, 1),
+                covariance=scatter, noise=("blocks",) * rig.lines, dof=2.0 * blocks,
+            ),
+        )  # fmt: skip
+        errors += ((estimate.values - rig.theta) / estimate.sd).ravel().tolist()
+    assert 0.8 < np.std(errors) < 1.1
