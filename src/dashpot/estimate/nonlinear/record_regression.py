@@ -179,33 +179,40 @@ def weak_equations(form: WeakForm) -> WeakEquations:
 
 
 def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
-    """Guesses where all are given; else the weak form of the equation where all coordinates are measured.
+    """The first of the `record_starts`, (unknowns,), with the same errors."""
+    return record_starts(model, records)[0]
 
-    (unknowns,).  Raises DataError if the motion does not determine them or a law is no number in it,
-    IdentifiabilityError if laws leave no trace in it or cannot be told apart.
+
+def record_starts(model: Model, records: tuple[RecordData, ...]) -> list[Real]:
+    """Guesses where all are given; else valleys of the weak form of the equation where all coordinates are measured.
+
+    (unknowns,) each, the deepest first.  Raises DataError if the motion does not determine them or a law is no number
+    in it, IdentifiabilityError if laws leave no trace in it or cannot be told apart.
     """
     given = [u.prior if u.prior is not None else u.guess for u in model.unknowns]
     open_names = [u.name for u, value in zip(model.unknowns, given, strict=True) if value is None]
     if not open_names:
-        return np.array(given, dtype=float)
+        return [np.array(given, dtype=float)]
     equations = _equations(model, records[0], open_names)
     require_finite_laws(
         model, equations.form.elongation.T[model.nonlinear], equations.form.rate.T[model.nonlinear]
     )
-    constants, p = _best_constants(equations)
+    valleys = _valleys(equations)
     free = equations.free
-    information = equations.form.information(constants)[np.ix_(free, free)]
+    information = equations.form.information(valleys[0])[np.ix_(free, free)]
     information += np.diag(1.0 * (model.prior_precision[free] > 0))
     names = [name for name, there in zip(model.unknown_names, free, strict=True) if there]
     # A combination of columns of size 1 whose singular value is below 1e-6 leaves no trace in the motion.
     require_traces(model, names, information, 1e-6**2)
-    if not np.all(np.isfinite(p)):
+    found = [(constants, equations.fitted(constants)[0]) for constants in valleys]
+    starts = [theta_of(model, constants, p) for constants, p in found if np.all(np.isfinite(p))]
+    if not starts:
         raise DataError(
             "the motion does not determine the unknowns",
             records[0].source,
             "give initial guesses in the rig file",
         )
-    return theta_of(model, constants, p)
+    return starts
 
 
 def mostly_linear_values(model: Model, records: tuple[RecordData, ...]) -> Real | None:
@@ -217,7 +224,7 @@ def mostly_linear_values(model: Model, records: tuple[RecordData, ...]) -> Real 
     if not open_names or recorded_motion(model, records[0]) is None:
         return None
     equations = _equations(model, records[0], open_names)
-    constants, _ = _best_constants(equations)
+    constants = _valleys(equations)[0]
     p, left = equations.without_laws(constants)
     explained = equations.fitted(constants)[1] < 0.9 * left  # laws that show explain a tenth at least
     return None if explained or not np.all(np.isfinite(p)) else theta_of(model, constants, p)
@@ -235,25 +242,31 @@ def _equations(model: Model, record: RecordData, open_names: Sequence[str]) -> W
     return weak_equations(weak_form(model, record, at))
 
 
-def _best_constants(equations: WeakEquations) -> tuple[Real, Real]:
-    """Inner constants (G,) of the least residual, near the best of a grid, and the parameters that go with them."""
+def _valleys(equations: WeakEquations) -> list[Real]:
+    """Inner constants (G,) of the least residual in each valley near the best of a grid, the deepest first.
+
+    Noise in the columns fills valleys, so that the deepest need not be the likeliest; what leaves twice the least or
+    more is none.
+    """
     form, model = equations.form, equations.form.model
     chosen = model.nonlinear
     elongation, speed = (np.max(np.abs(motion[:, chosen]), axis=0) for motion in (form.elongation, form.rate))
+    grid = np.array(constants_to_try(model, elongation, speed))
 
     def residual(constants: Real) -> float:
         p, left = equations.fitted(constants)
         return left if np.all(np.isfinite(p)) else np.inf
 
-    starts = sorted(constants_to_try(model, elongation, speed), key=residual)[:KEPT]
-    constants, least = starts[0], np.inf
-    for start in starts:
-        end = _polished(equations, refined_constants(model, start, residual))
-        left = residual(end)
-        # Rates of measured motion leave something of every end: little less says nothing, half of it another valley.
-        if left < 0.5 * least:
-            constants, least = end, left
-    return constants, equations.fitted(constants)[0]
+    starts = sorted(grid, key=residual)[:KEPT]
+    ends = sorted(
+        (_polished(equations, refined_constants(model, start, residual)) for start in starts), key=residual
+    )
+    valleys = ends[:1]
+    for end in ends[1:]:
+        apart = all(np.any(np.abs(end - other) > 0.1 * np.abs(other)) for other in valleys)
+        if apart and residual(end) < 2 * residual(ends[0]):
+            valleys.append(end)
+    return valleys
 
 
 def _polished(equations: WeakEquations, start: Real) -> Real:

@@ -17,7 +17,7 @@ from scipy.special import chdtrc
 from dashpot.arrays import Real
 from dashpot.data.noise import Still, smoothed
 from dashpot.data.record import Record
-from dashpot.errors import DataError, UsageError
+from dashpot.errors import ConvergenceError, DataError, UsageError
 from dashpot.estimate.inference.diagnostics import held as of_bounds
 from dashpot.estimate.inference.diagnostics import require_determined, require_traces, unseen_laws
 from dashpot.estimate.likelihood.record_noise import counted_as_exact
@@ -42,7 +42,7 @@ from dashpot.estimate.nonlinear.record_problem import (
     begun_problem,
     record_constants,
 )
-from dashpot.estimate.nonlinear.record_regression import first_record_values, mostly_linear_values
+from dashpot.estimate.nonlinear.record_regression import mostly_linear_values, record_starts
 from dashpot.estimate.nonlinear.records import (
     NoiseAtRest,
     RecordData,
@@ -467,13 +467,25 @@ def _begun(
 
     free: which constants of the records are unknown; those that can be found where it is not given.
     """
-    theta = first_record_values(model, records) if values is None else values
+    thetas = record_starts(model, records) if values is None else [values]
     sd = np.sqrt(np.mean(np.concatenate([record.outputs for record in records]) ** 2, axis=0))
     sd = np.where(sd > 0, FIRST_NOISE * sd, 1.0)
-    problem, own = begun_problem(model, records, theta, sd, free)
     gains = [1.0 if gain.nominal is None else gain.nominal for gain in records[0].gains]
-    offsets = np.zeros(len(problem.constants.offsets))
-    return problem, np.concatenate([theta, gains, offsets, own])
+    begun = list[tuple[RecordProblem, Real]]()
+    for theta in thetas:
+        try:
+            problem, own = begun_problem(model, records, theta, sd, free)
+        except ConvergenceError:  # too fast a rig to integrate
+            if theta is thetas[-1] and not begun:
+                raise
+            continue
+        offsets = np.zeros(len(problem.constants.offsets))
+        begun.append((problem, np.concatenate([theta, gains, offsets, own])))
+    if len(begun) == 1:
+        return begun[0]
+    ends = [problem.descend(psi, limit=12, tolerance=0.1) for problem, psi in begun]  # roughly
+    best = int(np.argmin([end.cost[0] for end in ends]))
+    return begun[best][0], ends[best].x[0]
 
 
 def _idle(element: Element, values: Mapping[str, float]) -> Element:
