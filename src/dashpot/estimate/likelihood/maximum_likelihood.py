@@ -131,17 +131,16 @@ def record_starts(model: Model, data: States, ends: RecordEnds, rig: Real | None
     of motion are few or displacements are integrated is far from it.
 
     Where little but transients moves, taking the noise out may lead astray, and leaving it in is biased: what they fit
-    decides.
+    decides.  Stated values count as much as the data do: without a force these leave a scale free, in which the error
+    of the equation grows, so that by their own weights all unknowns would shrink from pass to pass.
     """
     Phi, h = equation(model, data)
-    prior = np.diag(model.prior_precision)
-    stated = model.prior_precision * model.prior_mean
+    stated, unit = model.prior_precision > 0, np.eye(len(model.unknowns))
     if rig is None:
         even = np.broadcast_to(np.eye(model.n, dtype=complex), (*Phi.shape[:2], model.n, model.n))
         N, right = _sums(Phi, h, even, _loads(model, data, ends), ends)
-        # Without weights the sums have no unit noise: stated values count as much as the data do.
-        scale = np.diagonal(N, axis1=-2, axis2=-1) * (model.prior_precision > 0)
-        theta = solve_scaled(N + scale[..., None] * np.eye(len(prior)), right + scale * model.prior_mean)
+        firmly = np.diagonal(N, axis1=-2, axis2=-1) * stated
+        theta = solve_scaled(N + firmly[..., None] * unit, right + firmly * model.prior_mean)
     else:
         theta = np.broadcast_to(rig, (len(data.z), len(rig)))
     starts = [theta]
@@ -150,8 +149,11 @@ def record_starts(model: Model, data: States, ends: RecordEnds, rig: Real | None
         Se = equation_covariance(model, p, data)
         columns = _loads(model, data, ends, p)
         N, right = _sums(Phi, h, Se, columns, ends)
-        theta = where_finite(solve_scaled(N + prior, right + stated), theta)
-        clean, usable = without_noise(model, data, Se, N, right)
+        firmly = np.maximum(np.diagonal(N, axis1=-2, axis2=-1) * stated, model.prior_precision)
+        theta = where_finite(
+            solve_scaled(N + firmly[..., None] * unit, right + firmly * model.prior_mean), theta
+        )
+        clean, usable = without_noise(model, data, Se, N, right, firmly)
         starts.append(theta)
         theta = np.where(usable[..., None], where_finite(clean, theta), theta)
         starts.append(theta)

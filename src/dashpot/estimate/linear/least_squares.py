@@ -461,15 +461,18 @@ def equation(model: Model, data: States) -> tuple[Complex, Complex]:
     return regressors(model, a), known_side(model, a, data.f)
 
 
-def without_noise(model: Model, data: States, Se: Complex, N: Real, right: Real) -> tuple[Real, Bools]:
+def without_noise(
+    model: Model, data: States, Se: Complex, N: Real, right: Real, firmly: Real | float = 0.0
+) -> tuple[Real, Bools]:
     """Weighted least squares less what the noise of the regressors adds to its sums; (K, unknowns).
 
     E[Φᴴ Ω Φ] of the measured regressors is that of the true ones plus a term in Σ, which is known.  Where taking it
     out leaves no positive definite matrix, it is left in, and the second value is False, (K,).  N and `right` are the
-    sums with the weight Se⁻¹, without the priors.
+    sums with the weight Se⁻¹, without the priors, which count as `firmly` (K, unknowns) at least.
     """
     noise, noise_right = noise_sums(model, data, Se)
-    prior, prior_right = np.diag(model.prior_precision), model.prior_precision * model.prior_mean
+    precision = np.maximum(model.prior_precision, firmly)
+    prior, prior_right = precision[..., None] * np.eye(len(model.unknowns)), precision * model.prior_mean
     raw, clean = N + prior, N - noise + prior
     scale = np.sqrt(np.maximum(np.abs(np.diagonal(raw, axis1=-2, axis2=-1)), 1e-300))
     outer = scale[..., :, None] * scale[..., None, :]

@@ -14,6 +14,7 @@ from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.record_noise import with_record_noise
+from dashpot.model.elements import Kind
 from tests.record_draws import CASES
 from tests.whole_rigs import WholeTest, chain, record_of
 
@@ -131,3 +132,18 @@ def test_a_fit_with_negative_parts_is_no_start() -> None:
     record = replace(test.record, values=test.record.values + case.noise * test.size * noise)
     found = identify(test.model, spectrum([record]))
     assert np.all(np.abs(found.values - test.theta) < 4 * found.sd)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_mass_that_is_stated_with_a_tolerance_gives_the_scale(seed: int) -> None:
+    """Motions of a shaken base leave the scale free; from start to start it had shrunk to 1e-29 kg, and was refused."""
+    rig, theta = chain(1, 0.03, base=True, seed=seed)
+    test = record_of(rig, theta, "random", decay_times=8, quantities=(Quantity.ACCELERATION,), seed=seed)
+    (m,) = (element for element in rig.elements if element.kind is Kind.MASS)
+    stated = replace(m, value=1.01 * m.value, sd=0.02 * m.value)
+    model = replace(rig, elements=tuple(stated if element is m else element for element in rig.elements))
+    lines = whole_record(test.noisy(np.random.default_rng(seed), 0.1 * test.size * [1, 0]))
+    estimate = identify(model, lines)
+    assert estimate["m1"].value == pytest.approx(1.01 * m.value, rel=1e-3)
+    away = estimate.values - np.array([1.01 * m.value, *(1.01 * theta)])
+    assert np.all(np.abs(away) < 4 * estimate.sd)
