@@ -576,12 +576,12 @@ def _windows(
         _fitted(*_window_rows(parts, grid[k : k + chunk], half), nu, ny) for k in range(0, len(grid), chunk)
     ]
     H, gain, noise = (np.concatenate([one[k] for one in found]) for k in range(3))
-    noise = pooled(noise, 2 * beside)
+    noise = pooled_noise(noise, 2 * beside)
     covariance = (noise[:, :, None, :, None] * gain).reshape(len(grid), ny * nu, ny * nu)
     return H, covariance, noise
 
 
-def pooled(noise: Complex, apart: int) -> Complex:
+def pooled_noise(noise: Complex, apart: int) -> Complex:
     """Mean of noise (lines, q, q) over as many neighbouring lines as make each likeliest by the mean of the others.
 
     Lines that are `apart` share no data.  Noise goes on over frequency; what a local model misses does not.

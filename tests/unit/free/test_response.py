@@ -16,7 +16,7 @@ from dashpot.data.noise import smoothed
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
-from dashpot.free.response import MeasuredResponse, frequency_response, pooled, write_response
+from dashpot.free.response import MeasuredResponse, frequency_response, pooled_noise, write_response
 from tests.unit.free.bench import RIG, Bench
 
 TWO = Bench((4.0, 9.0), (0.01, 0.02))
@@ -102,9 +102,10 @@ def test_noise_is_pooled_where_the_others_make_it_likeliest() -> None:
     even, step = scatter(np.ones(64)), scatter(np.repeat([1.0, 30.0], 32))
     for noise in (even, step):
         best = max([1, 2, 4, 8, 16, 64], key=lambda half: slowly(noise, half))
-        assert pooled(noise, 1) == pytest.approx(smoothed(noise, best))
-    assert pooled(even, 1) == pytest.approx(np.broadcast_to(np.mean(even, axis=0), even.shape))
-    assert pooled(step, 1)[60, 0, 0].real / pooled(step, 1)[3, 0, 0].real == pytest.approx(30, rel=0.5)
+        assert pooled_noise(noise, 1) == pytest.approx(smoothed(noise, best))
+    assert pooled_noise(even, 1) == pytest.approx(np.broadcast_to(np.mean(even, axis=0), even.shape))
+    found = pooled_noise(step, 1)[:, 0, 0].real
+    assert found[60] / found[3] == pytest.approx(30, rel=0.5)
 
 
 def test_lines_that_are_told_apart_share_no_window(monkeypatch: pytest.MonkeyPatch) -> None:

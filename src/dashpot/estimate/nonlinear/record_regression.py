@@ -179,11 +179,11 @@ def weak_equations(form: WeakForm) -> WeakEquations:
 
 
 def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
-    """The first of the `record_starts`, (unknowns,), with the same errors."""
-    return record_starts(model, records)[0]
+    """The first of the `valley_starts`, (unknowns,), with the same errors."""
+    return valley_starts(model, records)[0]
 
 
-def record_starts(model: Model, records: tuple[RecordData, ...]) -> list[Real]:
+def valley_starts(model: Model, records: tuple[RecordData, ...]) -> list[Real]:
     """Guesses where all are given; else valleys of the weak form of the equation where all coordinates are measured.
 
     (unknowns,) each, the deepest first.  Raises DataError if the motion does not determine them or a law is no number

@@ -42,7 +42,7 @@ from dashpot.estimate.nonlinear.record_problem import (
     begun_problem,
     record_constants,
 )
-from dashpot.estimate.nonlinear.record_regression import mostly_linear_values, record_starts
+from dashpot.estimate.nonlinear.record_regression import mostly_linear_values, valley_starts
 from dashpot.estimate.nonlinear.records import (
     NoiseAtRest,
     RecordData,
@@ -467,7 +467,7 @@ def _begun(
 
     free: which constants of the records are unknown; those that can be found where it is not given.
     """
-    thetas = record_starts(model, records) if values is None else [values]
+    thetas = valley_starts(model, records) if values is None else [values]
     sd = np.sqrt(np.mean(np.concatenate([record.outputs for record in records]) ** 2, axis=0))
     sd = np.where(sd > 0, FIRST_NOISE * sd, 1.0)
     gains = [1.0 if gain.nominal is None else gain.nominal for gain in records[0].gains]
