@@ -25,7 +25,13 @@ from dashpot.estimate.likelihood.global_search import (
 )
 from dashpot.estimate.likelihood.objective import per_line
 from dashpot.estimate.linear.gram import equation_covariance
-from dashpot.estimate.linear.least_squares import compensated, equation, where_finite, without_noise
+from dashpot.estimate.linear.least_squares import (
+    compensated,
+    equation,
+    where_finite,
+    with_priors,
+    without_noise,
+)
 from dashpot.estimate.method import HeldBounds, Method, Solution, Traits
 from dashpot.estimate.nonlinear.search import search_harmonics
 from dashpot.estimate.preparation import Prepared, States
@@ -135,12 +141,12 @@ def record_starts(model: Model, data: States, ends: RecordEnds, rig: Real | None
     of the equation grows, so that by their own weights all unknowns would shrink from pass to pass.
     """
     Phi, h = equation(model, data)
-    stated, unit = model.prior_precision > 0, np.eye(len(model.unknowns))
+    stated = model.prior_precision > 0
     if rig is None:
         even = np.broadcast_to(np.eye(model.n, dtype=complex), (*Phi.shape[:2], model.n, model.n))
         N, right = _sums(Phi, h, even, _loads(model, data, ends), ends)
         firmly = np.diagonal(N, axis1=-2, axis2=-1) * stated
-        theta = solve_scaled(N + firmly[..., None] * unit, right + firmly * model.prior_mean)
+        theta = solve_scaled(*with_priors(model, N, right, firmly))
     else:
         theta = np.broadcast_to(rig, (len(data.z), len(rig)))
     starts = [theta]
@@ -150,9 +156,7 @@ def record_starts(model: Model, data: States, ends: RecordEnds, rig: Real | None
         columns = _loads(model, data, ends, p)
         N, right = _sums(Phi, h, Se, columns, ends)
         firmly = np.maximum(np.diagonal(N, axis1=-2, axis2=-1) * stated, model.prior_precision)
-        theta = where_finite(
-            solve_scaled(N + firmly[..., None] * unit, right + firmly * model.prior_mean), theta
-        )
+        theta = where_finite(solve_scaled(*with_priors(model, N, right, firmly)), theta)
         clean, usable = without_noise(model, data, Se, N, right, firmly)
         starts.append(theta)
         theta = np.where(usable[..., None], where_finite(clean, theta), theta)

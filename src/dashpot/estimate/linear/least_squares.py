@@ -274,9 +274,13 @@ def normal_sums(Se: Complex, Phi: Complex, h: Complex) -> tuple[Real, Real]:
     return products[..., :-1, :-1], products[..., :-1, -1]
 
 
-def with_priors(model: Model, N: Real, right: Real) -> tuple[Real, Real]:
-    """The sums with one more row for each prior.  N (..., m, m), right (..., m)."""
-    return N + np.diag(model.prior_precision), right + model.prior_precision * model.prior_mean
+def with_priors(model: Model, N: Real, right: Real, precision: Real | None = None) -> tuple[Real, Real]:
+    """The sums with one more row for each prior, of its own `precision` or another one (..., m).
+
+    N (..., m, m), right (..., m).
+    """
+    precision = model.prior_precision if precision is None else precision
+    return N + precision[..., None] * np.eye(len(model.unknowns)), right + precision * model.prior_mean
 
 
 def combined(data: Prepared) -> Sampled:
@@ -462,24 +466,23 @@ def equation(model: Model, data: States) -> tuple[Complex, Complex]:
 
 
 def without_noise(
-    model: Model, data: States, Se: Complex, N: Real, right: Real, firmly: Real | float = 0.0
+    model: Model, data: States, Se: Complex, N: Real, right: Real, precision: Real | None = None
 ) -> tuple[Real, Bools]:
     """Weighted least squares less what the noise of the regressors adds to its sums; (K, unknowns).
 
     E[Φᴴ Ω Φ] of the measured regressors is that of the true ones plus a term in Σ, which is known.  Where taking it
     out leaves no positive definite matrix, it is left in, and the second value is False, (K,).  N and `right` are the
-    sums with the weight Se⁻¹, without the priors, which count as `firmly` (K, unknowns) at least.
+    sums with the weight Se⁻¹, without the priors, which have their own `precision` or another one (K, unknowns).
     """
     noise, noise_right = noise_sums(model, data, Se)
-    precision = np.maximum(model.prior_precision, firmly)
-    prior, prior_right = precision[..., None] * np.eye(len(model.unknowns)), precision * model.prior_mean
-    raw, clean = N + prior, N - noise + prior
+    raw, right = with_priors(model, N, right, precision)
+    clean = raw - noise
     scale = np.sqrt(np.maximum(np.abs(np.diagonal(raw, axis1=-2, axis2=-1)), 1e-300))
     outer = scale[..., :, None] * scale[..., None, :]
     smallest, of_raw = (np.linalg.eigvalsh(np.nan_to_num(each / outer))[..., 0] for each in (clean, raw))
     usable = smallest > 0.05 * of_raw
     matrix = np.where(usable[..., None, None], clean, raw)
-    theta = solve_scaled(matrix, right + prior_right - np.where(usable[..., None], noise_right, 0.0))
+    theta = solve_scaled(matrix, right - np.where(usable[..., None], noise_right, 0.0))
     return theta, usable
 
 
