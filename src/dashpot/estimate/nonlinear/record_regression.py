@@ -258,14 +258,13 @@ def _valleys(equations: WeakEquations) -> list[Real]:
         return left if np.all(np.isfinite(p)) else np.inf
 
     starts = sorted(grid, key=residual)[:KEPT]
-    ends = sorted(
-        (_polished(equations, refined_constants(model, start, residual)) for start in starts), key=residual
-    )
-    valleys = ends[:1]
-    for end in ends[1:]:
-        apart = all(np.any(np.abs(end - other) > 0.1 * np.abs(other)) for other in valleys)
-        if apart and residual(end) < 2 * residual(ends[0]):
-            valleys.append(end)
+    ends = [_polished(equations, refined_constants(model, start, residual)) for start in starts]
+    left = np.array([residual(end) for end in ends])
+    valleys: list[Real] = []
+    for k in np.argsort(left, kind="stable"):
+        apart = all(np.any(np.abs(ends[k] - other) > 0.1 * np.abs(other)) for other in valleys)
+        if not valleys or (apart and left[k] < 2 * np.min(left)):
+            valleys.append(ends[k])
     return valleys
 
 
