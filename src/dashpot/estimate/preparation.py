@@ -247,7 +247,7 @@ def prepare(model: Model, spectrum: Spectrum, *, moments: bool = False, states: 
     correlated = np.atleast_1d(channels_correlate(flat)) if known else np.ones(len(V), dtype=bool)
     if not correlated.all() and not is_diagonal(V):
         V = np.where(correlated[:, None, None, None], V, V * np.eye(V.shape[-1]))
-    if known and correlated.any():
+    if known and correlated.any() and np.isfinite(flat.dof).any():
         V = correlated_as_all(flat, V)
     return Prepared(view, flat, V, states_if_seen(view, flat, V) if states else None, known, correlated)
 
