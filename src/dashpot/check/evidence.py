@@ -387,7 +387,7 @@ def residuals_of(model: Model, spectrum: Spectrum, estimate: Estimate) -> Residu
 
 
 def _records(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[RecordPrediction, ...]:
-    if len(model.nonlinear) or not any(getattr(stretch, "samples", 0) for stretch in spectrum.stretches):
+    if len(model.nonlinear) or not spectrum.records:
         return ()
     try:
         return tuple(part for part in validate(model, estimate, spectrum) if part.samples)

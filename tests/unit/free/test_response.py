@@ -77,9 +77,8 @@ def test_errors_are_as_large_as_the_covariance_says(damping: float) -> None:
             np.einsum("li,li->l", np.conj(e), np.linalg.solve(found.covariance, e[..., None])[..., 0]).real
             / 3
         )
-    assert np.mean(each) == pytest.approx(
-        1, abs=0.1
-    )  # 2,100 degrees of freedom: 3 standard errors and their excess
+    # 2,100 degrees of freedom: 3 standard errors and their excess
+    assert np.mean(each) == pytest.approx(1, abs=0.1)
 
 
 def test_noise_is_pooled_where_the_others_make_it_likeliest() -> None:
