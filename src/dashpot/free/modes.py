@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel, Quantity
@@ -679,7 +680,7 @@ def _with_noise_of(sets: Sequence[_Set], fit: _Fit) -> list[_Set]:
         outer = np.einsum("li,lj->lij", e, np.conj(e)) + taken * (fit.chi2 / fit.dof)
         shown.append(outer + floor * np.eye(e.shape[1]))
     longest, q = max(map(len, shown)), shown[0].shape[1]
-    apart = [outer * np.eye(q) for outer in shown]
+    apart: list[Complex] = [np.diagonal(outer, axis1=1, axis2=2)[..., None, None] for outer in shown]
     choices = []
     for half in [*doubled(NARROWEST, longest), longest]:
         for outers, size in ((apart, 1), (shown, q)):
@@ -688,8 +689,9 @@ def _with_noise_of(sets: Sequence[_Set], fit: _Fit) -> list[_Set]:
                 continue
             levels = [smoothed(outer, half) for outer in outers]
             likely = sum(map(likelihood_by_others, outers, levels, counts))
+            whole = [level if level.ndim == 3 else level[..., 0] * np.eye(q) for level in levels]
             choices.append(
-                (likely, [n_l * (n / (n - size)) ** 2 for n_l, n in zip(levels, counts, strict=True)])
+                (likely, [n_l * (n / (n - size)) ** 2 for n_l, n in zip(whole, counts, strict=True)])
             )
     _, best = max(choices, key=lambda choice: choice[0])
     return [replace(one, noise=noise) for one, noise in zip(sets, best, strict=True)]
@@ -749,7 +751,7 @@ class _Shape:
 
 
 def _shape(fit: _Fit, k: int, outputs: Sequence[Channel], nu: int, real: bool, unit: float) -> _Shape:
-    """Shape of pole k and its participations, by Gauss-Newton on Σ (R − φ pᵀ)ᵀ V⁻¹ (R − φ pᵀ).
+    """Shape of pole k and its participations, least of Σ (R − φ pᵀ)ᵀ V⁻¹ (R − φ pᵀ).
 
     V is the covariance of the residues R (outputs, columns).  `real`: φ is, up to the factor p.
     """
@@ -771,7 +773,10 @@ def _shape(fit: _Fit, k: int, outputs: Sequence[Channel], nu: int, real: bool, u
     shaped = V.reshape(*at.shape, *at.shape)
     V = np.einsum("iab,icbjdf,jef->icajde", turn, shaped, turn).reshape(V.shape)
     size = np.sqrt(np.maximum(np.diagonal(V), 1e-300))
-    inverse = np.linalg.pinv(V / np.outer(size, size), hermitian=True) / np.outer(size, size)
+    # (values, values) of the residues in uncorrelated combinations of one sd, those without any left out
+    spread, directions = np.linalg.eigh(V / np.outer(size, size))
+    told = spread > 1e-15 * spread[-1] * len(spread)
+    root = (directions[:, told] / np.sqrt(spread[told])).T / size
     Z = R[..., 0] + 1j * R[..., 1]
     columns = Z.shape[1]
     signal = np.sum(np.abs(Z) ** 2, axis=0) / np.sum(size.reshape(R.shape) ** 2, axis=(0, 2))
@@ -782,30 +787,42 @@ def _shape(fit: _Fit, k: int, outputs: Sequence[Channel], nu: int, real: bool, u
     phi = phi.real + 0j if real else phi
     others = [i for i in range(ny) if i != reference]
     parts = 1 if real else 2
-    p = Z[reference].copy()
-    for _ in range(20):
-        e = (Z - np.outer(phi, p)).ravel()
-        e_real = np.stack([e.real, e.imag], axis=-1).ravel()
-        J = np.zeros((ny, columns, 2, parts * len(others) + 2 * columns))
-        for n, i in enumerate(others):
-            for part in range(parts):
-                moved = p * (1j if part else 1.0)
-                J[i, :, :, parts * n + part] = np.stack([moved.real, moved.imag], axis=-1)
+    free = parts * len(others)  # unknowns of the shape, before those of the participations
+
+    def halves(values: Complex) -> Real:
+        """(…, 2): real and imaginary parts."""
+        return np.stack([values.real, values.imag], axis=-1)
+
+    def split(x: Real) -> tuple[Complex, Complex]:
+        """The shape and the participations of unknowns x."""
+        shape = phi.copy()
+        shape[others] = x[:free].reshape(-1, parts) @ np.array([1, 1j])[:parts]
+        return shape, x[free::2] + 1j * x[free + 1 :: 2]
+
+    def residual(x: Real) -> Real:
+        """φ pᵀ − R in units of its sd."""
+        moved: Real = root @ (halves(np.outer(*split(x))) - R).ravel()
+        return moved
+
+    def slope(x: Real) -> Real:
+        """(values, unknowns) of the residual."""
+        shape, p = split(x)
+        J = np.zeros((ny, columns, 2, free + 2 * columns))
+        for part in range(parts):
+            J[others, :, :, np.arange(part, free, parts)] = halves(p * 1j**part)
         for c in range(columns):
             for part in range(2):
-                moved = phi * (1j if part else 1.0)
-                J[:, c, :, parts * len(others) + 2 * c + part] = np.stack([moved.real, moved.imag], axis=-1)
-        A = J.reshape(-1, J.shape[-1])
-        information = A.T @ inverse @ A  # of shapes without a unit, and of participations of any size
-        size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
-        W = np.linalg.pinv(information / np.outer(size, size), hermitian=True) / np.outer(size, size)
-        step = W @ (A.T @ inverse @ e_real)
-        moved = step[: parts * len(others)].reshape(-1, parts)
-        phi = phi.copy()
-        phi[others] += moved[:, 0] + (0 if real else 1j * moved[:, 1])
-        p = p + step[parts * len(others) :: 2] + 1j * step[parts * len(others) + 1 :: 2]
-        if np.max(np.abs(step), initial=0) < 1e-9 * max(1.0, float(np.max(np.abs(p)))):
-            break
+                J[:, c, :, free + 2 * c + part] = halves(shape * 1j**part)
+        moved: Real = root @ J.reshape(-1, J.shape[-1])
+        return moved
+
+    x = np.concatenate([halves(phi[others])[:, :parts].ravel(), halves(Z[reference]).ravel()])
+    x = least_squares(residual, x, slope, x_scale="jac").x
+    phi, p = split(x)
+    J = slope(x)
+    # of shapes without a unit, and of participations of any size
+    size = np.linalg.norm(J, axis=0) + 1e-150
+    W = np.linalg.pinv((J / size).T @ (J / size), hermitian=True) / np.outer(size, size)
     sd = np.zeros(ny)
     variance = np.diagonal(W)
     of_phi = variance[: parts * len(others)].reshape(-1, parts)

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from scipy import fft
-from scipy.special import chdtrc, fdtrc
+from scipy.special import chdtrc, fdtrc, gammaln
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel
@@ -593,7 +593,8 @@ def pooled_noise(noise: Complex, apart: int) -> Complex:
         (half, smoothed(alone, half)) for half in [*enough, len(alone)] if len(alone) > 2 * q / SPARE + 1
     )
     scores = [
-        (likelihood_by_others(alone, level, min(2 * half + 1, len(alone))), half) for half, level in levels
+        (likelihood_by_others(alone, level, min(2 * half + 1, len(alone)), SPARE), half)
+        for half, level in levels
     ]
     return smoothed(noise, max(scores)[1] * apart if scores else len(noise))
 
@@ -603,11 +604,18 @@ def doubled(first: int, end: int) -> list[int]:
     return [first << k for k in range(max(0, end.bit_length())) if first << k < end]
 
 
-def likelihood_by_others(outer: Complex, level: Complex, count: int) -> float:
-    """Log-likelihood of each line's noise under the mean of the other lines that `level` is of, summed."""
-    others = (count * level - outer) / (count - 1)
-    spread = np.einsum("lij,lji->l", np.linalg.inv(others), outer).real
-    return -float(np.sum(np.linalg.slogdet(others)[1] + spread))
+def likelihood_by_others(outer: Complex, level: Complex, count: int, freedom: int = 1) -> float:
+    """Log-likelihood of noise (…, q, q) under the mean of the other lines that `level` is of, summed.
+
+    Lines are complex Wishart with `freedom` degrees each, and so are the others' sums: a line's own is distributed as
+    their ratio (matrix-variate F), which expects more scatter about a mean of few than about one that is known.
+    """
+    q = outer.shape[-1]
+    others, told = freedom * (count * level - outer), freedom * (count - 1)
+    total = (told + freedom) * np.linalg.slogdet(others + freedom * outer)[1]
+    total = total - told * np.linalg.slogdet(others)[1]
+    constant = np.sum(gammaln(told + freedom - np.arange(q)) - gammaln(told - np.arange(q)))
+    return float(np.sum(constant - total))
 
 
 def _window_rows(parts: Sequence[RecordLines], grid: Ints, width: int) -> tuple[Real, Complex, Complex, Ints]:

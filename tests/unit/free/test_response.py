@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import signal, special, stats
 
 import dashpot
 from dashpot.arrays import Complex, Real
@@ -16,7 +16,13 @@ from dashpot.data.noise import smoothed
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
-from dashpot.free.response import MeasuredResponse, frequency_response, pooled_noise, write_response
+from dashpot.free.response import (
+    MeasuredResponse,
+    frequency_response,
+    likelihood_by_others,
+    pooled_noise,
+    write_response,
+)
 from tests.unit.free.bench import RIG, Bench
 
 TWO = Bench((4.0, 9.0), (0.01, 0.02))
@@ -94,8 +100,10 @@ def test_noise_is_pooled_where_the_others_make_it_likeliest() -> None:
         for k in range(n):
             first = int(np.clip(k - half, 0, max(0, n - 2 * half - 1)))
             others = [noise[i] for i in range(first, min(first + 2 * half + 1, n)) if i != k]
-            level = sum(others) / len(others)
-            total -= np.log(np.linalg.det(level).real) + np.trace(np.linalg.inv(level) @ noise[k]).real
+            told, beside = 8 * len(others), 8 * sum(others)
+            total += told * np.log(np.linalg.det(beside).real)
+            total -= (told + 8) * np.log(np.linalg.det(beside + 8 * noise[k]).real)
+            total += sum(special.gammaln(told + 8 - i) - special.gammaln(told - i) for i in range(2))
         return total
 
     even, step = scatter(np.ones(64)), scatter(np.repeat([1.0, 30.0], 32))
@@ -105,6 +113,31 @@ def test_noise_is_pooled_where_the_others_make_it_likeliest() -> None:
     assert pooled_noise(even, 1) == pytest.approx(np.broadcast_to(np.mean(even, axis=0), even.shape))
     found = pooled_noise(step, 1)[:, 0, 0].real
     assert found[60] / found[3] == pytest.approx(30, rel=0.5)
+
+
+def test_noise_of_one_output_beside_others_has_an_f_distribution() -> None:
+    rng = np.random.default_rng(4)
+    freedom, lines = 8, 11
+    outer = rng.gamma(freedom, size=lines) / freedom
+    level = np.full(lines, np.mean(outer))
+    others = (np.sum(outer) - outer) / (lines - 1)
+    slow = stats.f.logpdf(outer / others, 2 * freedom, 2 * freedom * (lines - 1)) - np.log(others)
+    of_outer = (freedom - 1) * np.log(outer) + freedom * np.log(freedom) - special.gammaln(freedom)
+    found = likelihood_by_others(outer[:, None, None] + 0j, level[:, None, None] + 0j, lines, freedom)
+    # what is the same for any level is left out: (freedom − 1) log |outer| and constants
+    assert found == pytest.approx(float(np.sum(slow - of_outer)), rel=1e-10)
+
+
+def test_noise_that_a_few_lines_make_is_not_spread_over_all() -> None:
+    """Windows of a local model that misses sharp resonances: their residuals belong to those lines alone."""
+    rng = np.random.default_rng(5)
+    lines, freedom = 120, 8
+    size = np.where(np.arange(lines) % 40 < 3, 1e4, 1.0)
+    e = rng.standard_normal((lines, freedom, 2, 2)) @ [1, 1j] * np.sqrt(size / 2)[:, None, None]
+    noise = np.einsum("lni,lnj->lij", e, np.conj(e)) / freedom
+    found = pooled_noise(noise, 1)[:, 0, 0].real
+    away = np.arange(lines) % 40 == 20
+    assert np.max(found[away]) < 5
 
 
 def test_lines_that_are_told_apart_share_no_window(monkeypatch: pytest.MonkeyPatch) -> None:
