@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
@@ -19,7 +20,6 @@ from click.shell_completion import CompletionItem
 
 from dashpot.app.commands import COMMANDS, GROUPS, OTHER
 from dashpot.app.process import (
-    ANSWERED,
     CURE,
     EXIT_CODE,
     Ended,
@@ -267,10 +267,10 @@ def main() -> None:
     except (Ended, KeyboardInterrupt) as asked:  # in the moments before the run and after it
         leave_signals()
         code = _stopped(asked)
-    if code - 128 in ANSWERED:
-        # All is unwound and told.  On its way down the interpreter may abort where threads of a library still work.
-        for stream in (sys.stdout, sys.stderr):
-            with suppress(OSError, ValueError):
-                stream.flush()
-        os._exit(code)
-    sys.exit(code)
+    # All is unwound and told.  Were the interpreter taken down now, threads of libraries that still work (those that
+    # read ahead) might ask for it once more: they would be ended within C++, and the process with them, by SIGABRT.
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)

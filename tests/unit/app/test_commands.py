@@ -213,6 +213,23 @@ cli.main()
     assert done.stdout.split() == [used, "False"], done.stderr
 
 
+def test_a_command_ends_without_the_interpreter_being_taken_down() -> None:
+    """What was registered for the end is done and told; threads of libraries that still read ahead meet no ruins."""
+    program = """
+import atexit
+from dashpot.app import cli
+class Late:
+    def __del__(self):
+        print("taken down", flush=True)
+late = Late()
+atexit.register(print, "registered")
+cli.run = lambda *_: print("answered") or 3
+cli.main()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.split(), done.stderr) == (3, ["answered", "registered"], "")
+
+
 def test_a_broken_pipe_is_silent(data: Path) -> None:
     command = [sys.executable, "-m", "dashpot", "identify", "rig.toml", "data.csv"]
     with subprocess.Popen(
