@@ -57,6 +57,9 @@ WEB_LOCKED = REQUIREMENTS / "web-locked.txt"
 SITE = ROOT / "docs" / "_build" / "html"
 EXAMPLE = ["identify", "examples/02_shake_table/rig.toml", "examples/02_shake_table/amplitudes.csv"]
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+# Tests start some hundred processes: where an environment forbids bytecode, each would compile a thousand modules anew.
+BYTECODE = {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(VENV / "bytecode")}
+TESTED = {"MPLBACKEND": "Agg", **ONE_THREAD, **BYTECODE}
 # Without bytecode, which the first import writes of what is used: all of it would take as long as the rest.
 PIP_INSTALL_LOCKED = ("install", "--no-compile", "--require-hashes", "--only-binary", ":all:", "-r")
 COMMANDS = ("run", "test", "check", "bench", "env", "lock", "lowest", "newest", "fuzz", "docs")
@@ -499,7 +502,7 @@ def test(extra: list[str]) -> int:
             failure = install_beside(locked, what)
             if failure:
                 say(f"going on without the tests of {tests}: {failure}")
-    variables = {"MPLBACKEND": "Agg", **ONE_THREAD}
+    variables = dict(TESTED)
     if "--older" in extra:
         extra = [word for word in extra if word != "--older"]
         older = older_processor(processor_flags())
@@ -544,7 +547,7 @@ def bench(extra: list[str]) -> int:
 
 
 def fuzz(extra: list[str]) -> int:
-    return call([PYTHON, "-m", "tests.fuzz", *extra], cwd=ROOT, MPLBACKEND="Agg", **ONE_THREAD)
+    return call([PYTHON, "-m", "tests.fuzz", *extra], cwd=ROOT, **TESTED)
 
 
 def docs(extra: list[str]) -> int:

@@ -120,6 +120,12 @@ def test_a_child_does_not_inherit_other_packages() -> None:
     assert (made["HOME"], made["OMP_NUM_THREADS"]) == ("/h", "1")
 
 
+def test_processes_of_tests_keep_their_bytecode(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    code = "import sys; raise SystemExit(sys.dont_write_bytecode or sys.pycache_prefix is None)"
+    assert dev.call([sys.executable, "-c", code], **dev.TESTED) == 0
+
+
 def test_a_cut_or_missing_stamp_counts_as_none(tmp_path: Path) -> None:
     path = tmp_path / "stamp.json"
     assert dev.read_stamp(path) == {}
