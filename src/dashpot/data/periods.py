@@ -145,8 +145,7 @@ def _distortion_note(record: Record, X: Complex, driven: Ints, between: Ints) ->
 
 def samples_of_period(record: Record, period_s: float) -> int:
     """Samples in one period.  Raises DataError if the sampling is uneven, or the period no whole number of them."""
-    time = record.time
-    step = float(time[-1] - time[0]) / (len(time) - 1)
+    time, step = record.time, record.step_s
     if np.max(np.abs(time - time[0] - step * np.arange(len(time)))) > UNEVEN * step * len(time) ** 0.5:
         raise DataError(
             "the samples are not evenly spaced",
@@ -293,8 +292,7 @@ def averaged_periods(record: Record, inputs: int = 0) -> tuple[Spectrum, Real] |
     samples = period_of(record.values[..., : inputs or None])
     if samples is None:
         return None
-    step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
-    count = len(record.time) // samples
+    step, count = record.step_s, len(record.time) // samples
     X = fft.rfft(record.values[: count * samples].reshape(count, samples, -1), axis=1)[
         :, : (samples + 1) // 2
     ]

@@ -12,6 +12,7 @@ import numpy as np
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze, without_denormals
 from dashpot.channel import Channel
 from dashpot.errors import DataError
+from dashpot.notices import Notice
 from dashpot.shorthand import InNotebooks
 
 # Samples that rest at the greatest or least value of a channel: a converter or amplifier at its limit.
@@ -127,6 +128,34 @@ class Record(InNotebooks):
     def kept(self) -> dict[object, object]:
         """Intermediate results that several steps of conditioning share, by key."""
         return {}
+
+    @property
+    def step_s(self) -> float:
+        """Mean sampling step, s."""
+        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
+
+    @property
+    def duration_s(self) -> float:
+        """Time that the samples stand for: the span and one mean step, s."""
+        return len(self.time) * self.step_s
+
+    @property
+    def stated_hz(self) -> float:
+        """The drive frequency, Hz.  Raises DataError where there is none."""
+        if self.frequency_hz is None:
+            raise DataError(
+                "the drive frequency is not known", self.source, "give the frequency of the record"
+            )
+        return self.frequency_hz
+
+    @property
+    def periods(self) -> float:
+        """Periods of the drive; 0 without a frequency."""
+        return 0.0 if self.frequency_hz is None else self.frequency_hz * self.duration_s
+
+    def notice(self, code: str, text: str) -> Notice:
+        """A notice of this record."""
+        return Notice(code, f"{self.source}: {text}", (self.source,))
 
     def part(self, rows: slice) -> Record:
         """The record with some of its samples only."""

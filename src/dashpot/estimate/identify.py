@@ -77,7 +77,7 @@ def conditioning_for(
         highest = 5  # multiples of the drive frequency of dwells tell of nonlinear elements, as far as they are sampled
         for record in reading.records:
             if record.frequency_hz is not None and len(record.time) > 1:
-                rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
+                rate = 1 / record.step_s
                 highest = min(highest, int(0.45 * rate / record.frequency_hz), (len(record.time) - 4) // 3)
         changed = changed.changed(orders=tuple(range(1, max(highest, 1) + 1)))
     return changed

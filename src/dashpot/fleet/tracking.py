@@ -388,7 +388,7 @@ class _Window:
     @staticmethod
     def of(record: Record, estimate: Estimate, values: Real, information: Real) -> _Window:
         precision, mean = _priors(estimate)
-        step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
+        step = record.step_s
         start, end = float(record.time[0]), float(record.time[-1]) + step
         known = estimate.names, estimate.units
         return _Window(start, end, *known, values, information, precision, mean, estimate.basis == MISFIT)

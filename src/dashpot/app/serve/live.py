@@ -44,7 +44,6 @@ def lost_samples(records: Sequence[Record]) -> list[str]:
     that moves at the drive frequency holds no value for half a period.  Of continuous records conditioning says it,
     and of dwells where it marks those samples as missing; each channel is named once.
     """
-    from dashpot.data.conditioning.steadiness import periods_of
     from dashpot.data.conditioning.unmeasured import marked
     from dashpot.data.conditioning.whole_record import GAP
     from dashpot.data.record import runs_of_one_value
@@ -61,7 +60,7 @@ def lost_samples(records: Sequence[Record]) -> list[str]:
             missing = int(np.sum(np.rint(steps[gaps]) - 1))
             at = f"first after {record.time[gaps[0]]:.6g} s"
             said.append(f"{counted(max(missing, 1), 'sample')} missing {where}, {at}")
-        half = len(record.time) / max(periods_of(record), 1e-9) / 2
+        half = len(record.time) / max(record.periods, 1e-9) / 2
         for c, channel in enumerate(record.channels):
             runs = [run for run in runs_of_one_value(record.values[:, c], 3) if run[1] - run[0] > half]
             if runs:

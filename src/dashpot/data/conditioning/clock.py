@@ -86,12 +86,8 @@ def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
     middle = float(np.mean(time))
     step = _simplest(time - middle, index, step, (1 + 1e-6) * digit)
     even: Real = np.asarray(middle + step * index, dtype=np.float64)
-    text = (
-        f"{record.source}: time stamps are rounded to {digit:.3g} s; evenly spaced samples, {step:.6g} s "
-        "apart, are used"
-    )
-    note = Notice("stamps_rounded", text, (record.source,)) if coarse else None
-    return replace(record, time=even), note
+    text = f"time stamps are rounded to {digit:.3g} s; evenly spaced samples, {step:.6g} s apart, are used"
+    return replace(record, time=even), record.notice("stamps_rounded", text) if coarse else None
 
 
 def _simplest(time: Real, index: Real, step: float, rounding: float) -> float:

@@ -10,9 +10,9 @@ from scipy import fft
 from scipy.special import chdtrc
 
 from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL
-from dashpot.data.conditioning.regression import Terms, check_length, duration, window
+from dashpot.data.conditioning.regression import Terms, check_length, turning, window
 from dashpot.data.conditioning.settings import USUAL_DRIFT, Conditioning, Drift
-from dashpot.data.conditioning.steadiness import FEW_PERIODS, common_ramp, periods_of, wholly_measured
+from dashpot.data.conditioning.steadiness import FEW_PERIODS, common_ramp, wholly_measured
 from dashpot.data.noise import LEVEL
 from dashpot.data.record import Record
 from dashpot.errors import DataError, Problem
@@ -37,15 +37,10 @@ def refine_frequency(
     than two periods; Gauss-Newton steps of the least squares fit take it to the end.  Raises DataError as
     `fit_harmonics`, and where it does not settle.
     """
-    f = nominal_hz if nominal_hz is not None else record.frequency_hz
-    if f is None:
-        raise DataError(
-            "the drive frequency is not known", record.source, "give the nominal frequency of the record"
-        )
-    nominal = float(f)
+    nominal = float(nominal_hz if nominal_hz is not None else record.stated_hz)
     degree = Conditioning(drift=drift).degree
     check_length(record, nominal, Terms(max(degree, 0) + 2))
-    T = duration(record.time)
+    T = record.duration_s
     search = min(max(within * nominal, 3 / T), 0.5 * nominal)
     f = nominal if nominal * T < FEW_PERIODS else _peak(record, nominal, search)
     sd = np.inf
@@ -68,13 +63,12 @@ def _peak(record: Record, nominal: float, search: float) -> float:
 
     Samples are brought down to the nominal frequency and summed over time blocks, short enough for the search band.
     """
-    time, T = record.time, duration(record.time)
+    time, T = record.time, record.duration_s
     samples, channels = record.values.shape[-2:]
     Y = record.values.reshape(-1, samples, channels)
     blocks = int(min(max(16, np.ceil(8 * search * T)), 1 << 20))
     edges = np.searchsorted(time, time[0] + (T / blocks) * np.arange(1, blocks))
-    cycles = nominal * time
-    carrier = np.exp(-2j * np.pi * (cycles - np.floor(cycles)))
+    carrier = np.conj(turning(nominal, time))
     starts = np.concatenate([[0], edges])
     empty = np.diff(np.concatenate([starts, [samples]])) == 0
     starts = np.minimum(starts, samples - 1)
@@ -149,10 +143,8 @@ class DriveFrequencies:
             )
             return [Notice("clock_refined", text)]
         return [
-            Notice(
-                "frequency_refined",
-                f"{records[k].source}: driven at {self.frequency_hz[k]:.7g} Hz, not at {stated[k]:.7g} Hz",
-                (records[k].source,),
+            records[k].notice(
+                "frequency_refined", f"driven at {self.frequency_hz[k]:.7g} Hz, not at {stated[k]:.7g} Hz"
             )
             for k in moved.tolist()
         ]
@@ -257,7 +249,7 @@ def drive_frequencies(records: Sequence[Record]) -> DriveFrequencies:
             refined = None if steps[k] is None else refine_frequency(record, within=WITHIN)
         except DataError:
             continue
-        near = max(WITHIN * stated[k], 0.25 / duration(record.time))
+        near = max(WITHIN * stated[k], 0.25 / record.duration_s)
         if refined is not None and abs(refined.frequency_hz - stated[k]) <= near:
             frequency[k], sd[k] = refined.frequency_hz, refined.sd
     off = frequency / stated - 1
@@ -267,7 +259,7 @@ def drive_frequencies(records: Sequence[Record]) -> DriveFrequencies:
     if tested > 2 and np.sum(apart) <= 0.1 * tested:
         used = np.where(apart, frequency, ratio * stated)
         return DriveFrequencies(tuple(used.tolist()), "own" if np.any(apart) else "clock", ratio)
-    long = np.array([periods_of(record) >= FEW_PERIODS for record in records])
+    long = np.array([record.periods >= FEW_PERIODS for record in records])
     off_alone = long & (np.abs(frequency - stated) > np.maximum(OWN * sd, EVEN * stated))
     used = np.where(off_alone, frequency, stated)
     return DriveFrequencies(tuple(used.tolist()), "own")
@@ -276,13 +268,13 @@ def drive_frequencies(records: Sequence[Record]) -> DriveFrequencies:
 def _evidence(record: Record) -> tuple[float, float] | None:
     """(step of the frequency that the samples ask for, its sd), Hz; None where a dwell says nothing of it."""
     f = record.frequency_hz
-    if f is None or periods_of(record) < 0.98 or len(record.time) < FEWEST_OF_A_DWELL:
+    if f is None or record.periods < 0.98 or len(record.time) < FEWEST_OF_A_DWELL:
         return None
     try:
         step, sd = frequency_step(record, f, 1)
     except DataError:
         return None
-    if periods_of(record) < FEW_PERIODS:
+    if record.periods < FEW_PERIODS:
         # The step is off by a tenth of its deviation, with the square of the noise: more repeats than four do not
         # average that out.
         sd *= max(1.0, float(np.sqrt(np.prod(record.values.shape[:-2]) / 4)))

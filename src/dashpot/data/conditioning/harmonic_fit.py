@@ -12,14 +12,14 @@ from scipy.special import bdtrc, chdtrc, fdtr, fdtrc
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.conditioning.regression import (
-    BELOW_HALF_RATE,
     DITHERED,
     HIGHEST_HARMONIC,
     HarmonicSolution,
     Terms,
     check_length,
-    duration,
+    highest_multiple,
     solve_harmonics,
+    turning,
     window,
 )
 from dashpot.data.conditioning.settings import (
@@ -60,23 +60,20 @@ class ResidualSums:
     def of(record: Record, f: float, solution: HarmonicSolution) -> ResidualSums:
         """Of a solution at f Hz."""
         samples, channels = record.values.shape[-2:]
-        terms, batch, step = solution.terms, len(solution.squares), 1 / duration(record.time)
+        terms, batch, step = solution.terms, len(solution.squares), 1 / record.duration_s
         lags = min(20, samples // 5) if samples >= 40 else 0  # of the portmanteau test
         offset, owner = _neighbours(f, terms.orders, step, samples)
+        reach = int(np.max(np.abs(offset), initial=0))
         products, tail = np.zeros((batch, lags, channels)), np.zeros((batch, lags, channels))
         sums = np.zeros((batch, len(owner), channels), dtype=complex)
         overlap = np.zeros((len(owner), terms.count), dtype=complex)
         for rows, A, e in solution.residuals(record, f):
-            cycles = step * record.time[rows]
-            turn = np.exp(-2j * np.pi * (cycles - np.floor(cycles)))
-            turns = {0: np.ones_like(turn)}
-            for m in range(1, 1 + int(np.max(np.abs(offset), initial=0))):
-                turns[m] = turns[m - 1] * turn
-                turns[-m] = np.conj(turns[m])
-            first = terms.degree + 1
-            carriers = [A[:, c] - 1j * A[:, c + 1] for c in range(first, first + 2 * len(terms.orders), 2)]
-            lines = zip(owner.tolist(), offset.tolist(), strict=True)
-            waves = np.array([carriers[order] * turns[m] for order, m in lines]).reshape(len(owner), len(A))
+            turn = np.conj(turning(step, record.time[rows]))
+            later = np.cumprod(np.tile(turn, (reach, 1)), axis=0)
+            turns = np.concatenate([np.conj(later[::-1]), np.ones((1, len(turn))), later])
+            first, last = terms.degree + 1, terms.degree + 1 + 2 * len(terms.orders)
+            carriers = (A[:, first:last:2] - 1j * A[:, first + 1 : last : 2]).T
+            waves = carriers[owner] * turns[reach + offset]
             overlap += waves @ A
             sums += waves.real @ e + 1j * (waves.imag @ e)
             both = np.concatenate([tail, e], axis=1)
@@ -187,12 +184,10 @@ def second_moments(record: Record, drift: Drift = USUAL_DRIFT) -> Moments:
                 record.source,
                 "shift its samples beforehand, or choose a method that works on amplitudes",
             )
-    if record.frequency_hz is None:
-        raise DataError("the drive frequency is not known", record.source, "give the frequency of the record")
-    degree = Conditioning(drift=drift).degree
+    f, degree = record.stated_hz, Conditioning(drift=drift).degree
     leading, channels = record.values.shape[:-2], len(record.channels)
     factors = np.array([1 / real_factor(channel) for channel in record.channels])
-    waves = Terms(-1).columns(record.time, record.frequency_hz, *window(record.time))
+    waves = Terms(-1).columns(record.time, f, *window(record.time))
     q = np.concatenate(
         [record.values * factors, np.broadcast_to(waves, (*leading, *waves.shape))], axis=-1
     ).reshape(-1, len(waves), channels + 2)
@@ -200,7 +195,7 @@ def second_moments(record: Record, drift: Drift = USUAL_DRIFT) -> Moments:
     if degree >= 0:
         every = (*record.channels, *(Channel(name, {}) for name in ("cos", "sin")))
         of_all = replace(record, channels=every, values=q, sd=None, status=None, cell=None)
-        products = solve_harmonics(of_all, record.frequency_hz, Terms(degree, ())).squares
+        products = solve_harmonics(of_all, f, Terms(degree, ())).squares
     return Moments(products.reshape(*leading, 1, channels + 2, channels + 2))
 
 
@@ -339,9 +334,7 @@ def fit_harmonics(
 
     Raises DataError where the record is shorter than a period, has too few samples, or cannot tell the terms apart.
     """
-    f = record.frequency_hz if frequency_hz is None else frequency_hz
-    if f is None:
-        raise DataError("the drive frequency is not known", record.source, "give the frequency of the record")
+    f = record.stated_hz if frequency_hz is None else frequency_hz
     if not (np.isfinite(f) and f > 0):
         raise DataError(f"frequency {f} Hz", record.source, "frequencies must be positive and finite")
     settings = conditioning_of(conditioning, treatments)
@@ -389,10 +382,10 @@ def _fit(record: Record, f: float, terms: Terms, noise: Noise) -> HarmonicFit:
     if not coloured:
         return white
     text = (
-        f"{record.source}: the noise at {f:g} Hz is not white, but {white.periods:.3g} periods are too few to "
-        "measure it; the intervals treat it as white"
+        f"the noise at {f:g} Hz is not white, but {white.periods:.3g} periods are too few to measure it; "
+        "the intervals treat it as white"
     )
-    return replace(white, notes=(Notice("colour_unresolved", text, (record.source,)),))
+    return replace(white, notes=(record.notice("colour_unresolved", text),))
 
 
 def _seen_through(record: Record, f: float, solution: HarmonicSolution, level: Complex) -> HarmonicFit:
@@ -419,7 +412,7 @@ def _seen_through(record: Record, f: float, solution: HarmonicSolution, level: C
         *window(record.time),
         of_samples.reshape(*leading, channels, channels),
         samples,
-        float(f * duration(record.time)),
+        float(f * record.duration_s),
         np.full(orders, float(np.min(solution.free))),
         "white",
         np.full(leading, np.nan),
@@ -439,10 +432,9 @@ def _real_and_imaginary(P: Real, terms: Terms) -> Real:
 def _with_significant(record: Record, f: float, terms: Terms) -> Terms:
     """The terms asked for and those harmonics that are there beyond doubt."""
     samples = len(record.time)
-    nyquist = (samples - 1) / float(record.time[-1] - record.time[0]) / 2
     if record.status is not None:
         samples = int(np.min(np.count_nonzero(record.status == 0, axis=0)))
-    highest = min(HIGHEST_HARMONIC, int(BELOW_HALF_RATE * nyquist / f), (samples - terms.degree - 1) // 6)
+    highest = min(HIGHEST_HARMONIC, highest_multiple(record, f), (samples - terms.degree - 1) // 6)
     candidates = [order for order in range(1, highest + 1) if order not in terms.orders]
     every = replace(terms, orders=tuple(sorted({*terms.orders, *candidates})))
     try:

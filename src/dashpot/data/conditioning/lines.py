@@ -26,7 +26,7 @@ from dashpot.data.conditioning.harmonic_fit import (
     rounding_variance,
     second_moments,
 )
-from dashpot.data.conditioning.regression import BELOW_HALF_RATE, duration, holds_a_period
+from dashpot.data.conditioning.regression import highest_multiple, holds_a_period
 from dashpot.data.conditioning.settings import Conditioning, Treatments, conditioning_of
 from dashpot.data.conditioning.steadiness import (
     CHEAP,
@@ -38,7 +38,6 @@ from dashpot.data.conditioning.steadiness import (
     WANDERS,
     Unsteady,
     driven_throughout,
-    periods_of,
     settled,
     shows_settling,
     slopes_show,
@@ -98,11 +97,11 @@ def other_motion(record: Record, fit: HarmonicFit, wanted: Sequence[int]) -> lis
     if share > LITTLE:
         return []
     text = (
-        f"{record.source}: only {100 * share:.2g} % of the signal power is at {fit.frequency_hz:g} Hz and the "
-        "harmonics used, and the rest is not white noise, so this is not a steady sine; remove the frequency "
-        "to use the whole record"
+        f"only {100 * share:.2g} % of the signal power is at {fit.frequency_hz:g} Hz and the harmonics used, "
+        "and the rest is not white noise, so this is not a steady sine; remove the frequency to use the whole "
+        "record"
     )
-    return [Notice(OTHER_MOTION, text, (record.source,))]
+    return [record.notice(OTHER_MOTION, text)]
 
 
 def summed_up(notes: Iterable[Notice]) -> list[Notice]:
@@ -131,10 +130,7 @@ def long_enough(dwells: Sequence[Record], settings: Conditioning) -> Treated:
     if 2 * len(brief) >= len(dwells):
         return dwells, settings, []
     kept = [record for k, record in enumerate(dwells) if k not in brief]
-    notes = [
-        Notice("dwell_left_out", f"{dwells[k].source}: left out: {text}", (dwells[k].source,))
-        for k, text in brief.items()
-    ]
+    notes = [dwells[k].notice("dwell_left_out", f"left out: {text}") for k, text in brief.items()]
     return kept, settings, notes
 
 
@@ -145,7 +141,7 @@ def _too_brief(record: Record) -> str:
         return ""
     if len(time) < 5:  # samples of a dwell: more than its offset, slope and fundamental have terms
         return f"{counted(len(time), 'sample')} at {f:g} Hz"
-    return "" if holds_a_period(time, f) else f"{f * duration(time):.2g} of a period at {f:g} Hz"
+    return "" if holds_a_period(time, f) else f"{record.periods:.2g} of a period at {f:g} Hz"
 
 
 # Harmonics of the drive that every channel shows beyond doubt, which are data as good as the fundamental.
@@ -164,7 +160,7 @@ def driven_orders(records: Sequence[Record], conditioning: Conditioning) -> list
     A multiple counts where each channel's F test rejects noise at 1 % over all, and where it has a hundredth of some
     channel's fundamental.  Short dwells and repeats have their fundamental alone.
     """
-    able = [record.values.ndim == 2 and periods_of(record) >= MANY_PERIODS for record in records]
+    able = [record.values.ndim == 2 and record.periods >= MANY_PERIODS for record in records]
     driven = [
         _orders_of(record, conditioning) if long else (1,) for record, long in zip(records, able, strict=True)
     ]
@@ -188,10 +184,7 @@ def _orders_of(record: Record, conditioning: Conditioning) -> tuple[int, ...]:
     try:
         if np.sum(_driven(fit_harmonics(record, None, fundamental))) < 2:
             return (1,)
-        rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
-        most = min(
-            100, int(BELOW_HALF_RATE * rate / 2 / (record.frequency_hz or rate)), (len(record.time) - 4) // 6
-        )
+        most = min(100, highest_multiple(record, record.stated_hz), (len(record.time) - 4) // 6)
         every = fit_harmonics(record, None, fundamental.changed(orders=range(1, most + 1), harmonics="none"))
     except DataError:
         return (1,)  # the samples do not tell so many apart
@@ -272,7 +265,7 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
             dwells, notes = uncut, of_samples
         lines = _as_whole(dwells, at_hz, settings, why)
         return replace(lines, notes=(*notes, *notices_of_doubt(dwells), *lines.notes))
-    if settings.drift == "auto" and any(periods_of(record) < CHEAP for record in dwells):
+    if settings.drift == "auto" and any(record.periods < CHEAP for record in dwells):
         # The drift that all dwells together call for
         p = slopes_show(dwells, settings.wanted)
         what = "only the mean is" if p > SLOPE_LEVEL else "a linear trend is"
@@ -347,7 +340,7 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
             kept.append(record)
             continue
         part = settled(record)
-        enough = settings.settle == "auto" or periods_of(part.record) >= MANY_PERIODS
+        enough = settings.settle == "auto" or part.record.periods >= MANY_PERIODS
         kept.append(part.record if enough else record)
         notes += [part.note] if enough and part.note is not None else []
     return kept, settings, notes
@@ -488,11 +481,11 @@ def _at_its_frequency(record: Record, settings: Conditioning) -> tuple[Record, l
     refined = refine_frequency(record, drift=settings.drift)
     notes = []
     if abs(refined.frequency_hz - refined.nominal_hz) > 3 * refined.sd:
-        text = f"{record.source}: driven at {refined.frequency_hz:.7g} Hz, not at {refined.nominal_hz:.7g} Hz"
-        notes.append(Notice("frequency_refined", text, (record.source,)))
+        text = f"driven at {refined.frequency_hz:.7g} Hz, not at {refined.nominal_hz:.7g} Hz"
+        notes.append(record.notice("frequency_refined", text))
     record = replace(record, frequency_hz=refined.frequency_hz)
     if WANDERS.shows([record]):
-        notes.append(Notice(WANDERS.code, f"{record.source}: {WANDERS.ignored}", (record.source,)))
+        notes.append(record.notice(WANDERS.code, WANDERS.ignored))
     return record, notes
 
 

@@ -33,9 +33,16 @@ def holds_a_period(time: Real, f: float) -> bool:
     return f * (float(time[-1] - time[0]) + 2 * float(np.max(np.diff(time)))) >= 1
 
 
-def duration(time: Real) -> float:
-    """Time that the samples stand for: the span and one mean step, s.  time (samples,)."""
-    return float(time[-1] - time[0]) * len(time) / (len(time) - 1)
+def highest_multiple(record: Record, f: float) -> int:
+    """Of f Hz, that the samples tell from others."""
+    return int(BELOW_HALF_RATE / (2 * record.step_s * f))
+
+
+def turning(f: float, time: Real) -> Complex:
+    """e^{j2πft} of times in s, of their shape."""
+    cycles = f * time
+    turns: Complex = np.exp(2j * np.pi * (cycles - np.floor(cycles)))
+    return turns
 
 
 def window(time: Real) -> tuple[float, float]:
@@ -80,9 +87,7 @@ class Terms:
 
     def columns(self, t: Real, f: float, centre: float, half: float) -> Real:
         """The columns at times t (samples,), s; (t − centre)/half runs from −1 to 1 in the dwell."""
-        cycles = f * t
-        z = np.exp(2j * np.pi * (cycles - np.floor(cycles)))
-        columns = np.empty((len(t), self.count))
+        z, columns = turning(f, t), np.empty((len(t), self.count))
         shape = legvander((t - centre) / half, max(self.degree, self.bends, 0))
         columns[:, : self.degree + 1] = shape[:, : self.degree + 1]
         power, at = np.ones_like(z), 0
@@ -118,7 +123,7 @@ def check_length(record: Record, f: float, terms: Terms) -> None:
         )
     if not holds_a_period(record.time, f):
         raise DataError(
-            f"the record holds {f * duration(record.time):.3g} of a period at {f:g} Hz",
+            f"the record holds {f * record.duration_s:.3g} of a period at {f:g} Hz",
             record.source,
             "record at least one whole period, better ten, or correct the frequency",
         )
@@ -267,9 +272,8 @@ def from_triangle(R: Real, k: int, record: Record, f: float) -> tuple[Real, Real
         P = both[:, :k] @ both[:, :k].T
         if float(np.sum(np.diagonal(P) * size**2)) < 1 / ALIKE:
             return P, both[:, k:]
-    rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
     raise DataError(
-        f"the samples (about {rate:g} per second) cannot separate offset, drift and harmonics at {f:g} Hz",
+        f"the samples (about {1 / record.step_s:g} per second) cannot separate offset, drift and harmonics at {f:g} Hz",
         record.source,
         "record more periods, at a rate that is not twice the frequency or less, or ask for fewer harmonics",
     )
@@ -281,9 +285,8 @@ def _factored(record: Record) -> tuple[Terms, Real]:
 
     Whatever is solved for among them follows from R, without the samples and as accurately as from these.
     """
-    f = record.frequency_hz or 0.0
-    rate = (len(record.time) - 1) / float(record.time[-1] - record.time[0])
-    highest = max(1, min(HIGHEST_HARMONIC, int(BELOW_HALF_RATE * rate / 2 / f)))
+    f = record.stated_hz
+    highest = max(1, min(HIGHEST_HARMONIC, highest_multiple(record, f)))
     every = Terms(3, tuple(range(1, highest + 1)), 1)
     both = (
         np.concatenate([A, record.values[rows]], axis=1) for rows, A in blocks_of_regressors(record, f, every)

@@ -18,11 +18,11 @@ from scipy.special import chdtrc, chdtri, fdtrc
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.data.conditioning.harmonic_fit import SIGNIFICANT
 from dashpot.data.conditioning.regression import (
-    BELOW_HALF_RATE,
     CHUNK,
     Terms,
-    duration,
+    highest_multiple,
     solve_harmonics,
+    turning,
     window,
 )
 from dashpot.data.noise import LEVEL
@@ -33,11 +33,6 @@ from dashpot.notices import Notice
 # In fewer a transient, drift of a sensor, another frequency and a sine that grows look alike
 FEW_PERIODS = 2.0
 MANY_PERIODS = 8  # from which on noise is seen beside a sine and from period to period
-
-
-def periods_of(record: Record) -> float:
-    """Periods of the drive that a record lasts; 0 without a frequency."""
-    return 0.0 if record.frequency_hz is None else record.frequency_hz * duration(record.time)
 
 
 def together(tails: Iterable[Real | float | None]) -> float:
@@ -75,8 +70,7 @@ class Nested:
         terms, samples, f = self.terms, len(record.time), record.frequency_hz
         if f is None:
             return None
-        rate = (samples - 1) / float(record.time[-1] - record.time[0])
-        if terms.orders == BESIDE and (samples < 24 or BESIDE[-1] * f >= BELOW_HALF_RATE * rate / 2):
+        if terms.orders == BESIDE and (samples < 24 or BESIDE[-1] > highest_multiple(record, f)):
             terms = replace(terms, orders=(1,))
         try:
             if self.common is not None:
@@ -202,9 +196,8 @@ def _sines(
     rows = starts[:, None] + np.arange(longest)
     inside = rows < ends[:, None]
     rows = np.where(inside, rows, 0)
-    cycles = f * record.time[rows]
-    turn = 2 * np.pi * (cycles - np.floor(cycles))
-    A = np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)], axis=-1) * inside[..., None]
+    turn = turning(f, record.time[rows])
+    A = np.stack([np.ones(turn.shape), turn.real, turn.imag], axis=-1) * inside[..., None]
     y = np.moveaxis(record.values[..., rows, :], -1, -3).reshape(-1, *rows.shape).swapaxes(0, 1)
     y = y - np.mean(y, axis=-1, keepdims=True)
     counts, B = inside[:, None], A[:, None]  # (pieces, channels or 1, samples, terms)
@@ -222,18 +215,18 @@ def _sines(
 @kept
 def period_blocks(record: Record) -> Blocks | None:
     """Blocks of whole periods, counted from the end; None where these are too few, or have gaps."""
-    edges = None if record.frequency_hz is None else _edges(record.time, record.frequency_hz)
+    edges = None if record.frequency_hz is None else _edges(record, record.frequency_hz)
     return None if edges is None else Blocks.of(record, record.frequency_hz or 0.0, *edges)
 
 
-def _edges(time: Real, f: float) -> tuple[Ints, Ints] | None:
+def _edges(record: Record, f: float) -> tuple[Ints, Ints] | None:
     """Where the blocks start and end."""
-    periods = int(f * duration(time) + 1e-6)
+    time, periods = record.time, int(record.periods + 1e-6)
     each = max(1, periods // MOST, int(np.ceil(SAMPLES * periods / len(time))))
     blocks = periods // each
     if blocks < MANY_PERIODS:
         return None
-    step = (time[-1] - time[0]) / (len(time) - 1)
+    step = record.step_s
     starts = np.searchsorted(time, time[-1] + step - (each / f) * np.arange(blocks, 0, -1) - step / 4)
     ends = np.append(starts[1:], len(time))
     return None if np.min(ends - starts) < 4 else (starts, ends)
@@ -310,7 +303,7 @@ BENT_AMPLITUDE = 2  # degree of the polynomial that the amplitude of many period
 def _fading(record: Record) -> float | None:
     """p-value of one dwell having one amplitude; None where it has too few periods, or repeats."""
     record = wholly_measured(record)
-    if record.values.ndim != 2 or periods_of(record) < FEW_PERIODS or not record.channels:
+    if record.values.ndim != 2 or record.periods < FEW_PERIODS or not record.channels:
         return None
     blocks = period_blocks(record)
     return cast("float | None", AMPLITUDE.tails(record)) if blocks is None else _of_blocks(blocks)
@@ -414,8 +407,7 @@ def _block(record: Record) -> tuple[int, int] | None:
     """Samples and periods of the shortest block that gives an amplitude; None where no two fit into the dwell."""
     if record.frequency_hz is None or record.values.ndim != 2:
         return None
-    period = 1 / record.frequency_hz
-    step = float(record.time[-1] - record.time[0]) / (len(record.time) - 1)
+    period, step = 1 / record.frequency_hz, record.step_s
     if not 2 * step < period < 1e9 * step:  # of more samples a period the stamps are damaged
         return None
     periods = max(1, int(np.ceil((FEWEST_A_BLOCK - 0.5) * step / period)))
@@ -474,7 +466,7 @@ BENDS = Nested(Terms(3, BESIDE, 1), (2, 3, -2, -1))
 
 def bending(records: Sequence[Record]) -> float:
     """p-value of dwells of less than two periods being steady sines; 1 where few of all dwells are none."""
-    short = [record for record in records if record.values.ndim == 2 and 0 < periods_of(record) < FEW_PERIODS]
+    short = [record for record in records if record.values.ndim == 2 and 0 < record.periods < FEW_PERIODS]
     tails = [np.asarray(tail) for tail in map(BENDS.tails, short) if tail is not None]
     bent = sum(bool(np.any(tail < LEVEL / max(tail.size, 1))) for tail in tails)
     return together(tails) if bent > MANY * len(records) else 1.0
@@ -556,16 +548,11 @@ def settled(record: Record) -> Settled:
     what comes before it differs significantly (p < 0.01) from what comes after.  A small error of the frequency does
     not matter.  Raises DataError where the frequency is not known.
     """
-    f, time = record.frequency_hz, record.time
-    if f is None:
-        raise DataError("the drive frequency is not known", record.source, "give the frequency of the record")
+    f, time = record.stated_hz, record.time
     blocks = period_blocks(record)
     if blocks is None:
-        periods = int(f * duration(time) + 1e-6)
-        text = (
-            f"{record.source}: {periods} periods at {f:g} Hz are too few to detect a transient, or have gaps"
-        )
-        return Settled(record, 0, 0.0, Notice("transient_undetectable", text, (record.source,)))
+        text = f"{int(record.periods + 1e-6)} periods at {f:g} Hz are too few to detect a transient, or have gaps"
+        return Settled(record, 0, 0.0, record.notice("transient_undetectable", text))
     starts, Z, rms = blocks.starts, blocks.amplitudes, blocks.rms
     begin, end = _driven(Z)
     if end - begin >= 8:
@@ -590,8 +577,8 @@ def settled(record: Record) -> Settled:
         f"the last {time[-1] - time[last - 1]:.4g} s"
     ] * (last < len(time))
     whole = float(time[-1] - time[0])
-    text = f"{record.source}: discarded {' and '.join(what)} of {whole:.4g} s at {f:g} Hz (transient)"
-    note = Notice("transient_discarded", text, (record.source,))
+    text = f"discarded {' and '.join(what)} of {whole:.4g} s at {f:g} Hz (transient)"
+    note = record.notice("transient_discarded", text)
     return Settled(kept, dropped, float(time[-1] - time[0] - (kept.time[-1] - kept.time[0])), note)
 
 

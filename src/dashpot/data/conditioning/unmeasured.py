@@ -20,7 +20,7 @@ from dashpot.channel import Quantity
 from dashpot.data.conditioning.drive_frequency import at_frequencies, drive_frequencies
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
 from dashpot.data.conditioning.regression import Terms, in_between, partly_measured, triangle, window
-from dashpot.data.conditioning.steadiness import FEW_PERIODS, periods_of
+from dashpot.data.conditioning.steadiness import FEW_PERIODS
 from dashpot.data.noise import LEVEL, smoothed
 from dashpot.data.record import ABOVE, BELOW, MISSING, Record, limits, runs_of_one_value
 from dashpot.errors import DataError
@@ -75,7 +75,7 @@ def _with_missing(record: Record, notices: list[Notice]) -> Record:
     still = record.values[1:] == record.values[:-1]
     # Two equal neighbours in a row anywhere: nearly no record has any, which spares it the rest.
     held = np.any(still[1:] & still[:-1], axis=0)
-    most = max(1.0, PER_PERIOD * periods_of(record))
+    most = max(1.0, PER_PERIOD * record.periods)
     status = np.zeros(record.values.shape, dtype=np.int64)
     for c, column in enumerate(record.values.T):
         runs = list(runs_of_one_value(column, 3)) if held[c] else []
@@ -166,7 +166,7 @@ def _motions(record: Record, c: int, status: Ints) -> Iterator[tuple[slice, slic
     samples are measured.  It is the likeliest by `status`; pieces whose samples do not tell it are left out.
     """
     assert record.frequency_hz is not None
-    f, period = record.frequency_hz, max(round(len(status) / periods_of(record)), 1)
+    f, period = record.frequency_hz, max(round(len(status) / record.periods), 1)
     one = record.channels[c : c + 1], record.values[:, c : c + 1], status[:, None]
     alone = replace(record, channels=one[0], values=one[1], status=one[2], sd=None, cell=None)
     edges = np.linspace(0, len(status), max(len(status) // (3 * period), 1) + 1).round().astype(int).tolist()
@@ -245,7 +245,7 @@ def notices_of_doubt(dwells: Sequence[Record]) -> list[Notice]:
     brief = {
         record.channels[c].name: None
         for record in dwells
-        if record.status is not None and periods_of(record) < FEW_PERIODS
+        if record.status is not None and record.periods < FEW_PERIODS
         for c in np.flatnonzero(np.any(np.abs(record.status) == 1, axis=0))
     }
     return [

@@ -22,7 +22,6 @@ from dashpot.channel import Channel
 from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL, even_step, fewest_samples
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.regression import Terms, solve_harmonics
-from dashpot.data.conditioning.steadiness import periods_of
 from dashpot.data.conditioning.unmeasured import (
     MOST_MISSING,
     MOST_UNKNOWN,
@@ -82,8 +81,8 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
     whole = None if slipped else _with_unknown_rows(record, np.rint(steps / usual).astype(np.int64))
     if whole is not None:
         count = len(whole.time) - len(record.time)
-        text = f"{record.source}: {counted(count, 'sample')} missing before {at}: treated as unknown"
-        return [whole], (Notice("gaps", text, (record.source,)),)
+        text = f"{counted(count, 'sample')} missing before {at}: treated as unknown"
+        return [whole], (record.notice("gaps", text),)
     edges = [0, *cuts.tolist(), len(record.time)]
     pieces = [record.part(slice(a, b)) for a, b in pairwise(edges) if b - a >= SHORTEST]
     lost = len(record.time) - sum(len(piece.time) for piece in pieces)
@@ -102,8 +101,8 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
         )
     dropped = f", {lost} samples of short segments dropped" if lost else ""
     what = "the clock slips" if slipped else "samples are missing"
-    text = f"{record.source}: {what} before {at}: split into {len(pieces)} segments{dropped}"
-    return pieces, (Notice("gaps", text, (record.source,)),)
+    text = f"{what} before {at}: split into {len(pieces)} segments{dropped}"
+    return pieces, (record.notice("gaps", text),)
 
 
 def _with_unknown_rows(record: Record, steps: Ints) -> Record | None:
@@ -514,7 +513,7 @@ def _with_sine_floor(lines: Spectrum, record: Record) -> Spectrum:
     try:
         orders = fit_harmonics(record, orders=(1,), drift=1, noise="white").orders
         # 8: degree that is enough for any drive
-        bends = min(8, int(periods_of(record)), (samples - 2 - 2 * len(orders)) // 6)
+        bends = min(8, int(record.periods), (samples - 2 - 2 * len(orders)) // 6)
         found = solve_harmonics(record, f, Terms(1, orders, max(bends, 0)))
     except DataError:
         return lines

@@ -234,7 +234,7 @@ def noise_of_channels(model: Model, record: Record, still: Still) -> NoiseAtRest
 
 def uniform_step(record: Record) -> float:
     """The sampling step, s.  Raises DataError if samples are not evenly spaced."""
-    step = float((record.time[-1] - record.time[0]) / (len(record.time) - 1))
+    step = record.step_s
     slip = np.max(np.abs(record.time - record.time[0] - step * np.arange(len(record.time))))
     if slip > 0.5 * step and slip > 1e-3 * step * max(1.0, 0.01 * len(record.time)):
         raise DataError(
