@@ -9,7 +9,7 @@ from typing import Literal, Unpack, cast
 import numpy as np
 from scipy.special import bdtrc, chdtrc, fdtr, fdtrc
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze
+from dashpot.arrays import Bools, Complex, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.conditioning.regression import (
     DITHERED,
@@ -43,93 +43,57 @@ FEWEST_LINES = 6  # below this the local spectrum is not an estimate
 SIGNIFICANT = 0.01  # level of the tests of a single dwell, all its channels and multiples together
 
 
-@dataclass(frozen=True)
-class ResidualSums:
-    """Sums over the residual of a fit, sample after sample.
+def _noise_beside(
+    record: Record, f: float, solution: HarmonicSolution, sigma: Real, exact: Bools
+) -> tuple[Complex, Real, Real]:
+    """Noise level at each harmonic by its residual, (batch, orders, channels, channels) per sample; lines behind it,
+    (orders,); autocovariances of the residual (batch, lags, channels).
 
-    owner (lines,): the harmonic that each line lies beside; sums (batch, lines, channels): Fourier sums on the lines;
-    taken (lines,): share of a line that the fit itself has taken; products (batch, lags, channels): autocovariances
+    S(kω) = mean of J Jᴴ / samples with J = Σ e(t) e^{−jω_m t} on the ten lines on each side, no farther than half way
+    to the next harmonic, corrected for the share of each line that the fit itself has taken.  Where the lines are too
+    few for the correlations of so many channels, the variances come from the lines and the correlations from the
+    residual of all samples.
     """
-
-    owner: Ints
-    sums: Complex
-    taken: Real
-    products: Real
-
-    @staticmethod
-    def of(record: Record, f: float, solution: HarmonicSolution) -> ResidualSums:
-        """Of a solution at f Hz."""
-        samples, channels = record.values.shape[-2:]
-        terms, batch, step = solution.terms, len(solution.squares), 1 / record.duration_s
-        lags = min(20, samples // 5) if samples >= 40 else 0  # of the portmanteau test
-        offset, owner = _neighbours(f, terms.orders, step, samples)
-        reach = int(np.max(np.abs(offset), initial=0))
-        products, tail = np.zeros((batch, lags, channels)), np.zeros((batch, lags, channels))
-        sums = np.zeros((batch, len(owner), channels), dtype=complex)
-        overlap = np.zeros((len(owner), terms.count), dtype=complex)
-        for rows, A, e in solution.residuals(record, f):
-            turn = np.conj(turning(step, record.time[rows]))
-            later = np.cumprod(np.tile(turn, (reach, 1)), axis=0)
-            turns = np.concatenate([np.conj(later[::-1]), np.ones((1, len(turn))), later])
-            first, last = terms.degree + 1, terms.degree + 1 + 2 * len(terms.orders)
-            carriers = (A[:, first:last:2] - 1j * A[:, first + 1 : last : 2]).T
-            waves = carriers[owner] * turns[reach + offset]
-            overlap += waves @ A
-            sums += waves.real @ e + 1j * (waves.imag @ e)
-            both = np.concatenate([tail, e], axis=1)
-            for lag in range(1, lags + 1):
-                earlier = both[:, lags - lag : len(both[0]) - lag]
-                products[:, lag - 1] += np.einsum("btc,btc->bc", e, earlier)
-            tail = both[:, len(both[0]) - lags :]
-        taken = np.einsum("lk,km,lm->l", np.conj(overlap), solution.of_all, overlap).real / samples
-        return ResidualSums(owner, sums, taken, products)
-
-
-def _neighbours(f: float, orders: Sequence[int], step: float, samples: int) -> tuple[Ints, Ints]:
-    """The ten lines on each side of each harmonic that show its noise, no farther than half way to the next one.
-
-    Returns how many steps of 1/duration they lie from it, and beside which of the orders.
-    """
-    reach = min(10, int((f / step - 1) / 2 + 1e-9))
-    offsets = np.concatenate([np.arange(-reach, 0), np.arange(1, reach + 1)]) if reach > 0 else np.arange(0)
-    nyquist = samples * step / 2
-    offset, owner = [], []
-    for i, order in enumerate(orders):
-        lines = order * f + offsets * step
-        inside = offsets[(lines > 0) & (lines < max(nyquist - step, order * f))]
-        offset.append(inside)
-        owner.append(np.full(len(inside), i))
-    return np.concatenate(offset).astype(np.int64), np.concatenate(owner).astype(np.int64)
-
-
-def _local_level(
-    of: ResidualSums, orders: int, samples: int, sigma: Real, exact: Bools
-) -> tuple[Complex, Real]:
-    """Noise level at each harmonic, (batch, orders, channels, channels) per sample, and lines behind it, (orders,).
-
-    S(kω) = mean of J Jᴴ / samples with J = Σ e(t) e^{−jω_m t} on neighbouring lines, corrected for the share of each
-    line that the fit itself has taken.  Where the lines are too few for the correlations of so many channels, the
-    variances come from the lines and the correlations from the residual of all samples.
-    """
-    batch, _, channels = of.sums.shape
-    level = np.zeros((batch, orders, channels, channels), dtype=complex)
-    counts = np.zeros(orders)
-    active = int(np.max(np.sum(~exact, axis=-1), initial=0))
-    for order in range(orders):
-        mine = (of.taken < 0.5) & (of.owner == order)
-        counts[order] = np.sum(mine)
-        if not counts[order]:
-            continue
-        J = of.sums[:, mine] / np.sqrt(samples * (1 - of.taken[mine]))[None, :, None]
+    samples, channels = record.values.shape[-2:]
+    terms, batch, step = solution.terms, len(solution.squares), 1 / record.duration_s
+    lags = min(20, samples // 5) if samples >= 40 else 0  # of the portmanteau test
+    reach, harmonics = max(min(10, int((f / step - 1) / 2 + 1e-9)), 0), f * np.array(terms.orders)[:, None]
+    lines = harmonics + step * np.arange(-reach, reach + 1)
+    inside = (lines > 0) & (lines < np.maximum(samples * step / 2 - step, harmonics))
+    inside[:, reach] = False
+    owner, offset = np.nonzero(inside)
+    products, tail = np.zeros((batch, lags, channels)), np.zeros((batch, lags, channels))
+    sums = np.zeros((batch, len(owner), channels), dtype=complex)
+    overlap = np.zeros((len(owner), terms.count), dtype=complex)
+    for rows, A, e in solution.residuals(record, f):
+        turn = np.conj(turning(step, record.time[rows]))
+        later = np.cumprod(np.tile(turn, (reach, 1)), axis=0)
+        turns = np.concatenate([np.conj(later[::-1]), np.ones((1, len(turn))), later])
+        first, last = terms.degree + 1, terms.degree + 1 + 2 * len(terms.orders)
+        carriers = (A[:, first:last:2] - 1j * A[:, first + 1 : last : 2]).T
+        waves = carriers[owner] * turns[offset]
+        overlap += waves @ A
+        sums += waves.real @ e + 1j * (waves.imag @ e)
+        both = np.concatenate([tail, e], axis=1)
+        for lag in range(1, lags + 1):
+            earlier = both[:, lags - lag : len(both[0]) - lag]
+            products[:, lag - 1] += np.einsum("btc,btc->bc", e, earlier)
+        tail = both[:, len(both[0]) - lags :]
+    taken = np.einsum("lk,km,lm->l", np.conj(overlap), solution.of_all, overlap).real / samples
+    level = np.zeros((batch, len(harmonics), channels, channels), dtype=complex)
+    counts = np.bincount(owner[taken < 0.5], minlength=len(harmonics)).astype(float)
+    for order in np.flatnonzero(counts).tolist():
+        mine = (taken < 0.5) & (owner == order)
+        J = sums[:, mine] / np.sqrt(samples * (1 - taken[mine]))[None, :, None]
         S = np.swapaxes(J, 1, 2) @ np.conj(J) / counts[order]
-        if counts[order] < 2 * active:
+        if counts[order] < 2 * int(np.max(np.sum(~exact, axis=-1), initial=0)):
             with np.errstate(divide="ignore", invalid="ignore"):
                 ratio = np.sqrt(np.diagonal(S, axis1=1, axis2=2).real / np.diagonal(sigma, axis1=1, axis2=2))
             ratio = np.where(np.isfinite(ratio), ratio, 0.0)
             S = ratio[:, :, None] * sigma * ratio[:, None, :]
         level[:, order] = (S + np.conj(np.swapaxes(S, 1, 2))) / 2
     level[np.broadcast_to((exact[:, :, None] | exact[:, None, :])[:, None], level.shape)] = 0.0
-    return level, counts
+    return level, counts, products
 
 
 def _whiteness(
@@ -361,12 +325,11 @@ def _fit(record: Record, f: float, terms: Terms, noise: Noise) -> HarmonicFit:
     white = _seen_through(record, f, solution, level)
     if noise == "white":
         return white
-    sums = ResidualSums.of(record, f, solution)
-    local, counts = _local_level(sums, orders, samples, sigma, exact)
+    local, counts, products = _noise_beside(record, f, solution, sigma, exact)
     # What rounding leaves over in cells is no noise, nor are the digits of the numbers, which repeat with the drive:
     # no sensor is as quiet as a millionth of its amplitude
     quiet = exact | solution.exact(1e-6) | solution.in_cells
-    p = _whiteness(sums.products, sigma, quiet, local, counts, samples, samples - terms.count)
+    p = _whiteness(products, sigma, quiet, local, counts, samples, samples - terms.count)
     white = replace(white, whiteness=p.reshape(white.whiteness.shape))
     enough, coloured = bool(np.all(counts >= FEWEST_LINES)), is_coloured(p)
     if noise == "blocks" and not enough:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Unpack
 
@@ -56,8 +56,6 @@ from dashpot.notices import Notice
 # What was done to settled dwells, in one line for the whole test.
 
 
-SETTLED = "settled_dwells"
-OTHER_MOTION = "other_motion"
 LITTLE = 0.3  # part of a channel's power that the multiples of the drive explain
 DRIFTS = {-1: "nothing", 0: "mean", 1: "linear trend"}
 
@@ -79,40 +77,29 @@ def account_of_dwells(given: Sequence[Record], lines: Sequence[Spectrum], settin
     drift = DRIFTS.get(settings.degree, f"polynomial of degree {settings.degree}")
     dwells = f"{len(given)} stepped-sine dwell{'' if len(given) == 1 else 's'}"
     text = f"{dwells}: {share} {samples:,} samples used, stated frequencies {frequency}, {drift} removed"
-    return Notice(SETTLED, text)
+    return Notice("settled_dwells", text)
 
 
-def other_motion(record: Record, fit: HarmonicFit, wanted: Sequence[int]) -> list[Notice]:
+def other_motion(record: Record, fit: HarmonicFit, wanted: Sequence[int]) -> Notice | None:
     """That most channels of a dwell hardly move with its drive, but otherwise, and not as white noise does.
 
     wanted: which of the fit's orders are used.  An earthquake given as a dwell does; so does one of hum or drift alone.
     """
     p = fit.whiteness[np.isfinite(fit.whiteness)]
     if fit.noise == "white" and np.min(p, initial=1.0) > LEVEL:
-        return []
+        return None
     power = np.abs(fit.amplitudes) ** 2 / 2
     driven, of_all = np.sum(power[..., wanted, :], axis=-2), np.sum(power, axis=-2)
     rest = np.diagonal(fit.residual_covariance, axis1=-2, axis2=-1).real
     share = np.median(driven / np.maximum(of_all + rest, 1e-300))
     if share > LITTLE:
-        return []
+        return None
     text = (
         f"only {100 * share:.2g} % of the signal power is at {fit.frequency_hz:g} Hz and the harmonics used, "
         "and the rest is not white noise, so this is not a steady sine; remove the frequency to use the whole "
         "record"
     )
-    return [record.notice(OTHER_MOTION, text)]
-
-
-def summed_up(notes: Iterable[Notice]) -> list[Notice]:
-    """The notes with those on dwells that hardly move with their drive as one."""
-    notes = list(notes)
-    such = [note for note in notes if note.code == OTHER_MOTION]
-    others = [note for note in notes if note.code != OTHER_MOTION]
-    if len(such) > 1:
-        text = f"{such[0].text}; {len(such) - 1} more dwell{'' if len(such) == 2 else 's'} likewise"
-        such = [Notice(OTHER_MOTION, text, tuple(name for note in such for name in note.of))]
-    return [*others, *such]
+    return record.notice("other_motion", text)
 
 
 Treated = tuple[Sequence[Record], Conditioning, list[Notice]]
@@ -414,14 +401,20 @@ def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Con
     if settings.orders == "auto" and not settings.moments:
         driven = driven_orders(dwells, settings)
         notes = orders_used(driven)
-    each, told = zip(
+    each, told, other = zip(
         *(_lines(record, settings, of, steps) for record, of in zip(dwells, driven, strict=True)), strict=True
     )
     notes.insert(0, account_of_dwells(given, each, settings))
     lines = concatenate(each)
     if settings.wanted == (1,) and settings.noise == "auto":
         lines = moderated(lines, np.concatenate(told))
-    return replace(lines, notes=(*notes, *summed_up(lines.notes)))
+    first, *more = [note for note in other if note is not None] or [None]
+    if first is not None and more:
+        text = f"{first.text}; {len(more)} more dwell{'' if len(more) == 1 else 's'} likewise"
+        first = replace(
+            first, text=text, of=tuple(name for note in (first, *more) if note for name in note.of)
+        )
+    return replace(lines, notes=(*notes, *lines.notes, *([] if first is None else [first])))
 
 
 def _why_whole(dwells: Sequence[Record], settings: Conditioning, found: Sequence[Unsteady]) -> str | None:
@@ -443,9 +436,10 @@ def _why_whole(dwells: Sequence[Record], settings: Conditioning, found: Sequence
 
 def _lines(
     record: Record, settings: Conditioning, orders: tuple[int, ...], steps: Real
-) -> tuple[Spectrum, Real]:
-    """The lines of one record, whose channels are rounded to `steps` (channels,), and the share of each amplitude's
-    information that what is measured has, (lines, channels)."""
+) -> tuple[Spectrum, Real, Notice | None]:
+    """The lines of one record, whose channels are rounded to `steps` (channels,), the share of each amplitude's
+    information that what is measured has, (lines, channels), and a note where it moves otherwise than with its drive.
+    """
     settings = settings.changed(orders=orders)
     record, notes = _at_its_frequency(record, settings)
     fit = fit_harmonics(record, None, settings)
@@ -468,10 +462,10 @@ def _lines(
         (fit.noise,) * len(wanted),
         np.full(len(wanted), record.experiment),
         second_moments(expected(record), settings.drift) if with_moments else None,
-        (*notes, *fit.notes, *other_motion(record, fit, wanted)),
+        (*notes, *fit.notes),
         stretches=(SettledDwell(fit.frequency_hz if len(wanted) > 1 else None),),
     )
-    return lines, fit.told[wanted]
+    return lines, fit.told[wanted], other_motion(record, fit, wanted)
 
 
 def _at_its_frequency(record: Record, settings: Conditioning) -> tuple[Record, list[Notice]]:

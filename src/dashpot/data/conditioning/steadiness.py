@@ -15,7 +15,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from scipy.special import chdtrc, chdtri, fdtrc
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze
+from dashpot.arrays import Complex, Ints, Real, freeze
 from dashpot.data.conditioning.harmonic_fit import SIGNIFICANT
 from dashpot.data.conditioning.regression import (
     CHUNK,
@@ -278,16 +278,10 @@ def _wander(record: Record) -> float | None:
     each = (left @ look) * np.exp(-1j * phase)[:, None]
     jitter = max(float(np.sum(each.imag**2) - np.sum(each.real**2)) / len(Z), 0.0)
     freedom = len(Z) - 2
-    of_phase, of_amplitude = (_about_a_line(x) / freedom + ROUNDED**2 for x in (phase, np.abs(common)))
+    line = np.linalg.qr(legvander(np.linspace(-1, 1, len(Z)), 1))[0]
+    both = np.stack([phase - phase[0], np.abs(common)], axis=1)
+    of_phase, of_amplitude = np.sum((both - line @ (line.T @ both)) ** 2, axis=0) / freedom + ROUNDED**2
     return float(fdtrc(freedom, freedom, of_phase / (of_amplitude + jitter)))
-
-
-def _about_a_line(x: Real) -> float:
-    """Sum of squares about the line through x, (blocks,)."""
-    away = x - np.mean(x)
-    index = np.arange(len(x)) - (len(x) - 1) / 2
-    away = away - index * (index @ away) / (index @ index)
-    return float(away @ away)
 
 
 # The drive's amplitude drifts: it scales the motion of all channels by one factor that changes slowly.  A sine of one
@@ -357,44 +351,16 @@ SLIGHT = 3e-3  # of an amplitude: what a transient may leave in it of a long dwe
 FEWEST_A_BLOCK = 6  # samples, for amplitudes of single periods with a residual
 
 
-@dataclass(frozen=True)
-class DwellChange:
-    """How the amplitudes of a dwell's channels change from its first period to its last.
-
-    difference, variance E|Δ|², dof of that and amplitude (channels,) of those with noise
-    """
-
-    difference: Complex
-    variance: Real
-    dof: Real
-    amplitude: Real
-    periods: int
-
-    @property
-    def tails(self) -> Real:
-        """(channels,): p-values of the changes being noise."""
-        F = np.abs(self.difference) ** 2 / self.variance
-        return np.asarray(fdtrc(2, self.dof, F))
-
-    def spoiled(self, beyond: float) -> Bools:
-        """(channels,): changes `beyond` so many sd that, spread over all periods, are more than gains are known to."""
-        change = np.abs(self.difference)
-        share = change / (np.maximum(self.amplitude, 1e-300) * self.periods)
-        slight = SLIGHT if self.periods >= MANY_PERIODS else SLIGHT_DRIFT
-        return (share > slight) & (change > beyond * np.sqrt(self.variance))
-
-
 def transients_show(records: Sequence[Record]) -> float:
     """p-value of no change from the first period of any dwell to its last."""
-    return together(change.tails for change in map(first_to_last, records) if change is not None)
+    return together(change[0] for change in map(first_to_last, records) if change is not None)
 
 
 def settling(records: Sequence[Record]) -> float:
     """As `transients_show`, and 1 where changes are neither clear in some channel nor seen in many."""
-    changes = [change for change in map(first_to_last, records) if change is not None]
-    pairs = sum(len(change.variance) for change in changes)
-    clear = any(np.any(change.spoiled(CLEAR)) for change in changes)
-    many = sum(int(np.sum(change.spoiled(SEEN))) for change in changes) > MANY * pairs
+    changes = [change[1] for change in map(first_to_last, records) if change is not None]
+    beyond = np.concatenate([*changes, np.zeros(0)])
+    clear, many = np.any(beyond > CLEAR), np.sum(beyond > SEEN) > MANY * len(beyond)
     return transients_show(records) if clear or many else 1.0
 
 
@@ -416,8 +382,11 @@ def _block(record: Record) -> tuple[int, int] | None:
 
 
 @kept
-def first_to_last(record: Record) -> DwellChange | None:
-    """The change of a dwell's amplitudes; None where it has no two blocks to compare."""
+def first_to_last(record: Record) -> tuple[Real, Real] | None:
+    """How the amplitudes of a dwell's channels change from its first period to its last, of those with noise,
+    (channels,): p-values of that being noise; by how many standard deviations, 0 where the change, spread over all
+    periods, is less than gains are known to.  None where it has no two blocks to compare.
+    """
     block, f, time = _block(record), record.frequency_hz, record.time
     if block is None or f is None:
         return None
@@ -452,8 +421,10 @@ def first_to_last(record: Record) -> DwellChange | None:
             return None
         variance = 2 * rest.spread[0] * rest.squares[0] / dof * (count - 1)
     noisy = variance > (EXACT * np.max(np.abs(record.values), axis=0)) ** 2
-    size = np.abs(sines.amplitudes[-1][noisy])
-    return DwellChange(difference[noisy], variance[noisy], dof[noisy], size, count * periods)
+    size, F = np.abs(difference[noisy]), np.abs(difference[noisy]) ** 2 / variance[noisy]
+    share = size / (np.maximum(np.abs(sines.amplitudes[-1][noisy]), 1e-300) * count * periods)
+    slight = SLIGHT if count * periods >= MANY_PERIODS else SLIGHT_DRIFT
+    return fdtrc(2, dof[noisy], F), np.where(share > slight, np.sqrt(F), 0.0)
 
 
 # Dwells of less than two periods have no first to set against a last.  A transient, or a frequency that is off, bends
