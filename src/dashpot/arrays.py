@@ -44,6 +44,11 @@ def without_denormals(values: ArrayLike, axis: int) -> np.ndarray:
     return np.where(nothing, 0.0, array) if np.any(nothing) else array
 
 
+def zeros_for_nan(values: NDArray[Scalar]) -> NDArray[Scalar]:
+    """NumPy's nan_to_num, without its parts and copies where all are numbers already, as they mostly are."""
+    return values if np.all(np.isfinite(values)) else np.nan_to_num(values)
+
+
 def frozen(values: ArrayLike, dtype: type[Scalar]) -> NDArray[Scalar]:
     """A read-only copy of `values`; an array that nobody can write to is shared."""
     if isinstance(values, np.ndarray) and values.dtype == dtype:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from dashpot.arrays import Bools, Ints, Real
+from dashpot.arrays import Bools, Ints, Real, zeros_for_nan
 from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 ROUNDING = 1e-5  # standard deviations
@@ -166,7 +166,7 @@ class _Search:
             self.damping = np.where(convex & (turn == self.newton_from), 0.0, self.damping)
         x, around, damping = self.x, self.around, self.damping
         step, spread = _step(x, around, damping, convex, self.low, self.high)
-        trial = np.clip(x + np.clip(np.nan_to_num(step), -self.longest, self.longest), self.low, self.high)
+        trial = np.clip(x + np.clip(zeros_for_nan(step), -self.longest, self.longest), self.low, self.high)
         there = self._evaluated(trial)
         usable = np.all(np.isfinite(step), axis=-1)
         with np.errstate(all="ignore"):  # steps from where there is no cost yet, or into the infinite
@@ -265,4 +265,4 @@ def _step(
     # A direction that is not seen makes these overflow: such a step is refused or damped, not reported.
     with np.errstate(all="ignore"):
         spread = np.sqrt(np.maximum(np.diagonal(scaled_inverse(around.symmetric), axis1=-2, axis2=-1), 0.0))
-        return solve_scaled(matrix, gradient), np.nan_to_num(spread)
+        return solve_scaled(matrix, gradient), zeros_for_nan(spread)

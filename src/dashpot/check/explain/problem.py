@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices
+from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices, zeros_for_nan
 from dashpot.channel import Channel, Quantity
 from dashpot.check.residuals import blocks_of
 from dashpot.data.conditioning.unmeasured import with_likely
@@ -106,7 +106,7 @@ class LineProblem:
     @property
     def y(self) -> Complex:
         """Amplitudes, (lines, channels), 0 where nothing counts."""
-        return np.nan_to_num(self.data.spectrum.amplitudes[0])
+        return zeros_for_nan(self.data.spectrum.amplitudes[0])
 
     @property
     def kept(self) -> Bools:
@@ -171,7 +171,7 @@ class LineProblem:
     @property
     def variance(self) -> Real:
         """Of the noise of each amplitude as it is known, (lines, channels)."""
-        return np.nan_to_num(np.diagonal(self.V, axis1=-2, axis2=-1).real)
+        return zeros_for_nan(np.diagonal(self.V, axis1=-2, axis2=-1).real)
 
     def with_amplitudes(self, y: Complex, V: Complex | None = None, kept: Bools | None = None) -> LineProblem:
         """With other amplitudes, their covariance, and which of them count."""
@@ -180,7 +180,7 @@ class LineProblem:
         spectrum = replace(
             self.data.spectrum,
             amplitudes=np.where(kept, y, np.nan)[None],
-            covariance=np.nan_to_num(V)[None],
+            covariance=zeros_for_nan(V)[None],
             moments=None,
         )
         return replace(self, data=replace(self.data, spectrum=spectrum, covariance=V[None], states=None))

@@ -22,7 +22,7 @@ from typing import cast
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Ints, Real, frozen
+from dashpot.arrays import Bools, Complex, Ints, Real, frozen, zeros_for_nan
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import DataError
 from dashpot.model.dynamics import matrices
@@ -174,7 +174,7 @@ class UnmeasuredColumns:
 
 def with_means_of_unmeasured(spectrum: Spectrum) -> Complex:
     """Amplitudes, 0 where there are none, beside which samples that are not measured are off by 0 in the mean."""
-    y: Complex = np.nan_to_num(spectrum.amplitudes)
+    y = np.array(zeros_for_nan(spectrum.amplitudes))
     for number, value in enumerate(spectrum.stretches):
         if isinstance(value, WholeRecord) and value.unmeasured:
             lines = np.flatnonzero(spectrum.stretch == number)

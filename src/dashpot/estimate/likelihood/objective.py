@@ -8,6 +8,7 @@ line (variable projection).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import sparse
@@ -76,8 +77,16 @@ def inputs_seen(view: ObservationModel, present: Bools) -> Ints:
     present (lines, channels).
     """
     patterns, which = np.unique(present, axis=0, return_inverse=True)
-    ranks = [int(structural_rank(sparse.csr_array(view.sees & pattern[:, None]))) for pattern in patterns]
-    return np.array(ranks, dtype=np.int64)[which.ravel()]
+    seen = (view.sees & pattern[:, None] for pattern in patterns)
+    return np.array([_generic_rank(each.tobytes(), each.shape) for each in seen], dtype=np.int64)[
+        which.ravel()
+    ]
+
+
+@lru_cache(maxsize=4096)
+def _generic_rank(entries: bytes, shape: tuple[int, int]) -> int:
+    """Of a matrix by where it has entries."""
+    return int(structural_rank(sparse.csr_array(np.frombuffer(entries, dtype=np.bool_).reshape(shape))))
 
 
 def estimated_inputs(G: Complex, W: Complex, y: Complex) -> tuple[Complex, Complex]:
