@@ -13,7 +13,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, DataError, IdentifiabilityError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.gram import auxiliary, known_side, regressors
-from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
+from dashpot.estimate.linear.instrumental_variables import DefiniteOptimalIV, InstrumentalVariables, OptimalIV
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, WeightedLeastSquares
 from dashpot.estimate.linear.total_least_squares import CompensatedLeastSquares, TotalLeastSquares
 from dashpot.estimate.method import Method
@@ -280,7 +280,7 @@ def test_noise_as_large_as_the_signal_gives_numbers_or_says_why_not(level: float
         assert not np.any(estimate.noise_sd < 0)
 
 
-@pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
+@pytest.mark.parametrize("method", [*METHODS, DefiniteOptimalIV()], ids=lambda method: method.name)
 def test_too_few_data_are_refused(method: Method) -> None:
     """One line gives four real equations for six unknowns."""
     rig = paper_rig([3.0])

@@ -9,6 +9,7 @@ from dashpot.data.conditioning.lines import spectrum
 from dashpot.estimate.identify import identify
 from dashpot.estimate.linear.instrumental_variables import InstrumentalVariables, OptimalIV
 from dashpot.estimate.linear.least_squares import HarmonicLeastSquares, LeastSquares, WeightedLeastSquares
+from dashpot.estimate.linear.total_least_squares import TotalLeastSquares
 from dashpot.model.elements import Kind
 from tests.rigs import Rig, channels, covariance, perfect, random_rig, records
 
@@ -50,7 +51,7 @@ def test_so_they_do_under_a_stated_noise(seed: int, n: int, inputs: tuple[int, i
     rig = random_rig(rng, n, displacements=inputs[0], forces=inputs[1])
     seen = channels(rig, (D, A), rng)
     stated = covariance(rig, seen, 0.02, inputs=0.01, correlation=0.3)
-    for method in ON_AMPLITUDES:
+    for method in (*ON_AMPLITUDES, TotalLeastSquares()):
         estimate = identify(rig.model, perfect(rig, seen, stated), method)
         assert worst_error(rig, estimate.values) < 1e-8, method
         assert estimate.fit.chi2 < 1e-9

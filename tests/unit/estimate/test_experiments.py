@@ -201,17 +201,3 @@ def test_whole_records_of_two_experiments_give_one_estimate() -> None:
     assert np.all(estimate.sd < 0.01 * truth)
     assert estimate.assessment is not None
     assert estimate.assessment.verdict == "fits"
-
-
-@pytest.mark.parametrize("method", ["oiv", "ml"])
-def test_intervals_of_the_joint_estimate_hold(method: str) -> None:
-    """400 draws, seed 7: 95 % intervals of eight unknowns; standard error of one coverage 1.1 points."""
-    text = f'{SHAKEN}[experiments.added]\n{ADDED}\nc1 = "own"\n'
-    rig, rng = parse_rig(text), np.random.default_rng(7)
-    both = concatenate([table(rig, kind, rng, 400) for kind in (None, "added")])
-    estimate = identify(rig.model, both, method)
-    truth = np.array([TRUTH[name] for name in estimate.names])
-    held = np.mean(np.abs(estimate.values - truth) < 1.96 * estimate.sd, axis=0)
-    assert np.all(np.abs(held - 0.95) < 0.035), held
-    spread = np.std(estimate.values, axis=0) / np.mean(estimate.bound_sd, axis=0)
-    assert np.all(np.abs(spread - 1) < 0.12), spread

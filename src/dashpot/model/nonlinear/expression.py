@@ -232,8 +232,9 @@ def _power(a: Dual, b: Dual) -> Dual:
     along = b.value * a.value ** (b.value - 1)
     # At 0 the slope of a constant exponent of 0, and that along the exponent, is 0, not 0 times infinity.
     # So does that of a root, where it is infinite: a state such as Bouc and Wen's passes through 0 all the time.
-    flat = (b.value == 0) | ((a.value == 0) & (b.value > 0) & (b.value < 1))
-    along = np.where(np.broadcast_to(flat, np.shape(along)), 0.0, along)
+    if np.any(b.value < 1):
+        flat = (b.value == 0) | ((a.value == 0) & (b.value > 0))
+        along = np.where(np.broadcast_to(flat & (b.value < 1), np.shape(along)), 0.0, along)
     if not b.slopes:
         return _chain(value, (a, along))
     inside = np.where(a.value > 0, a.value, 1.0)
