@@ -52,6 +52,18 @@ def sizes_of_parts(power: Real, parts: Real, left: Real | float, sizes: Real, st
     return sizes
 
 
+def constant_and_share(variance: Real, power: Real) -> tuple[float, float]:
+    """a² and b² of variances a² + b²|y|², as estimates of these (rows,) at powers |y|² (rows,) have them likeliest.
+
+    Each estimate weighs by what is fitted there: by itself, those that happen to be small would count most.
+    """
+    size = float(np.mean(power))
+    parts = np.stack([np.full(len(power), size), power], axis=1)
+    # Before the first step half of the scatter each
+    constant, share = sizes_of_parts(variance, parts, 1.0, np.full(2, 0.5 * float(np.mean(variance)) / size))
+    return float(constant) * size, float(share)
+
+
 # As records at rest show it: the best there is, and cheap in the laboratory (THEORY §8).  A record may bring its own:
 # before an earthquake, between the blows of a hammer.
 
@@ -240,11 +252,8 @@ def _noise_of(f: Real, y: Complex) -> tuple[Real, float] | None:
     # 1e-18 of the mean square of the motion
     if np.mean(straight) < 0.5 or np.median(low[straight]) < 1e-18 * float(np.mean(np.abs(y) ** 2)):
         return None
-    size = np.abs(y[straight]) ** 2
-    # A constant and a share of the motion: sizes that explain the scatter, before the first step half of it each
-    parts = np.stack([np.full(len(y), np.mean(size)), np.abs(y) ** 2], axis=1)
-    sizes = np.full(2, 0.5 * float(np.mean(low[straight]) / np.mean(size)))
-    variance = parts @ sizes_of_parts(low[straight], parts[straight], 1.0, sizes)
+    constant, share = constant_and_share(low[straight], np.abs(y[straight]) ** 2)
+    variance = constant + share * np.abs(y) ** 2
     # 0.3 of the motion: what scatters more is no noise about a curve
     if np.median(variance / np.maximum(np.abs(y) ** 2, 1e-300)) > 0.3**2:
         return None

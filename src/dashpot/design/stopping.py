@@ -9,6 +9,7 @@ import numpy as np
 
 from dashpot.arrays import Ints, Real, freeze
 from dashpot.channel import Channel
+from dashpot.data.noise import constant_and_share
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.allocation import Kind
 from dashpot.design.robust import GaussianPrior
@@ -93,8 +94,6 @@ def noise_from(channels: Sequence[Channel], spectrum: Spectrum) -> tuple[Channel
 
     Channels that state their noise, that the data have not, or that are exact there stay as they are.
     """
-    from scipy.optimize import nnls
-
     index = {channel.name: i for i, channel in enumerate(spectrum.channels)}
     noisy = []
     for channel in channels:
@@ -106,14 +105,12 @@ def noise_from(channels: Sequence[Channel], spectrum: Spectrum) -> tuple[Channel
         power = np.abs(spectrum.amplitudes[..., i]) ** 2
         variance = np.mean(V, axis=tuple(range(V.ndim - 1))) * spectrum.samples / 4
         power = np.mean(power, axis=tuple(range(power.ndim - 1)))
-        usable = np.isfinite(variance) & (variance > 0) & np.isfinite(power)
+        usable = np.isfinite(variance) & (variance > 0) & np.isfinite(power) & (power > 0)
         if not np.any(usable):
             continue
-        rows = np.stack([np.ones(int(np.sum(usable))), power[usable]], axis=1) / variance[usable, None]
-        scale = np.max(rows, axis=0)
-        (floor, relative), _ = nnls(rows / scale, np.ones(len(rows)))
-        floor_sd = float(np.sqrt(floor / scale[0])) * abs(channel.factor) / channel.scale
-        noisy[-1] = replace(channel, noise=floor_sd, relative_noise=float(np.sqrt(relative / scale[1])))
+        floor, relative = constant_and_share(variance[usable], power[usable])
+        floor_sd = floor**0.5 * abs(channel.factor) / channel.scale
+        noisy[-1] = replace(channel, noise=floor_sd, relative_noise=relative**0.5)
     return tuple(noisy)
 
 

@@ -30,9 +30,9 @@ def even_step(record: Record) -> float:
             record.source,
             f"at least {fewest_samples(record)} samples are needed",
         )
+    time = with_even_stamps(record)[0].time
     index, step, away = _line(time)
-    # Rounded stamps stay within a digit of the line through all of them, however long the record is.
-    if np.max(away) > max(UNEVEN * step, 1.01 * _digit(time)):
+    if np.max(away) > UNEVEN * step:
         row = int(np.argmax(away)) + 1
         raise DataError(
             f"the samples are not evenly spaced: row {row} is {np.max(away) / step:.3g} steps of {step:.4g} s off",
@@ -53,16 +53,6 @@ def _line(time: Real) -> tuple[Real, float, Real]:
     return index, step, np.abs(time - np.mean(time) - step * index)
 
 
-def _digit(time: Real) -> float:
-    """The last digit that the stamps are written with, s; at most a quarter of the step."""
-    steps = np.diff(time[: min(len(time), 1000)])
-    usual = float(np.median(steps))
-    for digits in range(13):
-        if np.all(np.abs(steps - np.round(steps, digits)) < 1e-4 * usual):
-            return min(10.0**-digits, usual / 4)
-    return 0.0
-
-
 def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
     """The record on an even clock where its stamps are even times rounded to some digit, else as it is.
 
@@ -70,7 +60,7 @@ def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
     noise of the time.  A note says so where the digit is coarse.
     """
     time = record.time
-    if len(time) < 16:  # stamps that show by what they are rounded
+    if len(time) < FEWEST_OF_A_DWELL:
         return record, None
     index, step, off = _line(time)
     away = float(np.max(off))

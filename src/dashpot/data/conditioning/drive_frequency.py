@@ -122,32 +122,10 @@ USUAL = ((2 * np.pi, "rad/s"), (1 / (2 * np.pi), "Hz, not rad/s"), (60.0, "rpm")
 ALIKE = 0.05  # relative
 
 
-@dataclass(frozen=True)
-class DriveFrequencies:
-    """The frequency of each dwell, Hz, and what was found: "stated", "clock" (one ratio for all) or "own"."""
-
-    frequency_hz: tuple[float, ...]
-    kind: str = "stated"
-    ratio: float = 1.0
-
-    def note(self, records: Sequence[Record]) -> list[Notice]:
-        """What was changed, in words; nothing where the stated frequencies are used, or were rounded to six digits."""
-        stated = np.array([record.frequency_hz for record in records], dtype=float)
-        moved = np.flatnonzero(np.abs(np.array(self.frequency_hz) - stated) > LABEL * stated)
-        if not len(moved):
-            return []
-        if self.kind == "clock":
-            text = (
-                f"the response is at {self.ratio:.6g} × the stated frequencies ({len(records)} dwells "
-                "alike): this ratio is used"
-            )
-            return [Notice("clock_refined", text)]
-        return [
-            records[k].notice(
-                "frequency_refined", f"driven at {self.frequency_hz[k]:.7g} Hz, not at {stated[k]:.7g} Hz"
-            )
-            for k in moved.tolist()
-        ]
+def driven_at(record: Record, f: float) -> Notice:
+    """That a record is driven at another frequency than is stated, Hz."""
+    text = f"driven at {f:.7g} Hz, not at {record.frequency_hz:.7g} Hz"
+    return record.notice("frequency_refined", text)
 
 
 def require_stated(records: Sequence[Record], orders: Sequence[int]) -> None:
@@ -180,11 +158,6 @@ def require_stated(records: Sequence[Record], orders: Sequence[int]) -> None:
             for record, peak in shown
         ]
     )
-
-
-def beyond_half_rate(record: Record) -> bool:
-    """Whether a dwell's stated frequency is beyond half its sampling rate, so that nothing can be told of it there."""
-    return (record.frequency_hz or 0.0) * float(np.ptp(record.time)) > 0.5 * (len(record.time) - 1)
 
 
 def moves_elsewhere(record: Record, orders: Sequence[int] = (1,)) -> float | None:
@@ -229,22 +202,23 @@ def moves_elsewhere(record: Record, orders: Sequence[int] = (1,)) -> float | Non
     return peak if 2 * np.sum(alike) >= share.shape[1] else None
 
 
-def drive_frequencies(records: Sequence[Record]) -> DriveFrequencies:
-    """The frequencies of the drive: as stated, unless all dwells together show that they are off (p < 1e-3).
+def at_drive_frequencies(records: Sequence[Record]) -> tuple[list[Record], list[Notice]]:
+    """The records at the frequencies of the drive: as stated, unless all dwells together show that they are off
+    (p < 1e-3); and what was changed, but for labels that were rounded to six digits.
 
     Where one ratio, of two clocks, explains it, all dwells get it; a dwell that differs from it gets its own, unless it
     has less than two periods: there a transient looks like another frequency.
     """
     stated = np.array([record.frequency_hz for record in records], dtype=float)
     # Channels that measured all of their samples tell it at once: all share one drive
-    records = [wholly_measured(record) if np.any(record.whole_channels) else record for record in records]
-    steps = [_evidence(record) for record in records]
+    telling = [wholly_measured(record) if np.any(record.whole_channels) else record for record in records]
+    steps = [_evidence(record) for record in telling]
     z = np.array([0.0 if step is None else step[0] / step[1] for step in steps])
     tested = int(np.sum([step is not None for step in steps]))
     if not tested or float(chdtrc(tested, float(z @ z))) > LEVEL:
-        return DriveFrequencies(tuple(stated.tolist()))
+        return list(records), []
     frequency, sd = stated.copy(), np.full(len(stated), np.inf)
-    for k, record in enumerate(records):
+    for k, record in enumerate(telling):
         try:
             refined = None if steps[k] is None else refine_frequency(record, within=WITHIN)
         except DataError:
@@ -252,17 +226,26 @@ def drive_frequencies(records: Sequence[Record]) -> DriveFrequencies:
         near = max(WITHIN * stated[k], 0.25 / record.duration_s)
         if refined is not None and abs(refined.frequency_hz - stated[k]) <= near:
             frequency[k], sd[k] = refined.frequency_hz, refined.sd
-    off = frequency / stated - 1
     weight = (stated / sd) ** 2
-    ratio = 1 + float(weight @ off) / float(np.sum(weight)) if np.sum(weight) > 0 else 1.0
-    apart = np.abs(frequency - ratio * stated) > np.maximum(OWN * sd, EVEN * stated)
-    if tested > 2 and np.sum(apart) <= 0.1 * tested:
-        used = np.where(apart, frequency, ratio * stated)
-        return DriveFrequencies(tuple(used.tolist()), "own" if np.any(apart) else "clock", ratio)
-    long = np.array([record.periods >= FEW_PERIODS for record in records])
-    off_alone = long & (np.abs(frequency - stated) > np.maximum(OWN * sd, EVEN * stated))
-    used = np.where(off_alone, frequency, stated)
-    return DriveFrequencies(tuple(used.tolist()), "own")
+    off = float(weight @ (frequency / stated - 1))
+    common = (1 + off / float(np.sum(weight)) if np.sum(weight) > 0 else 1.0) * stated
+    differ = np.maximum(OWN * sd, EVEN * stated)
+    apart = np.abs(frequency - common) > differ
+    alike = tested > 2 and np.sum(apart) <= 0.1 * tested
+    if not alike:
+        long = np.array([record.periods >= FEW_PERIODS for record in records])
+        common, apart = stated, long & (np.abs(frequency - stated) > differ)
+    used = np.where(apart, frequency, common)
+    moved = np.flatnonzero(np.abs(used - stated) > LABEL * stated).tolist()
+    notes = [driven_at(records[k], used[k]) for k in moved]
+    if moved and alike and not np.any(apart):
+        text = (
+            f"the response is at {used[0] / stated[0]:.6g} × the stated frequencies ({len(records)} dwells "
+            "alike): this ratio is used"
+        )
+        notes = [Notice("clock_refined", text)]
+    every = zip(records, used.tolist(), strict=True)
+    return [of if of.frequency_hz == f else replace(of, frequency_hz=f) for of, f in every], notes
 
 
 def _evidence(record: Record) -> tuple[float, float] | None:
@@ -279,11 +262,3 @@ def _evidence(record: Record) -> tuple[float, float] | None:
         # average that out.
         sd *= max(1.0, float(np.sqrt(np.prod(record.values.shape[:-2]) / 4)))
     return (step, sd) if np.isfinite(sd) and sd > 0 else None
-
-
-def at_frequencies(records: Sequence[Record], drive: DriveFrequencies) -> list[Record]:
-    """The records at the frequencies found."""
-    return [
-        record if record.frequency_hz == f else replace(record, frequency_hz=f)
-        for record, f in zip(records, drive.frequency_hz, strict=True)
-    ]

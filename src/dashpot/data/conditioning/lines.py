@@ -12,9 +12,8 @@ from scipy.special import fdtrc
 from dashpot.arrays import Bools, Ints, Real, diagonal_matrices
 from dashpot.data.conditioning.clock import with_even_stamps
 from dashpot.data.conditioning.drive_frequency import (
-    at_frequencies,
-    beyond_half_rate,
-    drive_frequencies,
+    at_drive_frequencies,
+    driven_at,
     refine_frequency,
     require_stated,
 )
@@ -113,22 +112,18 @@ def long_enough(dwells: Sequence[Record], settings: Conditioning) -> Treated:
 
     A recording that was stopped within a dwell, or one dwell that failed, is no reason to refuse the others.
     """
-    brief = {k: text for k, record in enumerate(dwells) if (text := _too_brief(record))}
+    brief = dict[int, str]()
+    for k, record in enumerate(dwells):
+        f = record.stated_hz
+        if len(record.time) < 5:  # samples of a dwell: more than its offset, slope and fundamental have terms
+            brief[k] = f"{counted(len(record.time), 'sample')} at {f:g} Hz"
+        elif not holds_a_period(record.time, f):
+            brief[k] = f"{record.periods:.2g} of a period at {f:g} Hz"
     if 2 * len(brief) >= len(dwells):
         return dwells, settings, []
     kept = [record for k, record in enumerate(dwells) if k not in brief]
     notes = [dwells[k].notice("dwell_left_out", f"left out: {text}") for k, text in brief.items()]
     return kept, settings, notes
-
-
-def _too_brief(record: Record) -> str:
-    """Why a dwell holds no amplitude at its frequency, if it holds none."""
-    f, time = record.frequency_hz, record.time
-    if f is None:
-        return ""
-    if len(time) < 5:  # samples of a dwell: more than its offset, slope and fundamental have terms
-        return f"{counted(len(time), 'sample')} at {f:g} Hz"
-    return "" if holds_a_period(time, f) else f"{record.periods:.2g} of a period at {f:g} Hz"
 
 
 # Harmonics of the drive that every channel shows beyond doubt, which are data as good as the fundamental.
@@ -141,8 +136,11 @@ def _too_brief(record: Record) -> str:
 STRONG = 0.01  # of the fundamental, in the channel that shows a multiple most
 
 
-def driven_orders(records: Sequence[Record], conditioning: Conditioning) -> list[tuple[int, ...]]:
-    """For each dwell the multiples of its frequency that are driven: 1 alone, unless half of the long dwells have more.
+def driven_orders(
+    records: Sequence[Record], conditioning: Conditioning
+) -> tuple[list[tuple[int, ...]], list[Notice]]:
+    """For each dwell the multiples of its frequency that are driven: 1 alone, unless half of the long dwells have more,
+    which a note says.
 
     A multiple counts where each channel's F test rejects noise at 1 % over all, and where it has a hundredth of some
     channel's fundamental.  Short dwells and repeats have their fundamental alone.
@@ -151,18 +149,12 @@ def driven_orders(records: Sequence[Record], conditioning: Conditioning) -> list
     driven = [
         _orders_of(record, conditioning) if long else (1,) for record, long in zip(records, able, strict=True)
     ]
-    several = sum(len(orders) > 1 for orders in driven)
-    return driven if 2 * several >= max(sum(able), 1) else [(1,)] * len(driven)
-
-
-def orders_used(driven: Sequence[tuple[int, ...]]) -> list[Notice]:
-    """A note where dwells have more lines than their fundamentals."""
     several = [len(orders) for orders in driven if len(orders) > 1]
-    if not several:
-        return []
+    if not several or 2 * len(several) < sum(able):
+        return [(1,)] * len(driven), []
     dwells = f"{len(several)} dwell{'s' if len(several) > 1 else ''}"
     text = f"{sum(several)} lines of {dwells}: harmonics of the drive that appear in every channel are used"
-    return [Notice("harmonics_driven", text)]
+    return driven, [Notice("harmonics_driven", text)]
 
 
 def _orders_of(record: Record, conditioning: Conditioning) -> tuple[int, ...]:
@@ -316,7 +308,8 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
     A dwell that is driven for too few periods to see its transient decay is left whole.
     """
     if settings.refine == "auto":
-        require_stated([record for record in dwells if beyond_half_rate(record)], settings.wanted)
+        beyond_half_rate = [record for record in dwells if 2 * record.step_s * record.stated_hz > 1]
+        require_stated(beyond_half_rate, settings.wanted)
     if settings.settle not in ("auto", "none"):
         return [without_start(record, float(settings.settle)) for record in dwells], settings, []
     if settings.settle == "none" and settings.transients != "auto":
@@ -338,9 +331,8 @@ def _at_drive_frequencies(dwells: Sequence[Record], settings: Conditioning) -> T
     if settings.refine != "auto":
         return dwells, settings, []
     require_stated(dwells, settings.wanted)
-    drive = drive_frequencies(dwells)
-    refined = at_frequencies(dwells, drive)
-    return (dwells, settings, []) if WANDERS.shows(refined) else (refined, settings, drive.note(dwells))
+    refined, notes = at_drive_frequencies(dwells)
+    return (dwells, settings, []) if WANDERS.shows(refined) else (refined, settings, notes)
 
 
 OF_SAMPLES = (long_enough, _evened_and_marked)
@@ -399,8 +391,7 @@ def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Con
         dwells = [replace(of, cell=steps) if of.values.ndim == 2 else of for of in dwells]
     driven = [settings.wanted] * len(dwells)
     if settings.orders == "auto" and not settings.moments:
-        driven = driven_orders(dwells, settings)
-        notes = orders_used(driven)
+        driven, notes = driven_orders(dwells, settings)
     each, told, other = zip(
         *(_lines(record, settings, of, steps) for record, of in zip(dwells, driven, strict=True)), strict=True
     )
@@ -475,8 +466,7 @@ def _at_its_frequency(record: Record, settings: Conditioning) -> tuple[Record, l
     refined = refine_frequency(record, drift=settings.drift)
     notes = []
     if abs(refined.frequency_hz - refined.nominal_hz) > 3 * refined.sd:
-        text = f"driven at {refined.frequency_hz:.7g} Hz, not at {refined.nominal_hz:.7g} Hz"
-        notes.append(record.notice("frequency_refined", text))
+        notes.append(driven_at(record, refined.frequency_hz))
     record = replace(record, frequency_hz=refined.frequency_hz)
     if WANDERS.shows([record]):
         notes.append(record.notice(WANDERS.code, WANDERS.ignored))

@@ -181,55 +181,41 @@ class Blocks:
     @staticmethod
     def of(record: Record, f: float, starts: Ints, ends: Ints) -> Blocks:
         """Pieces from one sample to the one before another.  Raises LinAlgError where the terms are not to be told."""
-        longest = int(np.max(ends - starts))
+        longest, found = int(np.max(ends - starts)), []
         each = max(1, CHUNK // longest)
-        parts = [
-            _sines(record, f, starts[k : k + each], ends[k : k + each], longest)
-            for k in range(0, len(starts), each)
-        ]
-        return Blocks(starts, ends, *(np.concatenate(of) for of in zip(*parts, strict=True)))
-
-
-def _sines(
-    record: Record, f: float, starts: Ints, ends: Ints, longest: int
-) -> tuple[Complex, Real, Real, Real]:
-    rows = starts[:, None] + np.arange(longest)
-    inside = rows < ends[:, None]
-    rows = np.where(inside, rows, 0)
-    turn = turning(f, record.time[rows])
-    A = np.stack([np.ones(turn.shape), turn.real, turn.imag], axis=-1) * inside[..., None]
-    y = np.moveaxis(record.values[..., rows, :], -1, -3).reshape(-1, *rows.shape).swapaxes(0, 1)
-    y = y - np.mean(y, axis=-1, keepdims=True)
-    counts, B = inside[:, None], A[:, None]  # (pieces, channels or 1, samples, terms)
-    if record.status is not None:
-        counts = np.moveaxis(record.status[rows] == 0, -1, 1) & counts
-        B = B * counts[..., None]
-    P = np.linalg.pinv(np.swapaxes(B, -1, -2) @ B, rcond=1e-12, hermitian=True)
-    c = (P @ (np.swapaxes(B, -1, -2) @ y[..., None]))[..., 0]
-    left = (y - (A[:, None] @ c[..., None])[..., 0]) * counts
-    free = np.broadcast_to(np.sum(counts, axis=-1) - 3.0, c.shape[:2])
-    spread = np.broadcast_to(P[..., 1, 1] + P[..., 2, 2], c.shape[:2])
-    return c[..., 1] - 1j * c[..., 2], np.sum(left**2, axis=-1), spread, free
+        for k in range(0, len(starts), each):
+            rows = starts[k : k + each, None] + np.arange(longest)
+            inside = rows < ends[k : k + each, None]
+            rows = np.where(inside, rows, 0)
+            turn = turning(f, record.time[rows])
+            A = np.stack([np.ones(turn.shape), turn.real, turn.imag], axis=-1) * inside[..., None]
+            y = np.moveaxis(record.values[..., rows, :], -1, -3).reshape(-1, *rows.shape).swapaxes(0, 1)
+            y = y - np.mean(y, axis=-1, keepdims=True)
+            counts, B = inside[:, None], A[:, None]  # (pieces, channels or 1, samples, terms)
+            if record.status is not None:
+                counts = np.moveaxis(record.status[rows] == 0, -1, 1) & counts
+                B = B * counts[..., None]
+            P = np.linalg.pinv(np.swapaxes(B, -1, -2) @ B, rcond=1e-12, hermitian=True)
+            c = (P @ (np.swapaxes(B, -1, -2) @ y[..., None]))[..., 0]
+            left = (y - (A[:, None] @ c[..., None])[..., 0]) * counts
+            free = np.broadcast_to(np.sum(counts, axis=-1) - 3.0, c.shape[:2])
+            spread = np.broadcast_to(P[..., 1, 1] + P[..., 2, 2], c.shape[:2])
+            found.append((c[..., 1] - 1j * c[..., 2], np.sum(left**2, axis=-1), spread, free))
+        return Blocks(starts, ends, *(np.concatenate(of) for of in zip(*found, strict=True)))
 
 
 @kept
 def period_blocks(record: Record) -> Blocks | None:
     """Blocks of whole periods, counted from the end; None where these are too few, or have gaps."""
-    edges = None if record.frequency_hz is None else _edges(record, record.frequency_hz)
-    return None if edges is None else Blocks.of(record, record.frequency_hz or 0.0, *edges)
-
-
-def _edges(record: Record, f: float) -> tuple[Ints, Ints] | None:
-    """Where the blocks start and end."""
-    time, periods = record.time, int(record.periods + 1e-6)
+    f, time, periods = record.frequency_hz, record.time, int(record.periods + 1e-6)
     each = max(1, periods // MOST, int(np.ceil(SAMPLES * periods / len(time))))
     blocks = periods // each
-    if blocks < MANY_PERIODS:
+    if f is None or blocks < MANY_PERIODS:
         return None
     step = record.step_s
     starts = np.searchsorted(time, time[-1] + step - (each / f) * np.arange(blocks, 0, -1) - step / 4)
     ends = np.append(starts[1:], len(time))
-    return None if np.min(ends - starts) < 4 else (starts, ends)
+    return None if np.min(ends - starts) < 4 else Blocks.of(record, f, starts, ends)
 
 
 # The drive frequency wanders: it turns the phase of all channels together and leaves their amplitudes nearly as they
@@ -295,19 +281,17 @@ BENT_AMPLITUDE = 2  # degree of the polynomial that the amplitude of many period
 
 
 def _fading(record: Record) -> float | None:
-    """p-value of one dwell having one amplitude; None where it has too few periods, or repeats."""
+    """p-value of one dwell having one amplitude; None where it has too few periods, or repeats.
+
+    Of many periods by F of a slow change of the common amplitude over its scatter from block to block, which knows the
+    noise.  The first eighth of the blocks has no say: what decays there is a transient, which has a test of its own.
+    """
     record = wholly_measured(record)
     if record.values.ndim != 2 or record.periods < FEW_PERIODS or not record.channels:
         return None
     blocks = period_blocks(record)
-    return cast("float | None", AMPLITUDE.tails(record)) if blocks is None else _of_blocks(blocks)
-
-
-def _of_blocks(blocks: Blocks) -> float | None:
-    """F of a slow change of the common amplitude over its scatter from block to block, which knows the noise.
-
-    The first eighth of the blocks has no say: what decays there is a transient, which has a test of its own.
-    """
+    if blocks is None:
+        return cast("float | None", AMPLITUDE.tails(record))
     size = np.abs(blocks.amplitudes[len(blocks.amplitudes) // 8 :])
     mean, noise = np.mean(size, axis=0), np.median(blocks.rms, axis=0)
     moves = mean > 0

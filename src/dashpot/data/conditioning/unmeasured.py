@@ -17,7 +17,7 @@ from scipy.special import chdtrc, fdtrc
 
 from dashpot.arrays import Ints, Real
 from dashpot.channel import Quantity
-from dashpot.data.conditioning.drive_frequency import at_frequencies, drive_frequencies
+from dashpot.data.conditioning.drive_frequency import at_drive_frequencies
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
 from dashpot.data.conditioning.regression import Terms, in_between, partly_measured, triangle, window
 from dashpot.data.conditioning.steadiness import FEW_PERIODS
@@ -48,8 +48,8 @@ def marked(dwells: Sequence[Record]) -> tuple[list[Record], list[Notice]]:
     if not any(np.any(limits(column)) for r in dwells if r.values.ndim == 2 for column in r.values.T):
         return with_missing, notices
     # The motion around clipped samples is that of the drive's own frequency, which they hide but little.
-    perhaps = [_perhaps_clipped(record) for record in with_missing]
-    at_their_own = at_frequencies(perhaps, drive_frequencies(perhaps))
+    perhaps = [_perhaps_clipped(record, MOST * len(record.time)) for record in with_missing]
+    at_their_own = at_drive_frequencies(perhaps)[0]
     return [
         record
         if own.status is None
@@ -127,14 +127,15 @@ def _spikes(column: Real) -> list[int]:
     return spikes
 
 
-def _perhaps_clipped(record: Record) -> Record:
-    """The dwell with all samples marked that stand at what may be limits."""
-    if record.values.ndim != 2 or record.frequency_hz is None:
+def _perhaps_clipped(record: Record, most: float, *, of_all: bool = False) -> Record:
+    """The record with all samples marked that stand at what may be limits, as long as no more than `most` of a channel
+    are marked, or of all channels."""
+    if record.values.ndim != 2:
         return record
     status = record.marks()
     for c, column in enumerate(record.values.T):
-        highest, lowest = limits(column)
-        if np.mean(highest | lowest) <= MOST:
+        highest, lowest = limits(column) & (status[:, c] == 0)
+        if np.count_nonzero(status if of_all else status[:, c]) + np.sum(highest | lowest) <= most:
             status[highest, c], status[lowest, c] = ABOVE, BELOW
     return replace(record, status=status) if np.any(status) else record
 
@@ -329,11 +330,7 @@ def marked_whole(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
 
 def _with_clipped_of_whole(record: Record, notes: list[Notice]) -> Record:
     """The record with the samples marked that are clipped; as it is where they are too many."""
-    status = record.marks()
-    for c, column in enumerate(record.values.T):
-        highest, lowest = limits(column) & (status[:, c] == 0)
-        if np.count_nonzero(status) + np.sum(highest | lowest) <= MOST_UNKNOWN:
-            status[highest, c], status[lowest, c] = ABOVE, BELOW
+    status = _perhaps_clipped(record, MOST_UNKNOWN, of_all=True).marks()
 
     def motion(c: int, trial: Ints) -> Real:
         alone = np.where(np.arange(status.shape[1]) == c, trial[:, None], 0)

@@ -19,14 +19,13 @@ from scipy import fft
 
 from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel
-from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL, even_step, fewest_samples
+from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL, even_step, fewest_samples, with_even_stamps
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.regression import Terms, solve_harmonics
 from dashpot.data.conditioning.unmeasured import (
     MOST_MISSING,
     MOST_UNKNOWN,
     SHORTEST,
-    Known,
     marked_whole,
     told_by_lines,
     with_likely,
@@ -167,6 +166,19 @@ def whole_record(
         V, kind, dof = still.covariance(frequency, samples), AT_REST, still.dof
     if any(channel.factor != 1 or channel.delay for channel in remaining):
         X, V = calibrated(remaining, frequency, X, V)
+    names = [channel.name for channel, share in zip(record.channels, folded, strict=True) if share > 0.01]
+    text = (
+        f"{record.source}: aliasing: {joined(names)} still {'move' if len(names) > 1 else 'moves'} at half the "
+        f"sampling rate ({100 * np.max(folded):.2g} % of the largest lines), and values may be off by as much; "
+        "sample faster, or use an anti-aliasing filter"
+    )
+    aliased = [Notice("folded", text, tuple(names))] if names else []
+    # What is known of samples that are not measured: of each by itself, and by lines above the last, of noise alone
+    at = {c: np.flatnonzero(record.marks()[:, c]) for c in known}
+    unmeasured = tuple(
+        Unmeasured(remaining[c], at[c], *told_by_lines(record.values[:, c], at[c], last, own))
+        for c, own in known.items()
+    )
     return Spectrum(
         record.channels,
         frequency,
@@ -178,7 +190,7 @@ def whole_record(
         np.full(lines, record.experiment),
         stretch=np.zeros(lines, dtype=np.int64),
         notes=(
-            *_notices(record, folded),
+            *aliased,
             *driven_note(record.source, lines, first + np.flatnonzero(driven_lines(X))),
         ),
         stretches=(
@@ -189,23 +201,10 @@ def whole_record(
                 polynomial,
                 # A drift is felt in the ten lowest lines, and 200 can spare a column for it
                 ramp and first <= 10 and lines >= 200,
-                unmeasured=_unmeasured(record, known, remaining, last),
+                unmeasured=unmeasured,
             ),
         ),
     )
-
-
-def _unmeasured(
-    likely: Record, known: Known, remaining: Sequence[Channel], last: int
-) -> tuple[Unmeasured, ...]:
-    """What is known of samples that are not measured: of each by itself, and by lines above the `last` of the band,
-    which hold noise alone.  remaining: channels with what is left of their known delays."""
-    found = []
-    for c, own in known.items():
-        assert likely.status is not None
-        at = np.flatnonzero(likely.status[:, c])
-        found.append(Unmeasured(remaining[c], at, *told_by_lines(likely.values[:, c], at, last, own)))
-    return tuple(found)
 
 
 def _lines_of(source: str, band_hz: tuple[float, float] | None, samples: int, step: float) -> tuple[int, int]:
@@ -302,19 +301,6 @@ def at_the_top(Y: Complex, floor: float) -> float:
     return (level / largest) ** 0.5 if _stands_out(level, floor, len(top)) and largest > 0 else 0.0
 
 
-def _notices(record: Record, folded: Real) -> tuple[Notice, ...]:
-    """That channels move above half the sampling rate, of which they show `folded` (channels,)."""
-    names = [channel.name for channel, share in zip(record.channels, folded, strict=True) if share > 0.01]
-    if not names:
-        return ()
-    text = (
-        f"{record.source}: aliasing: {joined(names)} still {'move' if len(names) > 1 else 'moves'} at half the "
-        f"sampling rate ({100 * np.max(folded):.2g} % of the largest lines), and values may be off by as much; "
-        "sample faster, or use an anti-aliasing filter"
-    )
-    return (Notice("folded", text, tuple(names)),)
-
-
 def whole_records(
     records: Sequence[Record],
     *,
@@ -329,9 +315,10 @@ def whole_records(
     """
     notes: list[Notice] = []
     pieces: list[Record] = []
-    for record in records:
+    for given in records:
+        record, rounded = with_even_stamps(given)
         parts, told = without_gaps(record)
-        notes += told
+        notes += (*([] if rounded is None else [rounded]), *told)
         for part in parts:
             each, told = marked_whole(part) if marks else ([part], ())
             pieces += each
