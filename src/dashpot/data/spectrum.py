@@ -22,38 +22,6 @@ from dashpot.io.json_document import optional_library
 from dashpot.notices import Notice
 from dashpot.shorthand import InNotebooks
 
-# A Spectrum as labelled arrays of xarray.
-
-
-def labelled_spectrum(spectrum: Spectrum) -> Any:
-    """An xarray Dataset: amplitude (…, line, channel), covariance (…, line, channel, other); … repeats.
-
-    SI units.  Coordinates: frequency_hz, experiment, samples, dof and noise of each line, quantity of each channel.
-    Repeats that have one covariance share it.  Raises UsageError without xarray.
-    """
-    xarray = optional_library("xarray", "analysis", "to_xarray")
-    repeats = [f"repeat_{axis}" for axis in range(len(spectrum.batch))]
-    shared = spectrum.covariance.shape[:-3] != spectrum.batch
-    V = spectrum.covariance.reshape(spectrum.covariance.shape[-3:]) if shared else spectrum.covariance
-    names = [channel.name for channel in spectrum.channels]
-    return xarray.Dataset(
-        {
-            "amplitude": ([*repeats, "line", "channel"], spectrum.amplitudes),
-            "covariance": ([*([] if shared else repeats), "line", "channel", "other"], V),
-        },
-        coords={
-            "channel": names,
-            "other": names,
-            "quantity": ("channel", [channel.quantity.value for channel in spectrum.channels]),
-            "frequency_hz": ("line", spectrum.frequency_hz),
-            "experiment": ("line", spectrum.experiment),
-            "samples": ("line", spectrum.samples),
-            "dof": ("line", spectrum.dof),
-            "noise": ("line", list(spectrum.noise)),
-        },
-    )
-
-
 # What lines of a Spectrum have in common: a settled dwell, or a whole record with its transient (THEORY
 # §8).
 
@@ -454,11 +422,32 @@ class Spectrum(InNotebooks):
         return replace(self, channels=channels, unsettled=unsettled)
 
     def to_xarray(self) -> Any:
-        """An xarray Dataset of amplitudes and covariance with their names.
+        """An xarray Dataset: amplitude (…, line, channel), covariance (…, line, channel, other); … repeats.
 
-        Raises UsageError without xarray (extra "analysis").
+        SI units.  Coordinates: frequency_hz, experiment, samples, dof and noise of each line, quantity of each channel.
+        Repeats that have one covariance share it.  Raises UsageError without xarray (extra "analysis").
         """
-        return labelled_spectrum(self)
+        xarray = optional_library("xarray", "analysis", "to_xarray")
+        repeats = [f"repeat_{axis}" for axis in range(len(self.batch))]
+        shared = self.covariance.shape[:-3] != self.batch
+        V = self.covariance.reshape(self.covariance.shape[-3:]) if shared else self.covariance
+        names = [channel.name for channel in self.channels]
+        return xarray.Dataset(
+            {
+                "amplitude": ([*repeats, "line", "channel"], self.amplitudes),
+                "covariance": ([*([] if shared else repeats), "line", "channel", "other"], V),
+            },
+            coords={
+                "channel": names,
+                "other": names,
+                "quantity": ("channel", [channel.quantity.value for channel in self.channels]),
+                "frequency_hz": ("line", self.frequency_hz),
+                "experiment": ("line", self.experiment),
+                "samples": ("line", self.samples),
+                "dof": ("line", self.dof),
+                "noise": ("line", list(self.noise)),
+            },
+        )
 
     def __add__(self, other: Spectrum) -> Spectrum:
         """Lines of both; channels are matched by name, and one that is missing on a side is NaN there."""

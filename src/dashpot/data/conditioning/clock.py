@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.data.record import Record
+from dashpot.data.record import Record, kept
 from dashpot.errors import DataError
 from dashpot.notices import Notice
 
@@ -21,6 +21,7 @@ def fewest_samples(record: Record) -> int:
     return FEWEST if record.frequency_hz is None else FEWEST_OF_A_DWELL
 
 
+@kept
 def even_step(record: Record) -> float:
     """The sampling step, s.  Raises DataError where the samples are not evenly spaced."""
     time = record.time

@@ -120,19 +120,6 @@ def _whiteness(
     return np.where(tests > 0, np.minimum(1.0, smallest * tests), np.nan)
 
 
-def is_coloured(whiteness: Real) -> bool:
-    """One decision for all repeats: more of them fail at 1 % than chance allows, and more than a few per cent.
-
-    whiteness (batch,): p-values.
-    """
-    tested = whiteness[np.isfinite(whiteness)]
-    failed = int(np.sum(tested < SIGNIFICANT))
-    if not failed:
-        return False
-    chance = float(bdtrc(failed - 1, len(tested), SIGNIFICANT))
-    return failed >= 0.03 * len(tested) and chance <= SIGNIFICANT * (1 + 1e-9)
-
-
 # Second moments of the samples of a dwell, for the methods that work on samples.
 
 
@@ -331,7 +318,11 @@ def _fit(record: Record, f: float, terms: Terms, noise: Noise) -> HarmonicFit:
     quiet = exact | solution.exact(1e-6) | solution.in_cells
     p = _whiteness(products, sigma, quiet, local, counts, samples, samples - terms.count)
     white = replace(white, whiteness=p.reshape(white.whiteness.shape))
-    enough, coloured = bool(np.all(counts >= FEWEST_LINES)), is_coloured(p)
+    # One decision for all repeats: more of them fail at 1 % than chance allows, and more than a few per cent
+    tested, enough = p[np.isfinite(p)], bool(np.all(counts >= FEWEST_LINES))
+    failed = int(np.sum(tested < SIGNIFICANT))
+    chance = float(bdtrc(failed - 1, len(tested), SIGNIFICANT)) if failed else 1.0
+    coloured = failed >= 0.03 * len(tested) and chance <= SIGNIFICANT * (1 + 1e-9)
     if noise == "blocks" and not enough:
         raise DataError(
             f"{white.periods:.3g} periods are too few to measure coloured noise at {f:g} Hz",

@@ -327,12 +327,22 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
 
 
 def _at_drive_frequencies(dwells: Sequence[Record], settings: Conditioning) -> Treated:
-    """At the frequencies that they show, or as they are where those wander within a dwell."""
-    if settings.refine != "auto":
+    """At the frequencies that they show: all together, unless these wander within a dwell; each by itself "always"."""
+    if settings.refine == "none":
         return dwells, settings, []
-    require_stated(dwells, settings.wanted)
-    refined, notes = at_drive_frequencies(dwells)
-    return (dwells, settings, []) if WANDERS.shows(refined) else (refined, settings, notes)
+    if settings.refine == "auto":
+        require_stated(dwells, settings.wanted)
+        refined, notes = at_drive_frequencies(dwells)
+        return (dwells, settings, []) if WANDERS.shows(refined) else (refined, settings, notes)
+    refined, notes = [], []
+    for record in dwells:
+        found = refine_frequency(record, drift=settings.drift)
+        refined.append(replace(record, frequency_hz=found.frequency_hz))
+        if abs(found.frequency_hz - found.nominal_hz) > 3 * found.sd:
+            notes.append(driven_at(record, found.frequency_hz))
+        if WANDERS.shows(refined[-1:]):
+            notes.append(record.notice(WANDERS.code, WANDERS.ignored))
+    return refined, settings, notes
 
 
 OF_SAMPLES = (long_enough, _evened_and_marked)
@@ -432,7 +442,6 @@ def _lines(
     information that what is measured has, (lines, channels), and a note where it moves otherwise than with its drive.
     """
     settings = settings.changed(orders=orders)
-    record, notes = _at_its_frequency(record, settings)
     fit = fit_harmonics(record, None, settings)
     wanted = [fit.orders.index(order) for order in settings.wanted]
     frequencies = fit.frequency_hz * np.array([fit.orders[i] for i in wanted], dtype=float)
@@ -453,24 +462,10 @@ def _lines(
         (fit.noise,) * len(wanted),
         np.full(len(wanted), record.experiment),
         second_moments(expected(record), settings.drift) if with_moments else None,
-        (*notes, *fit.notes),
+        fit.notes,
         stretches=(SettledDwell(fit.frequency_hz if len(wanted) > 1 else None),),
     )
     return lines, fit.told[wanted], other_motion(record, fit, wanted)
-
-
-def _at_its_frequency(record: Record, settings: Conditioning) -> tuple[Record, list[Notice]]:
-    """The record with its frequency refined where that is always wanted, and a note."""
-    if settings.refine != "always":
-        return record, []
-    refined = refine_frequency(record, drift=settings.drift)
-    notes = []
-    if abs(refined.frequency_hz - refined.nominal_hz) > 3 * refined.sd:
-        notes.append(driven_at(record, refined.frequency_hz))
-    record = replace(record, frequency_hz=refined.frequency_hz)
-    if WANDERS.shows([record]):
-        notes.append(record.notice(WANDERS.code, WANDERS.ignored))
-    return record, notes
 
 
 # Which part of each dwell stands behind its lines, for pictures of it.
@@ -501,14 +496,11 @@ def used_dwells(
     """
     records, _, _ = long_enough(records, settings)
     # The lines of one dwell after another: of a stretch with a fundamental all, else each line alone
-    groups: list[list[int]] = []
-    for line, number in enumerate(spectrum.stretch.tolist()):
-        alone = getattr(spectrum.stretches[number], "fundamental_hz", None) is None
-        if groups and not alone and spectrum.stretch[groups[-1][-1]] == number:
-            groups[-1].append(line)
-        else:
-            groups.append([line])
-    lines = [np.array(group, dtype=np.int64) for group in groups]
+    fundamental = [getattr(stretch, "fundamental_hz", None) for stretch in spectrum.stretches]
+    alone = np.array([hz is None for hz in fundamental])[spectrum.stretch]
+    lines = np.split(
+        np.arange(spectrum.lines), np.flatnonzero((np.diff(spectrum.stretch) != 0) | alone[1:]) + 1
+    )
     if len(lines) != len(records) or not all(
         _fits(record, spectrum, numbers) for record, numbers in zip(records, lines, strict=True)
     ):

@@ -99,9 +99,6 @@ class Conditioning:
                 object.__setattr__(self, name, on if value else "none")
         if self.moments is True and self.wanted != (1,):
             raise DataError("second moments exist for the fundamental alone", cure="ask for orders (1,)")
-        self._require_ranges()
-
-    def _require_ranges(self) -> None:
         if not 0 <= self.degree + 1 <= 100:  # no record drifts so, and polynomials of such a degree cost time
             raise DataError(f"a drift of degree {self.degree}", cure='give a degree from 0, or "none"')
         if isinstance(self.settle, int | float) and not 0 <= self.settle < 1e12:
@@ -155,8 +152,7 @@ class Conditioning:
 
 def conditioning_of(settings: Conditioning | None, treatments: Treatments | FitTreatments) -> Conditioning:
     """The settings given (the usual ones where there are none), changed by keywords.  Raises as Conditioning."""
-    usual = Conditioning() if settings is None else settings
-    return replace(usual, **treatments) if treatments else usual
+    return (Conditioning() if settings is None else settings).changed(**treatments)
 
 
 def _multiples(orders: Sequence[int], name: str) -> tuple[int, ...]:
