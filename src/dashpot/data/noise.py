@@ -7,13 +7,13 @@ two formulas: the mean power of what is left over its degrees of freedom, `smoot
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from scipy import fft
-from scipy.special import chdtrc, digamma, polygamma
+from scipy.special import chdtrc, chdtri, digamma, polygamma
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.data.conditioning.clock import even_step
@@ -389,21 +389,14 @@ def _trigamma_inverse(value: float) -> float:
     return x
 
 
-# Whether variances are equal.
+# Tests of variances, and independent tests taken together.
 
 
-# Independent tests of one hypothesis taken together.
-
-
-def fishers_product(p: Sequence[Real] | Sequence[float]) -> Real:
-    """p-values of all tests together, (...,), of those of each, (tests, ...); 1 where there are none.
-
-    −2 Σ ln p is χ² with two degrees of freedom for each test: R. A. Fisher, Statistical Methods for Research Workers.
-    """
-    if not len(p):
-        return np.ones(())
-    logs = np.log(np.maximum(p, 1e-300))  # p-value that counts as such
-    return np.asarray(chdtrc(2 * len(logs), -2 * np.sum(logs, axis=0)), dtype=float)
+def together(tails: Iterable[Real | float | None]) -> float:
+    """One p-value of independent ones: the squares of the normal numbers that have these are χ²; 1 of none."""
+    every = [np.ravel(tail) for tail in tails if tail is not None]
+    p = np.concatenate(every) if every else np.zeros(0)
+    return float(chdtrc(len(p), np.sum(chdtri(1, np.clip(p, 1e-250, 1.0))))) if len(p) else 1.0
 
 
 def equal_variances(variance: Real, dof: float) -> float:

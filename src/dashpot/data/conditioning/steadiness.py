@@ -7,13 +7,13 @@ makes dwells whole records; `settled` is the part of one that is driven and wher
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, cast
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
-from scipy.special import chdtrc, chdtri, fdtrc
+from scipy.special import chdtrc, fdtrc
 
 from dashpot.arrays import Complex, Ints, Real, freeze
 from dashpot.data.conditioning.harmonic_fit import SIGNIFICANT
@@ -25,7 +25,7 @@ from dashpot.data.conditioning.regression import (
     turning,
     window,
 )
-from dashpot.data.noise import LEVEL
+from dashpot.data.noise import LEVEL, together
 from dashpot.data.record import Record, kept
 from dashpot.errors import DataError
 from dashpot.notices import Notice
@@ -33,13 +33,6 @@ from dashpot.notices import Notice
 # In fewer a transient, drift of a sensor, another frequency and a sine that grows look alike
 FEW_PERIODS = 2.0
 MANY_PERIODS = 8  # from which on noise is seen beside a sine and from period to period
-
-
-def together(tails: Iterable[Real | float | None]) -> float:
-    """One p-value of independent ones: the squares of the normal numbers that have these are χ²; 1 of none."""
-    every = [np.ravel(tail) for tail in tails if tail is not None]
-    p = np.concatenate(every) if every else np.zeros(0)
-    return float(chdtrc(len(p), np.sum(chdtri(1, np.clip(p, 1e-250, 1.0))))) if len(p) else 1.0
 
 
 # Terms of a regression

@@ -472,12 +472,10 @@ def dwells_with_transients(
                 record.source,
                 f"record at least {FEWEST_OF_A_DWELL} samples, or wait until it has settled",
             )
-        even_step(record)
         lines = whole_record(record, band_hz=band_hz, still=still)
-        if lines.lines < SHORT:
-            lines = whole_record(record, band_hz=band_hz, still=still, polynomial=2)
         (whole,) = (value for value in lines.stretches if isinstance(value, WholeRecord))
-        dwell = replace(whole, drive_hz=record.frequency_hz, ramp=slopes)
+        columns = 2 if lines.lines < SHORT else POLYNOMIAL
+        dwell = replace(whole, drive_hz=record.frequency_hz, ramp=slopes, polynomial=columns)
         lines = replace(lines, stretches=(dwell,))
         spectra.append(_with_sine_floor(lines, record) if still is None else lines)
     dwells = "one dwell is" if len(spectra) == 1 else f"{len(spectra)} dwells are"

@@ -13,7 +13,7 @@ from scipy.special import bdtrc, fdtrc, gammaincc
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.channel import Quantity
-from dashpot.data.noise import fishers_product
+from dashpot.data.noise import together
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.likelihood.global_search import moves_freely
@@ -107,7 +107,7 @@ def few_lines(model: Model, spectrum: Spectrum) -> str | None:
 
 
 def unrelated_inputs(model: Model, spectrum: Spectrum) -> list[Notice]:
-    """A warning where no output of any whole record goes with the inputs: F tests in bins of lines, Fisher's product.
+    """A warning where no output of any whole record goes with the inputs: F tests in bins of lines, taken together.
 
     In each bin of lines the outputs are fitted by a straight transient alone, and by the inputs times a constant
     response as well: inputs of white noise then pass as often as stated, whatever the outputs are.
@@ -122,7 +122,7 @@ def unrelated_inputs(model: Model, spectrum: Spectrum) -> list[Notice]:
         if isinstance(value, WholeRecord)
         for p in _p_values(amplitudes[spectrum.stretch == number], inputs)
     ]
-    if not bins or np.min(fishers_product(bins)) * np.sum(~inputs) <= 0.01:  # a relation shows
+    if not bins or min(map(together, np.transpose(bins))) * np.sum(~inputs) <= 0.01:  # a relation shows
         return []
     names = [channel.name for channel, given in zip(spectrum.channels, inputs, strict=True) if given]
     low, high = float(np.min(spectrum.frequency_hz)), float(np.max(spectrum.frequency_hz))
