@@ -122,7 +122,7 @@ def collinearity(base: Surface, covariance: Real) -> Collinearity:
     Combinations count that inflate an interval tenfold or more over what it were with all other unknowns known.
     Raises IdentifiabilityError if nothing is known of an unknown, or the information is not a finite number.
     """
-    total = np.sum(base.information[0], axis=0) + np.diag(base.view.prior_precision)
+    total = np.sum(base.information, axis=0) + np.diag(base.view.prior_precision)
     known = np.all(np.isfinite(total), axis=-1) & (np.diagonal(total) > 0)
     if not np.all(known):
         lost = [name for name, fine in zip(base.view.names, known, strict=True) if not fine]
@@ -137,7 +137,7 @@ def collinearity(base: Surface, covariance: Real) -> Collinearity:
     # Part of each line (lines, M, M) in the information on each unknown, (lines, M)
     scale = np.outer(sd, sd)
     C = np.diag(1 / sd**2) if values[0] <= 1e-14 else np.linalg.inv(total / scale) / scale
-    shares = np.einsum("jk,lki,ij->lj", C, base.information[0], C) / np.diagonal(C)
+    shares = np.einsum("jk,lki,ij->lj", C, base.information, C) / np.diagonal(C)
     lines = len(shares)
     # 0.01 of an even share of the information below which a line carries nothing
     idle = tuple(int(line) for line in np.flatnonzero(np.all(shares < 0.01 / lines, axis=1)))
@@ -154,7 +154,7 @@ def _combinations(
     portion = parts / inflation[:, None]
     spread = np.sqrt(np.diagonal(covariance) / (inflation / sd**2))  # what the noise basis multiplies
     delays = np.arange(len(names)) >= len(names) - base.view.delays
-    size = np.where(delays | (base.psi[0] == 0), 1.0, np.abs(base.psi[0]))
+    size = np.where(delays | (base.psi == 0), 1.0, np.abs(base.psi))
     combinations = []
     for k in np.argsort(values):
         if values[k] * WEAK**2 > 1:
@@ -163,7 +163,7 @@ def _combinations(
         members = np.flatnonzero((portion[:, k] > 0.5) & (inflation > WEAK**2))
         if not len(members):
             continue
-        relative = (vectors[:, k] / sd / size * np.where(base.psi[0] < 0, -1, 1))[members]
+        relative = (vectors[:, k] / sd / size * np.where(base.psi < 0, -1, 1))[members]
         peak = relative[np.argmax(np.abs(relative))]
         best, narrowing = _best(covariance, members)
         along = float(abs(peak) / np.sqrt(values[k]) * np.mean(spread[members]))
@@ -314,11 +314,11 @@ def profile_content(found: Profile) -> dict[str, Any]:
         "name": found.name,
         "unit": found.unit,
         "level": found.level,
-        "value": float(found.value),
-        "interval": [float(found.lower), float(found.upper)],
-        "normal_interval": [float(found.normal_lower), float(found.normal_upper)],
-        "normal_misleads": bool(found.misleads),
-        "better_fit_met": bool(found.improved),
+        "value": found.value,
+        "interval": [found.lower, found.upper],
+        "normal_interval": [found.normal_lower, found.normal_upper],
+        "normal_misleads": found.misleads,
+        "better_fit_met": found.improved,
         "curve": [[x, y] for x, y in zip(found.points.tolist(), found.rise.tolist(), strict=True)],
     }
 
@@ -478,13 +478,13 @@ def _from_slopes(
     view = prepared.view
     # What whole records and nonlinear elements add follows the freed rig; the weights are those of the fit.
     data = replace(measured(prepared), W=base.data.W, root=base.data.root)
-    values = {e.name: e.value for e in model.elements} | dict(zip(base.view.names, base.psi[0], strict=True))
+    values = {e.name: e.value for e in model.elements} | dict(zip(base.view.names, base.psi, strict=True))
     psi = np.array([values[name] for name in view.names], dtype=float)
     size = np.where(psi == 0, 1.0, np.abs(psi))
     delays = np.arange(len(psi)) >= len(psi) - view.delays
     step = STEP * np.where(delays, 1 / np.max(view.omega), size)
     moved = np.concatenate([psi + np.diag(step), psi - np.diag(step)])
-    sign = np.repeat(base.sign[:1], len(moved), axis=0)
+    sign = np.repeat(base.sign[None], len(moved), axis=0)
     gradient = local(view, data, moved, sign).gradient
     curvature = -(gradient[: len(psi)] - gradient[len(psi) :]) / (2 * step[:, None])  # [by, of]
     index = {name: i for i, name in enumerate(view.names)}

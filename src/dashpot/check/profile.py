@@ -7,7 +7,7 @@ much as the parabola would at ± t sd is a likelihood-ratio interval and follows
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -39,34 +39,44 @@ from dashpot.numerics.small_systems import scaled_inverse
 
 @dataclass(frozen=True)
 class Surface:
-    """χ²(ψ) of K repeats with the priors' part; psi (K, M) is its minimum near the estimate, cost (K,) the value there.
+    """χ²(ψ) of one repeat with the priors' part; psi (M,) is its minimum near the estimate, cost the value there.
 
-    information (K, lines, M, M) of each line at psi; lower, upper (M,) what the model allows; lacking (M, M) the
-    curvature that χ² has where one repeat's information has none.
+    sign (channels,); information (lines, M, M) of each line at psi; lower, upper (M,) what the model allows; lacking
+    (M, M) the curvature that χ² has where the information has none.
     """
 
     view: ObservationModel
     data: Measured
     sign: Real
     psi: Real
-    cost: Real
+    cost: float
     information: Real
     lower: Real
     upper: Real
     lacking: Real
 
-    def at(self, psi: Real, rows: Ints) -> QuadraticModel:
-        """χ², minus half its slope, and half its curvature (Gauss-Newton) at ψ, (k, M), of the repeats `rows`."""
-        return local(self.view, self.data.pick(rows), psi, self.sign[rows])
+    def at(self, psi: Real, _: Ints | None = None) -> QuadraticModel:
+        """χ², minus half its slope, and half its curvature (Gauss-Newton) at ψ, (k, M)."""
+        rows = np.zeros(len(psi), dtype=np.int64)
+        return local(self.view, self.data.pick(rows), psi, np.repeat(self.sign[None], len(psi), axis=0))
+
+    def minimum(self, start: Real) -> OptimizeResult:
+        """Minima of χ² reached from `start`, (k, M)."""
+        return minimise(self.at, start, limit=60, tolerance=1e-4, lower=self.lower, upper=self.upper)
+
+    def root(self, cost: Real) -> Real:
+        """The root of the rise to χ² of `cost` (k,), negative where χ² falls; infinite where it is none."""
+        rise = np.where(np.isfinite(cost), cost, np.inf) - self.cost
+        return np.sign(rise) * np.sqrt(np.abs(rise))
 
     def covariance(self) -> Real:
-        """Inverse of information, curvature beside it and priors, (K, M, M); NaN where that is singular."""
+        """Inverse of information, curvature beside it and priors, (M, M); NaN where that is singular."""
         held = self.lacking + np.diag(self.view.prior_precision)
         return scaled_inverse(np.sum(self.information, axis=-3) + held)
 
 
 def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surface:
-    """χ² around `estimate`, weighed as `identify` weighs; leading batch axes become one of K repeats.
+    """χ² around `estimate` (no batch axes), weighed as `identify` weighs.
 
     Raises DataError if the estimate has other unknowns.
     """
@@ -76,8 +86,7 @@ def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surfac
         raise DataError(
             "the unknowns of the estimate are not those of the rig and its channels", cure="identify again"
         )
-    psi = estimate.values.reshape(-1, len(view.names))
-    sign = spectrum.signs(estimate.signs, len(psi))
+    psi, sign = estimate.values[None], spectrum.signs(estimate.signs)
     exact = measured(data)
     if not data.noise_known and np.any(view.prior_precision):
         # Priors weigh against noise of the right size: that which makes χ² its degrees of freedom.
@@ -86,21 +95,17 @@ def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surfac
         size = cost / np.maximum(estimate.fit.dof - penalty, 1.0)
         exact = exact.with_noise(np.maximum(size, 1e-300))
     lower, upper = bounds(view, False)
-
-    def evaluate(at: Real, rows: Ints) -> QuadraticModel:
-        return local(view, exact.pick(rows), at, sign[rows])
-
-    minimum = minimise(evaluate, psi, limit=100, tolerance=1e-6, lower=lower, upper=upper)
+    none = np.zeros((len(view.names),) * 2)
+    around = Surface(view, exact, sign[0], psi[0], np.nan, none[None], lower, upper, none)
+    minimum = minimise(around.at, psi, limit=100, tolerance=1e-6, lower=lower, upper=upper)
     information, _, _ = per_line(view, exact, minimum.x, sign)
     # At the estimate itself, as its covariance has it.
-    scale = (
-        1.0
-        if data.noise_known
-        else float(evaluate(psi[:1], np.array([0])).cost[0]) / max(estimate.fit.dof, 1)
-    )
+    scale = 1.0 if data.noise_known else float(around.at(psi).cost[0]) / max(estimate.fit.dof, 1)
     valley = flat_valley(view, exact, psi, sign, scale)
-    lacking = np.zeros((len(view.names),) * 2) if valley is None else valley.curvature
-    return Surface(view, exact, sign, minimum.x, minimum.cost, information, lower, upper, lacking)
+    return replace(
+        around, psi=minimum.x[0], cost=float(minimum.cost[0]), information=information[0],
+        lacking=none if valley is None else valley.curvature,
+    )  # fmt: skip
 
 
 FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of the normal half-length, the first steps outwards
@@ -110,269 +115,188 @@ CLOSE = 1e-3  # of the root of the rise
 
 @dataclass(frozen=True)
 class Profile:
-    """The profile of one unknown, in `unit`; lower … normal_upper have the estimate's batch axes.
+    """The profile of one unknown, in `unit`.
 
     lower, upper      ends of the profile's interval; infinite where χ² never rises enough, the bound where one holds
     normal_lower, …   ends of value ± t sd
-    points, rise      (points,), (points,): values tried for the first repeat, in order, and χ² above its minimum
-    threshold         (...,): the rise at the ends
+    points, rise      (points,), (points,): values tried, in order, and χ² above its minimum
+    threshold         the rise at the ends
     improved          whether χ² fell below the estimate's on the way: the estimate was not the best
     """
 
     name: str
     unit: str
     level: float
-    value: Real
-    lower: Real
-    upper: Real
-    normal_lower: Real
-    normal_upper: Real
+    value: float
+    lower: float
+    upper: float
+    normal_lower: float
+    normal_upper: float
     points: Real
     rise: Real
-    threshold: Real
-    improved: Bools
+    threshold: float
+    improved: bool
 
     def __post_init__(self) -> None:
         freeze(self)
 
     @property
-    def difference(self) -> Real:
-        """The larger distance between ends of the two intervals, in lengths of the normal one; (...,)."""
+    def difference(self) -> float:
+        """The larger distance between ends of the two intervals, in lengths of the normal one."""
         length = self.normal_upper - self.normal_lower
-        off = np.maximum(np.abs(self.lower - self.normal_lower), np.abs(self.upper - self.normal_upper))
-        return np.asarray(off / length)
+        return max(abs(self.lower - self.normal_lower), abs(self.upper - self.normal_upper)) / length
 
     @property
-    def curve(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """(values, roots) from one end to the other: the root of the rise over that at the ends, of the first repeat.
-
-        Both ascend; an end that is infinite has none.  See `profile_interval`.
-        """
-        value, threshold = float(np.ravel(self.value)[0]), float(np.ravel(self.threshold)[0])
-        ends = float(np.ravel(self.lower)[0]), float(np.ravel(self.upper)[0])
-        inside = (self.points > ends[0]) & (self.points < ends[1])
-        side = np.sign(self.points[inside] - value)
-        roots = side * np.sqrt(np.clip(self.rise[inside] / threshold, 0.0, 1.0))
-        outwards = np.where(side > 0, np.maximum.accumulate(np.maximum(roots, 0.0)), roots)
-        outwards = np.where(side < 0, np.minimum.accumulate(np.minimum(outwards, 0.0)[::-1])[::-1], outwards)
-        return (
-            (ends[0], *self.points[inside].tolist(), ends[1]),
-            (-1.0, *outwards.tolist(), 1.0),
-        )
-
-    @property
-    def misleads(self) -> Bools:
-        """Whether the normal interval is off by more than a tenth of its length, (...,)."""
-        return np.asarray(self.difference > 0.1)  # of the normal interval's length by which an end may be off
+    def misleads(self) -> bool:
+        """Whether the normal interval is off by more than a tenth of its length."""
+        return self.difference > 0.1  # of the normal interval's length by which an end may be off
 
 
 def profile(
-    model: Model, spectrum: Spectrum, name: str, level: float = 0.95, estimate: Estimate | None = None,
-    surface: Surface | None = None,
-) -> Profile:  # fmt: skip
-    """The profile of an unknown (a parameter, NAME.gain or NAME.delay) and the interval from it.
+    model: Model, spectrum: Spectrum, name: str, level: float = 0.95, estimate: Estimate | None = None
+) -> Profile:
+    """The profile of an unknown (a parameter, NAME.gain or NAME.delay) and the interval from it (no batch axes).
 
     `estimate`, found anew unless given, must be of a method on the bound (oiv, ml).  The rise of χ² at the ends is
     that of the parabola at the ends of the estimate's normal interval: it counts the noise as the estimate does.
-    `surface` is χ² around that estimate, where it has been made.
     Raises UsageError if there is no such unknown.
     """
     around = identify(model, spectrum) if estimate is None else estimate
     if name not in around.names:
         raise UsageError(f"{name} is not among the unknowns", cure=f"there are {', '.join(around.names)}")
     j = around.names.index(name)
-    base = chi2_surface(model, spectrum, around) if surface is None else surface
-    low, high = (end[..., j] for end in replace(around, profiles={}).interval(level))
-    half = (high - low).ravel() / 2
+    base = chi2_surface(model, spectrum, around)
+    low, high = (float(end[j]) for end in replace(around, profiles={}).interval(level))
+    half = (high - low) / 2
     with np.errstate(invalid="ignore", divide="ignore"):
-        threshold = (half / np.sqrt(base.covariance()[:, j, j])) ** 2
-    walk = Walk(base, j, np.sqrt(threshold), half)
+        root = float(half / np.sqrt(base.covariance()[j, j]))
+    walk = Walk(base, j, root, half)
     down, up = walk.end(-1.0), walk.end(1.0)
-    points = np.array([*down.points, base.psi[0, j], *up.points])
-    rise = np.array([*down.rises, 0.0, *up.rises])
+    points = np.array([*down.points, base.psi[j], *up.points])
     order = np.argsort(points)
-    batch = around.values.shape[:-1]
     return Profile(
-        name, around.units[j], level, base.psi[:, j].reshape(batch), down.end.reshape(batch), up.end.reshape(batch),
-        low, high, points[order], rise[order], threshold.reshape(batch), (down.improved | up.improved).reshape(batch),
+        name, around.units[j], level, float(base.psi[j]), down.end, up.end, low, high, points[order],
+        np.array([*down.rises, 0.0, *up.rises])[order], root**2, down.improved or up.improved,
     )  # fmt: skip
 
 
-def signed_root(rise: Real) -> Real:
-    """The root of a rise of χ², negative where χ² falls; infinite where it is none."""
-    known = np.where(np.isfinite(rise), rise, np.inf)
-    return np.sign(known) * np.sqrt(np.abs(known))
-
-
-@dataclass(frozen=True)
+@dataclass
 class Side:
-    """One side of the profile: where the rise is reached; what the first repeat met on the way.
+    """One side of the profile: where the rise is reached, and what was met on the way.
 
     points, rises: values of the unknown and χ² above the minimum; visited: ψ (M,) and the root of the rise there.
     """
 
-    end: Real
-    points: list[float]
-    rises: list[float]
-    improved: Bools
-    visited: list[tuple[Real, float]]
+    end: float
+    points: list[float] = field(default_factory=list)
+    rises: list[float] = field(default_factory=list)
+    improved: bool = False
+    visited: list[tuple[Real, float]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
 class Walk:
-    """Outwards along the profile of unknown j, to where the root of the rise is `root`, (K,)."""
+    """Outwards along the profile of unknown j, to where the root of the rise is `root`."""
 
     base: Surface
     j: int
-    root: Real
-    half: Real
+    root: float
+    half: float
 
-    def held(self, value: Real, start: Real, rows: Ints) -> tuple[Real, Real]:
-        """(root of the rise, ψ) with the unknown at `value`, (k,), the others searched from `start`, (k, M)."""
-        j, base = self.j, self.base
-        others = np.arange(start.shape[1]) != j
-        if not np.any(others):
-            cost = base.at(value[:, None], rows).cost
-            return self._root(cost, rows), value[:, None]
+    def held(self, value: float, start: Real) -> tuple[float, Real]:
+        """(root of the rise, ψ) with the unknown at `value`, the others searched from `start`, (M,)."""
+        base = self.base
+        others = np.arange(len(start)) != self.j
 
-        def whole(x: Real, which: Ints) -> Real:
-            psi = np.empty((len(x), len(others)))
+        def whole(x: Real) -> Real:
+            psi = np.full((len(x), len(others)), value)
             psi[:, others] = x
-            psi[:, j] = value[which]
             return psi
 
-        def evaluate(x: Real, which: Ints) -> QuadraticModel:
-            at = base.at(whole(x, which), rows[which])
+        if not np.any(others):
+            psi = whole(np.zeros((1, 0)))
+            return float(base.root(base.at(psi).cost)[0]), psi[0]
+
+        def evaluate(x: Real, _: Ints) -> QuadraticModel:
+            at = base.at(whole(x))
             matrix = at.symmetric[:, others][:, :, others]
             return QuadraticModel(at.cost, at.gradient[:, others], matrix, matrix)
 
-        starts = start + self._kicks[:, None]
-        tried = len(starts)
-        rows, value = np.tile(rows, tried), np.tile(value, tried)
         minimum = minimise(
-            evaluate, starts.reshape(-1, start.shape[1])[:, others], limit=60, tolerance=1e-4,
+            evaluate, (start + self._kicks)[:, others], limit=60, tolerance=1e-4,
             lower=base.lower[others], upper=base.upper[others],
         )  # fmt: skip
-        cost = np.where(np.isfinite(minimum.cost), minimum.cost, np.inf).reshape(tried, -1)
-        best = np.argmin(cost, axis=0) * len(start) + np.arange(len(start))
-        return self._root(minimum.cost[best], rows[best]), whole(minimum.x, np.arange(len(value)))[best]
+        best = int(np.argmin(np.where(np.isfinite(minimum.cost), minimum.cost, np.inf)))
+        return float(base.root(minimum.cost[[best]])[0]), whole(minimum.x[[best]])[0]
 
     @cached_property
     def _kicks(self) -> Real:
         """Displacements (k, M) of starts, of which the first is none: beside a fold the way out is along a ridge."""
-        none = np.zeros((1, self.base.psi.shape[1]))
+        none = np.zeros((1, len(self.base.psi)))
         if not np.any(self.base.lacking):
             return none
-        covariance = self.base.covariance()[0]
+        covariance = self.base.covariance()
         away = covariance / np.sqrt(np.diagonal(covariance))[:, None]
         return np.concatenate([none, away, -away])
 
-    def _root(self, cost: Real, rows: Ints) -> Real:
-        return signed_root(cost - self.base.cost[rows])
-
     def end(self, side: float, start: tuple[Real, float] | None = None) -> Side:
-        """One side: below the estimate (−1) or above it (1); of the first repeat on from ψ (M,) with its root."""
-        bracket = _Bracket(self, side)
-        if start is not None:
-            bracket.start_from(*start)
-        for turn in range(len(FRACTIONS) + FARTHEST):
-            step = FRACTIONS[turn] if turn < len(FRACTIONS) else GROWTH ** (turn + 1 - len(FRACTIONS))
-            if not bracket.step_out(step):
-                break
-        for _ in range(12):  # at most
-            if not bracket.refine():
-                break
-        return Side(bracket.end, bracket.points, bracket.rises, bracket.improved, bracket.visited)
-
-
-class _Bracket:
-    """Distances from the estimate between which each repeat's rise is reached: `inner` is short of it, `outer` beyond.
-
-    psi (K, M) is the profile's point at `inner`, slope its change per unit of distance; inner_root, outer_root are
-    roots of the rise.
-    """
-
-    def __init__(self, walk: Walk, side: float) -> None:
-        base, j, repeats = walk.base, walk.j, len(walk.base.psi)
-        self.walk, self.side = walk, side
-        self.bound = float(base.upper[j] if side > 0 else base.lower[j])
-        self.centre, self.psi = base.psi[:, j], base.psi.copy()
-        self.inner, self.inner_root, self.distance = np.zeros((3, repeats))
-        self.outer, self.outer_root = np.full((2, repeats), np.inf)
-        self.end = np.full(repeats, side * np.inf)
-        self.improved = np.zeros(repeats, dtype=bool)
-        self.searching = np.isfinite(walk.half) & (walk.half > 0)
-        self.points: list[float] = []
-        self.rises: list[float] = []
-        self.visited: list[tuple[Real, float]] = []
-        self.first = np.zeros(repeats)
+        """One side: below the estimate (−1) or above it (1); on from ψ (M,) with its root, if given."""
+        base, j, centre = self.base, self.j, self.base.psi[self.j]
+        way = Side(side * np.inf)
+        if not (np.isfinite(self.half) and self.half > 0):
+            return way
+        bound = float(base.upper[j] if side > 0 else base.lower[j])
+        # ψ is the profile's point at the distance `inner` from the estimate, slope its change per unit of distance
+        psi, inner, inner_root = base.psi, 0.0, 0.0
         covariance = base.covariance()[:, j]
         with np.errstate(invalid="ignore", divide="ignore"):
-            tangent = covariance / covariance[:, j][:, None]
-        self.slope = side * np.nan_to_num(tangent)
+            slope = side * np.nan_to_num(covariance / covariance[j])
+        if start is not None:
+            psi, inner_root = start
+            inner = abs(float(psi[j] - centre))
+            slope = np.where(np.arange(len(psi)) == j, side, 0.0)
 
-    def start_from(self, psi: Real, root: float) -> None:
-        """Begin the first repeat's way at ψ (M,), where the root of the rise is known, and the others stay."""
-        self.psi[0] = psi
-        self.first[0] = self.inner[0] = abs(float(psi[self.walk.j] - self.centre[0]))
-        self.inner_root[0] = root
-        self.slope[0] = np.where(np.arange(len(psi)) == self.walk.j, self.side, 0.0)
+        def held(distance: float) -> tuple[float, Real]:
+            root, at = self.held(centre + side * distance, psi + slope * (distance - inner))
+            if np.isfinite(root):
+                way.visited.append((at, root))
+            return root, at
 
-    def step_out(self, step: float) -> bool:
-        """Try `step` half-widths of the normal interval further where nothing is beyond yet; False: nowhere."""
-        walk, side = self.walk, self.side
-        rows = np.flatnonzero(self.searching & ~np.isfinite(self.outer))
-        if not len(rows):
-            return False
-        self.distance[rows] = self.first[rows] + step * walk.half[rows]
-        limited = side * (self.centre[rows] + side * self.distance[rows] - self.bound) >= 0
-        self.distance[rows[limited]] = np.abs(self.bound - self.centre[rows[limited]])
-        root, psi = self._held(rows, self.distance[rows])
-        self.improved[rows] |= root < -CLOSE * walk.root[rows]
-        if rows[0] == 0 and np.isfinite(root[0]):
-            self.points.append(float(psi[0, walk.j]))
-            self.rises.append(float(np.sign(root[0]) * root[0] ** 2))
-        beyond = root >= walk.root[rows]
-        self.outer[rows[beyond]], self.outer_root[rows[beyond]] = self.distance[rows[beyond]], root[beyond]
-        stop = limited & ~beyond
-        self.end[rows[stop]] = self.bound
-        self.searching[rows[stop]] = False
-        on = ~beyond & ~stop
-        self._move_inner(rows[on], self.distance[rows[on]], root[on], psi[on])
-        return True
+        def moved(distance: float, root: float, at: Real) -> tuple[Real, float, float, Real]:
+            more = distance - inner
+            return at, distance, root, (at - psi) / more if more != 0 else slope
 
-    def refine(self) -> bool:
-        """Try between `inner` and `outer` where the end is not close yet; False: nowhere."""
-        rows = np.flatnonzero(np.isfinite(self.outer) & self.searching)
-        if not len(rows):
-            return False
-        root_wanted = self.walk.root[rows]
-        inner, outer = self.inner[rows], self.outer[rows]
-        share = (root_wanted - self.inner_root[rows]) / (self.outer_root - self.inner_root)[rows]
-        share = np.clip(np.where(np.isfinite(self.outer_root[rows]), share, 0.5), 0.02, 0.98)
-        middle = inner + share * (outer - inner)
-        root, psi = self._held(rows, middle)
-        self.end[rows] = self.centre[rows] + self.side * middle
-        beyond = root >= root_wanted
-        self.outer[rows[beyond]], self.outer_root[rows[beyond]] = middle[beyond], root[beyond]
-        self._move_inner(rows[~beyond], middle[~beyond], root[~beyond], psi[~beyond])
-        self.searching[rows[np.abs(root - root_wanted) < CLOSE * root_wanted]] = False
-        return True
-
-    def _held(self, rows: Ints, distance: Real) -> tuple[Real, Real]:
-        """(root of the rise, ψ) at a distance from the estimate."""
-        start = self.psi[rows] + self.slope[rows] * (distance - self.inner[rows])[:, None]
-        root, psi = self.walk.held(self.centre[rows] + self.side * distance, start, rows)
-        if rows[0] == 0 and np.isfinite(root[0]):
-            self.visited.append((psi[0], float(root[0])))
-        return root, psi
-
-    def _move_inner(self, rows: Ints, distance: Real, root: Real, psi: Real) -> None:
-        moved = (distance - self.inner[rows])[:, None]
-        self.slope[rows] = np.where(
-            moved != 0, (psi - self.psi[rows]) / np.where(moved != 0, moved, 1.0), self.slope[rows]
-        )
-        self.psi[rows], self.inner[rows], self.inner_root[rows] = psi, distance, root
+        first = inner
+        for turn in range(len(FRACTIONS) + FARTHEST):  # outwards, until the rise is reached
+            step = FRACTIONS[turn] if turn < len(FRACTIONS) else GROWTH ** (turn + 1 - len(FRACTIONS))
+            outer = first + step * self.half
+            limited = side * (centre + side * outer - bound) >= 0
+            outer = abs(bound - centre) if limited else outer
+            outer_root, at = held(outer)
+            way.improved |= outer_root < -CLOSE * self.root
+            if np.isfinite(outer_root):
+                way.points.append(float(at[j]))
+                way.rises.append(float(np.sign(outer_root) * outer_root**2))
+            if outer_root >= self.root:
+                break
+            if limited:
+                way.end = bound
+                return way
+            psi, inner, inner_root, slope = moved(outer, outer_root, at)
+        else:
+            return way
+        for _ in range(12):  # at most, between the two
+            share = (self.root - inner_root) / (outer_root - inner_root) if np.isfinite(outer_root) else 0.5
+            middle = inner + float(np.clip(share, 0.02, 0.98)) * (outer - inner)
+            root, at = held(middle)
+            way.end = float(centre + side * middle)
+            if abs(root - self.root) < CLOSE * self.root:
+                break
+            if root >= self.root:
+                outer, outer_root = middle, root
+            else:
+                psi, inner, inner_root, slope = moved(middle, root, at)
+        return way
 
 
 # Profile intervals of several unknowns together: what one profile meets on its way counts for all of them.
@@ -389,38 +313,26 @@ DRAWS = 40  # points from which other valleys are looked for
 
 
 def joint_profiles(surface: Surface, wanted: Sequence[int], half: Real, root: Real) -> dict[int, Curve]:
-    """Curves (`Profile.curve`) of the unknowns `wanted`, and of all whose normal interval is too short (no batch axes).
+    """Curves (`_Ways.curve`) of the unknowns `wanted`, and of all whose normal interval is too short (no batch axes).
 
     half (M,): half-lengths of the normal intervals about the estimate; root (M,): of the rise of χ² at the ends.
     Nothing where ever lower χ² is met.
     """
-    value, base = surface.psi[0], surface
+    value, base = surface.psi, surface
     for _ in range(3):  # times that a lower χ² is met before nothing is said
         ways = _Ways(base, value, half, root)
-        own = base.at(value[None], np.array([0])).cost - base.cost
         # Minima that draws about the estimate lead to, with the root of their rise
         away = np.random.default_rng(0).standard_normal((DRAWS, len(half)))
         # 1.5: half-lengths of the normal intervals: their standard deviation
-        ends = _minimum(base, base.psi[0] + 1.5 * half * away)
-        known = [
-            (value, float(signed_root(own)[0])),
-            *list(zip(ends.x, signed_root(ends.cost - base.cost[0]).tolist(), strict=True)),
-        ]
+        ends = base.minimum(base.psi + 1.5 * half * away)
+        own = float(base.root(base.at(value[None]).cost)[0])
+        known = [(value, own), *zip(ends.x, base.root(ends.cost).tolist(), strict=True)]
         lower = ways.followed(wanted, known)
         if lower is None:
             return {j: ways.curve(j) for j in sorted(ways.ends)}
-        minimum = _minimum(base, lower[None])
-        base = replace(base, psi=minimum.x, cost=minimum.cost)
+        minimum = base.minimum(lower[None])
+        base = replace(base, psi=minimum.x[0], cost=float(minimum.cost[0]))
     return {}
-
-
-def _minimum(base: Surface, start: Real) -> OptimizeResult:
-    """Minima of χ² reached from `start`, (k, M)."""
-
-    def evaluate(psi: Real, rows: Ints) -> QuadraticModel:
-        return base.at(psi, np.zeros(len(psi), dtype=np.int64))
-
-    return minimise(evaluate, start, limit=60, tolerance=1e-4, lower=base.lower, upper=base.upper)
 
 
 class _Ways:
@@ -452,7 +364,7 @@ class _Ways:
         return None
 
     def _profiled(self, j: int) -> None:
-        self.ends[j], self.points[j] = [self.base.psi[0, j]] * 2, [(self.base.psi[0, j], 0.0)]
+        self.ends[j], self.points[j] = [self.base.psi[j]] * 2, [(self.base.psi[j], 0.0)]
         for side in (0, 1):
             self._followed(j, side, None)
 
@@ -474,13 +386,12 @@ class _Ways:
         return True
 
     def _followed(self, j: int, side: int, start: tuple[Real, float] | None) -> None:
-        walk = Walk(self.base, j, self.root[[j]], self.half[[j]])
         outwards = 2.0 * side - 1
-        way = walk.end(outwards, start)
+        way = Walk(self.base, j, float(self.root[j]), float(self.half[j])).end(outwards, start)
         self.count += 1
         self.visited += way.visited
         self.points[j] += zip(way.points, way.rises, strict=True)
-        reached = float(way.end[0])
+        reached = way.end
         if start is not None:
             self.points[j].append((float(start[0][j]), start[1] ** 2))
             reached = outwards * max(outwards * reached, outwards * float(start[0][j]))
@@ -538,7 +449,7 @@ def with_profile_intervals(model: Model, spectrum: Spectrum, estimate: Estimate)
         low, high = replace(estimate, profiles={}).interval()
         half = (high - low) / 2
         curves = joint_profiles(
-            surface, bent.tolist(), half, half / np.sqrt(np.diagonal(surface.covariance()[0]))
+            surface, bent.tolist(), half, half / np.sqrt(np.diagonal(surface.covariance()))
         )
     except DashpotError:
         return estimate  # nothing is said of the surface of such a rig

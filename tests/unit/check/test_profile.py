@@ -1,4 +1,4 @@
-"""Profile likelihood: ends, bounds, repeats."""
+"""Profile likelihood: ends and bounds."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.table_noise import with_residual_noise
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
-from tests.rigs import channels, covariance, measured, noisy, paper_rig, perfect
+from tests.rigs import channels, covariance, measured, paper_rig, perfect
 
 
 def test_profile_of_a_parabola_is_the_normal_interval() -> None:
@@ -49,16 +49,6 @@ def test_profile_stops_at_a_bound() -> None:
     spectrum = measured(rig, 0.15, seed=3)
     found = profile(bounded, spectrum, "c2", estimate=identify(bounded, spectrum, MaximumLikelihood()))
     assert found.lower == 35.0
-
-
-def test_profiles_of_repeats_are_those_of_each() -> None:
-    rig = paper_rig([2.0, 4.0, 9.0])
-    seen = channels(rig)
-    spectrum = noisy(rig, seen, covariance(rig, seen, 0.05), np.random.default_rng(5), 3)
-    together = profile(rig.model, spectrum, "m1")
-    for k in range(3):
-        one = profile(rig.model, replace(spectrum, amplitudes=spectrum.amplitudes[k]), "m1")
-        np.testing.assert_allclose([one.lower, one.upper], [together.lower[k], together.upper[k]], rtol=1e-3)
 
 
 def test_profile_where_the_noise_is_unknown_uses_the_residuals() -> None:
