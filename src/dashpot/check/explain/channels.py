@@ -13,8 +13,8 @@ import numpy as np
 from dashpot import units
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
-from dashpot.check.explain.effect import Baseline, Effect, Phrase, said
-from dashpot.check.explain.problem import DERIVATIVES, FitProblem, LineProblem, ModalProblem, TimeProblem
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, by_size, plainly, said
+from dashpot.check.explain.problem import DERIVATIVES, FitProblem, LineProblem, TimeProblem
 from dashpot.errors import DashpotError
 from dashpot.io.toml_document import toml_key
 from dashpot.model.network import Model
@@ -32,18 +32,8 @@ RATIOS = (
 OF_FORCES = RATIOS[:12]  # forces are in no inches and no degrees
 CLOSE = 0.015  # relative distance within which a factor is taken for a usual ratio
 GAINS = (0.4, 0.6, 0.8, 0.9, 0.97, 1.03, 1.1, 1.25, 1.6, 2.5)  # where the search for a gain begins
-DELAYS = (
-    -0.4,
-    -0.2,
-    -0.1,
-    -0.05,
-    -0.02,
-    0.02,
-    0.05,
-    0.1,
-    0.2,
-    0.4,
-)  # … a delay, periods of the highest frequency
+# … a delay, periods of the highest frequency
+DELAYS = (-0.4, -0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2, 0.4)
 GAIN_WIDTH = 0.1  # nepers: a sensor's sensitivity is usually known to some per cent
 DELAY_WIDTH = 0.2  # periods of the highest frequency: a sample or two of usual sampling
 SHARE_WIDTH = 0.05  # of the other channel's size: usual cross-talk
@@ -105,13 +95,8 @@ def _line(model: Model, channel: Channel) -> str:
 def sign(baseline: Baseline) -> Iterator[Effect]:
     """Each channel with the opposite sign."""
     for c, channel in enumerate(baseline.problem.channels):
-        yield Effect(
-            "sign",
-            (channel.name,),
-            partial(times, c),
-            partial(turned, baseline.problem.model, channel),
-            (-1.0,),
-        )
+        words = partial(turned, baseline.problem.model, channel)
+        yield Effect("sign", (channel.name,), partial(times, c), words, (-1.0,))
 
 
 def unit(baseline: Baseline) -> Iterator[Effect]:
@@ -128,18 +113,9 @@ def gain(baseline: Baseline) -> Iterator[Effect]:
         used, y, e = baseline.compared(c)
         found = (float(np.median((y / e).real)),) if np.sum(used) > 2 else ()
         begun = (*(each for each in found if each > 0), *GAINS)
-        words = partial(factor_in_words, baseline.problem.model, channel)
-        yield Effect(
-            "gain",
-            (channel.name,),
-            partial(times, c),
-            words,
-            begun,
-            GAIN_WIDTH,
-            1.0,
-            True,
-            share=baseline.share(c),
-        )
+        act, words = partial(times, c), partial(factor_in_words, baseline.problem.model, channel)
+        share = baseline.share(c)
+        yield Effect("gain", (channel.name,), act, words, begun, GAIN_WIDTH, 1.0, True, share=share)
 
 
 def times(c: int, problem: FitProblem, factor: float) -> FitProblem:
@@ -183,20 +159,9 @@ def delay(baseline: Baseline) -> Iterator[Effect]:
         used, y, e = baseline.compared(c)
         found = (_lateness(y, e, omega[used]),) if np.sum(used) > 2 else ()
         begun = (*found, *(part * period for part in DELAYS))
-        words = partial(late, baseline.problem.model, channel)
-        yield Effect(
-            "delay",
-            (channel.name,),
-            partial(_delayed, c),
-            words,
-            begun,
-            DELAY_WIDTH * period,
-            share=baseline.share(c),
-        )
-
-
-def _delayed(c: int, problem: LineProblem | TimeProblem, late: float) -> FitProblem:
-    return problem.late(c, late)
+        act, words = by_size("late", c), partial(late, baseline.problem.model, channel)
+        width, share = DELAY_WIDTH * period, baseline.share(c)
+        yield Effect("delay", (channel.name,), act, words, begun, width, share=share)
 
 
 def _lateness(y: Complex, e: Complex, omega: Real) -> float:
@@ -260,12 +225,8 @@ def conjugate(baseline: Baseline) -> Iterator[Effect]:
     everything = tuple(range(len(channels)))
     for chosen in (*(() if baseline.of_samples else ((),)), *((c,) for c in everything)):
         of = tuple(channels[c].name for c in chosen)
-        act, words = partial(_conjugated, chosen or everything), partial(_opposite, of)
+        act, words = plainly("conjugated", np.isin(everything, chosen or everything)), partial(_opposite, of)
         yield Effect("conjugate", of, act, words, share=0.01 if baseline.of_samples else 1.0)
-
-
-def _conjugated(chosen: tuple[int, ...], problem: LineProblem | ModalProblem, _: float) -> FitProblem:
-    return problem.conjugated(np.isin(np.arange(len(problem.channels)), chosen))
 
 
 def _opposite(of: tuple[str, ...], _: float) -> Phrase:
@@ -341,9 +302,8 @@ def saturation(baseline: Baseline) -> Iterator[Effect]:
         if largest > 0:
             limits = tuple(largest * share for share in (0.8, 0.87, 0.95))
             name = baseline.problem.channels[c].name
-            yield Effect(
-                "saturation", (name,), partial(_unlimited, c), partial(limited, name), limits, 0.5, 1.0, True
-            )
+            act, words = partial(_unlimited, c), partial(limited, name)
+            yield Effect("saturation", (name,), act, words, limits, 0.5, 1.0, True)
 
 
 def _unlimited(c: int, problem: LineProblem, limit: float) -> LineProblem:
@@ -374,38 +334,21 @@ def gain_step(baseline: Baseline) -> Iterator[Effect]:
         if np.sum(used) < FEWEST:
             continue
         ratio, lines = (y / e).real, np.flatnonzero(used)
-        splits = range(3, len(ratio) - 2)
-        left = [
-            float(
-                np.sum(
-                    np.abs(
-                        y / e
-                        - np.where(np.arange(len(ratio)) < k, np.median(ratio[:k]), np.median(ratio[k:]))
-                    )
-                    ** 2
-                )
-            )
-            for k in splits
-        ]
-        if not left:
-            continue
-        k = splits[int(np.argmin(left))]
-        first, second = float(np.median(ratio[:k])), float(np.median(ratio[k:]))
+        # Where to part the lines, each part with its median
+        splits = {
+            k: (float(np.median(ratio[:k])), float(np.median(ratio[k:]))) for k in range(3, len(ratio) - 2)
+        }
+        left = {
+            k: np.sum(np.abs(y[:k] / e[:k] - a) ** 2) + np.sum(np.abs(y[k:] / e[k:] - b) ** 2)
+            for k, (a, b) in splits.items()
+        }
+        k = min(left, key=lambda split: left[split])
+        first, second = splits[k]
         if not (first > 0 and second > 0 and abs(second / first - 1) > 1e-4):
             continue
-        act = partial(_stepped, c, int(lines[k]))
-        words = partial(_other_range, channel.name, float(hertz[lines[k]]))
-        yield Effect(
-            "gain",
-            (channel.name,),
-            act,
-            words,
-            (second / first,),
-            GAIN_WIDTH,
-            1.0,
-            True,
-            share=1 / len(splits),
-        )
+        act, words = partial(_stepped, c, lines[k]), partial(_other_range, channel.name, hertz[lines[k]])
+        size, share = (second / first,), 1 / len(splits)
+        yield Effect("gain", (channel.name,), act, words, size, GAIN_WIDTH, 1.0, True, share=share)
 
 
 def _stepped(c: int, line: int, problem: LineProblem, factor: float) -> LineProblem:
@@ -433,11 +376,8 @@ def swap(baseline: Baseline) -> Iterator[Effect]:
         if np.array_equal(problem.kept[:, i], problem.kept[:, j]):
             pair = problem.channels[i], problem.channels[j]
             of = tuple(channel.name for channel in pair)
-            yield Effect("swap", of, partial(_exchanged, i, j), partial(_swap, problem.model, *pair))
-
-
-def _exchanged(i: int, j: int, problem: FitProblem, _: float) -> FitProblem:
-    return problem.exchanged(i, j)
+            act, words = plainly("exchanged", i, j), partial(_swap, problem.model, *pair)
+            yield Effect("swap", of, act, words)
 
 
 def _swap(model: Model, first: Channel, second: Channel, _: float) -> Phrase:
@@ -457,9 +397,8 @@ def crosstalk(baseline: Baseline) -> Iterator[Effect]:
             if other == c or not np.any(used):
                 continue
             shown = problem.y[used, other]
-            share = float(
-                np.sum(weight * (np.conj(shown) * (y - e)).real) / np.sum(weight * np.abs(shown) ** 2)
-            )
+            power_shown = np.sum(weight * np.abs(shown) ** 2)
+            share = float(np.sum(weight * (np.conj(shown) * (y - e)).real) / power_shown)
             relative = np.sqrt(power[other] / power[c]) if power[c] > 0 else np.inf
             if 1e-4 < abs(share) * relative < 1:
                 names = channel.name, problem.channels[other].name

@@ -10,13 +10,14 @@ import numpy as np
 
 from dashpot.arrays import Bools
 from dashpot.check.explain.channels import DIFFERENT, rounded
-from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, said
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, by_size, plainly, said
 from dashpot.check.explain.problem import (
     FEWER_DRAWS,
     FitProblem,
     FittedProblem,
     LineProblem,
     TimeProblem,
+    exchanging,
     fitted,
     replaced,
     searched,
@@ -29,14 +30,8 @@ from dashpot.numerics.small_systems import scaled_inverse
 
 SUSPECTS = 40  # dwells of which each is left out in turn
 NAMED = 3  # of them whose label, phases or sign may be what is wrong
-RATES = (
-    2 * np.pi,
-    1 / (2 * np.pi),
-    2.0,
-    0.5,
-    60.0,
-    1 / 60,
-)  # factors of frequencies in other units or time bases
+# Factors of frequencies in other units or time bases
+RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
 RATE_WIDTH = 0.01  # relative: clocks that are off are off by little
 LABEL_WIDTH = 0.2  # nepers: a dwell's own frequency beside its label
 LABEL_STARTS = (300, 3)  # of the scan for a dwell's own frequency: points, decades
@@ -57,49 +52,34 @@ def dwell(baseline: Baseline) -> Iterator[Effect]:
     share, labels = 1 / lines, problem.labels
     # What drove the rig is still what the inputs' channels show.
     motions = ~baseline.inputs if np.any(~baseline.inputs) else np.ones_like(baseline.inputs)
-    trials = [_without(line, motions, problem) for line in worst]
-    ends = fitted(trials)
+    dropped = [(np.arange(lines) == line)[:, None] & motions for line in worst]
+    ends = fitted([problem.without(each) for each in dropped])
     order = sorted(range(len(worst)), key=lambda k: ends[k].chi2)
     for k in order:
-        text = f"the dwell at {labels[worst[k]]} disagrees with all others"
-        phrase = Phrase(text, f"leave out {labels[worst[k]]}, or measure it again")
-        yield Effect(
-            "dwell",
-            (labels[worst[k]],),
-            partial(_without, worst[k], motions),
-            partial(said, phrase),
-            share=share,
+        label = labels[worst[k]]
+        text, cure = (
+            f"the dwell at {label} disagrees with all others",
+            f"leave out {label}, or measure it again",
         )
+        words = partial(said, Phrase(text, cure))
+        yield Effect("dwell", (label,), plainly("without", dropped[k]), words, share=share)
     for k in order[:NAMED]:
-        line, end = worst[k], ends[k]
-        if (
-            len(problem.model.nonlinear) == 0
-        ):  # harmonics of a nonlinear rig go with the frequency of their dwell
-            begun = _own_frequency(end, problem, line)
-            words = partial(_relabelled, labels[line])
-            act = partial(_labelled, line)
-            yield Effect("frequency", (labels[line],), act, words, begun, LABEL_WIDTH, 1.0, True, share=share)
+        line, label = worst[k], labels[worst[k]]
+        if not len(problem.model.nonlinear):  # else harmonics go with the frequency of their dwell
+            begun, act = _own_frequency(ends[k], problem, line), partial(_labelled, line)
+            words = partial(_relabelled, label)
+            yield Effect("frequency", (label,), act, words, begun, LABEL_WIDTH, 1.0, True, share=share)
             for other in range(lines):
-                if other != line and labels[other] != labels[line]:
+                if other != line and labels[other] != label:
                     pair = tuple(labels[i] for i in sorted((line, other)))
-                    phrase = Phrase(
-                        f"the dwells labelled {pair[0]} and {pair[1]} are swapped",
-                        f"label the dwell at {pair[0]} {pair[1]}, and the one at {pair[1]} {pair[0]}",
-                    )
-                    act = partial(_exchanged, line, other)
-                    yield Effect("frequency", pair, act, partial(said, phrase), share=share / lines)
+                    text = f"the dwells labelled {pair[0]} and {pair[1]} are swapped"
+                    cure = f"label the dwell at {pair[0]} {pair[1]}, and the one at {pair[1]} {pair[0]}"
+                    act, words = partial(_exchanged, line, other), partial(said, Phrase(text, cure))
+                    yield Effect("frequency", pair, act, words, share=share / lines)
         if not baseline.of_samples:
-            phrase = Phrase(
-                f"the phases of the dwell at {labels[line]} have the opposite sign",
-                f"conjugate the amplitudes at {labels[line]}",
-            )
-            yield Effect(
-                "conjugate", (labels[line],), partial(_turned, line), partial(said, phrase), share=share
-            )
-
-
-def _without(line: int, motions: Bools, problem: LineProblem, _: float = 1.0) -> LineProblem:
-    return problem.without((np.arange(len(problem.y)) == line)[:, None] & motions)
+            text = f"the phases of the dwell at {label} have the opposite sign"
+            words = partial(said, Phrase(text, f"conjugate the amplitudes at {label}"))
+            yield Effect("conjugate", (label,), partial(_turned, line), words, share=share)
 
 
 def _own_frequency(end: FittedProblem, problem: LineProblem, line: int) -> tuple[float, ...]:
@@ -131,8 +111,7 @@ def _relabelled(label: str, ratio: float) -> Phrase:
 
 
 def _exchanged(first: int, second: int, problem: LineProblem, _: float) -> LineProblem:
-    order = np.arange(len(problem.y))
-    order[[first, second]] = second, first
+    order = exchanging(len(problem.y), first, second)
     return problem.with_amplitudes(problem.y[order], problem.V[order], problem.kept[order])
 
 
@@ -144,19 +123,15 @@ def _turned(line: int, problem: LineProblem, _: float) -> LineProblem:
 
 def clock(baseline: Baseline) -> Iterator[Effect]:
     """All frequencies multiplied by one factor: a wrong unit, or a time base that is off."""
-    problem = baseline.problem
+    problem, at_rate = baseline.problem, by_size("at_rate")
     hidden = isinstance(problem, LineProblem) and problem.runs and problem.data.states is None
     if baseline.fixed or not hidden:
-        yield Effect("frequency", (), _at_rate, _rate, RATES)
+        yield Effect("frequency", (), at_rate, _rate, RATES)
     else:  # where not all motion is seen, nothing leads from the rig as it is to that of another clock
         for rate in RATES:
             (fit,) = searched([baseline.lines.at_rate(rate)], draws=FEWER_DRAWS)
-            yield Effect("frequency", (), _at_rate, _rate, (rate,), found=fit, share=1 / len(RATES))
-    yield Effect("frequency", (), _at_rate, _rate, (0.98, 0.995, 1.005, 1.02), RATE_WIDTH, 1.0, True)
-
-
-def _at_rate(problem: FitProblem, rate: float) -> FitProblem:
-    return problem.at_rate(rate)
+            yield Effect("frequency", (), at_rate, _rate, (rate,), found=fit, share=1 / len(RATES))
+    yield Effect("frequency", (), at_rate, _rate, (0.98, 0.995, 1.005, 1.02), RATE_WIDTH, 1.0, True)
 
 
 def _rate(rate: float) -> Phrase:
@@ -190,13 +165,9 @@ def _held(c: int, problem: LineProblem | TimeProblem, step: float) -> FitProblem
 
 
 def held_words(name: str, step: float) -> Phrase:
-    text = (
-        f"{name} looks held constant between samples ({1e3 * step:.3g} ms). Is it the output of a D/A "
-        "converter or a simulator?"
-    )
-    return Phrase(
-        text, f"give {name} as it is between samples, or try delay = {-step / 2:.3g} in its line first"
-    )
+    text = f"{name} looks held constant between samples ({1e3 * step:.3g} ms)"
+    cure = f"give {name} as it is between samples, or try delay = {-step / 2:.3g} in its line first"
+    return Phrase(f"{text}. Is it the output of a D/A converter or a simulator?", cure)
 
 
 MOST_SPLITS = 24  # ways to part the runs that are tried
@@ -245,20 +216,16 @@ def changed(baseline: Baseline) -> Iterator[Effect]:
         for part, step, rise in _one_part_otherwise(first, second)[:NAMED]:
             other = second
             if part.name not in first.problem.names:
-                (other,) = fitted(
-                    [second.problem.from_starts((second.psi,)).of_rig(replaced(problem.model, part))]
-                )
+                larger = second.problem.from_starts((second.psi,)).of_rig(replaced(problem.model, part))
+                (other,) = fitted([larger])
             chi2, fell = first.chi2 + other.chi2, second.chi2 - other.chi2
             extra = max(rise + fell, 0.0)  # for what else would have to be the same
             less = replace(problem, given_up=problem.given_up - extra / 2)
             single = FittedProblem(less, first.psi, chi2 + extra, whole.dof, (first, other))
-            text = (
-                f"{subject}: {part.name} differs by {rounded(step, '+.3g')} {part.unit(problem.model.angles)}"
-            )
-            own = element_line(replace(part, only="other", stands_for=part.name))
-            if part.name not in {element.name for element in problem.model.elements}:
-                own = element_line(replace(part, only="other"))
-            cure = f"{change}; or let it differ in that test: {DIFFERENT}; {own}"
+            unit, there = part.unit(problem.model.angles), {each.name for each in problem.model.elements}
+            text = f"{subject}: {part.name} differs by {rounded(step, '+.3g')} {unit}"
+            own = replace(part, only="other", stands_for=part.name if part.name in there else None)
+            cure = f"{change}; or let it differ in that test: {DIFFERENT}; {element_line(own)}"
             yield Effect(
                 "changed", points_of(part, problem.model), as_is, partial(said, Phrase(text, cure)), (step,),
                 found=single, more=1, share=1 / len(parts),

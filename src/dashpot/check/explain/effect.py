@@ -149,6 +149,16 @@ def said(phrase: Phrase, _: float) -> Phrase:
     return phrase
 
 
+def by_size(method: str, *of: Any) -> Callable[[Any, float], FitProblem]:
+    """For `act`: the problem that its method gives, with the size for last argument."""
+    return lambda problem, size: getattr(problem, method)(*of, size)
+
+
+def plainly(method: str, *of: Any) -> Callable[[Any, float], FitProblem]:
+    """For `act` of an effect without a size: the problem that its method gives."""
+    return lambda problem, _: getattr(problem, method)(*of)
+
+
 def as_is(problem: FitProblem, _: float) -> FitProblem:
     """For `act` of an effect that was `found`."""
     return problem

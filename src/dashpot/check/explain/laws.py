@@ -20,7 +20,7 @@ from scipy.special import fdtrc
 from dashpot.arrays import Complex, Real
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is
 from dashpot.check.explain.problem import FittedProblem, LineProblem, descended, without_raising
-from dashpot.check.explain.rigs import points_of
+from dashpot.check.explain.rigs import points_of, unused
 from dashpot.check.explain.score import score_tests, steadiness
 from dashpot.data.noise import smoothed
 from dashpot.data.spectrum import LinesInTime, Spectrum, WholeRecord
@@ -555,6 +555,12 @@ CHARACTER = {
 }  # fmt: skip
 
 
+USUAL_NAMES = {
+    "cubic": "k3", "square": "k2", "quintic": "k5", "quadratic": "kq", "gap": "kgap", "one-sided": "kstop",
+    "jenkins": "kslip", "coulomb": "fc", "d**4": "k4", "d**2*v": "c3",
+}  # fmt: skip
+
+
 def law_in_words(model: Model, element: Element, value: float) -> Phrase:
     """A nonlinear element that the data call for, in words; the p-value is below that of CERTAIN."""
     assert element.force_law is not None
@@ -614,24 +620,10 @@ def in_place_of_laws(model: Model, words: Callable[[float], Phrase], size: float
 def free_name(model: Model, element: Element) -> str:
     """A name that the rig has not: what the law is usually called."""
     assert element.force_law is not None
-    usual = {
-        "cubic": "k3",
-        "square": "k2",
-        "quintic": "k5",
-        "quadratic": "kq",
-        "gap": "kgap",
-        "one-sided": "kstop",
-        "jenkins": "kslip",
-        "coulomb": "fc",
-        "d**4": "k4",
-        "d**2*v": "c3",
-    }
-    word = usual[element.force_law.text]
+    word = USUAL_NAMES[element.force_law.text]
     if element.kind is Kind.DAMPER and word.startswith("k"):
         word = "c" + word[1:]
-    taken = {other.name for other in model.elements} | {*model.coordinates, *(i.name for i in model.inputs)}
-    candidates = (word, *(f"{word}_{'_'.join(element.along)}{suffix}" for suffix in ("", "_2", "_3")))
-    return next(name for name in candidates if name not in taken)
+    return unused(model, word, *(f"{word}_{'_'.join(element.along)}{suffix}" for suffix in ("", "_2", "_3")))
 
 
 # Nonlinear elements that whole records call for beside a linear rig, by the score of each alone (THEORY

@@ -10,7 +10,7 @@ import numpy as np
 
 from dashpot.check.explain import channels, dwells, rigs
 from dashpot.check.explain.channels import in_data
-from dashpot.check.explain.effect import Baseline, Effect, Phrase, said
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, plainly, said
 from dashpot.check.explain.engine import KINDS, LARGEST, allowing_for_causes, begun_at, explain_in_steps
 from dashpot.check.explain.problem import ModalProblem
 from dashpot.check.verdict import doubts_about, rejected, unphysical, unstable, worst_of
@@ -66,23 +66,15 @@ def _damped_words(number: float) -> Phrase:
 
 def mode(baseline: Baseline) -> Iterator[Effect]:
     """Each mode left out, or its frequency or its damping alone."""
-    shape = baseline.problem.kept.shape
+    kept = baseline.problem.kept
     for k, label in enumerate(baseline.problem.labels):
-        phrase = Phrase(
-            f"the mode at {label} disagrees with all others",
-            f"leave out the mode at {label}, or measure it again",
-        )
+        text = f"the mode at {label} disagrees with all others"
+        words = partial(said, Phrase(text, f"leave out the mode at {label}, or measure it again"))
         for columns in (slice(None), slice(-2, -1), slice(-1, None)):
-            out = np.zeros(shape, dtype=bool)
+            out = np.zeros_like(kept)
             out[k, columns] = True
-            if np.any(out & baseline.problem.kept):
-                yield Effect(
-                    "mode", (label,), partial(_left_out, out), partial(said, phrase), share=1 / shape[0]
-                )
-
-
-def _left_out(out: np.ndarray, problem: ModalProblem, _: float) -> ModalProblem:
-    return problem.without(out)
+            if np.any(out & kept):
+                yield Effect("mode", (label,), plainly("without", out), words, share=1 / len(kept))
 
 
 LIKE_LINES = (

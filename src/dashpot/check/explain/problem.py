@@ -44,16 +44,11 @@ from dashpot.model.observation import (
 )
 from dashpot.numerics.small_systems import solve_scaled
 
-DRAWS, FEWER_DRAWS = (
-    1500,
-    200,
-)  # rigs drawn at random as starts; fewer where all motion is seen and gives a start
+# Rigs drawn at random as starts; fewer where all motion is seen and gives a start
+DRAWS, FEWER_DRAWS = 1500, 200
 FOLLOWED, FEWER_FOLLOWED = 12, 3  # of them that are followed
-GLANCE, SHORT, LONG = (
-    3,
-    8,
-    30,
-)  # iterations: before the hopeless are left, before the best start is chosen, in all
+# Iterations: before the hopeless are left, before the best start is chosen, in all
+GLANCE, SHORT, LONG = 3, 8, 30
 KEPT = 24  # problems of a batch that are fitted to the end
 ROUGHLY = 1e-2  # standard deviations at which a descent ends
 LIMIT = 2.0  # nepers and radians beyond which a residual of logarithms counts no more
@@ -208,8 +203,7 @@ class LineProblem:
 
     def exchanged(self, first: int, second: int) -> LineProblem:
         """With two channels exchanged."""
-        order = np.arange(len(self.channels))
-        order[[first, second]] = second, first
+        order = exchanging(len(self.channels), first, second)
         return self.with_amplitudes(self.y[:, order], self.V[:, order][:, :, order], self.kept[:, order])
 
     def conjugated(self, chosen: Bools) -> LineProblem:
@@ -230,14 +224,17 @@ class LineProblem:
 
         An unknown that is new has the guess of its element, or 0.
         """
-        spectrum = self.data.spectrum if channels is None else replace(self.data.spectrum, channels=channels)
+        spectrum = self.spectrum if channels is None else replace(self.spectrum, channels=channels)
+        found = self._of(model, spectrum)
+        usual = (*(unknown.guess or 0.0 for unknown in model.unknowns), *found.view.nominal_calibrations)
+        return replace(found, starts=_lifted(self, found.names, usual))
+
+    def _of(self, model: Model, spectrum: Spectrum) -> LineProblem:
+        """Of another rig, or of the same amplitudes otherwise described."""
         view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
-        states = (
-            states_if_seen(view, spectrum, self.data.covariance) if self.data.states is not None else None
-        )
-        data = replace(self.data, view=view, spectrum=spectrum, states=states)
-        usual = (*(unknown.guess or 0.0 for unknown in model.unknowns), *view.nominal_calibrations)
-        return replace(self, data=data, starts=_lifted(self, view.names, usual))
+        seen = self.data.states is not None
+        states = states_if_seen(view, spectrum, self.data.covariance) if seen else None
+        return replace(self, data=replace(self.data, view=view, spectrum=spectrum, states=states))
 
     def shows(self, element: Element) -> bool:
         """Whether an element more may leave a trace: it moves, whatever it is."""
@@ -252,16 +249,12 @@ class LineProblem:
             else each
             for each in spectrum.stretches
         )
-        data = replace(self.data, spectrum=replace(spectrum, stretches=stretches))
-        return replace(self, data=data).at_frequencies(rate * spectrum.frequency_hz)
+        other = replace(spectrum, stretches=stretches, frequency_hz=rate * spectrum.frequency_hz)
+        return self._of(self.model, other)
 
     def at_frequencies(self, frequency_hz: Real) -> LineProblem:
         """With other frequencies (lines,) of the same lines."""
-        spectrum = replace(self.data.spectrum, frequency_hz=frequency_hz)
-        view = observation_model(self.model, spectrum.channels, spectrum.omega, spectrum.experiment)
-        seen = self.data.states is not None
-        states = states_if_seen(view, spectrum, self.data.covariance) if seen else None
-        return replace(self, data=replace(self.data, view=view, spectrum=spectrum, states=states))
+        return self._of(self.model, replace(self.spectrum, frequency_hz=frequency_hz))
 
     def at_lines(self, lines: Ints) -> LineProblem:
         """Of some of the lines."""
@@ -315,13 +308,7 @@ class LineProblem:
 
     def blocks(self, psi: Real) -> Ints:
         """Lines that one discrepancy makes alike, (lines,)."""
-        spectrum, model = self.data.spectrum, self.model
-        try:
-            poles = eigenmodes(model, model.parameters(psi[: len(model.unknowns)])).eigenvalues
-            found = blocks_of(spectrum.frequency_hz, spectrum.experiment, poles) if len(poles) else None
-        except (ModelError, ValueError, np.linalg.LinAlgError):
-            found = None
-        return np.arange(spectrum.lines) if found is None else found
+        return _blocks(self.model, psi, self.frequency_hz, self.spectrum.experiment)
 
 
 @dataclass(frozen=True)
@@ -445,8 +432,7 @@ class ModalProblem:
 
     def exchanged(self, first: int, second: int) -> ModalProblem:
         """With two points exchanged."""
-        order = np.arange(len(self.data.points))
-        order[[first, second]] = second, first
+        order = exchanging(len(self.data.points), first, second)
         V = self.data.shape_covariance[:, order][:, :, order]
         return replace(self, data=replace(self.data, shapes=self.data.shapes[:, order], shape_covariance=V))
 
@@ -711,7 +697,7 @@ class TimeProblem:
     def kept(self) -> Bools:
         """Which numbers count, (lines, channels)."""
         there = np.isin(np.arange(len(self.channels)), sorted(self.out), invert=True)
-        return np.broadcast_to(there, self._measured.shape)
+        return np.broadcast_to(there, (len(self._order), len(self.channels)))
 
     @property
     def counted(self) -> Bools:
@@ -736,7 +722,7 @@ class TimeProblem:
     @property
     def variance(self) -> Real:
         """Of the noise of each as a complex number, (lines, channels)."""
-        return np.broadcast_to(4 * self.noise**2 / len(self.record.time), self._measured.shape)
+        return np.broadcast_to(4 * self.noise**2 / len(self.record.time), self.kept.shape)
 
     @property
     def sd(self) -> Real:
@@ -805,8 +791,7 @@ class TimeProblem:
 
     def exchanged(self, first: int, second: int) -> TimeProblem:
         """With two channels exchanged."""
-        order = np.arange(len(self.channels))
-        order[[first, second]] = second, first
+        order = exchanging(len(self.channels), first, second)
         status = None if self.record.status is None else self.record.status[:, order]
         return replace(self, record=replace(self.record, values=self.record.values[:, order], status=status))
 
@@ -918,14 +903,17 @@ class TimeProblem:
 
     def _normal(self, psi: Real, r: Real, J: Real) -> tuple[Real, Real]:
         """Information (M, M) and minus half the slope (M,) of residuals (k,) with slopes (k, M), priors included."""
-        precision, mean = self.body.priors()
-        away = np.where(np.isnan(mean), 0.0, psi - mean)
+        precision, away = self._priors(psi)
         return J.T @ J + np.diag(precision), J.T @ r - precision * away
+
+    def _priors(self, psi: Real) -> tuple[Real, Real]:
+        """Precision of what is stated of the unknowns, and how far ψ is from it, (M,) each."""
+        precision, mean = self.body.priors()
+        return precision, np.where(np.isnan(mean), 0.0, psi - mean)
 
     def by_priors(self, psi: Real) -> float:
         """ln of the probability of ψ (M,) by what is stated of the unknowns, 0 at the stated values."""
-        precision, mean = self.body.priors()
-        away = np.where(np.isnan(mean), 0.0, psi - mean)
+        precision, away = self._priors(psi)
         return -0.5 * float(np.sum(precision * away**2))
 
     def left(self, psi: Real) -> Complex:
@@ -945,15 +933,26 @@ class TimeProblem:
 
     def blocks(self, psi: Real) -> Ints:
         """Lines that one discrepancy makes alike, (lines,), by the modes of the linear part."""
-        try:
-            poles = eigenmodes(self.model, self.model.parameters(psi[: len(self.model.unknowns)])).eigenvalues
-            found = blocks_of(self.frequency_hz, np.zeros(len(self._order), dtype=np.int64), poles)
-        except (ModelError, ValueError, np.linalg.LinAlgError):
-            found = None
-        return np.arange(len(self._order)) if found is None else found
+        return _blocks(self.model, psi, self.frequency_hz, np.zeros(len(self._order), dtype=np.int64))
 
 
 FitProblem = LineProblem | ModalProblem | TimeProblem  # what they have alike is what the engine asks
+
+
+def _blocks(model: Model, psi: Real, frequency_hz: Real, experiment: Ints) -> Ints:
+    """`blocks_of` the modes of a rig at ψ (M,), (lines,); each line by itself where it has none."""
+    with suppress(ModelError, ValueError, np.linalg.LinAlgError):
+        poles = eigenmodes(model, model.parameters(psi[: len(model.unknowns)])).eigenvalues
+        if len(poles):
+            return blocks_of(frequency_hz, experiment, poles)
+    return np.arange(len(frequency_hz))
+
+
+def exchanging(count: int, first: int, second: int) -> Ints:
+    """The order of `count` things of which two are exchanged."""
+    order = np.arange(count)
+    order[[first, second]] = second, first
+    return order
 
 
 def _never_zero(variance: Real, y: Complex) -> Real:
@@ -1208,9 +1207,7 @@ def _own(problems: Sequence[LineProblem]) -> list[list[Real]]:
         spectrum = replace(part, amplitudes=Y, covariance=np.nan_to_num(V), moments=None)
         view = observation_model(some.model, part.channels, part.omega, part.experiment)
         states = states_if_seen(view, spectrum, V) if len(lines) and view.model.n else None
-        if states is None:
-            continue
-        if np.any(some.view.gain >= 0) or np.any(some.view.delay >= 0):
+        if states is None or np.any(some.view.gain >= 0) or np.any(some.view.delay >= 0):
             continue
         with np.errstate(all="ignore"):
             theta = compensated(some.model, states)
@@ -1236,10 +1233,8 @@ def _from_afar(
     """
     view, sign = problems[0].view, problems[0].sign
     ends = list(starts)
-    driven, soft = (
-        [directly_driven(view, one) for one in arranged],
-        [each.arranged(SOFTNESS) for each in problems],
-    )
+    driven = [directly_driven(view, one) for one in arranged]
+    soft = [each.arranged(SOFTNESS) for each in problems]
     groups: dict[tuple[bool, bool], list[int]] = {}
     for t, (one, other) in enumerate(zip(driven, soft, strict=True)):
         groups.setdefault((one is None, other.q is None), []).append(t)

@@ -11,12 +11,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import log
-from typing import cast
 
 import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
-from dashpot.channel import Channel
 from dashpot.check.explain.channels import (
     conjugate,
     derivative,
@@ -26,7 +24,7 @@ from dashpot.check.explain.channels import (
     unit,
 )
 from dashpot.check.explain.effect import Baseline, Effect, Effects, with_likely_causes
-from dashpot.check.explain.problem import FitProblem, FittedProblem, LineProblem
+from dashpot.check.explain.problem import FitProblem, FittedProblem, LineProblem, TimeProblem
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError, Problem
 from dashpot.estimate.assessment import Finding
@@ -158,11 +156,11 @@ def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:
     as_is = bench.contradiction(record)
     if as_is is None or not np.max(as_is.shares, initial=0.0) > CONTRADICTED:
         return ()
-    recorded = _Recorded(model, record)
+    recorded = TimeProblem(model, record, np.zeros(len(record.channels)), ())
     inputs = {channel.name for channel in record.channels if measures_input(model, channel)}
     outputs = len(record.channels) - len(inputs)
     tried = []
-    for effect, size, mended in _supposed(cast(FitProblem, recorded), (sign, unit, swap)):
+    for effect, size, mended in _supposed(recorded, (sign, unit, swap)):
         of_inputs = len(inputs.intersection(effect.of))
         if of_inputs == 1 < len(effect.of):
             continue
@@ -173,7 +171,8 @@ def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:
             and (of_inputs or outputs < 2 or abs(log(size)) < log(GROSS))
         ):
             continue
-        left = bench.contradiction(cast(_Recorded, mended).record)
+        assert isinstance(mended, TimeProblem)
+        left = bench.contradiction(mended.record)
         if left is not None and left.much_less_than(as_is):
             tried.append((bool(of_inputs), KINDS.index(effect.kind), left.total, effect, size))
     least = min((each[2] for each in tried), default=0.0)
@@ -181,36 +180,6 @@ def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:
     # Of two motions either may be turned, and outputs are more than inputs; of like mistakes the commoner first.
     near.sort(key=lambda each: each[:3])
     return tuple(effect.finding(size) for *_, effect, size in near)
-
-
-@dataclass(frozen=True)
-class _Recorded:
-    """A record as effects on channels act on it, in time."""
-
-    model: Model
-    record: Record
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        """The channels, in the order of the record."""
-        return self.record.channels
-
-    @property
-    def kept(self) -> Bools:
-        """Which numbers count, (samples, channels)."""
-        return np.ones(self.record.values.shape, dtype=bool)
-
-    def scaled(self, channel: int, factor: float) -> _Recorded:
-        """With one channel times a factor."""
-        turn = np.where(np.arange(len(self.channels)) == channel, factor, 1.0)
-        return replace(self, record=replace(self.record, values=self.record.values * turn))
-
-    def exchanged(self, first: int, second: int) -> _Recorded:
-        """With two channels exchanged."""
-        order = np.arange(len(self.channels))
-        order[[first, second]] = second, first
-        status = None if self.record.status is None else self.record.status[:, order]
-        return replace(self, record=replace(self.record, values=self.record.values[:, order], status=status))
 
 
 @dataclass(frozen=True)

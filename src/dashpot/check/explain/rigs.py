@@ -13,7 +13,7 @@ from dashpot import units
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Quantity
 from dashpot.check.explain.channels import CLOSE, SHARE_WIDTH, rounded
-from dashpot.check.explain.effect import Baseline, Effect, Phrase, said
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, plainly, said
 from dashpot.check.explain.problem import FitProblem, LineProblem, replaced
 from dashpot.check.explain.score import score_tests
 from dashpot.model.elements import Element, Kind, between, mass
@@ -30,6 +30,12 @@ USUAL = {
     Kind.SPRING: ("stiffness", ("N/mm", "lbf/in")),
     Kind.DAMPER: ("damping", ("N·s/mm", "lbf·s/in")),
 }
+
+
+def unused(model: Model, *names: str) -> str:
+    """The first of some names that nothing of the rig has."""
+    taken = {*model.coordinates, *(i.name for i in model.inputs), *(e.name for e in model.elements)}
+    return next(name for name in names if name not in taken)
 
 
 def points_of(element: Element, model: Model) -> tuple[str, ...]:
@@ -52,13 +58,8 @@ def missing_elements(model: Model, kinds: Sequence[Kind] = (Kind.SPRING, Kind.DA
         for kind in kinds
     ]
     found += [mass(f"m_{x}", x) for x in model.coordinates]
-    return [
-        element
-        for element in found
-        if (element.kind, frozenset(element.along.items())) not in there
-        and (element.kind, frozenset((point, -factor) for point, factor in element.along.items()))
-        not in there
-    ]
+    turned = {(kind, frozenset((point, -factor) for point, factor in along)) for kind, along in there}
+    return [e for e in found if (e.kind, frozenset(e.along.items())) not in there | turned]
 
 
 def stated_values(model: Model) -> list[Element]:
@@ -109,10 +110,8 @@ def hysteretic(baseline: Baseline) -> Iterator[Effect]:
 def _added(baseline: Baseline, kind: str, candidates: list[Element]) -> Iterator[Effect]:
     problem, model = baseline.problem, baseline.problem.model
     promised = scores(problem, baseline.as_is.psi, candidates)
-    chosen = sorted(
-        (each for each in candidates if each.name in promised), key=lambda each: -promised[each.name][0]
-    )
-    for candidate in chosen[:FOLLOWED]:
+    chosen = [each for each in candidates if each.name in promised]
+    for candidate in sorted(chosen, key=lambda each: -promised[each.name][0])[:FOLLOWED]:
         width = ELEMENT_WIDTH * _typical(model, baseline.as_is.psi, candidate.kind)
         yield Effect(
             kind, points_of(candidate, model), partial(_with, candidate), partial(missing_in_words, model, candidate),
@@ -123,12 +122,11 @@ def _added(baseline: Baseline, kind: str, candidates: list[Element]) -> Iterator
 def _typical(model: Model, psi: Real, kind: Kind) -> float:
     """The typical size of an element of a kind: the geometric mean of the rig's own; of springs where it has none."""
     p = np.abs(model.parameters(psi[: len(model.unknowns)]))
-    like = [p[i] for i, each in enumerate(model.elements) if each.kind is kind and p[i] > 0]
-    if not like:
-        like = [p[i] for i, each in enumerate(model.elements) if each.kind is Kind.SPRING and p[i] > 0] or [
-            1.0
-        ]
-    return float(np.exp(np.mean(np.log(like))))
+    like, springs = (
+        [size for each, size in zip(model.elements, p, strict=True) if each.kind is alike and size > 0]
+        for alike in (kind, Kind.SPRING)
+    )
+    return float(np.exp(np.mean(np.log(like or springs or [1.0]))))
 
 
 def _with(element: Element, problem: FitProblem, start: float) -> FitProblem:
@@ -165,14 +163,8 @@ def value(baseline: Baseline) -> Iterator[Effect]:
         if each.kind in USUAL and not model.angles:
             quantity, usual = USUAL[each.kind]
             ratios = tuple(units.scale(unit, quantity, False) for unit in usual)
-            yield Effect(
-                "value",
-                (each.name,),
-                partial(_in_unit, each),
-                partial(_unit, model, each.name),
-                ratios,
-                share=share,
-            )
+            act, words = partial(_in_unit, each), partial(_unit, model, each.name)
+            yield Effect("value", (each.name,), act, words, ratios, share=share)
 
 
 def _in_unit(element: Element, problem: FitProblem, ratio: float) -> FitProblem:
@@ -222,22 +214,14 @@ def oscillator(baseline: Baseline) -> Iterator[Effect]:
     problem, model = baseline.lines, baseline.problem.model
     if model.angles:
         return
-    names = {
-        *model.coordinates,
-        *(each.name for each in model.inputs),
-        *(each.name for each in model.elements),
-    }
-    body = next(name for name in ("body", "body_2", "hidden_body") if name not in names)
+    body = unused(model, "body", "body_2", "hidden_body")
     typical = _typical(model, baseline.as_is.psi, Kind.MASS)
     omega = problem.omega
     rates = np.geomspace(np.min(omega), np.max(omega), RESONANCES)
     middle = float(np.sqrt(rates[0] * rates[-1]))
     for x in model.coordinates:
-        parts = (
-            mass(f"m_{body}", body),
-            between(f"k_{body}", Kind.SPRING, body, x),
-            between(f"c_{body}", Kind.DAMPER, body, x),
-        )  # fmt: skip
+        joining = (between(f"k_{body}", Kind.SPRING, body, x), between(f"c_{body}", Kind.DAMPER, body, x))
+        parts = (mass(f"m_{body}", body), *joining)
         larger = replace(model, coordinates=(*model.coordinates, body), elements=(*model.elements, *parts))
         yield Effect(
             "oscillator", (x,), partial(_beside_body, larger, parts, typical), partial(_body, model, parts, x),
@@ -251,16 +235,10 @@ def _beside_body(
     larger: Model, parts: tuple[Element, ...], typical: float, problem: LineProblem, rate: float
 ) -> LineProblem:
     m = BODY * typical
-    begun = dict(
-        zip((each.name for each in parts), (m, m * rate**2, 2 * BODY_DAMPING * m * rate), strict=True)
-    )
-    of = problem.of_rig(larger)
-    names = of.names
-    starts = [
-        np.array([begun.get(name, start) for name, start in zip(names, psi, strict=True)])
-        for psi in of.starts
-    ]
-    return of.from_starts(starts)
+    sizes = (m, m * rate**2, 2 * BODY_DAMPING * m * rate)
+    begun = [replace(each, guess=size) for each, size in zip(parts, sizes, strict=True)]
+    there = larger.elements[: -len(begun)]
+    return problem.of_rig(replace(larger, elements=(*there, *begun)))
 
 
 def _body(model: Model, parts: tuple[Element, ...], x: str, stiffness: float) -> Phrase:
@@ -275,21 +253,12 @@ def unmeasured(baseline: Baseline) -> Iterator[Effect]:
     motions = np.flatnonzero(~baseline.inputs)
     if len(motions) < 3 or not baseline.problem.noise_known:  # it would take up what tests the rig
         return
-    taken = {
-        *model.coordinates,
-        *(each.name for each in model.inputs),
-        *(each.name for each in model.elements),
-    }
-    name = next(each for each in ("disturbance", "disturbance_2") if each not in taken)
+    name = unused(model, "disturbance", "disturbance_2")
     for x in model.coordinates:
         larger = replace(model, inputs=(*model.inputs, Input(name, "force", {x: 1.0})))
         text = f"an unmeasured force at {x} explains the residuals"
         phrase = Phrase(text, f'measure it, or add [inputs] {name} = {{ kind = "force", at = "{x}" }}')
-        yield Effect("input", (x,), partial(_pushed, larger), partial(said, phrase), share=1 / model.n)
-
-
-def _pushed(larger: Model, problem: LineProblem, _: float) -> LineProblem:
-    return problem.of_rig(larger)
+        yield Effect("input", (x,), plainly("of_rig", larger), partial(said, phrase), share=1 / model.n)
 
 
 # Resonances outside the band, over its highest and its lowest frequency: of what is so stiff that only its compliance
@@ -316,15 +285,14 @@ def residual(baseline: Baseline) -> Iterator[Effect]:
             order = channels[c].quantity.derivative
             order += 0 if force else 2 - channels[source].quantity.derivative
             for resonance in resonances:
-                shown = (
-                    _of_mode(omega, resonance, order)[used] * problem.y[used, source] / problem.sd[used, c]
-                )
+                sd = problem.sd[used, c]
+                shown = _of_mode(omega, resonance, order)[used] * problem.y[used, source] / sd
                 power = float(np.sum(np.abs(shown) ** 2))
                 if power == 0:
                     continue
                 # As large as what is left of the channel by all others says
-                size = float(np.sum((np.conj(shown) * (y - expected) / problem.sd[used, c]).real)) / power
-                width = SHARE_WIDTH * float(np.sqrt(np.sum(np.abs(y / problem.sd[used, c]) ** 2) / power))
+                size = float(np.sum((np.conj(shown) * (y - expected) / sd).real)) / power
+                width = SHARE_WIDTH * float(np.sqrt(np.sum(np.abs(y / sd) ** 2) / power))
                 phrase = _outside(channels[c].name, channels[source].name, float(np.max(omega)), resonance)
                 act = partial(_beyond, c, source, order, resonance)
                 yield Effect(
