@@ -38,6 +38,9 @@ class Phrase:
     elements: tuple[Element, ...] = ()
 
 
+Subject = tuple[str, tuple[str, ...]]  # the kind of an effect and what it is of
+
+
 @dataclass(frozen=True)
 class Effect:
     """A supposition, with a size where it has one.
@@ -70,6 +73,11 @@ class Effect:
     found: FittedProblem | None = None
     more: int = 0
     share: float = 1.0
+
+    @property
+    def subject(self) -> Subject:
+        """What it supposes of what: forms of one cause have it alike."""
+        return self.kind, self.of
 
     def coordinate(self, size: float) -> float:
         """Where a size lies on the scale on which it is sought."""

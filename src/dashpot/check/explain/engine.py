@@ -20,7 +20,7 @@ from scipy.special import chdtrc, log_ndtr, logsumexp
 from dashpot.arrays import Ints, Real
 from dashpot.check.explain import channels, dwells, rigs
 from dashpot.check.explain import laws as laws_of_rig
-from dashpot.check.explain.effect import Baseline, Effect, Effects, Phrase
+from dashpot.check.explain.effect import Baseline, Effect, Effects, Phrase, Subject
 from dashpot.check.explain.problem import (
     FEWER_DRAWS,
     FitProblem,
@@ -42,6 +42,7 @@ from dashpot.estimate.inference.uncertainty import linear_modes
 from dashpot.estimate.result import MISFIT, Estimate
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model
+from dashpot.model.observation import measures_input
 from dashpot.numerics.small_systems import scaled_inverse
 
 # The kinds of effects, each with its probability before the data: what people get wrong, by how often.
@@ -77,27 +78,19 @@ LARGEST = 12  # coordinates of the rigs that are explained: fits of larger ones 
 OF_LAWS = 0.05  # that a nonlinear element is missing
 # Kinds that say how numbers of the data may be wrong, whatever the rig.
 OF_DATA = (
-    channels.sign,
-    channels.unit,
-    channels.gain,
-    channels.delay,
-    channels.derivative,
-    channels.swap,
-    dwells.clock,
-)
+    channels.sign, channels.unit, channels.gain, channels.delay, channels.derivative, channels.swap, dwells.clock,
+)  # fmt: skip
 FAR = ("swap", "sign", "conjugate", "quantity")  # kinds to whose rigs the way may be long
 AFRESH = 6  # of them that are searched from drawn rigs
 NEGATIVE = 1e-3  # that a spring of a sound rig is negative, as one that represents bending
 IMPOSSIBLE = -100.0  # ln of the probability of a rig with negative masses or dampers, however negative
-UNLISTED = (
-    0.05  # that it is something else, seen from the rig as it is; so much again, from all that is listed
-)
+# That it is something else, seen from the rig as it is; so much again, from all that is listed
+UNLISTED = 0.05
 LISTED = 0.95  # odds that the causes named sum to
 MOST = 5  # causes that are named
 LIKELY = 0.5  # of the misfit that a cause explains at the least to be named
-NEARLY_ALL = (
-    0.9  # of it that two causes explain together at the least, or the second of what the first leaves
-)
+# Of it that two causes explain together at the least, or the second of what the first leaves
+NEARLY_ALL = 0.9
 CLOSELY = 16  # effects whose size is sought closely and whose evidence is computed
 BEGUN = 0.3  # of the prior scale of a size: the first step to both sides
 ROUNDS = 3  # parabolas through χ² about a size
@@ -109,10 +102,8 @@ SIZES = np.concatenate([[0.0], np.geomspace(1e-5, 3.0, 30)])  # of a discrepancy
 MENDED = 0.01  # of the motion: within that a rig is mostly right whose mistake is mended
 APPROXIMATE = 0.05  # of the misfit, as an amplitude: within that an effect describes its cause
 NOISE_KNOWN = 0.2  # of the standard deviation of noise: within that it is mostly known
-EXCESSES = np.concatenate(
-    [[1.0], np.geomspace(1.05, 1e24, 120)]
-)  # of the noise's variance over what is known of it
-
+# Of the noise's variance over what is known of it
+EXCESSES = np.concatenate([[1.0], np.geomspace(1.05, 1e24, 120)])
 
 Fitter = Callable[[Sequence[FitProblem]], list[FittedProblem]]
 Kinds = Sequence[tuple[float, Effects]]
@@ -178,6 +169,11 @@ class Cause:
     near: float = 0.0
     explains: float = 0.0
     group: int | None = None
+
+    def same(self, other: Cause) -> bool:
+        """Whether it is another one, with the same size."""
+        first, second = ((e.subject, e.unknown, e.width is None) for e in (self.effect, other.effect))
+        return first == second and abs(self.size - other.size) <= 0.01 * abs(self.size)
 
     def finding(self, noise_known: bool) -> Finding:
         """As an assessment has it."""
@@ -251,11 +247,7 @@ def explain_in_steps(baseline: Baseline, kinds: Kinds, *, laws: bool = False) ->
         return first
     mended = best.fit.problem.from_starts((best.fit.psi,))
     second = _step(begun_at(mended, baseline.silent, baseline.of_samples), kinds)
-    more = [
-        each
-        for each in second.causes
-        if (each.effect.kind, each.effect.of) != (best.effect.kind, best.effect.of)
-    ]
+    more = [each for each in second.causes if each.effect.subject != best.effect.subject]
     if not more:
         return first
     both = replace(more[0], odds=best.odds * more[0].odds)
@@ -276,50 +268,41 @@ def explain_in_steps(baseline: Baseline, kinds: Kinds, *, laws: bool = False) ->
 
 def _begun(problem: LineProblem, silent: Mapping[str, str], of_samples: bool, seed: int) -> Baseline:
     """The problem as stated and without each channel, fitted from many starts."""
-    names = [channel.name for channel in problem.channels]
-    own = np.eye(len(names), dtype=bool)
-    without = [problem.without(np.broadcast_to(own[c], problem.kept.shape)) for c in range(len(names))]
-    far: list[LineProblem] = []
+    every = np.eye(len(problem.channels), dtype=bool)
+    alike = [problem, *(problem.without(np.broadcast_to(own, problem.kept.shape)) for own in every)]
     if (
         problem.data.states is None
     ):  # no regression leads to the rig of an input that is turned, or in another unit
-        inputs = [
-            c
-            for c, at in enumerate(
-                Baseline(problem, FittedProblem(problem, problem.starts[0], 0.0, 0), ()).inputs
-            )
-            if at
-        ]
-        far += [problem.scaled(c, factor) for c in inputs for factor in (-1.0, 1e-3, 1e3)]
-        far += [] if of_samples else [problem.conjugated(np.ones(len(names), dtype=bool))]
-    fits = searched([problem, *without, *far], seed)
-    pool = _distinct([fit.psi for fit in fits])
-    begun = problem.from_starts(pool)
-    return Baseline(
-        begun, replace(fits[0], problem=begun), tuple(fits[1 : len(names) + 1]), silent, of_samples
-    )
+        for c, channel in enumerate(problem.channels):
+            if measures_input(problem.model, channel):
+                alike += [problem.scaled(c, factor) for factor in (-1.0, 1e-3, 1e3)]
+        alike += [] if of_samples else [problem.conjugated(np.any(every, axis=0))]
+    return _baseline(problem, searched(alike, seed), silent, of_samples)
 
 
 def begun_at(
-    problem: FitProblem, silent: Mapping[str, str] | None = None, of_samples: bool = False
+    problem: FitProblem,
+    silent: Mapping[str, str] | None = None,
+    of_samples: bool = False,
+    fit: Fitter = fitted,
 ) -> Baseline:
     """The problem as stated and without each channel, fitted from its own starts."""
-    fits = fitted([problem, *(channels.without(c, problem) for c in range(len(problem.channels)))])
-    begun = problem.from_starts(_distinct([fit.psi for fit in fits]))
-    return Baseline(begun, replace(fits[0], problem=begun), tuple(fits[1:]), silent or {}, of_samples)
+    fits = fit([problem, *(channels.without(c, problem) for c in range(len(problem.channels)))])
+    return _baseline(problem, fits, silent or {}, of_samples)
 
 
-def _distinct(ends: Sequence[Real]) -> list[Real]:
-    """Ends that differ by more than a per cent in some unknown, in their order."""
-    kept: list[Real] = []
-    for psi in ends:
-        if not np.all(np.isfinite(psi)):
-            continue
-        if not any(
-            np.all(np.abs(psi - each) <= 0.01 * np.maximum(np.abs(psi), np.abs(each))) for each in kept
-        ):
+def _baseline(
+    problem: FitProblem, fits: Sequence[FittedProblem], silent: Mapping[str, str], of_samples: bool
+) -> Baseline:
+    """Of fits of the problem, of it without each channel, and of others, whose ends are starts as well."""
+    kept: list[Real] = []  # ends that differ by more than a per cent in some unknown, in their order
+    for psi in (fit.psi for fit in fits if np.all(np.isfinite(fit.psi))):
+        near = (np.abs(psi - each) <= 0.01 * np.maximum(np.abs(psi), np.abs(each)) for each in kept)
+        if not any(map(np.all, near)):
             kept.append(psi)
-    return kept or [ends[0]]
+    begun = problem.from_starts(kept or [fits[0].psi])
+    without = tuple(fits[1 : len(problem.channels) + 1])
+    return Baseline(begun, replace(fits[0], problem=begun), without, silent, of_samples)
 
 
 def _leaves_more_than_noise(fit: FittedProblem) -> bool:
@@ -361,31 +344,17 @@ def explain_records(
             supposed = effect.act(baseline.problem, size)
         except DashpotError:
             continue
-        begun = [
-            psi for psi in (*starts, as_is.psi) if len(psi) == len(supposed.starts[0])
-        ] or supposed.starts
-        (fit,) = fitted([supposed.from_starts(begun)])
+        begun = [psi for psi in (*starts, as_is.psi) if len(psi) == len(supposed.starts[0])]
+        (fit,) = fitted([supposed.from_starts(begun or supposed.starts)])
         in_full.append(Trial(effect, prior, size, _on_the_same_data(baseline, fit)))
     again = tuple((prior, kind) for prior, kind in KINDS if kind in ON_RECORDS)
-    led_to = {(each.effect.kind, each.effect.of): each.fit.psi for each in reversed(tried)}
+    led_to = {each.effect.subject: each.fit.psi for each in reversed(tried)}
     return _weighed_all(baseline, [*in_full, *_tried(baseline, (*again, *of_records), begun=led_to)], fitted)
 
 
 IN_TIME = (
-    channels.sign,
-    channels.unit,
-    channels.gain,
-    channels.delay,
-    channels.derivative,
-    channels.filtered,
-    channels.swap,
-    channels.crosstalk,
-    channels.place,
-    dwells.clock,
-    dwells.hold,
-    rigs.element,
-    rigs.value,
-)
+    *OF_DATA, channels.filtered, channels.crosstalk, channels.place, dwells.hold, rigs.element, rigs.value,
+)  # fmt: skip
 STILL_FALLS = 0.9  # of χ², that a round leaves at the most where another is worth it
 INTEGRATED = 5  # effects on records in time that are fitted in full
 
@@ -397,10 +366,8 @@ def explain_in_time(baseline: Baseline, of_records: Kinds) -> Explanation:
     kinds = tuple((prior, kind) for prior, kind in KINDS if kind in IN_TIME)
     tried = _tried(baseline, (*kinds, *of_records), glanced, glanced)
     tried.sort(key=lambda each: -each.roughly)
-    unique: dict[tuple[str, tuple[str, ...]], Trial] = {}
-    for each in tried:
-        unique.setdefault((each.effect.kind, each.effect.of), each)
-    best = list(unique.values())[:INTEGRATED]
+    forms = {each.effect.subject: each for each in reversed(tried)}
+    best = [each for each in tried if forms[each.effect.subject] is each][:INTEGRATED]
     _follow(baseline, best)
     # The way of the likeliest may be long: from where its size is found to be, it goes on.
     for _ in range(ROUNDS):
@@ -438,32 +405,19 @@ def _chosen(
         for each in tried
         if each.effect.found is None and not (each.effect.unknown and each.effect.kind in again)
     ]
-    known = [
-        (c, word)
-        for c, channel in enumerate(problem.channels)
-        for word in CALIBRATIONS
-        if getattr(channel, word) is not None
-    ]
-    opened = [(c, word, *_calibrated(baseline, c, word)) for c, word in known]
-    opened = [each for each in opened if each[2].reduced <= (1 - HINT) * baseline.as_is.reduced]
-    forms = {
-        word: [
-            (prior, effect)
-            for prior, kind in KINDS
-            if kind in CALIBRATIONS[word]
-            for effect in kind(baseline)
-        ]
-        for word in {each[1] for each in opened}
-    }
-    for c, word, _, size, psi in opened:
-        for prior, effect in forms[word]:
-            if effect.of != (problem.channels[c].name,):
+    for c, channel in enumerate(problem.channels):
+        for word, kinds in CALIBRATIONS.items():
+            if getattr(channel, word) is None:
                 continue
-            near = [each for each in effect.values if each * size > 0 and abs(log(each / size)) < NEAR]
-            if effect.width is not None:
-                yield effect, prior, size, (psi,)
-            elif near:
-                yield effect, prior, min(near, key=lambda each: abs(log(each / size))), (psi,)
+            fit, size, psi = _calibrated(baseline, c, word)
+            if not fit.reduced <= (1 - HINT) * baseline.as_is.reduced:
+                continue
+            forms = ((prior, each) for prior, kind in KINDS if kind in kinds for each in kind(baseline))
+            for prior, effect in forms:
+                near = [each for each in effect.values if each * size > 0 and abs(log(each / size)) < NEAR]
+                if effect.of == (channel.name,) and (near or effect.width is not None):
+                    nearest = min(near, key=lambda each: abs(log(each / size)), default=size)
+                    yield effect, prior, size if effect.width is not None else nearest, (psi,)
     # Ends, which the lines do without, make forms of one channel's mistake alike that these tell apart.
     likeliest: dict[tuple[str, ...], float] = {}
     for each in of_lines:
@@ -489,9 +443,7 @@ def _calibrated(baseline: Baseline, c: int, word: str) -> tuple[FittedProblem, f
 @np.errstate(all="ignore")  # what is supposed may be absurd
 def mistakes_of_data(problem: LineProblem) -> Explanation:
     """Likely mistakes in data that a rig with fixed values predicts badly."""
-    names = [channel.name for channel in problem.channels]
-    fits = judged([problem, *(channels.without(c, problem) for c in range(len(names)))])
-    baseline = Baseline(problem, fits[0], tuple(fits[1:]), {}, True, True)
+    baseline = replace(begun_at(problem, of_samples=True, fit=judged), fixed=True)
     return _step(baseline, tuple((1 / len(OF_DATA), kind) for kind in OF_DATA), judged, laws=False)
 
 
@@ -524,9 +476,7 @@ def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter | None 
     weighed = [_weighed(each, block, stated.largest) for each in hopeful if np.isfinite(each.fit.chi2)]
     causes: list[Cause] = []
     for cause in sorted((each for each in weighed if each is not None), key=lambda each: -each.evidence):
-        if not any(
-            _same(cause, other) for other in causes
-        ):  # else a fit that began elsewhere has come to the same
+        if not any(map(cause.same, causes)):  # else a fit that began elsewhere has come to the same
             causes.append(cause)
     possible = log_possible(baseline.as_is)
     as_is = stated.unlike(stated.largest) + possible
@@ -543,12 +493,11 @@ def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter | None 
     nearest = causes[0] if causes and causes[0].explains < LIKELY and causes[0].odds > odds[-1] else None
     causes = [cause for cause in causes if cause.explains >= LIKELY]
     unlisted = max(1 - sum(cause.odds for cause in causes), 0.0)
-    unique: dict[tuple[str, tuple[str, ...]], Cause] = {}
+    unique: dict[Subject, Cause] = {}
     for cause in causes:  # forms of one cause are one
-        best = unique.get((cause.effect.kind, cause.effect.of))
-        unique[cause.effect.kind, cause.effect.of] = (
-            cause if best is None else replace(best, odds=best.odds + cause.odds)
-        )
+        best = unique.get(cause.effect.subject)
+        together = cause if best is None else replace(best, odds=best.odds + cause.odds)
+        unique[cause.effect.subject] = together
     listed = sorted(unique.values(), key=lambda cause: -cause.odds)
     total = np.cumsum([cause.odds for cause in listed])
     # What the data cannot tell from the first is named with it, however improbable beforehand.
@@ -560,18 +509,6 @@ def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter | None 
     of_group = indistinguishable([cause.likelihood for cause in listed])
     grouped = tuple(replace(cause, group=group) for cause, group in zip(listed, of_group, strict=True))
     return Explanation(baseline.as_is, grouped, unlisted, nearest, every)
-
-
-def _same(first: Cause, second: Cause) -> bool:
-    """Whether two causes are the same, with the same size."""
-    one, other = first.effect, second.effect
-    alike = (one.kind, one.of, one.unknown, one.width is None) == (
-        other.kind,
-        other.of,
-        other.unknown,
-        other.width is None,
-    )
-    return alike and abs(first.size - second.size) <= 0.01 * abs(first.size)
 
 
 def _enough(baseline: Baseline) -> float:
@@ -589,7 +526,7 @@ def _tried(
     kinds: Kinds,
     fit: Fitter = fitted,
     of_rigs: Fitter = fitted_each,
-    begun: Mapping[tuple[str, tuple[str, ...]], Real] | None = None,
+    begun: Mapping[Subject, Real] | None = None,
 ) -> list[Trial]:
     """Each effect of some kinds at the best of its sizes.
 
@@ -605,7 +542,7 @@ def _tried(
             if effect.found is not None:
                 best[id(effect)] = Trial(effect, prior, effect.values[0], effect.found)
                 continue
-            there = begun.get((effect.kind, effect.of)) if begun and effect.unknown else None
+            there = begun.get(effect.subject) if begun and effect.unknown else None
             for size in effect.values:
                 with suppress(DashpotError):  # a rig or channels that cannot be
                     supposed = effect.act(baseline.problem, size)
@@ -629,16 +566,12 @@ def _search_afresh(baseline: Baseline, tried: Sequence[Trial]) -> None:
     """Search from drawn rigs as well: each stated value, to which nothing leads where not all motion is seen; and where
     nothing settles it, the most hopeful of what changes the motion itself."""
     if baseline.lines.data.states is None:
-        for each in tried:
-            if (
-                each.effect.kind == "value"
-                and each.effect.unknown
-                and isinstance(each.fit.problem, LineProblem)
-            ):
-                with suppress(DashpotError):
-                    (end,) = searched([each.fit.problem], draws=FEWER_DRAWS)
-                    if end.chi2 < each.fit.chi2:
-                        each.fit = _on_the_same_data(baseline, end)
+        for each in (each for each in tried if each.effect.kind == "value" and each.effect.unknown):
+            assert isinstance(each.fit.problem, LineProblem)
+            with suppress(DashpotError):
+                (end,) = searched([each.fit.problem], draws=FEWER_DRAWS)
+                if end.chi2 < each.fit.chi2:
+                    each.fit = _on_the_same_data(baseline, end)
     if any(_settles(baseline, each.fit) for each in tried):
         return
     far = [each for each in tried if each.effect.kind in FAR and each.effect.found is None]
@@ -660,9 +593,8 @@ def _on_the_same_data(baseline: Baseline, end: FittedProblem) -> FittedProblem:
     if taken_up <= 0:
         return end
     on = problem.counted
-    typical = (
-        float(np.mean(np.log(np.maximum(np.abs(problem.y[on]) / problem.sd[on], 1.0)))) if np.any(on) else 0.0
-    )
+    sizes = np.log(np.maximum(np.abs(problem.y[on]) / problem.sd[on], 1.0))
+    typical = float(np.mean(sizes)) if len(sizes) else 0.0
     charged = replace(problem, given_up=problem.given_up - taken_up * (0.5 + typical))
     return replace(end, problem=charged)
 
@@ -947,13 +879,12 @@ def unexplained(found: Explanation) -> Phrase:
     line, c = np.unravel_index(int(np.argmax(np.nan_to_num(power))), power.shape)
     name = [*(channel.name for channel in left.problem.channels), "frequency", "damping ratio"][int(c)]
     largest = f"largest in {name} near {left.problem.frequency_hz[int(line)]:.4g} Hz"
+    text = f"no listed cause explains half of the misfit, which is {largest}"
     if found.causes:
         text = (
             f"every listed cause leaves too much of the misfit; after the best one, the misfit is {largest}"
         )
-    else:
-        text = f"no listed cause explains half of the misfit, which is {largest}"
-    if not found.causes and nearest is not None:
+    elif nearest is not None:
         text += f". The best one explains {100 * nearest.explains:.0f} %: {nearest.effect.words(nearest.size).text}"
     return Phrase(text, "look at the residuals there; measure more points, or test fewer at a time")
 
