@@ -345,23 +345,21 @@ def _channels(
     The exact twin of `model.observation.transfer`: p (elements,), law (lines, elements) φ, s (lines,) in place of jω,
     q (lines, r + s).
     """
-    x = {name: i for i, name in enumerate(model.coordinates)}
-    moved = {name: i for i, name in enumerate(model.displacement_inputs)}
-    along = [_proportions(element.along) for element in model.elements]
-    S = np.zeros((model.n, len(model.inputs)), dtype=np.int64)
+    moving = len(model.displacement_inputs)
+    B = np.zeros((len(model.elements), model.n), dtype=np.int64)
+    D, S = (np.zeros((rows, len(model.inputs)), dtype=np.int64) for rows in (len(B), model.n))
+    for e, element in enumerate(model.elements):
+        along = _proportions(element.along)
+        B[e] = [along.get(point, 0) for point in model.coordinates]
+        D[e, :moving] = [along.get(point, 0) for point in model.displacement_inputs]
     for i, k in np.argwhere(model.S):
-        S[i, len(moved) + k] = field.residue(model.S[i, k])
-    rig = _FieldRig(
-        [[(x[point], b) for point, b in ends.items() if point in x] for ends in along],
-        [[(moved[point], d) for point, d in ends.items() if point in moved] for ends in along],
-        (p * law % PRIME),
-        S,
-    )
-    D, R = rig.stiffness()
+        S[i, moving + k] = field.residue(model.S[i, k])
+    rig = _FieldRig(B, D, p * law % PRIME, S)
+    Z, R = rig.stiffness()
     C, G = rig.channels(view, s)
-    solved, regular = field.solve_modulo(D, np.concatenate([R, np.swapaxes(C, 1, 2)], axis=-1))
+    solved, regular = field.solve_modulo(Z, np.concatenate([R, np.swapaxes(C, 1, 2)], axis=-1))
     if not np.any(regular):
-        loose = np.flatnonzero(np.any(field.null_space(D[0]) != 0, axis=0))
+        loose = np.flatnonzero(np.any(field.null_space(Z[0]) != 0, axis=0))
         names = listed(model.coordinates[i] for i in loose)
         raise IdentifiabilityError(
             f"the rig has no steady-state response: {names} can move without any force, whatever the parameters",
@@ -380,29 +378,33 @@ def _channels(
 
 @dataclass(frozen=True)
 class _FieldRig:
-    """A rig in the field: elongations of the elements as (coordinate, factor) and (input, factor), and p φ.
+    """A rig in the field: elongations of the elements by coordinates B (elements, n) and inputs D (elements, r + s).
 
-    strength (lines, elements); S (n, r + s) how forces act.
+    strength (lines, elements) p φ; S (n, r + s) how forces act.
     """
 
-    along_x: list[list[tuple[int, int]]]
-    along_q: list[list[tuple[int, int]]]
+    B: Ints
+    D: Ints
     strength: Ints
     S: Ints
+
+    def pulls(self, e: int) -> tuple[Ints, Ints, Ints, Ints]:
+        """Of an element the coordinates and inputs that it moves with, and what it pulls on each, (lines, those)."""
+        i, k = np.flatnonzero(self.B[e]), np.flatnonzero(self.D[e])
+        by_x, by_q = (self.strength[:, e, None] * part % PRIME for part in (self.B[e, i], self.D[e, k]))
+        return i, k, by_x, by_q
 
     def stiffness(self) -> tuple[Ints, Ints]:
         """Dynamic stiffness (lines, n, n), and the forces per unit of each input (lines, n, r + s)."""
         n = len(self.S)
-        D = np.zeros((len(self.strength), n, n), dtype=np.int64)
+        Z = np.zeros((len(self.strength), n, n), dtype=np.int64)
         R = np.tile(self.S, (len(self.strength), 1, 1))
-        for e, ends in enumerate(self.along_x):
-            for i, b in ends:
-                pull = self.strength[:, e] * b % PRIME
-                for k, other in ends:
-                    D[:, i, k] = (D[:, i, k] + pull * other) % PRIME
-                for k, other in self.along_q[e]:
-                    R[:, i, k] = (R[:, i, k] - pull * other) % PRIME
-        return D, R
+        for e, b in enumerate(self.B):
+            i, k, by_x, by_q = self.pulls(e)
+            at = i[:, None]
+            Z[:, at, i] = (Z[:, at, i] + b[at] * by_x[:, None]) % PRIME
+            R[:, at, k] = (R[:, at, k] - b[at] * by_q[:, None]) % PRIME
+        return Z, R
 
     def channels(self, view: ObservationModel, s: Ints) -> tuple[Ints, Ints]:
         """What the channels show of coordinates (lines, channels, n), and of inputs (lines, channels, r + s)."""
@@ -410,11 +412,10 @@ class _FieldRig:
         C = np.zeros((len(s), len(view.channels), n), dtype=np.int64)
         G = np.zeros((len(s), len(view.channels), inputs), dtype=np.int64)
         for c, e in np.argwhere(view.force):
-            push = self.strength[:, e] * field.residue(view.force[c, e]) % PRIME
-            for i, b in self.along_x[e]:
-                C[:, c, i] = (C[:, c, i] + push * b) % PRIME
-            for k, d in self.along_q[e]:
-                G[:, c, k] = (G[:, c, k] + push * d) % PRIME
+            i, k, by_x, by_q = self.pulls(e)
+            sign = field.residue(view.force[c, e])
+            C[:, c, i] = (C[:, c, i] + by_x * sign) % PRIME
+            G[:, c, k] = (G[:, c, k] + by_q * sign) % PRIME
         for target, on in ((C, view.on_x), (G, view.on_q)):
             for c, i in np.argwhere(on):
                 rate = _to_the_power(s, int(view.derivative[c]))
@@ -427,17 +428,13 @@ class _FieldRig:
         x (lines, n), q (lines, r + s), adjoint (lines, n, channels).
         """
         J = np.zeros((len(x), adjoint.shape[-1], law.shape[1]), dtype=np.int64)
-        for e in range(law.shape[1]):
-            elongation = np.zeros(len(x), dtype=np.int64)
-            effect = np.zeros((len(x), adjoint.shape[-1]), dtype=np.int64)
-            for i, b in self.along_x[e]:
-                elongation = (elongation + b * x[:, i]) % PRIME
-                effect = (effect - b * adjoint[:, i, :]) % PRIME
-            for k, d in self.along_q[e]:
-                elongation = (elongation + d * q[:, k]) % PRIME
+        for e, (b, d) in enumerate(zip(self.B, self.D, strict=True)):
+            i, k = np.flatnonzero(b), np.flatnonzero(d)
+            elongation = np.sum(x[:, i] * b[i] % PRIME, axis=1) + np.sum(q[:, k] * d[k] % PRIME, axis=1)
+            effect = -np.sum(adjoint[:, i] * b[i, None] % PRIME, axis=1)
             for c in np.flatnonzero(view.force[:, e]):
-                effect[:, c] = (effect[:, c] + field.residue(view.force[c, e])) % PRIME
-            J[:, :, e] = effect * (law[:, e] * elongation % PRIME)[:, None] % PRIME
+                effect[:, c] += field.residue(view.force[c, e])
+            J[:, :, e] = (effect % PRIME) * (law[:, e] * (elongation % PRIME) % PRIME)[:, None] % PRIME
         return J
 
 
@@ -613,7 +610,7 @@ class Deficient:
         """`explained` with the directions c ψ^power that it has not yet, and their constants."""
         new = []
         for constant in self._constant(columns, power):
-            direction = constant * _power(self.draws[0].psi, power) % PRIME
+            direction = constant * _to_the_power(self.draws[0].psi, power) % PRIME
             more = np.concatenate([explained, direction[None]])
             if field.rank(more) == len(more):
                 explained = more
@@ -623,7 +620,7 @@ class Deficient:
     def _constant(self, columns: list[int], power: int) -> Ints:
         """Constants c with δψ = c ψ^power unseen at every draw, (k, M), in echelon form."""
         stacked = np.concatenate(
-            [draw.rows[:, columns] * _power(draw.psi, power)[columns] % PRIME for draw in self.draws]
+            [draw.rows[:, columns] * _to_the_power(draw.psi, power)[columns] % PRIME for draw in self.draws]
         )
         basis = field.null_space(stacked)
         whole = np.zeros((len(basis), len(self.names)), dtype=np.int64)
@@ -715,13 +712,6 @@ def right_vectors(matrix: Real) -> Real:
     """All right singular vectors, (columns, columns), without the left ones of a tall matrix."""
     tall = matrix.shape[0] >= matrix.shape[1]
     return np.linalg.svd(matrix, full_matrices=not tall)[2]
-
-
-def _power(psi: Ints, power: int) -> Ints:
-    result = np.ones_like(psi)
-    for _ in range(power):
-        result = result * psi % PRIME
-    return result
 
 
 def _blocks(vectors: Iterable[Ints]) -> list[list[Ints]]:
