@@ -244,12 +244,8 @@ def several_motions(model: Model, spectrum: Spectrum, estimate: Estimate) -> lis
         return []
     if part.start is None:
         return []
-    theta = estimate.values[: len(model.unknowns)]
-    rows = len(part.dwells.omega)
-    p, constants = (
-        np.tile(model.parameters(theta), (rows, 1)),
-        np.tile(model.inner_constants(theta), (rows, 1)),
-    )
+    theta, rows = estimate.values[: len(model.unknowns)], (len(part.dwells.omega), 1)
+    p, constants = np.tile(model.parameters(theta), rows), np.tile(model.inner_constants(theta), rows)
     drive = part.dwells.drive(part.q[:1], model.D.shape[1])
     measured = periodic_response(model, p, constants, drive, part.start[0])
     other = periodic_response(model, p, constants, drive)
@@ -325,12 +321,7 @@ def assess(
         *in_time,
         *ended,
         *standing_out(left, spectrum, motions, tones),
-        *_smooth(
-            quiet,
-            motions,
-            least=1.0 if elsewhere else 0.5,
-            uneven=any(notice.code == UNEVEN for notice in estimate.warnings),
-        ),
+        *_smooth(quiet, motions, 1.0 if elsewhere else 0.5, any(n.code == UNEVEN for n in estimate.warnings)),
     ]
     unheard = [] if spectrum.records else _unheard(left, motions, fundamental_lines(spectrum))
     untested = [] if against else doubts_about(estimate, of_residuals=RESIDUAL in spectrum.noise)
@@ -367,9 +358,8 @@ def settled_by_size(assessment: Assessment, asked: bool, harmless: bool = False)
     notices = []
     for name, share in assessment.discrepancy.items():
         if share is None:
-            notices.append(
-                Notice("discrepancy_unknown", f"noise and misfit of {name} cannot be separated", (name,))
-            )
+            text = f"noise and misfit of {name} cannot be separated"
+            notices.append(Notice("discrepancy_unknown", text, (name,)))
         elif share.upper95 > share.within:
             bound, limit = f"{100 * share.upper95:.3g} %", f"{100 * share.within:.3g} %"
             text = f"the model may miss up to {bound} of the motion at {name}; the limit asked for is {limit}"
@@ -380,25 +370,20 @@ def settled_by_size(assessment: Assessment, asked: bool, harmless: bool = False)
 
 def too_far_off(shares: Mapping[str, Discrepancy | None]) -> list[Notice]:
     """That the rig misses more of some channels than it should, beyond doubt by the noise; the worst is named."""
-    missed = {
-        name: share.lower95
-        for name, share in shares.items()
-        if share is not None and share.lower95 > share.within
-    }
+    told = ((share.lower95, name, share.within) for name, share in shares.items() if share is not None)
+    missed = [(least, name) for least, name, within in told if least > within]
     if not missed:
         return []
-    name = max(missed, key=lambda each: missed[each])
-    text = f"the model misses at least {100 * missed[name]:.3g} % of the motion at {name}"
-    return [Notice("discrepancy", text, tuple(missed))]
+    least, name = max(missed, key=lambda each: each[0])
+    text = f"the model misses at least {100 * least:.3g} % of the motion at {name}"
+    return [Notice("discrepancy", text, tuple(each for _, each in missed))]
 
 
 def remedy_in_words(notice: Notice) -> Phrase:
     """A change in the course of a record, or a channel that ends, and what to do about it."""
     if notice.code == LIMITED:
-        change = (
-            f"reduce the drive, widen the range, or leave {notice.of[0]} out if other channels show the "
-            "motion"
-        )
+        name = notice.of[0]
+        change = f"reduce the drive, widen the range, or leave {name} out if other channels show the motion"
         return Phrase(f"{notice.text}. Clipped or saturated?", change)
     question, remedy = IN_TIME[notice.code]
     return Phrase(f"{notice.text}. {question}", remedy)
@@ -463,13 +448,8 @@ def unstable(estimate: Estimate) -> list[Notice]:
     where, several = _growing(estimate, BEYOND)
     if not where:
         return []
-    return [
-        Notice(
-            "unstable",
-            f"{where} {'are' if several else 'is'} unstable: "
-            f"{'they grow' if several else 'it grows'} instead of decaying",
-        )
-    ]
+    grow = "are unstable: they grow" if several else "is unstable: it grows"
+    return [Notice("unstable", f"{where} {grow} instead of decaying")]
 
 
 def unstable_by_chance(estimate: Estimate) -> list[Notice]:
@@ -524,13 +504,8 @@ def _smooth(left: Residuals, motions: Bools, least: float, uneven: bool) -> list
             names.append(left.channels[c])
     if not names:
         return []
-    return [
-        Notice(
-            "smooth_residuals",
-            f"the residuals of {joined(names)} follow a smooth trend over frequency instead of scattering",
-            tuple(names),
-        )
-    ]
+    text = f"the residuals of {joined(names)} follow a smooth trend over frequency instead of scattering"
+    return [Notice("smooth_residuals", text, tuple(names))]
 
 
 def _likeness(r: Complex, loud: Bools) -> float:
@@ -588,14 +563,9 @@ def worst_of(misfits: Iterable[Misfit]) -> tuple[Misfit, ...]:
 
 def _worst_verdict(left: Residuals) -> tuple[Misfit, ...]:
     size = np.nan_to_num(np.abs(left.normalised)) / np.sqrt(2)
-    order = np.argsort(-size, axis=None)[:WORST]
-    misfits = []
-    for flat in order:
-        line, channel = np.unravel_index(int(flat), size.shape)
-        if size[line, channel] > 0:
-            misfits.append(
-                Misfit(
-                    left.channels[int(channel)], float(left.frequency_hz[line]), float(size[line, channel])
-                )
-            )
-    return tuple(misfits)
+    places = (np.unravel_index(int(flat), size.shape) for flat in np.argsort(-size, axis=None)[:WORST])
+    return tuple(
+        Misfit(left.channels[c], float(left.frequency_hz[line]), float(size[line, c]))
+        for line, c in places
+        if size[line, c] > 0
+    )

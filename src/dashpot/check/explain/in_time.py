@@ -18,7 +18,7 @@ from scipy.special import stdtr
 
 from dashpot.arrays import Real
 from dashpot.check.element_evidence import record_candidates, with_nothing
-from dashpot.check.explain.effect import Baseline, Effect, as_is, with_likely_causes
+from dashpot.check.explain.effect import Baseline, Effect, as_is, plainly, with_likely_causes
 from dashpot.check.explain.engine import ENOUGH, LARGEST, NEARLY_ALL, OF_LAWS, Explanation, explain_in_time
 from dashpot.check.explain.laws import (
     APART,
@@ -233,11 +233,7 @@ def _elements(called_for: Sequence[CalledFor], baseline: Baseline) -> Iterator[E
             continue
         rig = linear_rig(model) if each.in_place else model
         larger = replaced(rig, replace(with_open_constants(each.element), guess=each.value))
-        yield replace(each.effect(model), found=None, act=partial(_of_rig, larger), values=(each.value,))
-
-
-def _of_rig(larger: Model, problem: TimeProblem, _: float) -> TimeProblem:
-    return problem.of_rig(larger)
+        yield replace(each.effect(model), found=None, act=plainly("of_rig", larger), values=(each.value,))
 
 
 def _reason(model: Model, cause: CalledFor) -> Notice:
@@ -305,10 +301,8 @@ class CalledFor:
         if self.element.force_law is None:
             of, words = points_of(self.element, model), partial(missing_in_words, model, self.element)
             return Effect("element", of, as_is, words, (self.value,), more=1)
-        effect = law_effect(model, self.element)
-        return (
-            replace(effect, words=partial(in_place_of_laws, model, effect.words)) if self.in_place else effect
-        )
+        found = law_effect(model, self.element)
+        return replace(found, words=partial(in_place_of_laws, model, found.words)) if self.in_place else found
 
 
 def elements_called_for(model: Model, motions: Sequence[FollowedRecord]) -> list[CalledFor]:
@@ -366,20 +360,16 @@ def _columns_record_scores(
     sd = np.sqrt(np.mean(np.concatenate([motion.residual for motion in motions]) ** 2, axis=0))
     rows, shared, starts, added = [], [], [], []
     for motion in motions:
-        own, at, each = replace(motion.problem, sd=np.where(sd > 0, sd, 1.0)), motion.psi, []
-        residual, J = own.sure_residuals(at)[0]
-        for first in range(0, len(candidates), TOGETHER):
-            larger, more, places = own.with_elements(at, candidates[first : first + TOGETHER])
-            slopes = larger.sure_residuals(more)[0][1]
-            if J is None or slopes is None:
-                return None
-            each.append(slopes[..., list(places)].reshape(residual.size, -1))
-        assert J is not None
+        own = replace(motion.problem, sd=np.where(sd > 0, sd, 1.0))
+        ((residual, J),) = own.sure_residuals(motion.psi)
+        along = _columns(own, motion.psi, candidates)
+        if J is None or along is None:
+            return None
         flat = J.reshape(residual.size, -1)
         rows.append(residual.ravel())
         shared.append(flat[:, : own.inner])
         starts.append(flat[:, own.inner :])
-        added.append(np.concatenate(each, axis=1))
+        added.append(along[0].reshape(residual.size, -1))
     own_columns = np.concatenate([np.concatenate(shared), block_diag(*starts)], axis=1)
     both = np.column_stack([np.concatenate(rows), np.concatenate(added)])
     own_columns = own_columns / np.maximum(np.linalg.norm(own_columns, axis=0), np.finfo(float).tiny)
@@ -427,15 +417,17 @@ def elements_of_uncertain(problem: RecordProblem, psi: Real) -> list[CalledFor]:
 
 
 def _columns(problem: RecordProblem, psi: Real, candidates: Sequence[Element]) -> list[Real] | None:
-    """Slopes of what the channels show along the candidates, (samples, channels, count) of each record."""
+    """Slopes of what the channels show along the candidates, (samples, channels, count) of each record.
+
+    None where no motion follows.
+    """
     parts: list[list[Real]] = [[] for _ in problem.records]
     for first in range(0, len(candidates), TOGETHER):
         larger, at, places = problem.with_elements(psi, candidates[first : first + TOGETHER])
-        for k in range(len(problem.records)):
-            slopes = larger.residual(k, at)[1]
+        for part, (_, slopes) in zip(parts, larger.sure_residuals(at), strict=True):
             if slopes is None:
                 return None
-            parts[k].append(slopes[..., list(places)])
+            part.append(slopes[..., list(places)])
     return [np.concatenate(part, axis=-1) for part in parts]
 
 
