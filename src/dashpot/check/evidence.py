@@ -16,9 +16,8 @@ from dashpot.check.residuals import (
     DwellHistory,
     FrequencyResponse,
     Residuals,
-    calibrations_of,
     dwell_histories,
-    residuals,
+    residuals_of,
     responses_of_channels,
 )
 from dashpot.check.validation import RecordPrediction, validate
@@ -378,12 +377,6 @@ def evidence_of(
         tuple(dwell_histories(dwells, left)),
         _profiles(model, spectrum, estimate, level),
     )
-
-
-def residuals_of(model: Model, spectrum: Spectrum, estimate: Estimate) -> Residuals:
-    """What the estimate leaves of a spectrum, its calibrations included (no batch axes)."""
-    theta = estimate.values[: len(model.unknowns)]
-    return residuals(model, theta, spectrum, calibrations_of(model, estimate))
 
 
 def _records(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[RecordPrediction, ...]:

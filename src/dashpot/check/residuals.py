@@ -20,6 +20,7 @@ from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.record import calibration, real_factor
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Discrepancy
+from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import FLOOR, measured, predict
 from dashpot.estimate.likelihood.record_sums import shown_by_ends
 from dashpot.estimate.nonlinear.objective import predicted_lines
@@ -29,6 +30,7 @@ from dashpot.model.dynamics import no_steady_response
 from dashpot.model.network import Model
 from dashpot.model.observation import (
     ObservationModel,
+    Transfer,
     calibration_factors,
     channel_unit,
     input_channels,
@@ -127,6 +129,12 @@ def calibrations_of(model: Model, estimate: Estimate) -> dict[str, float]:
     return values | {f"{name}.sign": float(sign) for name, sign in estimate.signs.items()}
 
 
+def residuals_of(model: Model, spectrum: Spectrum, estimate: Estimate) -> Residuals:
+    """What the estimate leaves of a spectrum, its calibrations included (no batch axes)."""
+    theta = estimate.values[: len(model.unknowns)]
+    return residuals(model, theta, spectrum, calibrations_of(model, estimate))
+
+
 def residuals(
     model: Model, theta: Real, spectrum: Spectrum, calibrations: Calibrations | None = None
 ) -> Residuals:
@@ -199,8 +207,7 @@ def _transients(
         return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128)
     view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
     psi, sign = of_channels(view, np.asarray(theta, dtype=float), calibrations)
-    single = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
-    exact = measured(Prepared(view, single, V[None], None, True, np.ones(1, dtype=bool)))
+    exact = weighed_by(view, spectrum, V)
     if exact.ends is None:
         return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128)
     at_ends: Complex | None = (
@@ -210,6 +217,12 @@ def _transients(
     )
     assert at_ends is not None
     return at_ends[0]
+
+
+def weighed_by(view: ObservationModel, spectrum: Spectrum, V: Complex) -> Measured:
+    """Amplitudes (no batch axes) as the likelihood takes them, with a covariance (lines, channels, channels)."""
+    single = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
+    return measured(Prepared(view, single, V[None], None, True, np.ones(1, dtype=bool)))
 
 
 def of_channels(view: ObservationModel, theta: Real, calibrations: Calibrations | None) -> tuple[Real, Real]:
@@ -301,10 +314,8 @@ def correlation(covariance: Real) -> Real:
 
 
 POINTS = 400
-NEAR = np.tan(
-    np.linspace(-1.5, 1.5, 61)
-)  # half-widths around a mode: evenly on its circle in the complex plane
-STEP = 0.1  # standard deviations, of the differences
+# Half-widths around a mode: evenly on its circle in the complex plane
+NEAR = np.tan(np.linspace(-1.5, 1.5, 61))
 
 
 @dataclass(frozen=True)
@@ -363,23 +374,22 @@ def responses_of_channels(
     together = np.unique(np.concatenate(pieces))
     grid = together[(together >= low) & (together <= high)]
     # What was measured without the transients of whole records, (lines, channels)
-    if not spectrum.carries_loads:
-        steady = found.measured
-    else:
-        p = model.parameters(estimate.values[: len(model.unknowns)])
-        calibrations = calibrations_of(model, estimate)
+    theta, calibrations = estimate.values[: len(model.unknowns)], calibrations_of(model, estimate)
+    steady = found.measured
+    if spectrum.carries_loads:
+        p = model.parameters(theta)
         G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations, spectrum.experiment)
-        steady = found.measured - found.predicted + np.einsum("lci,li->lc", G, found.inputs)
+        steady = steady - found.predicted + np.einsum("lci,li->lc", G, found.inputs)
     responses: list[FrequencyResponse] = []
     for rig, lines in model.by_experiment(spectrum.experiment):
         of = np.zeros(spectrum.lines, dtype=bool)
         of[lines] = True
-        G, slopes = _responses(rig, estimate, spectrum.channels, grid)
-        covariance = estimate.covariance if len(slopes) else None
+        view = observation_model(rig, spectrum.channels, 2 * np.pi * grid)
+        psi, sign = of_channels(view, theta, calibrations)
+        kappa = calibration_factors(view, psi, sign)[..., None]
+        of_rig = transfer(view, rig.parameters(theta)).calibrated(kappa, psi)
         responses += [
-            _response(
-                rig, spectrum, found, of, steady[:, c], c, i, grid, G[:, c, i], slopes[:, :, c, i], covariance
-            )
+            _response(rig, spectrum, estimate, found, of, steady[:, c], c, i, grid, of_rig)
             for c, i in chosen
             if np.any(np.isfinite(found.measured[of, c]))
         ]
@@ -393,46 +403,10 @@ def _shows_input(model: Model, channel: Channel) -> str | None:
     return points[0] if len(points) == 1 and points[0] in names else None
 
 
-def _responses(
-    model: Model, estimate: Estimate, channels: tuple[Channel, ...], grid: Real
-) -> tuple[Complex, Complex]:
-    """G (points, channels, inputs) and ∂ ln G/∂ψ (unknowns, points, channels, inputs); none where they are too many."""
-    m, omega = len(model.unknowns), 2 * np.pi * grid
-
-    def response(values: Real) -> Complex:
-        calibrations = calibrations_of(model, estimate)
-        calibrations |= dict(zip(estimate.names[m:], values[m:].tolist(), strict=True))
-        return channel_response(model, model.parameters(values[:m]), channels, omega, calibrations)
-
-    G = response(estimate.values)
-    sd = estimate.sd
-    if len(estimate.names) > 60 or not np.all(np.isfinite(sd)):  # unknowns with a band
-        return G, np.zeros((0, *G.shape), dtype=np.complex128)
-    slopes = np.zeros((len(estimate.names), *G.shape), dtype=np.complex128)
-    for j, width in enumerate(sd):
-        if width > 0:
-            step = np.zeros(len(sd))
-            step[j] = STEP * width
-            with np.errstate(divide="ignore", invalid="ignore"):
-                slopes[j] = (response(estimate.values + step) - response(estimate.values - step)) / (
-                    2 * STEP * width * G
-                )
-    return G, slopes
-
-
 def _response(
-    model: Model,
-    spectrum: Spectrum,
-    found: Residuals,
-    of: Bools,
-    steady: Complex,
-    c: int,
-    i: int,
-    grid: Real,
-    G: Complex,
-    slopes: Complex,
-    covariance: Real | None,
-) -> FrequencyResponse:
+    model: Model, spectrum: Spectrum, estimate: Estimate, found: Residuals, of: Bools, steady: Complex, c: int, i: int,
+    grid: Real, of_rig: Transfer,
+) -> FrequencyResponse:  # fmt: skip
     """Channel c over input i at the lines `of` the model's experiment."""
     name = found.input_names[i]
     shown = [k for k, channel in enumerate(spectrum.channels) if _shows_input(model, channel) == name]
@@ -444,12 +418,18 @@ def _response(
     order = np.argsort(lines, kind="stable")
     drive = ((2j * np.pi * lines) ** q * found.inputs[there, i])[order]
     H = steady[there][order] / drive
-    curve = G / (2j * np.pi * grid) ** q
+    curve = of_rig.G[:, c, i] / (2j * np.pi * grid) ** q
+    unit = np.broadcast_to(np.arange(of_rig.G.shape[-1]) == i, (len(grid), of_rig.G.shape[-1]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = of_rig.slopes(unit.astype(np.complex128))[:, c] / of_rig.G[:, c, [i]]
+        log_sd, phase_sd = (
+            np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", part, estimate.covariance, part), 0.0))
+            for part in (slopes.real, slopes.imag)
+        )
     phase = np.degrees(np.unwrap(np.angle(curve)))
     at_lines = np.interp(lines[order], grid, phase)
     measured = at_lines + (np.degrees(np.angle(H)) - at_lines + 180) % 360 - 180
     turns = 360 * np.round(float(np.median(measured)) / 360) if len(H) else 0.0
-    log_sd, phase_sd = _spread(slopes, covariance, len(grid))
     here = model.here
     apart = here is not None and spectrum.channels[c].only != here
     return FrequencyResponse(
@@ -466,18 +446,6 @@ def _response(
         log_sd,
         np.degrees(phase_sd),
     )
-
-
-def _spread(slopes: Complex, covariance: Real | None, points: int) -> tuple[Real, Real]:
-    """Standard deviations of ln|H| and arg H, (points,), from ∂ ln H/∂ψ (unknowns, points)."""
-    if covariance is None:
-        return np.full(points, np.nan), np.full(points, np.nan)
-    with np.errstate(invalid="ignore"):
-        parts = [
-            np.sqrt(np.maximum(np.einsum("ip,ij,jp->p", part, covariance, part), 0.0))
-            for part in (slopes.real, slopes.imag)
-        ]
-    return parts[0], parts[1]
 
 
 # Dwells in time: what was measured, what the estimated rig predicts of the steady motion, which part was

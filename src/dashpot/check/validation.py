@@ -13,14 +13,14 @@ import numpy as np
 from scipy.special import chdtrc
 
 from dashpot.arrays import Bools, Complex, Real, freeze
-from dashpot.check.residuals import calibrations_of, channel_response, of_channels
+from dashpot.check.residuals import calibrations_of, channel_response, of_channels, weighed_by
 from dashpot.check.verdict import REJECTED
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.noise import Still
 from dashpot.data.record import Record
 from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord, history_of_lines
 from dashpot.errors import DataError
-from dashpot.estimate.likelihood.objective import measured, predict
+from dashpot.estimate.likelihood.objective import predict
 from dashpot.estimate.nonlinear.objective import noise_of_measured_inputs, predicted_lines
 from dashpot.estimate.nonlinear.record_problem import (
     LinearisedRecord,
@@ -30,7 +30,6 @@ from dashpot.estimate.nonlinear.record_problem import (
 )
 from dashpot.estimate.nonlinear.records import NoiseAtRest, noise_of_channels
 from dashpot.estimate.nonlinear.whole_record import FollowedRecord, followed_record
-from dashpot.estimate.preparation import Prepared
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, channel_unit, observation_model
@@ -173,8 +172,7 @@ def _predicted(
     if len(model.nonlinear):
         return predicted_lines(model, theta, spectrum, V, calibrations_of(model, estimate))[0]
     psi, sign = of_channels(view, theta, calibrations_of(model, estimate))
-    single = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
-    data = measured(Prepared(view, single, V[None], None, True, np.ones(1, dtype=bool)))
+    data = weighed_by(view, spectrum, V)
     if data.q is None:
         raise DataError(
             "some input is not measured, so the motion cannot be predicted",

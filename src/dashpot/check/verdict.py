@@ -10,7 +10,7 @@ from scipy.special import fdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.check.explain.effect import Phrase
-from dashpot.check.residuals import Residuals, calibrations_of, discrepancies, residuals
+from dashpot.check.residuals import Residuals, discrepancies, residuals_of
 from dashpot.data.periods import driven_lines
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import DashpotError
@@ -297,8 +297,7 @@ def assess(
 
     within: the share of the motion of every channel within which the rig is to describe it; None: what suits the noise.
     """
-    theta = estimate.values[: len(model.unknowns)]
-    left = residuals(model, theta, spectrum, calibrations_of(model, estimate))
+    left = residuals_of(model, spectrum, estimate)
     tones = mains_hum(left, spectrum)
     quiet = replace(left, normalised=np.where(tones, np.nan, left.normalised))
     motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])

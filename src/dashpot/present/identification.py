@@ -8,8 +8,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dashpot.channel import Channel
-from dashpot.check.evidence import Collinearity, Evidence, doubtful, evidence_of, residuals_of, undetermined
-from dashpot.check.residuals import DwellHistory, Residuals, correlation, responses_of_channels
+from dashpot.check.evidence import Collinearity, Evidence, doubtful, evidence_of, undetermined
+from dashpot.check.residuals import (
+    DwellHistory,
+    Residuals,
+    correlation,
+    residuals_of,
+    responses_of_channels,
+)
 from dashpot.check.validation import RecordPrediction
 from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.spectrum import Spectrum

@@ -238,7 +238,7 @@ def _beside_body(
     sizes = (m, m * rate**2, 2 * BODY_DAMPING * m * rate)
     begun = [replace(each, guess=size) for each, size in zip(parts, sizes, strict=True)]
     there = larger.elements[: -len(begun)]
-    return problem.of_rig(replace(larger, elements=(*there, *begun)))
+    return problem.of_rig(replace(larger, elements=(*there, *begun))).of_rig(larger)
 
 
 def _body(model: Model, parts: tuple[Element, ...], x: str, stiffness: float) -> Phrase:
