@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -26,7 +25,6 @@ from dashpot.check.explain.laws import (
     called_for,
     called_for_in_records,
     laws_in_words,
-    nonlinear_finding,
 )
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.record_channels import mistakes_by_equation
@@ -187,7 +185,12 @@ def examined(
         laws = called_for_in_records(model, spectrum, estimate) if model.n <= LARGEST else []
         if unsettled or laws:
             findings, found = _diagnosed(model, spectrum, estimate, seed)
-            assessment = _with_causes(assessment, findings, _in_records(model, estimate, laws))
+            misfit = float(estimate.fit.misfit) ** 2
+            listed = (
+                each.effect(model).finding(each.value, misfit * (1 - each.share), explains=each.share)
+                for each in laws
+            )
+            assessment = _with_causes(assessment, findings, tuple(listed))
         elif not known and max(assessment.relative_residual.values(), default=0.0) > MUCH:
             findings, found = _diagnosed(model, spectrum, estimate, seed)
             assessment = _with_causes_of_much(assessment, findings)
@@ -254,15 +257,6 @@ def _with_causes_of_much(assessment: Assessment, found: tuple[Finding, ...]) -> 
     return replace(assessment, verdict="does not fit", reasons=kept, findings=found)
 
 
-def _in_records(model: Model, estimate: Estimate, laws: Sequence[ScoredElement]) -> tuple[Finding, ...]:
-    """Nonlinear elements that whole records call for, what explains most first."""
-    misfit = float(estimate.fit.misfit) ** 2
-    return tuple(
-        nonlinear_finding(model, scored, misfit * (1 - scored.fall / scored.chi2), scored.fall / scored.chi2)
-        for scored in laws
-    )
-
-
 def _beside_laws(
     model: Model, spectrum: Spectrum, estimate: Estimate | None, misfit: float
 ) -> tuple[tuple[Finding, ...], Explanation | None]:
@@ -288,9 +282,7 @@ def _beside_laws(
             return found.findings(), found
     laws = () if data.states is None else called_for(problem, thorough=False)
     if laws:
-        return tuple(
-            nonlinear_finding(model, scored, (scored.chi2 - scored.fall) / scored.dof) for scored in laws
-        ), None
+        return tuple(each.effect(model).finding(each.value, each.left / each.dof) for each in laws), None
     return ((), None) if found is None else (found.findings(), found)
 
 

@@ -9,7 +9,7 @@ among it, is weighed by the engine on the part of a record of which most is left
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -18,21 +18,20 @@ from scipy.special import stdtr
 
 from dashpot.arrays import Real
 from dashpot.check.element_evidence import record_candidates, with_nothing
-from dashpot.check.explain.effect import Baseline, Effect, as_is, plainly, with_likely_causes
+from dashpot.check.explain.effect import Baseline, Effect, plainly, with_likely_causes
 from dashpot.check.explain.engine import ENOUGH, LARGEST, NEARLY_ALL, OF_LAWS, Explanation, explain_in_time
 from dashpot.check.explain.laws import (
     APART,
     CERTAIN,
     QUIET,
+    ScoredElement,
     feeds_motion,
-    in_place_of_laws,
-    law_effect,
     laws_in_words,
     with_open_constants,
 )
 from dashpot.check.explain.problem import TimeProblem, fitted_from_starts, replaced
 from dashpot.check.explain.records import CHANGED_CHANNEL, channels_in_time
-from dashpot.check.explain.rigs import missing_elements, missing_in_words, points_of
+from dashpot.check.explain.rigs import missing_elements, points_of
 from dashpot.check.explain.score import PARTS, steadiness, sums_of_parts
 from dashpot.check.verdict import powerless, rejected, settled_by_size, unphysical, worst_of
 from dashpot.data.noise import smoothed
@@ -103,7 +102,7 @@ def assess_records(
     cut = any(notice.code == CUT_RECORD for notice in estimate.warnings)
     uncertain = fitted is not None and fitted.problem.inputs is not None and not cut
     converged = bool(estimate.converged)
-    certain: list[CalledFor] = []
+    certain: list[ScoredElement] = []
     if uncertain and fitted is not None:
         trails = followed_records(fitted.problem, fitted.psi)
         certain = elements_of_uncertain(fitted.problem, fitted.psi) if converged else []
@@ -123,7 +122,7 @@ def assess_records(
     if not estimate.fit.known_noise:  # what a remedy leaves has no measure
         findings = tuple(replace(each, remaining=None) for each in findings)
     if found is None:
-        findings = tuple(each.finding(model) for each in (*certain, *in_place))
+        findings = _findings(model, (*certain, *in_place))
     motions = [motion.compared() for motion in trails]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(verdict, (*against, *doubts), _relative(motions), _worst(motions), findings)
@@ -131,10 +130,15 @@ def assess_records(
 
 def with_causes(error: IdentifiabilityError, model: Model, records: Sequence[Record]) -> IdentifiabilityError:
     """The error of a fit whose laws leave no trace, with the element that the records call for in their place."""
-    return with_likely_causes(error, [each.finding(model) for each in _without_laws(model, records)])
+    return with_likely_causes(error, _findings(model, _without_laws(model, records)))
 
 
-def _without_laws(model: Model, records: Sequence[Record]) -> list[CalledFor]:
+def _findings(model: Model, called_for: Sequence[ScoredElement]) -> tuple[Finding, ...]:
+    """Elements as causes, where the engine was not asked."""
+    return tuple(each.effect(model).finding(each.value, explains=each.share) for each in called_for)
+
+
+def _without_laws(model: Model, records: Sequence[Record]) -> list[ScoredElement]:
     """What the records call for where the rig's own nonlinear elements are left out."""
     try:
         linear = with_nothing(linear_rig(model))
@@ -162,7 +166,7 @@ def _explained(
     records: Sequence[Record],
     trails: Sequence[FollowedRecord],
     estimate: Estimate,
-    called_for: Sequence[CalledFor],
+    called_for: Sequence[ScoredElement],
     against: bool,
 ) -> Explanation | None:
     """What may be otherwise, by the part of a record of which most is left over; None where that cannot be asked."""
@@ -225,7 +229,7 @@ def _begun(model: Model, record: Record, estimate: Estimate) -> Baseline:
     return Baseline(begun, as_is, tuple(next(ends, blind) if shown else blind for shown in outputs), {}, True)
 
 
-def _elements(called_for: Sequence[CalledFor], baseline: Baseline) -> Iterator[Effect]:
+def _elements(called_for: Sequence[ScoredElement], baseline: Baseline) -> Iterator[Effect]:
     """Nonlinear elements of which the scores of all records leave no doubt."""
     model = baseline.problem.model
     for each in called_for[:MOST_CALLED_FOR]:
@@ -233,10 +237,10 @@ def _elements(called_for: Sequence[CalledFor], baseline: Baseline) -> Iterator[E
             continue
         rig = linear_rig(model) if each.in_place else model
         larger = replaced(rig, replace(with_open_constants(each.element), guess=each.value))
-        yield replace(each.effect(model), found=None, act=plainly("of_rig", larger), values=(each.value,))
+        yield replace(each.effect(model), act=plainly("of_rig", larger))
 
 
-def _reason(model: Model, cause: CalledFor) -> Notice:
+def _reason(model: Model, cause: ScoredElement) -> Notice:
     """That an element explains much of the residuals."""
     element, points, share = cause.element, points_of(cause.element, model), cause.share
     part = f"a missing {element.kind.value}" if element.force_law is None else "a nonlinear element"
@@ -280,32 +284,7 @@ def _worst(motions: Sequence[PredictedMotion]) -> tuple[Misfit, ...]:
 # Elements that the records call for.
 
 
-@dataclass(frozen=True)
-class CalledFor:
-    """An element beyond doubt: the share of the squared residuals that it would explain, and its value.
-
-    in_place: whether it stands in the place of the rig's own nonlinear elements
-    """
-
-    element: Element
-    share: float
-    value: float
-    in_place: bool = False
-
-    def finding(self, model: Model) -> Finding:
-        """As a cause, where the engine was not asked."""
-        return self.effect(model).finding(self.value, explains=self.share)
-
-    def effect(self, model: Model) -> Effect:
-        """As the rig `model` would have it."""
-        if self.element.force_law is None:
-            of, words = points_of(self.element, model), partial(missing_in_words, model, self.element)
-            return Effect("element", of, as_is, words, (self.value,), more=1)
-        found = law_effect(model, self.element)
-        return replace(found, words=partial(in_place_of_laws, model, found.words)) if self.in_place else found
-
-
-def elements_called_for(model: Model, motions: Sequence[FollowedRecord]) -> list[CalledFor]:
+def elements_called_for(model: Model, motions: Sequence[FollowedRecord]) -> list[ScoredElement]:
     """Elements that explain much of what records leave over, where that is beyond doubt, what explains most first.
 
     motions: of all records of one estimate of the rig `model`.
@@ -319,7 +298,7 @@ def elements_called_for(model: Model, motions: Sequence[FollowedRecord]) -> list
     if columns is None:
         return []
     residual, added, size = columns
-    certain: list[CalledFor] = []
+    certain: list[ScoredElement] = []
     total, improbable = float(residual @ residual), CERTAIN / max(len(candidates), 1)
     relative = max(float(np.max(motion.compared().relative)) for motion in motions)
     least = max(LEAST, (FELT / max(relative, FELT)) ** 2)
@@ -332,13 +311,13 @@ def elements_called_for(model: Model, motions: Sequence[FollowedRecord]) -> list
         if feeds_motion(element, value) or not share > least:
             continue
         if steadiness(column, residual, value)[1] < improbable:
-            certain.append(CalledFor(element, share, value))
+            certain.append(ScoredElement(element, share * total, total, len(residual), value))
     return _by_share(certain)
 
 
-def _by_share(certain: Sequence[CalledFor]) -> list[CalledFor]:
+def _by_share(certain: Sequence[ScoredElement]) -> list[ScoredElement]:
     """The best of each place, what explains most first."""
-    best: dict[object, CalledFor] = {}
+    best: dict[object, ScoredElement] = {}
     for each in sorted(certain, key=lambda each: -each.share):
         best.setdefault((each.element.force_law is None, frozenset(each.element.along)), each)
     return list(best.values())
@@ -383,7 +362,7 @@ def _columns_record_scores(
 # What the errors of the inputs can explain counts for nothing, as what the rig's own unknowns can.
 
 
-def elements_of_uncertain(problem: RecordProblem, psi: Real) -> list[CalledFor]:
+def elements_of_uncertain(problem: RecordProblem, psi: Real) -> list[ScoredElement]:
     """Elements that explain much of what is left over, where that is beyond doubt, what explains most first.
 
     psi (M,): the end of the search of a problem with uncertain inputs.
@@ -407,12 +386,13 @@ def elements_of_uncertain(problem: RecordProblem, psi: Real) -> list[CalledFor]:
     spread = np.sqrt(left * _course(solved, noise.data, noise.draws))
     total = sum(record.cost for record in linear)
     certain = []
+    rows = sum(record.residual.size for record in linear)
     for element, size, own, score, sd in zip(candidates, before, left, product, spread, strict=True):
         if not own > APART**2 * size or feeds_motion(element, float(score / own)):
             continue
-        share, deviations = float(score**2 / own / total), float(abs(score) / sd)
-        if share > LEAST and 2 * float(stdtr(PARTS - 1, -deviations)) < CERTAIN / len(candidates):
-            certain.append(CalledFor(element, share, float(score / own)))
+        fall, deviations = float(score**2 / own), float(abs(score) / sd)
+        if fall > LEAST * total and 2 * float(stdtr(PARTS - 1, -deviations)) < CERTAIN / len(candidates):
+            certain.append(ScoredElement(element, fall, total, rows, float(score / own)))
     return _by_share(certain)
 
 

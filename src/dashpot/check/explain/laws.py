@@ -20,20 +20,14 @@ from scipy.special import fdtrc
 from dashpot.arrays import Complex, Real
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is
 from dashpot.check.explain.problem import FittedProblem, LineProblem, descended, without_raising
-from dashpot.check.explain.rigs import points_of, unused
+from dashpot.check.explain.rigs import missing_in_words, points_of, unused
 from dashpot.check.explain.score import score_tests, steadiness
 from dashpot.data.noise import smoothed
 from dashpot.data.spectrum import LinesInTime, Spectrum, WholeRecord
 from dashpot.errors import DashpotError
-from dashpot.estimate.assessment import Finding
 from dashpot.estimate.inference.time_course import UNEVEN
 from dashpot.estimate.likelihood.measured import Measured
-from dashpot.estimate.likelihood.objective import (
-    RecordFit,
-    measured,
-    predict,
-    record_fit,
-)
+from dashpot.estimate.likelihood.objective import RecordFit, measured, predict, record_fit
 from dashpot.estimate.linear.gram import equation_covariance, known_side
 from dashpot.estimate.linear.least_squares import equation
 from dashpot.estimate.nonlinear.objective import dwells_of
@@ -91,6 +85,7 @@ class ScoredElement:
 
     psi (M,): the rig's own unknowns beside it, where they are known better than by the fit without it.
     fit: of the rig with it, where it was fitted in full.
+    in_place: whether it stands in the place of the rig's own nonlinear elements.
     """
 
     element: Element
@@ -100,12 +95,34 @@ class ScoredElement:
     value: float
     psi: Real | None = None
     fit: FittedProblem | None = None
+    in_place: bool = False
+
+    @property
+    def left(self) -> float:
+        """χ² with it."""
+        return self.chi2 - self.fall
+
+    @property
+    def share(self) -> float:
+        """Of χ², that it explains."""
+        return self.fall / self.chi2
 
     @property
     def p_value(self) -> float:
         """Probability of such a fall by noise alone, what is left being noise."""
-        left = max(self.chi2 - self.fall, 1e-300) / max(self.dof - 1, 1)
+        left = max(self.left, 1e-300) / max(self.dof - 1, 1)
         return float(fdtrc(1.0, float(max(self.dof - 1, 1)), self.fall / max(left, 1.0)))
+
+    def effect(self, model: Model) -> Effect:
+        """As the rig `model` would have it, of the size that its fit or its score gives it."""
+        of, law, size = points_of(self.element, model), self.element.force_law, (self.value,)
+        if law is None:
+            words = partial(missing_in_words, model, self.element)
+            return Effect("element", of, as_is, words, size, found=self.fit, more=1)
+        words = partial(law_in_words, model, self.element)
+        words = partial(in_place_of_laws, model, words) if self.in_place else words
+        share, more = 1 / (len(LAWS) * max(len(moving_pairs(model)), 1)), 1 + len(law.constants)
+        return Effect("nonlinear", of, as_is, words, size, found=self.fit, more=more, share=share)
 
 
 # The largest elongation (m) and rate (m/s) between two points.
@@ -184,11 +201,6 @@ def feeds_motion(element: Element, value: float) -> bool:
     """
     law = element.force_law
     return law is not None and value < 0 and (element.kind is Kind.DAMPER or bool(law.operator))
-
-
-def has_clearance(element: Element) -> bool:
-    """Whether a spring's law has a length in it."""
-    return element.kind is Kind.SPRING and element.force_law is not None and bool(element.force_law.constants)
 
 
 # Nonlinear elements where all motion was measured, by the equation of motion: nothing is balanced or
@@ -414,9 +426,8 @@ def _moving(pairs: Sequence[tuple[str, str]], delta: Real, omega: Real) -> Motio
 def softened(problem: LineProblem) -> LineProblem:
     """The problem begun where softened data lead from its start."""
     exact = problem.balanced().arranged(SOFT_NONLINEAR_ELEMENTS)
-    return problem.from_starts(
-        (_descended(problem.view, exact, problem.starts[0], problem.sign, 2 * LIMIT)[0],)
-    )
+    end, _ = _descended(problem.view, exact, problem.starts[0], problem.sign, 2 * LIMIT)
+    return problem.from_starts((end,))
 
 
 def _descended(
@@ -436,10 +447,14 @@ def _followed(
     first.
     """
     ended, cost = _descended(view, exact, psi, sign, GLANCE)
-    lost = regaining and cost > ENOUGH * exact.rows
     here, turned = ended[None], sign[None]
-    if (lost and measured_branches_regained(view, exact, here, turned)) or (
-        lost and cost > most and lost_dwells_regained(view, exact, here)
+    if (
+        regaining
+        and cost > ENOUGH * exact.rows
+        and (
+            measured_branches_regained(view, exact, here, turned)
+            or (cost > most and lost_dwells_regained(view, exact, here))
+        )
     ):
         ended, cost = _descended(view, exact, ended, sign, GLANCE)
     return _descended(view, exact, ended, sign, LIMIT - GLANCE) if cost < most else (ended, cost)
@@ -467,7 +482,7 @@ def called_for(problem: LineProblem, *, thorough: bool = True) -> list[ScoredEle
         for candidate in _passive(scored)[:followed]:
             if candidate.fall > HINT * candidate.chi2:
                 fitted += _passive([fitted_in_full(begun, candidate, chi2, softness)])
-            if fitted and fitted[-1].chi2 - fitted[-1].fall < ENOUGH * fitted[-1].dof:
+            if fitted and fitted[-1].left < ENOUGH * fitted[-1].dof:
                 return [fitted[-1]] if fitted[-1].p_value < CERTAIN else []
     return _nearly_best(fitted)
 
@@ -480,12 +495,8 @@ def _passive(scored: Sequence[ScoredElement]) -> list[ScoredElement]:
 def _nearly_best(fitted: Sequence[ScoredElement]) -> list[ScoredElement]:
     """The certain ones that leave hardly more than the best of them, or than noise; the best first."""
     certain = sorted(filter(_certain, fitted), key=lambda each: -each.fall)
-    most = (
-        max((NEARLY_NONLINEAR_ELEMENTS * (certain[0].chi2 - certain[0].fall), ENOUGH * certain[0].dof))
-        if certain
-        else 0.0
-    )
-    return [each for each in certain if each.chi2 - each.fall <= most]
+    most = max((max(NEARLY_NONLINEAR_ELEMENTS * e.left, ENOUGH * e.dof) for e in certain[:1]), default=0.0)
+    return [each for each in certain if each.left <= most]
 
 
 def _certain(fitted: ScoredElement) -> bool:
@@ -498,9 +509,8 @@ def _mends(scored: ScoredElement) -> bool:
 
     Where something else is wrong, a fit in full takes long and comes to nothing.
     """
-    left, beyond_noise = scored.chi2 - scored.fall, max(scored.chi2 - scored.dof, 0.0)
-    promising = scored.fall > HINT * beyond_noise and scored.p_value < CERTAIN
-    return promising and (left < LEFT * scored.chi2 or left < ROUGHLY * scored.dof)
+    promising = scored.fall > HINT * max(scored.chi2 - scored.dof, 0.0) and scored.p_value < CERTAIN
+    return promising and (scored.left < LEFT * scored.chi2 or scored.left < ROUGHLY * scored.dof)
 
 
 def seen_candidates(problem: LineProblem, further: bool = False) -> list[ScoredElement]:
@@ -533,17 +543,15 @@ def fitted_in_full(
             best, least = ended, cost
         if least < chi2:  # a smaller value leads to the same end
             break
-    names = [unknown.name for unknown in extended.unknowns]
-    values = dict(zip(names, best[: len(names)].tolist(), strict=True))
+    values = dict(zip(larger.names, best.tolist(), strict=True))
     law = candidate.element.force_law
     constants = [replace(c, value=values[f"{element.name}.{c.name}"]) for c in law.constants]
     fitted_element = replace(candidate.element, force_law=law.with_constants(constants))
     fall = max(chi2 - least, 0.0)
     dof = candidate.dof - len(law.constants)
     fit = FittedProblem(larger.from_starts((best,)), best, chi2 - fall, dof) if np.isfinite(least) else None
-    return replace(
-        candidate, element=fitted_element, fall=fall, chi2=chi2, value=values[element.name], fit=fit
-    )
+    value = values[element.name]
+    return replace(candidate, element=fitted_element, fall=fall, chi2=chi2, value=value, fit=fit)
 
 
 CHARACTER = {
@@ -574,22 +582,6 @@ def law_in_words(model: Model, element: Element, value: float) -> Phrase:
     return Phrase(text, change, (), (named,))
 
 
-def nonlinear_finding(
-    model: Model, scored: ScoredElement, remaining: float | None, explains: float | None = None
-) -> Finding:
-    """The element as a cause; remaining: χ² over its degrees of freedom with it."""
-    effect = law_effect(model, scored.element)
-    return effect.finding(scored.value, remaining, explains=explains)
-
-
-def law_effect(model: Model, element: Element, fit: FittedProblem | None = None) -> Effect:
-    """A nonlinear element as an effect, of the size that its fit or its score gives it."""
-    inner = 0 if element.force_law is None else len(element.force_law.constants)
-    share = 1 / (len(LAWS) * max(len(moving_pairs(model)), 1))
-    of, words = points_of(element, model), partial(law_in_words, model, element)
-    return Effect("nonlinear", of, as_is, words, (np.nan,), found=fit, more=1 + inner, share=share)
-
-
 def nonlinear(baseline: Baseline, *, thorough: bool) -> Iterator[Effect]:
     """Nonlinear elements that the dwells call for, each as it was fitted in full."""
     problem, psi = baseline.lines, baseline.as_is.psi
@@ -603,7 +595,7 @@ def nonlinear(baseline: Baseline, *, thorough: bool) -> Iterator[Effect]:
         plain = replace(baseline.as_is, chi2=scored.chi2, dof=scored.dof + 1)
         anchor = baseline.as_is.roughly - plain.roughly if plain.dof != baseline.as_is.dof else 0.0
         fit = replace(scored.fit, problem=replace(scored.fit.problem, given_up=anchor))
-        yield replace(law_effect(model, scored.element, fit), values=(scored.value,))
+        yield replace(scored, fit=fit).effect(model)
 
 
 def laws_in_words(model: Model) -> str:
@@ -807,21 +799,19 @@ def _scored(
         place = next(place for place in places.values() if set(place.along) == set(element.along))
         column = rows((place.effect * _amplitudes(times, place.force(element))[:, None])[..., None])[:, 0]
         candidate = test.of(element, column)
-        if (
-            candidate is not None
-            and candidate.fall > LEAST * candidate.chi2
-            and not feeds_motion(candidate.element, candidate.value)
-        ):
+        if candidate is not None and candidate.share > LEAST:
             moved = np.linalg.lstsq(own[0], column, rcond=None)[0]
             scored.append(replace(candidate, psi=psi - candidate.value * moved))
-    return _named(scored)
+    return _named(_passive(scored))
 
 
 def _named(scored: Sequence[ScoredElement]) -> list[ScoredElement]:
     """The best of each place and law, the best first, as far as they explain nearly as much as the best of all."""
 
     def explains(candidate: ScoredElement) -> float:
-        return candidate.fall * (HANDICAP if has_clearance(candidate.element) else 1.0)
+        law = candidate.element.force_law
+        in_length = candidate.element.kind is Kind.SPRING and law is not None and law.constants
+        return candidate.fall * (HANDICAP if in_length else 1.0)
 
     best: dict[str, ScoredElement] = {}
     for candidate in sorted(scored, key=explains, reverse=True):
@@ -848,7 +838,7 @@ class _Test:
     def of(self, element: Element, column: Real) -> ScoredElement | None:
         """The candidate with its column (rows,); None where it is in doubt."""
         nonlinear = _left(self.beside, column)
-        if not _size(nonlinear) > APART * _size(column):
+        if not np.linalg.norm(nonlinear) > APART * np.linalg.norm(column):
             return None
         beyond = _left(self.beside, self.residual)
         value = float(nonlinear @ beyond) / float(nonlinear @ nonlinear)
@@ -876,7 +866,3 @@ class _Test:
 
 def _left(basis: Real, column: Real) -> Real:
     return column - basis @ (basis.T @ column)
-
-
-def _size(column: Real) -> float:
-    return float(np.sqrt(column @ column))
