@@ -34,6 +34,9 @@ LAWS: Mapping[str, tuple[Mapping[str, float], float]] = {
     "d**3 + b*d**2": ({"b": 2e-4}, 1e9),
 }
 
+# Every law in a row of one mass, and of two to five in turn
+IN_ROWS = [(law, count) for k, law in enumerate(LAWS) for count in (1, 2 + k % 4)]
+
 
 def two_masses(law: str, known: bool = False) -> tuple[Model, Real]:
     """Two masses on a shaken base with a nonlinear element from the upper to the base, and its true unknowns."""

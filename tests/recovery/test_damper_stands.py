@@ -225,15 +225,12 @@ def grid_cycle(law: str, values: dict[str, float], amplitude: float, frequency: 
 
 
 @pytest.mark.parametrize(
-    ("law", "kind"),
-    [pytest.param(*case, marks=() if case == ("maxwell", "dwells") else pytest.mark.long) for case in CASES],
+    "law", [pytest.param(law, marks=() if law == "maxwell" else pytest.mark.long) for law in LAWS]
 )
-def test_cycles_are_those_of_forces_on_a_grid_with_deviations_by_differences(law: str, kind: str) -> None:
+def test_cycles_are_those_of_forces_on_a_grid_with_deviations_by_differences(law: str) -> None:
     """At the estimate, with slopes by central differences of the grid's numbers; and the truth is held."""
     rig, truth = stand(law)
-    rng = np.random.default_rng(21)
-    data = dwells(law, truth, rng) if kind == "dwells" else wide(law, truth, rng)
-    estimate = rig.identify(data, judge=False)
+    estimate = rig.identify(dwells(law, truth, np.random.default_rng(21)), judge=False)
     assert len(estimate.cycles) == 9
     for cycle in estimate.cycles[::4]:
         at = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
