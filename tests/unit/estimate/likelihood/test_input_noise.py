@@ -82,7 +82,9 @@ def test_parameters_are_as_good_as_with_the_noise_stated(bench: WholeTest) -> No
     assert np.max(np.abs(found.sd / known.sd - 1)) < 0.15
 
 
-@pytest.mark.parametrize("at_rest", [True, False], ids=["seen at rest", "from all outputs"])
+@pytest.mark.parametrize(
+    "at_rest", [True, pytest.param(False, marks=pytest.mark.long)], ids=["seen at rest", "from all outputs"]
+)
 def test_the_noise_of_a_hammer_is_found(at_rest: bool) -> None:
     """A tap moves all frequencies, and resonances of a line or two tell little: 12 draws, seeds 0 to 11; six
     where it is seen at rest.

@@ -14,7 +14,7 @@ FREQUENCIES = [2, 3, 4, 5, 6, 7, 8, 9.5, 11, 12.5, 14]
 ALL = motions("x1", "x2", "u")
 
 
-FEW_MASSES = [(1, "gap"), (2, "square"), (2, "bilinear"), (3, "cubic"), (4, "v**3"), (5, "square")]
+FEW_MASSES = [(1, "gap"), (2, "coulomb"), (2, "bilinear"), (3, "cubic"), (4, "v**3"), (5, "square")]
 SLOW = [(count, law) for law, count in IN_ROWS if law not in ("stribeck", "bouc-wen")]
 
 
@@ -120,6 +120,7 @@ def test_coefficients_inside_laws_may_be_negative():
     assert estimate["q.b"].value < -2 * estimate["q.b"].sd
 
 
+@pytest.mark.long
 def test_a_slider_that_never_slips_ends_soon_and_is_said_not_to_show():
     """Four dwells of a hundredth of its reach: spring and slider share one valley, which was followed for 500 steps."""
     model, theta = chain("jenkins", 1)

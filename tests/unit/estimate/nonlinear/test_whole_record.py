@@ -44,12 +44,11 @@ def record(law, channels, *, noise=0.0, samples=800, seed=0, start=None):
 ALL = motions("x1", "x2", "u")
 
 
-@pytest.mark.parametrize("law", ["cubic", "v*abs(v)"])
-def test_exact_records_give_all_parameters_back_without_guesses(law):
-    model, theta, data = record(law, ALL, start=np.array([1e-3, 0.0, 0.0, 0.02]))
+def test_an_exact_record_from_a_moving_start_gives_all_parameters_back_without_guesses():
+    model, theta, data = record("cubic", ALL, start=np.array([1e-3, 0.0, 0.0, 0.02]))
     estimate = fit_records(model, [data]).estimate()
     assert bool(estimate.converged)
-    assert np.max(np.abs(estimate.values / theta - 1)) < (1e-6 if law == "cubic" else 1e-5)
+    assert np.max(np.abs(estimate.values / theta - 1)) < 1e-6
 
 
 @pytest.mark.parametrize(("law", "seed"), [("gap", 1), ("coulomb", 2)])
@@ -74,9 +73,15 @@ def test_first_values_are_exact_with_a_dozen_samples_a_period():
     assert first[:2] == pytest.approx([rate**2 + decay**2, 2 * decay], rel=2e-3)
 
 
-def test_intervals_hold_and_unused_records_are_predicted_to_the_noise():
-    model, theta, data = record("cubic", ALL, noise=0.02)
-    estimate = fit_records(model, [data]).estimate()
+@pytest.fixture(scope="module")
+def noisy_cubic():
+    """Model, true values, a record with 2 % noise, and its estimate."""
+    model, theta, data = record("cubic", ALL, noise=0.02, seed=3)
+    return model, theta, data, fit_records(model, [data]).estimate()
+
+
+def test_intervals_hold_and_unused_records_are_predicted_to_the_noise(noisy_cubic):
+    model, theta, _, estimate = noisy_cubic
     assert np.all(np.abs(estimate.values - theta) < 4 * estimate.sd)
     _, _, fresh = record("cubic", ALL, noise=0.02, seed=5)
     prediction = followed_record(model, estimate, fresh).compared()
@@ -160,7 +165,7 @@ def exact_record(law, count):
     return model, theta, Record(channels, time, np.hstack([motion.state[:, :count], u]))
 
 
-FEW_MASSES = [("cubic", 3), ("coulomb", 4), ("stribeck", 5), ("one-sided", 1)]
+FEW_MASSES = [("cubic", 3), ("coulomb", 4), ("one-sided", 1)]
 
 
 @pytest.mark.parametrize(
@@ -250,11 +255,10 @@ def test_values_too_stiff_for_the_samples_are_refused():
         fit_records(replace(model, elements=tuple(stiff)), [data]).estimate()
 
 
-def test_samples_that_are_missed_or_clipped_do_not_count():
+def test_samples_that_are_missed_or_clipped_do_not_count(noisy_cubic):
     """20 spikes and 8 % of clipped samples of x1, 2 % noise, seed 3: no unknown moves by more than a standard
     deviation, and no more than a quarter of an interval is lost."""
-    model, _, data = record("cubic", ALL, noise=0.02, seed=3)
-    whole = fit_records(model, (data,)).estimate()
+    model, _, data, whole = noisy_cubic
     values, status = data.values.copy(), np.zeros(data.values.shape, dtype=np.int64)
     spikes = np.arange(7, 800, 40)
     values[spikes, 0] += 30 * np.max(np.abs(values[:, 0]))

@@ -11,14 +11,6 @@ FREQUENCIES = [2, 3, 4, 5, 6, 7, 8, 9.5, 11, 12.5, 14]
 ALL = motions("x1", "x2", "u")
 
 
-@pytest.mark.parametrize("law", ["cubic", "v*abs(v)", "coulomb", "gap"])
-def test_exact_harmonics_give_all_parameters_back(law):
-    model, theta = two_masses(law)
-    estimate = identify(model, settled(model, theta, ALL, FREQUENCIES, most=63), "ml")
-    assert bool(estimate.converged)
-    assert np.max(np.abs(estimate.values / theta - 1)) < 1e-6
-
-
 @pytest.mark.long
 def test_a_one_sided_spring_is_found_where_its_regression_misleads():
     """Harmonics 1 and 3 show neither the offset nor the second harmonic that such a spring makes."""
@@ -64,16 +56,6 @@ def test_a_linear_rig_fitted_to_nonlinear_data_does_not_fit():
     spectrum = settled(model, theta, ALL, FREQUENCIES, orders=(1,), noise=0.005, rng=np.random.default_rng(3))
     linear = type(model)(model.coordinates, model.inputs, model.elements[:-1])
     assert bool(identify(linear, spectrum, "ml").fit.rejected)
-
-
-def test_least_squares_on_harmonics_is_exact_without_noise_and_refuses_inner_constants():
-    model, theta = two_masses("cubic")
-    orders = (1, 3, 5, 7, 9, 11, 13, 15)
-    estimate = identify(model, settled(model, theta, ALL, FREQUENCIES, orders=orders), "hls")
-    assert np.max(np.abs(estimate.values / theta - 1)) < 1e-4
-    model, theta = two_masses("coulomb")
-    with pytest.raises(UsageError, match=r"q\.v0"):
-        identify(model, settled(model, theta, ALL, FREQUENCIES), "hls")
 
 
 def test_methods_that_know_linear_rigs_only_say_so():
