@@ -79,7 +79,7 @@ def test_the_runner_sees_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None
 
     def ends_unseen(_: object) -> int:
         """Obedient to Ctrl-C, and done soon after it would come."""
-        end = time.process_time() + 0.5
+        end = time.process_time() + 0.25
         with contextlib.suppress(KeyboardInterrupt):
             while time.process_time() < end:
                 pass
@@ -115,8 +115,8 @@ def test_the_runner_sees_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None
     assert planted(prints("dashpot: line\n" * 50)) == "40 lines and more on stderr"
     assert planted(stranger) == "a library writes to stderr: it went past dashpot"
     assert planted(prints("dashpot: not enough memory; give fewer")) == "memory"
-    monkeypatch.setattr("tests.fuzz.runner.SECONDS", 0.2)
-    monkeypatch.setattr("tests.fuzz.runner.OBEYS", 0.2)
+    monkeypatch.setattr("tests.fuzz.runner.SECONDS", 0.1)
+    monkeypatch.setattr("tests.fuzz.runner.OBEYS", 0.1)
     assert planted(spins) == "KeyboardInterrupt in test_fuzz.py:spins"
     assert planted(deaf) == "deaf to Ctrl-C in test_fuzz.py:spins"
     assert planted(leaves_a_part) == "a temporary file is left"

@@ -52,13 +52,19 @@ def test_control_characters_of_names_are_shown_escaped(dashpot: Command, data: P
         assert not CONTROL.search(done.err[0])
 
 
-def test_names_of_three_hundred_characters(dashpot: Command, data: Path) -> None:
+def test_names_of_three_hundred_characters_and_with_dollar_signs(dashpot: Command, data: Path) -> None:
+    """What matplotlib would take for broken mathematics is a name as any other."""
     long = "a_part_of_" * 30
-    Path("long.toml").write_text(RIG.replace("m1", long), encoding="utf-8")
+    text = (
+        RIG.replace("m1", long).replace("x1 = { of", '"$x_{1$" = { of').replace("c1 = ", '"$\\\\frac{$" = ')
+    )
+    Path("long.toml").write_text(text, encoding="utf-8")
+    data.write_text(data.read_text(encoding="utf-8").replace("x1", "$x_{1$", 1), encoding="utf-8")
     done = dashpot("identify", "long.toml", "data.csv", "--report", "out.html")
-    assert done.code == 0
+    assert done.code == 0, done.err
     assert done.out.count("a_part_of_") >= 29  # folded, not cut
-    assert long in Path("out.html").read_text(encoding="utf-8")
+    page = Path("out.html").read_text(encoding="utf-8")
+    assert all(name in page for name in (long, "$x_{1$", "$\\frac{$"))
     assert dashpot("draw", "long.toml", "-o", "out.svg").code == 0
     refused = dashpot("identify", "rig.toml", "n" * 300)
     assert refused.code == 2

@@ -293,17 +293,6 @@ def test_a_wrong_sign_or_unit_shows_in_an_unknown_gain(dashpot: Command, data: P
     assert "The model fits" in done.out
 
 
-def test_names_with_dollar_signs_in_figures(dashpot: Command, rig: Path, data: Path) -> None:
-    """What matplotlib would take for broken mathematics is a name as any other."""
-    rig.write_text(
-        RIG.replace("x1 = { of", '"$x_{1$" = { of').replace("m1 = ", '"$\\\\frac{$" = '), encoding="utf-8"
-    )
-    data.write_text(data.read_text(encoding="utf-8").replace("x1", "$x_{1$", 1), encoding="utf-8")
-    ran = dashpot("identify", "rig.toml", "data.csv", "--report", "r.html", "-q")
-    assert ran.code == 0, ran.err
-    assert "$x_{1$" in Path("r.html").read_text(encoding="utf-8")
-
-
 NONLINEAR = one_mass(
     "u", "value = 1.2", "guess = 1900", "guess = 6", {"x": 'unit = "mm"', "u": 'unit = "mm"'},
     k3='law = "cubic", guess = 4e8',
