@@ -70,7 +70,9 @@ def test_local_models_are_the_textbooks_least_squares() -> None:
     assert np.mean(alike) > 0.8
 
 
-@pytest.mark.parametrize("damping", [0.001, 0.01, 0.1])
+@pytest.mark.parametrize(
+    "damping", [0.01, *(pytest.param(each, marks=pytest.mark.long) for each in (0.001, 0.1))]
+)
 def test_errors_are_as_large_as_the_covariance_says(damping: float) -> None:
     """Mean χ² a degree of freedom, of three outputs together, at resonances narrower and broader than the lines."""
     bench = Bench((4.0, 7.0, 9.0), (damping,) * 3, 3)

@@ -42,10 +42,6 @@ def test_a_folder_with_summary_draws_and_pictures(dashpot: Command, study: Path)
     assert pictures == ["noise_accuracy.png", "noise_errors.png"]
     assert "ratio" in ran.out
     assert "noise/summary.parquet" in ran.out
-    first = (study.parent / "noise" / "summary.parquet").read_bytes()
-    again = dashpot("study", "noise.toml", "--out", "other", "--processes", "2", "-q")
-    assert (again.code, again.out) == (0, "")
-    assert (study.parent / "other" / "summary.parquet").read_bytes() == first
 
 
 @pytest.mark.parametrize(
