@@ -59,26 +59,21 @@ def structure_content(model: Model, channels: Sequence[Channel], found: Structur
         "unknowns": list(found.names),
         "rank": found.rank,
         "nominal": dict(zip(found.names, found.nominal.tolist(), strict=True)),
-        "deficiencies": [_deficiency(entry, found, model, channels) for entry in found.deficiencies],
+        "deficiencies": [
+            {
+                "sort": one.sort,
+                "unknowns": list(one.names),
+                "can_be_found": list(combinations_in_words(one)),
+                **dict(zip(("what", "cure"), in_words(one, found, model, channels), strict=True)),
+                "directions": [
+                    {name: x for name, x in zip(found.names, row, strict=True) if x != 0}
+                    for row in one.directions.tolist()
+                ],
+            }
+            for one in found.deficiencies
+        ],
         "exchangeable": [list(pair) for pair in found.permutation_ambiguities],
         "rests_on_sd_of": list(found.prior_dependent),
-    }
-
-
-def _deficiency(
-    one: Deficiency, found: Structure, model: Model, channels: Sequence[Channel]
-) -> dict[str, Any]:
-    what, cure = in_words(one, found, model, channels)
-    return {
-        "sort": one.sort,
-        "unknowns": list(one.names),
-        "can_be_found": list(combinations_in_words(one)),
-        "what": what,
-        "cure": cure,
-        "directions": [
-            {name: x for name, x in zip(found.names, row, strict=True) if x != 0}
-            for row in one.directions.tolist()
-        ],
     }
 
 
@@ -133,10 +128,8 @@ def _said(one: Deficiency, found: Structure, model: Model, channels: Sequence[Ch
         M = len(found.names)
         at = "1 frequency" if frequencies == 1 else f"{frequencies} frequencies"
         held = f"{count} line{'' if count == 1 else 's'} at {at}"
-        what = (
-            f"{held} determine only {found.rank} combinations of the {M} unknowns; {_named(one.names)} "
-            "cannot be determined"
-        )
+        told = f"{held} determine only {found.rank} combinations of the {M} unknowns"
+        what = f"{told}; {_named(one.names)} cannot be determined"
         need = ""
         if missing is not None:
             need = f"measure at {missing} more frequenc{'y' if missing == 1 else 'ies'}, or "
@@ -238,11 +231,8 @@ def _unseen(one: Deficiency, found: Structure, model: Model, channels: Sequence[
     if len(one.names) == len(found.names) and quiet:
         count = len(channels)
         seen = "one channel is not enough" if count == 1 else f"{count} channels are not enough"
-        what = (
-            f"{seen} while the input{'s'[: len(quiet) - 1]} {_named(quiet)} "
-            f"{'is' if len(quiet) == 1 else 'are'} unmeasured"
-        )
-        return what, f"measure {quiet[0]}, or add sensors"
+        inputs_are = f"the input {_named(quiet)} is" if len(quiet) == 1 else f"the inputs {_named(quiet)} are"
+        return f"{seen} while {inputs_are} unmeasured", f"measure {quiet[0]}, or add sensors"
     give = "state its value or remove it" if len(one.names) == 1 else "state their values or remove them"
     what = f"no measured channel depends on {_named(one.names)}"
     # Coordinates that these elements join and no mass, which follow their neighbours without any force

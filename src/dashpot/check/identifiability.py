@@ -217,13 +217,12 @@ def _draws(
     model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np.random.Generator
 ) -> list[Draw]:
     """Random rigs of the highest rank found: one where that is full, else DRAWS."""
-    draws, ranks = [exact(model, channels, lines, rng)], []
-    ranks.append(field.rank(draws[0].rows))
-    if ranks[0] == len(draws[0].psi):
-        return draws
-    for _ in range(DRAWS - 1):
+    draws, ranks = list[Draw](), list[int]()
+    for _ in range(DRAWS):
         draws.append(exact(model, channels, lines, rng))
         ranks.append(field.rank(draws[-1].rows))
+        if ranks[0] == len(draws[0].psi):
+            break
     return [draw for draw, rank in zip(draws, ranks, strict=True) if rank == max(ranks)]
 
 

@@ -559,9 +559,11 @@ def discrepancies(
     shown = {name: c for name, c in shown.items() if np.any(np.isfinite(left.measured[:, c]))}
     if estimate.fit.dof < LINES_OF_A_BLOCK:  # too few to tell noise from what the unknowns have taken up
         return dict.fromkeys(shown)
-    block = np.arange(len(left.frequency_hz)) if known_noise else _blocks(left, estimate)
-    if block is None:
-        return dict.fromkeys(shown)
+    block = np.arange(len(left.frequency_hz))
+    if not known_noise:
+        if estimate.modes is None or not len(estimate.modes.eigenvalues):
+            return dict.fromkeys(shown)
+        block = blocks_of(left.frequency_hz, left.experiment, estimate.modes.eigenvalues)
     channels = {name: _ChannelBlocks.of(left, c, block, known_noise) for name, c in shown.items()}
     told = 2 * sum(len(each.weight) for each in channels.values() if each is not None)
     free = max(
@@ -656,13 +658,6 @@ def _crossing(below: Callable[[float], bool], high: float) -> float:
         middle = (low + high) / 2
         low, high = (middle, high) if below(middle) else (low, middle)
     return high
-
-
-def _blocks(left: Residuals, estimate: Estimate) -> Ints | None:
-    """`blocks_of` an estimate's own modes; None: unknown."""
-    if estimate.modes is None or not len(estimate.modes.eigenvalues):
-        return None
-    return blocks_of(left.frequency_hz, left.experiment, estimate.modes.eigenvalues)
 
 
 def blocks_of(frequency_hz: Real, experiment: Ints, poles: Complex) -> Ints:

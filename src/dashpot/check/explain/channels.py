@@ -16,6 +16,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, by_size, plainly, said
 from dashpot.check.explain.problem import DERIVATIVES, FitProblem, LineProblem, TimeProblem
 from dashpot.errors import DashpotError
+from dashpot.estimate.assessment import Finding
 from dashpot.io.toml_document import toml_key
 from dashpot.model.network import Model
 from dashpot.model.rigfile import channel_line, channel_section
@@ -477,19 +478,19 @@ def without(c: int, problem: FitProblem, _: float = 1.0) -> FitProblem:
     return problem.without(dropped)
 
 
-def in_data(kind: str, of: tuple[str, ...], size: float, where: str) -> str:
+def in_data(cause: Finding, where: str) -> str:
     """What to do with the numbers in the file `where`, if the rig file is right for the other data."""
-    names = " and ".join(of)
-    usual = known_ratio(size) if math.isfinite(size) and kind in ("unit", "sign") else None
-    factor = -1.0 if kind == "sign" else math.copysign(usual, size) if usual is not None else size
-    match kind:
+    names, size = " and ".join(cause.of), math.nan if cause.number is None else cause.number
+    usual = known_ratio(size) if math.isfinite(size) and cause.kind in ("unit", "sign") else None
+    factor = -1.0 if cause.kind == "sign" else math.copysign(usual, size) if usual is not None else size
+    match cause.kind:
         case "swap":
             return f"exchange {names} in {where}"
         case "delay":
             return f"shift {names} by {rounded(-1e3 * size)} ms in {where}"
         case "frequency":
             return f"multiply the sampling rate of {where} by {size:.5g}"
-        case "sign" | "unit" | "gain" if of:
+        case "sign" | "unit" | "gain" if cause.of:
             return f"multiply {names} by {rounded(1 / factor, '.6g')} in {where}"
         case _:
             return f"measure {names} again in {where}"

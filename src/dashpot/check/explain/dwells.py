@@ -24,6 +24,7 @@ from dashpot.check.explain.problem import (
 )
 from dashpot.check.explain.rigs import missing_elements, points_of, stated_values
 from dashpot.check.explain.score import score_tests
+from dashpot.data.spectrum import WholeRecord
 from dashpot.model.elements import Element
 from dashpot.model.rigfile import element_line
 from dashpot.numerics.small_systems import scaled_inverse
@@ -142,20 +143,13 @@ def _rate(rate: float) -> Phrase:
 
 def hold(baseline: Baseline) -> Iterator[Effect]:
     """Each input held between samples: half a step late, and weaker at high frequencies."""
-    steps = {
-        float(step)
-        for each in baseline.courses.spectrum.stretches
-        if (step := getattr(each, "step_s", None)) is not None
-    }
-    highest = float(np.max(baseline.courses.omega))
+    steps = {each.step_s for each in baseline.courses.spectrum.stretches if isinstance(each, WholeRecord)}
+    period = 2 * np.pi / float(np.max(baseline.courses.omega))
+    begun = tuple(sorted(steps)) or tuple(part * period for part in (0.02, 0.1, 0.3))
     for c in np.flatnonzero(baseline.inputs).tolist():
         name = baseline.problem.channels[c].name
-        words, act = partial(held_words, name), partial(_held, c)
-        if steps:
-            yield Effect("hold", (name,), act, words, tuple(sorted(steps)))
-        else:
-            begun = tuple(part * 2 * np.pi / highest for part in (0.02, 0.1, 0.3))
-            yield Effect("hold", (name,), act, words, begun, 0.1 * 2 * np.pi / highest)
+        width = None if steps else 0.1 * period
+        yield Effect("hold", (name,), partial(_held, c), partial(held_words, name), begun, width)
 
 
 def _held(c: int, problem: LineProblem | TimeProblem, step: float) -> FitProblem:

@@ -95,7 +95,8 @@ def explained(
     if spectrum.carries_loads:
         if not model.inputs:
             return None
-        silent = silent_channels(model, spectrum) if _one_line_each(spectrum) else {}
+        one_line_each = spectrum.lines <= len(spectrum.records)
+        silent = silent_channels(model, spectrum) if one_line_each else {}
         method: Method = MaximumLikelihood(seed=seed)
         if estimate is None:  # what data with a mistake leave undetermined, they determine once it is mended
             try:
@@ -123,10 +124,6 @@ def _begun_at(data: Prepared, estimate: Estimate | None, seed: int) -> tuple[Rea
     for name, value in estimate.signs.items():
         sign[data.spectrum.index(name)] = float(value)
     return estimate.values, sign
-
-
-def _one_line_each(spectrum: Spectrum) -> bool:
-    return spectrum.lines <= len(spectrum.records)
 
 
 def _with_supposed_noise(model: Model, spectrum: Spectrum) -> Spectrum:
@@ -209,16 +206,12 @@ def _harmless(estimate: Estimate, found: Explanation | None) -> bool:
     """Whether the likeliest cause would move each unknown by less than its standard deviation, were it mended."""
     if found is None or not found.causes:
         return False
-    fits = found.causes[0].fit.parts or (found.causes[0].fit,)
-    moved = [
-        abs(float(fit.psi[fit.problem.names.index(name)]) - value) > sd
-        for fit in fits
-        for name, value, sd in zip(
-            estimate.names, estimate.values.tolist(), estimate.noise_sd.tolist(), strict=True
-        )
-        if name in fit.problem.names
-    ]
-    return not any(moved)
+    for fit in found.causes[0].fit.parts or (found.causes[0].fit,):
+        there = dict(zip(fit.problem.names, fit.psi.tolist(), strict=True))
+        for name, value, sd in zip(estimate.names, estimate.values, estimate.noise_sd, strict=True):
+            if abs(there.get(name, value) - value) > sd:
+                return False
+    return True
 
 
 def _with_causes(assessment: Assessment, found: tuple[Finding, ...], laws: tuple[Finding, ...]) -> Assessment:
@@ -326,14 +319,16 @@ def _closed(model: Model, spectrum: Spectrum, estimate: Estimate, assessment: As
     if not estimate.fit.known_noise:  # what a remedy leaves has no measure
         findings = tuple(replace(each, remaining=None) for each in assessment.findings)
         assessment = replace(assessment, findings=findings)
-    if assessment.verdict == "fits" and not rejected(
-        estimate
-    ):  # scores over a noise that is too small prove nothing
-        assessment = _looked_at_closely(model, spectrum, estimate, assessment)
+    # Scores over a noise that is too small prove nothing.
+    plain = assessment.verdict == "fits" and not rejected(estimate)
+    findings = directed(model, spectrum, estimate) if plain else ()
+    if findings:
+        text = f"statistically significant although the overall χ² test passes: {findings[0].text}"
+        reasons = (Notice("directed", text, findings[0].of), *assessment.reasons)
+        assessment = replace(assessment, verdict="does not fit", reasons=reasons, findings=findings)
     if len(model.nonlinear):
-        estimate = replace(
-            estimate, warnings=(*estimate.warnings, *several_motions(model, spectrum, estimate))
-        )
+        several = several_motions(model, spectrum, estimate)
+        estimate = replace(estimate, warnings=(*estimate.warnings, *several))
     if assessment.verdict != "does not fit":
         estimate = with_profile_intervals(model, spectrum, estimate)
     return replace(estimate, assessment=assessment)
@@ -348,18 +343,6 @@ LEVEL = 1e-3  # of all directions together: one clean test in a thousand
 APART = 0.03  # part of a column that the rig's own unknowns must leave
 MOST_AMPLITUDES = 20_000
 MOST_DIRECTED = 3  # causes that are named
-
-
-def _looked_at_closely(
-    model: Model, spectrum: Spectrum, estimate: Estimate, assessment: Assessment
-) -> Assessment:
-    """The assessment of a fit, which is none where a gain, a delay or an element is off beyond doubt."""
-    findings = directed(model, spectrum, estimate)
-    if not findings:
-        return assessment
-    text = f"statistically significant although the overall χ² test passes: {findings[0].text}"
-    reasons = (Notice("directed", text, findings[0].of), *assessment.reasons)
-    return replace(assessment, verdict="does not fit", reasons=reasons, findings=findings)
 
 
 def directed(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[Finding, ...]:

@@ -659,9 +659,33 @@ def called_for_in_records(model: Model, spectrum: Spectrum, estimate: Estimate) 
         slopes = predict(data.view, exact, psi, sign).J
     if not np.all(np.isfinite(slopes)):
         return []
+
+    def rows(columns: Complex) -> Real:
+        """Columns (lines, channels, k) with unit noise, inputs and ends taken out, (rows, k)."""
+        return real_rows(fit.root @ fit.left_of(columns[None]))[0]
+
     places = _places(data.view, spectrum, fit, exact, psi, sign)
-    uneven = any(notice.code == UNEVEN for notice in estimate.warnings)
-    return _scored(model, exact, spectrum, fit, psi[0], slopes, places, uneven)
+    times, rate = _in_time(spectrum), 1j * spectrum.omega
+    linear = [
+        place.effect * (factor * place.motion)[:, None] for place in places.values() for factor in (1.0, rate)
+    ]
+    own = real_rows(fit.root @ slopes)
+    beside = np.concatenate([own[0], rows(np.stack(linear, axis=-1))], axis=-1)
+    test = _Test(
+        times, orthonormal(own)[0][0], orthonormal(beside[None])[0][0], real_rows(fit.root @ fit.r[..., None])[0, :, 0],
+        max(exact.rows - int(fit.of_ends.rank[0]) - beside.shape[-1] - 1, 1),
+        any(notice.code == UNEVEN for notice in estimate.warnings),
+    )  # fmt: skip
+    scored = []
+    motions = {pair: (place.size, float(np.max(np.abs(place.rate)))) for pair, place in places.items()}
+    for element in at_each_scale(candidate_elements(model, motions)):
+        place = next(place for place in places.values() if set(place.along) == set(element.along))
+        column = rows((place.effect * _amplitudes(times, place.force(element))[:, None])[..., None])[:, 0]
+        candidate = test.of(element, column)
+        if candidate is not None and candidate.share > LEAST:
+            moved = np.linalg.lstsq(own[0], column, rcond=None)[0]
+            scored.append(replace(candidate, psi=psi[0] - candidate.value * moved))
+    return _named(_passive(scored))
 
 
 def _in_time(spectrum: Spectrum) -> list[LinesInTime]:
@@ -737,7 +761,13 @@ def _places(
     effect = rig.E[0][..., len(model.elements) :]
     X = np.einsum("lnq,lq->ln", fit.rig.X[0], fit.motion[0])
     r = fit.r[0]
-    share = _beyond_noise(spectrum, r)
+    # Share of the residuals that is no noise: white noise is as low as where they are quietest
+    power = np.empty(r.shape)
+    for number in spectrum.records:
+        lines = np.flatnonzero(spectrum.stretch == number)
+        power[lines] = smoothed(np.abs(r[lines]) ** 2)
+    noise = np.quantile(power, QUIET, axis=0)
+    share = np.maximum(1 - noise / np.maximum(power, np.finfo(float).tiny), 0.0)
     moving = np.any(view.on_x, axis=1) & ~np.any(view.force, axis=1)
     rates = (1j * view.omega[:, None]) ** view.derivative * calibration_factors(view, psi, sign)[0]
     X = X + (share * r / rates)[:, moving] @ np.linalg.pinv(view.on_x[moving]).T
@@ -752,57 +782,6 @@ def _places(
         for j, pair in enumerate(pairs)
         if reach[j] > STILL * np.max(reach)
     }
-
-
-def _beyond_noise(spectrum: Spectrum, residual: Complex) -> Real:
-    """Share of the residuals that is no noise, (lines, channels): white noise is as low as where they are quietest."""
-    power = np.empty(residual.shape)
-    for number in spectrum.records:
-        lines = np.flatnonzero(spectrum.stretch == number)
-        power[lines] = smoothed(np.abs(residual[lines]) ** 2)
-    noise = np.quantile(power, QUIET, axis=0)
-    return np.maximum(1 - noise / np.maximum(power, np.finfo(float).tiny), 0.0)
-
-
-def _scored(
-    model: Model,
-    exact: Measured,
-    spectrum: Spectrum,
-    fit: RecordFit,
-    psi: Real,
-    slopes: Complex,
-    places: dict[tuple[str, str], _Place],
-    uneven: bool,
-) -> list[ScoredElement]:
-    """The candidates that pass, the best first; psi (M,) and slopes (1, lines, channels, M) of the fit without them.
-
-    Of noise that is `uneven` in time no test holds but that of all parts of the records.
-    """
-
-    def rows(columns: Complex) -> Real:
-        """Columns (lines, channels, k) with unit noise, inputs and ends taken out, (rows, k)."""
-        return real_rows(fit.root @ fit.left_of(columns[None]))[0]
-
-    times, rate = _in_time(spectrum), 1j * spectrum.omega
-    linear = [
-        place.effect * (factor * place.motion)[:, None] for place in places.values() for factor in (1.0, rate)
-    ]
-    own = real_rows(fit.root @ slopes)
-    beside = np.concatenate([own[0], rows(np.stack(linear, axis=-1))], axis=-1)
-    test = _Test(
-        times, orthonormal(own)[0][0], orthonormal(beside[None])[0][0], real_rows(fit.root @ fit.r[..., None])[0, :, 0],
-        max(exact.rows - int(fit.of_ends.rank[0]) - beside.shape[-1] - 1, 1), uneven,
-    )  # fmt: skip
-    scored = []
-    motions = {pair: (place.size, float(np.max(np.abs(place.rate)))) for pair, place in places.items()}
-    for element in at_each_scale(candidate_elements(model, motions)):
-        place = next(place for place in places.values() if set(place.along) == set(element.along))
-        column = rows((place.effect * _amplitudes(times, place.force(element))[:, None])[..., None])[:, 0]
-        candidate = test.of(element, column)
-        if candidate is not None and candidate.share > LEAST:
-            moved = np.linalg.lstsq(own[0], column, rcond=None)[0]
-            scored.append(replace(candidate, psi=psi - candidate.value * moved))
-    return _named(_passive(scored))
 
 
 def _named(scored: Sequence[ScoredElement]) -> list[ScoredElement]:
@@ -825,7 +804,8 @@ class _Test:
     """What a candidate explains of the residual beside others; orthonormal columns and sides with unit noise.
 
     own (rows, M): of the rig's own unknowns; beside (rows, M + 2 places): with the linear elements; residual (rows,);
-    rows: real parts of lines by channels, then imaginary ones
+    rows: real parts of lines by channels, then imaginary ones.  Of noise that is `uneven` in time no test holds but
+    that of all parts of the records.
     """
 
     times: Sequence[LinesInTime]
@@ -854,14 +834,13 @@ class _Test:
 
     def _steady(self, column: Real, residual: Real, value: float) -> bool:
         """Whether the parameter is beyond doubt by its scatter over parts of the records in time."""
-        histories = self._history(column), self._history(residual)
-        return steadiness(*histories, value, uneven=self.uneven)[1] < (CERTAIN if self.uneven else STEADY)
-
-    def _history(self, rows: Real) -> Real:
-        """Rows in time, (samples of all, channels)."""
-        real, imaginary = np.split(rows, 2)
         lines = sum(len(at.lines) for at in self.times)
-        return _history(self.times, (real + 1j * imaginary).reshape(lines, -1))
+        both = (np.split(rows, 2) for rows in (column, residual))
+        of_column, of_residual = (  # (samples of all, channels)
+            _history(self.times, (real + 1j * imaginary).reshape(lines, -1)) for real, imaginary in both
+        )
+        _, p_value = steadiness(of_column, of_residual, value, uneven=self.uneven)
+        return p_value < (CERTAIN if self.uneven else STEADY)
 
 
 def _left(basis: Real, column: Real) -> Real:

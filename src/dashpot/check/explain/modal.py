@@ -36,17 +36,15 @@ def diagnose_modes(
     out = np.zeros((data.modes, len(data.points) + 2), dtype=bool)
     problem = ModalProblem(model, data, (estimate.values, like_parts(model, data), *drawn), out)
     found = explain_in_steps(begun_at(problem), OF_MODES)
-    findings = tuple(_in_the_shapes(each) for each in found.findings())
+    # The points of shapes have no line of their own in a rig file.
+    of_points = ("sign", "unit", "gain", "swap")
+    findings = tuple(
+        replace(
+            each, change=in_data(each, "the shapes") if each.kind in of_points else each.change, channels=()
+        )
+        for each in found.findings()
+    )
     return findings, allowing_for_causes(model, estimate, found)
-
-
-def _in_the_shapes(cause: Finding) -> Finding:
-    """With what to do with the shapes, whose points have no line of their own in a rig file."""
-    change = cause.change
-    if cause.kind in ("sign", "unit", "gain", "swap"):
-        size = np.nan if cause.number is None else cause.number
-        change = in_data(cause.kind, cause.of, size, "the shapes")
-    return replace(cause, change=change, channels=())
 
 
 def damping(baseline: Baseline) -> Iterator[Effect]:

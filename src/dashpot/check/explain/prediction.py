@@ -36,16 +36,15 @@ def mistakes_in_lines(model: Model, estimate: Estimate, spectrum: Spectrum) -> t
     """
     if len(model.nonlinear) or not model.inputs:
         return ()
-    of_parts = {
-        f"record {count}": _mistakes(
-            model, estimate, spectrum.select(np.flatnonzero(spectrum.stretch == number))
-        )
-        for count, number in enumerate(spectrum.records, start=1)
-    }
-    settled = np.flatnonzero(~np.isin(spectrum.stretch, spectrum.records))
-    if len(settled):
-        of_parts = {"the settled lines": _mistakes(model, estimate, spectrum.select(settled)), **of_parts}
-    return _gathered(of_parts)
+    settled = ~np.isin(spectrum.stretch, spectrum.records)
+    of_parts = {"the settled lines": settled} if np.any(settled) else {}
+    of_parts |= {f"record {k}": spectrum.stretch == n for k, n in enumerate(spectrum.records, start=1)}
+    return _gathered(
+        {
+            name: _mistakes(model, estimate, spectrum.select(np.flatnonzero(at)))
+            for name, at in of_parts.items()
+        }
+    )
 
 
 def mistakes_in_records(model: Model, estimate: Estimate, records: Sequence[Record]) -> tuple[Finding, ...]:
@@ -70,8 +69,7 @@ def _gathered(of_parts: Mapping[str, tuple[Finding, ...]]) -> tuple[Finding, ...
 
 def _in_data(cause: Finding, where: str) -> Finding:
     """With what to do with the numbers in `where`: the line of the rig file is right for other data."""
-    size = np.nan if cause.number is None else cause.number
-    return replace(cause, change=in_data(cause.kind, cause.of, size, where), channels=(), elements=())
+    return replace(cause, change=in_data(cause, where), channels=(), elements=())
 
 
 def _mistakes(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Finding, ...]:

@@ -15,14 +15,7 @@ from math import log
 import numpy as np
 
 from dashpot.arrays import Bools, Ints, Real
-from dashpot.check.explain.channels import (
-    conjugate,
-    derivative,
-    in_data,
-    sign,
-    swap,
-    unit,
-)
+from dashpot.check.explain.channels import conjugate, derivative, in_data, sign, swap, unit
 from dashpot.check.explain.effect import Baseline, Effect, Effects, with_likely_causes
 from dashpot.check.explain.problem import FitProblem, FittedProblem, LineProblem, TimeProblem
 from dashpot.data.record import Record
@@ -98,9 +91,8 @@ def _left(problem: FitProblem) -> float:
 MOST, MOST_INTEGRATED = 4000, 1000  # samples that are looked at
 CONTRADICTED = 0.05  # share of a channel's or an equation's power above which something is wrong
 MENDED_RECORD_CHANNELS = 0.05  # share of what contradicts that a mistake put right may leave
-CLOSE = (
-    0.3  # share of a channel's power by which a motion from guesses may differ, for they are off themselves
-)
+# Share of a channel's power by which a motion from guesses may differ, for they are off themselves
+CLOSE = 0.3
 GROSS = 5.0  # factor of a unit beyond which guesses tell it from their own error
 ALIKE = 3.0  # times what the best leaves: others are named, too
 IN_ITS_LINE = "correct the channel named below, in the rig file or in the data"
@@ -118,33 +110,18 @@ def require_sound_channels(model: Model, records: Sequence[Record]) -> None:
     wrong = [(record, findings) for record, findings in found if findings]
     if not wrong:
         return
-    first = wrong[0][1]
-    if len(wrong) == len(records) and all(_alike(findings[0], first[0]) for _, findings in wrong):
-        raise with_likely_causes(_contradiction(wrong[0][0].source, IN_ITS_LINE), first)
-    problems = [
-        problem
-        for record, findings in wrong
-        for problem in (*_contradiction(record.source, IN_ITS_DATA).problems, *_in_the_data(record, findings))
-    ]
-    raise DataError(problems)
-
-
-def _contradiction(source: str, cure: str) -> DataError:
     what = "the channels are inconsistent with this rig for any parameter values"
-    return DataError(what, source, cure)
-
-
-def _alike(first: Finding, second: Finding) -> bool:
-    """Whether both are the same mistake of the same channels."""
-    return (first.kind, first.of, first.number) == (second.kind, second.of, second.number)
-
-
-def _in_the_data(record: Record, findings: Sequence[Finding]) -> Iterator[Problem]:
-    """What may be behind a contradiction in one of several records, with what to do with its numbers."""
-    for each in findings:
-        size = np.nan if each.number is None else each.number
-        change = in_data(each.kind, each.of, size, record.source)
-        yield Problem(f"a likely cause: in this record, {each.text}", cure=f"{change}, or leave it out")
+    mistakes = {(findings[0].kind, findings[0].of, findings[0].number) for _, findings in wrong}
+    if len(wrong) == len(records) and len(mistakes) == 1:
+        record, findings = wrong[0]
+        raise with_likely_causes(DataError(what, record.source, IN_ITS_LINE), findings)
+    problems = []
+    for record, findings in wrong:
+        problems.append(Problem(what, record.source, IN_ITS_DATA))
+        for each in findings:
+            cure = f"{in_data(each, record.source)}, or leave it out"
+            problems.append(Problem(f"a likely cause: in this record, {each.text}", cure=cure))
+    raise DataError(problems)
 
 
 def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:
@@ -165,11 +142,8 @@ def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:
         if of_inputs == 1 < len(effect.of):
             continue
         # The size of one motion, or of the input, guesses do not tell.
-        if (
-            as_is.guessed
-            and effect.kind == "unit"
-            and (of_inputs or outputs < 2 or abs(log(size)) < log(GROSS))
-        ):
+        untold = of_inputs or outputs < 2 or abs(log(size)) < log(GROSS)
+        if as_is.guessed and effect.kind == "unit" and untold:
             continue
         assert isinstance(mended, TimeProblem)
         left = bench.contradiction(mended.record)

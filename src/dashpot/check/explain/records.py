@@ -106,10 +106,7 @@ def channels_in_time(
 def _shown(whole: LineProblem | TimeProblem, c: int, predicted: Complex | None) -> tuple[str, Phrase]:
     """The kind of error of channel c, against what all others make of it, in words."""
     name = whole.channels[c].name
-    plain = (
-        "channel",
-        Phrase(f"{name} {DISAGREES}", f"leave {name} out, or check its sensor and mounting"),
-    )
+    plain = "channel", Phrase(f"{name} {DISAGREES}", f"leave {name} out, or check its sensor and mounting")
     if predicted is None:
         return plain
     spectrum, y = whole.spectrum, whole.y[:, c]
@@ -300,23 +297,25 @@ def tones(baseline: Baseline) -> Iterator[Effect]:
         return
     found = record_fit(problem.view, arranged, baseline.as_is.psi[None], problem.sign[None])
     motions, points = np.flatnonzero(~baseline.inputs).tolist(), problem.model.coordinates
+    every = np.eye(len(problem.channels), dtype=np.complex128)
+    # What a unit of each shows, (lines, channels)
+    alone = {problem.channels[c].name: np.broadcast_to(every[c], problem.y.shape) for c in motions}
+    pushed = {x: found.rig.G[0, :, :, arranged.ends.inputs + i] for i, x in enumerate(points)}
     for number in problem.spectrum.records:
-        for c in motions:
-            name = problem.channels[c].name
-            alone = np.zeros(problem.y.shape, dtype=np.complex128)
-            alone[:, c] = 1.0
-            frequency, tone = _loudest_tone(found, problem, number, alone)
-            text = f"{name} contains a tone of {frequency:.4g} Hz that nothing drives: hum?"
-            phrase = Phrase(text, f"leave the lines near {frequency:.4g} Hz out")
-            act, words = partial(_without_tone, tone), partial(said, phrase)
-            yield Effect("tone", (name,), act, words, more=3, share=HEARD / len(motions))
-        for i, x in enumerate(points):
-            pushed = found.rig.G[0, :, :, arranged.ends.inputs + i]
-            frequency, tone = _loudest_tone(found, problem, number, pushed)
-            text = f"a force of {frequency:.4g} Hz acts at {x}, which no channel measures"
-            phrase = Phrase(text, f"stop it, measure it, or leave the lines near {frequency:.4g} Hz out")
-            act, words = partial(_without_tone, tone), partial(said, phrase)
-            yield Effect("input", (x,), act, words, more=3, share=(1 - HEARD) / len(points))
+        for of, shape in (*alone.items(), *pushed.items()):
+            frequency, tone = _loudest_tone(found, problem, number, shape)
+            near = f"leave the lines near {frequency:.4g} Hz out"
+            kind, text, cure = (
+                "tone",
+                f"{of} contains a tone of {frequency:.4g} Hz that nothing drives: hum?",
+                near,
+            )
+            if shape is pushed.get(of):
+                kind, cure = "input", f"stop it, measure it, or {near}"
+                text = f"a force of {frequency:.4g} Hz acts at {of}, which no channel measures"
+            share = HEARD / len(motions) if kind == "tone" else (1 - HEARD) / len(points)
+            act, words = partial(_without_tone, tone), partial(said, Phrase(text, cure))
+            yield Effect(kind, (of,), act, words, more=3, share=share)
 
 
 def _loudest_tone(
@@ -399,7 +398,6 @@ def _wander(away: Real, duration_s: float, unit: str) -> str | None:
     k = int(np.argmax(steps))
     if np.sum(np.sort(steps)[-STEPS:]) > SUDDEN * np.sum(steps):
         at = duration_s * (k + 1) / PIECES
-        return (
-            f"has a zero that shifts by {steps[k]:.3g} {unit} near {at:.3g} s. Range changed, or cable moved?"
-        )
+        moved = f"shifts by {steps[k]:.3g} {unit} near {at:.3g} s"
+        return f"has a zero that {moved}. Range changed, or cable moved?"
     return f"has a zero that drifts by {size:.3g} {unit}. Is the amplifier or the temperature drifting?"
