@@ -233,10 +233,7 @@ def _one_part_otherwise(first: FittedProblem, second: FittedProblem) -> list[tup
     the two fits.  Elements are the rig's own and those that it lacks.
     """
     model, names = first.problem.model, first.problem.names
-    added = [*missing_elements(model), *stated_values(model)]
-    larger = model
-    for each in added:
-        larger = replaced(larger, each)
+    larger = replaced(model, *missing_elements(model), *stated_values(model))
     there = second.problem.from_starts((second.psi,)).of_rig(larger)
     information, score, _ = there.slopes(there.starts[0])
     alone, _, _ = first.problem.slopes(first.psi)

@@ -110,7 +110,6 @@ class Effect:
 class Baseline:
     """What effects are built from: the problem as stated, its fit, and the fits without each channel.
 
-    pool       all ψ that fits have led to
     silent     channels that measured nothing by their own numbers, with what they show
     of_samples whether amplitudes were made of samples, whose phases are what they are
     fixed      whether the values of the rig stand

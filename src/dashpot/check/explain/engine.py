@@ -685,9 +685,7 @@ def _of_unknowns(effect: Effect, fit: FittedProblem, scale: float) -> tuple[floa
     information, _, _ = fit.problem.slopes(fit.psi)
     if not np.all(np.isfinite(information)):
         return size, None
-    unit = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    inverse = np.linalg.pinv(information / np.outer(unit, unit), rcond=1e-14) / np.outer(unit, unit)
-    covariance = scale * inverse[np.ix_(chosen, chosen)] / np.outer(stretch, stretch)
+    covariance = scale * _inverse(information)[np.ix_(chosen, chosen)] / np.outer(stretch, stretch)
     # A posterior is no wider than its prior.
     precision = np.linalg.pinv(covariance, rcond=1e-14) + np.diag(1 / widths**2)
     left = 0.5 * (len(chosen) * log(2 * np.pi) - float(np.linalg.slogdet(precision)[1]))
@@ -695,6 +693,12 @@ def _of_unknowns(effect: Effect, fit: FittedProblem, scale: float) -> tuple[floa
     for (_, likely), value in zip(effect.others, values[1:], strict=True):
         left -= log(np.pi * (1 + float(np.log(value / likely)) ** 2))
     return size, left
+
+
+def _inverse(information: Real) -> Real:
+    """Of information (M, M) in whatever units, 0 along what it knows nothing of."""
+    unit = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    return np.linalg.pinv(information / np.outer(unit, unit), rcond=1e-14) / np.outer(unit, unit)
 
 
 def log_possible(fit: FittedProblem, but: str = "") -> float:
@@ -705,7 +709,6 @@ def log_possible(fit: FittedProblem, but: str = "") -> float:
     information, _, _ = fit.problem.slopes(fit.psi)
     if not np.all(np.isfinite(information)):
         return 0.0
-    unit = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     scale = max(fit.reduced, 1.0 if fit.problem.noise_known else 0.0)
     if not np.isfinite(scale):
         return 0.0
@@ -713,8 +716,7 @@ def log_possible(fit: FittedProblem, but: str = "") -> float:
     stiff = {element.name for element in model.elements if element.kind is Kind.SPRING}
     held = of_one_sign(model) & np.array([unknown.name != but for unknown in model.unknowns], dtype=bool)
     with np.errstate(all="ignore"):
-        inverse = np.linalg.pinv(information / np.outer(unit, unit), rcond=1e-14)
-        sd = np.sqrt(np.maximum(scale * np.diag(inverse), 0.0)) / unit
+        sd = np.sqrt(np.maximum(scale * np.diag(_inverse(information)), 0.0))
         away = np.where(sd[:m] > 0, fit.psi[:m] / sd[:m], 0.0)
     logs = log_ndtr(np.nan_to_num(away))
     springs = np.array([unknown.name in stiff for unknown in model.unknowns], dtype=bool)

@@ -1275,8 +1275,7 @@ def _distance(G: Complex, exact: Measured, problem: LineProblem) -> Real:
     return np.sum(np.where(used, away, 0.0), axis=(-2, -1))
 
 
-def replaced(model: Model, element: Element) -> Model:
-    """The rig with an element in the place of the one of its name, or a new one."""
-    there = tuple(element if each.name == element.name else each for each in model.elements)
-    new = () if any(each.name == element.name for each in model.elements) else (element,)
-    return replace(model, elements=(*there, *new))
+def replaced(model: Model, *elements: Element) -> Model:
+    """The rig with elements in the place of those of their names, or new ones."""
+    by_name = {each.name: each for each in (*model.elements, *elements)}
+    return replace(model, elements=tuple(by_name.values()))

@@ -142,7 +142,7 @@ def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:
         if of_inputs == 1 < len(effect.of):
             continue
         # The size of one motion, or of the input, guesses do not tell.
-        untold = of_inputs or outputs < 2 or abs(log(size)) < log(GROSS)
+        untold = of_inputs or outputs < 2 or abs(log(abs(size))) < log(GROSS)
         if as_is.guessed and effect.kind == "unit" and untold:
             continue
         assert isinstance(mended, TimeProblem)

@@ -79,10 +79,7 @@ def scores(problem: FitProblem, psi: Real, elements: Sequence[Element]) -> dict[
     """
     if not elements:
         return {}
-    model = problem.model
-    for element in elements:
-        model = replaced(model, element)
-    larger = problem.from_starts((psi,)).of_rig(model)
+    larger = problem.from_starts((psi,)).of_rig(replaced(problem.model, *elements))
     added = {element.name for element in elements}
     names = larger.names
     tests = score_tests(names, [name in added for name in names], *larger.slopes(larger.starts[0]))
