@@ -21,6 +21,7 @@ from dashpot.arrays import Ints, Real
 from dashpot.check.explain import channels, dwells, rigs
 from dashpot.check.explain import laws as laws_of_rig
 from dashpot.check.explain.effect import Baseline, Effect, Effects, Phrase, Subject
+from dashpot.check.explain.laws import ENOUGH
 from dashpot.check.explain.problem import (
     FEWER_DRAWS,
     FitProblem,
@@ -89,14 +90,13 @@ UNLISTED = 0.05
 LISTED = 0.95  # odds that the causes named sum to
 MOST = 5  # causes that are named
 LIKELY = 0.5  # of the misfit that a cause explains at the least to be named
-# Of it that two causes explain together at the least, or the second of what the first leaves
+# Of it that a cause explains which leaves nothing to others, two together, or the second of what the first leaves
 NEARLY_ALL = 0.9
 CLOSELY = 16  # effects whose size is sought closely and whose evidence is computed
 BEGUN = 0.3  # of the prior scale of a size: the first step to both sides
 ROUNDS = 3  # parabolas through χ² about a size
 TOGETHER = log(10)  # difference of log likelihoods that tells two causes apart
 IMPROBABLE = 1e-4  # p-value of what the best cause leaves, below which a second one is looked for
-ENOUGH = 2.0  # χ² over its degrees of freedom that leaves nothing to explain
 NEXT_TO_NOTHING = 0.003  # of a gross misfit, beside which nothing finer is looked for: a rig is rarely better
 SIZES = np.concatenate([[0.0], np.geomspace(1e-5, 3.0, 30)])  # of a discrepancy, relative to the motion
 MENDED = 0.01  # of the motion: within that a rig is mostly right whose mistake is mended
@@ -219,15 +219,13 @@ def explain(
     silent: Mapping[str, str] | None = None,
     of_samples: bool = False,
     seed: int = 0,
-    laws: bool = True,
 ) -> Explanation:
     """What may be otherwise, so that the rig describes the data.
 
     silent      channels that measured nothing by their own numbers, with what they show
     of_samples  whether amplitudes were made of samples, so that their phases and frequencies are what they are
-    laws        whether a nonlinear element is looked for
     """
-    return explain_in_steps(_begun(problem, silent or {}, of_samples, seed), KINDS, laws=laws)
+    return explain_in_steps(_begun(problem, silent or {}, of_samples, seed), KINDS, laws=True)
 
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
@@ -239,7 +237,10 @@ def explain_beside_laws(problem: LineProblem, silent: Mapping[str, str]) -> Expl
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
 def explain_in_steps(baseline: Baseline, kinds: Kinds, *, laws: bool = False) -> Explanation:
-    """The likely causes among effects of some kinds: one, or two together if one leaves more than noise."""
+    """The likely causes among effects of some kinds: one, or two together if one leaves more than noise.
+
+    laws: whether a nonlinear element is looked for.
+    """
     first = _step(baseline, kinds, laws=laws)
     best = first.causes[0] if first.causes else first.nearest
     # Beside a law of its own every further trial is a search by harmonic balance.

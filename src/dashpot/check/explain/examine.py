@@ -14,6 +14,7 @@ from dashpot.check.explain.channels import factor_in_words, late, turned
 from dashpot.check.explain.effect import Effect, as_is
 from dashpot.check.explain.engine import (
     LARGEST,
+    NEARLY_ALL,
     Explanation,
     allowing_for,
     allowing_for_causes,
@@ -60,7 +61,6 @@ from dashpot.notices import Notice
 OF_SAMPLES = {"white", "blocks", "periods"}  # kinds of noise that were read from samples
 MUCH = 0.2  # of a channel's motion, left over without known noise
 SUPPOSED = 0.01  # of an amplitude: its noise where none is known
-MOSTLY = 0.9  # of the misfit, that a cause explains which leaves nothing to others
 OF_THE_RIG = ("value", "element", "nonlinear", "hysteretic", "oscillator")  # kinds of causes
 LEFT_OUT = ("channel", "dwell")  # causes that leave data out
 
@@ -233,7 +233,7 @@ def _with_causes(assessment: Assessment, found: tuple[Finding, ...], laws: tuple
         return replace(assessment, verdict="does not fit", reasons=reasons, findings=(*laws, *listed))
     named = {(each.kind, each.of) for each in found}
     in_time = tuple(each for each in assessment.findings if (each.kind, each.of) not in named)
-    if explains >= MOSTLY:
+    if explains >= NEARLY_ALL:
         return replace(assessment, findings=(*found, *in_time))
     kept = found if not in_time else tuple(each for each in found if each.kind != "unexplained")
     return replace(assessment, findings=(*in_time, *kept))
@@ -241,7 +241,7 @@ def _with_causes(assessment: Assessment, found: tuple[Finding, ...], laws: tuple
 
 def _with_causes_of_much(assessment: Assessment, found: tuple[Finding, ...]) -> Assessment:
     """The assessment of a fit without known noise, which is none where a cause explains nearly all that it leaves."""
-    if not found or found[0].kind in (*LEFT_OUT, "unexplained") or (found[0].explains or 0.0) < MOSTLY:
+    if not found or found[0].kind in (*LEFT_OUT, "unexplained") or (found[0].explains or 0.0) < NEARLY_ALL:
         return assessment
     name, left = max(assessment.relative_residual.items(), key=lambda each: each[1])
     text = f"{100 * left:.0f} % of the motion at {name} is unexplained, and one cause explains most of it"
@@ -271,7 +271,7 @@ def _beside_laws(
     found = None
     if known and _roughly_described(problem, psi):
         found = explain_beside_laws(problem, silent_channels(model, spectrum))
-        if found.causes and found.causes[0].explains >= MOSTLY:
+        if found.causes and found.causes[0].explains >= NEARLY_ALL:
             return found.findings(), found
     laws = () if data.states is None else called_for(problem, thorough=False)
     if laws:
@@ -297,7 +297,9 @@ def _in_place_of_laws(model: Model, spectrum: Spectrum, misfit: float, seed: int
     return tuple(
         replace(each, text=f"{each.text}, in place of {laws_in_words(model)}")
         for each in found
-        if each.kind == "nonlinear" and each.remaining is not None and each.remaining < (1 - MOSTLY) * misfit
+        if each.kind == "nonlinear"
+        and each.remaining is not None
+        and each.remaining < (1 - NEARLY_ALL) * misfit
     )
 
 

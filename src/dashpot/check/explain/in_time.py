@@ -19,10 +19,11 @@ from scipy.special import stdtr
 from dashpot.arrays import Real
 from dashpot.check.element_evidence import record_candidates, with_nothing
 from dashpot.check.explain.effect import Baseline, Effect, plainly, with_likely_causes
-from dashpot.check.explain.engine import ENOUGH, LARGEST, NEARLY_ALL, OF_LAWS, Explanation, explain_in_time
+from dashpot.check.explain.engine import LARGEST, NEARLY_ALL, OF_LAWS, Explanation, explain_in_time
 from dashpot.check.explain.laws import (
     APART,
     CERTAIN,
+    ENOUGH,
     QUIET,
     ScoredElement,
     feeds_motion,
