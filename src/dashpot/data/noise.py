@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 from scipy import fft
-from scipy.special import chdtrc, chdtri, digamma, polygamma
+from scipy.special import chdtrc, chdtri, digamma, gammaincinv, polygamma
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.data.conditioning.clock import even_step
@@ -182,6 +182,20 @@ def without_leakage(Y: Complex) -> Real:
     have none of it, and six times the power of what is independent from line to line.
     """
     return np.abs(np.diff(Y, 2, axis=0)) ** 2 / 6
+
+
+def most_noise(Y: Complex) -> Real:
+    """What white noise in neighbouring lines (k, ...) of a record can be at most, E|Δ|² (...,): by their quietest part.
+
+    Its mean power over how low chance makes the least of so many means, which once in twenty is lower still.
+    """
+    power = without_leakage(Y)
+    width = min(2 * HALF_WINDOW + 1, len(power))
+    looks = width / ALIKE**2
+    windows = 6 * len(power) / width  # that slide have chances as six times those side by side
+    lowest = float(gammaincinv(looks, 0.05 / windows)) / looks
+    least = np.maximum(np.min(smoothed(power), axis=0), np.finfo(float).eps * np.sum(power, axis=0))
+    return np.asarray(least / lowest)
 
 
 def white_floor(power: Real) -> float:

@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from dashpot.arrays import Bools, Complex, Real, diagonal_matrices, hermitian
 from dashpot.data.conditioning.whole_record import FLOOR
-from dashpot.data.noise import HALF_WINDOW, equal_variances, smoothed
+from dashpot.data.noise import HALF_WINDOW, equal_variances, most_noise, smoothed
 from dashpot.data.spectrum import Spectrum, WholeRecord, flattened, in_chunks, taken_as_measured
 from dashpot.errors import DataError
 from dashpot.estimate.likelihood.descent import Likelihood, thinned
@@ -76,9 +76,8 @@ class InputNoise:
         for number in spectrum.records:  # the quietest lines show what white noise can be at most
             its = np.flatnonzero((spectrum.stretch == number) & lines)
             if len(its):
-                power = np.nan_to_num(np.abs(spectrum.amplitudes[0, its])) ** 2
-                around = smoothed(power)
-                most = np.minimum(most, ROOM * np.min(around, axis=0) * spectrum.samples[its[0]])
+                at_most = most_noise(np.nan_to_num(spectrum.amplitudes[0, its]))
+                most = np.minimum(most, at_most * spectrum.samples[its[0]])
         sought = view.inputs_alone & (most > ROOM**2 * least)
         return InputNoise(sought, least, least, most)
 

@@ -19,12 +19,12 @@ from dashpot.data.noise import (
     ALIKE,
     QUIETEST,
     TOP,
-    smoothed,
+    most_noise,
     variance_at_rest,
     white_floor,
     without_leakage,
 )
-from dashpot.estimate.likelihood.record_noise import ROOM, SHOWS, STAYS
+from dashpot.estimate.likelihood.record_noise import SHOWS, STAYS
 from dashpot.estimate.nonlinear.record_problem import (
     LinearisedRecord,
     NotSolvedError,
@@ -147,9 +147,7 @@ def own_noise(records: Sequence[RecordData]) -> OwnNoise:
         N = record.samples
         lines = np.fft.rfft(record.inputs - np.mean(record.inputs, axis=0), axis=0) * (2 / N)
         power = without_leakage(lines) * N / 4
-        rounding = np.finfo(float).eps * np.sum(power, axis=0)  # of running sums
-        quietest = np.min(smoothed(power), axis=0)
-        most = np.minimum(most, ROOM * np.maximum(quietest, rounding))
+        most = np.minimum(most, most_noise(lines) * N / 4)
         at_rest = np.array([variance_at_rest(column) for column in record.inputs.T])
         at_top = np.array([white_floor(column) for column in power.T])
         level = np.where(at_rest > 0, at_rest, at_top)

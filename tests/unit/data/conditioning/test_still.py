@@ -1,10 +1,10 @@
-"""The noise of a channel while it is at rest within a record."""
+"""The noise of a channel while it is at rest within a record, and the most that it can be by its spectrum."""
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from dashpot.data.noise import variance_at_rest
+from dashpot.data.noise import most_noise, variance_at_rest
 
 SAMPLES = 6000
 
@@ -50,3 +50,15 @@ def test_a_rest_with_a_hum_or_without_noise_tells_nothing() -> None:
     assert variance_at_rest(blow()) == 0.0
     hum = lfilter([1.0], [1.0, -0.9], rng.normal(size=SAMPLES))
     assert variance_at_rest(blow(height=3000.0) + hum) == 0.0
+
+
+@pytest.mark.parametrize("samples", [1000, 30_000])
+def test_the_most_that_white_noise_can_be(samples: int) -> None:
+    """40 channels of noise, half of them under a drift that ends elsewhere: the bound is rarely below, never far off."""
+    rng = np.random.default_rng(6)
+    values = rng.normal(size=(samples, 40))
+    values[:, :20] += np.linspace(0, 10, samples)[:, None]
+    most = most_noise(np.fft.rfft(values, axis=0)[1:] * (2 / samples)) * samples / 4
+    assert np.mean(most < 1) < 0.2  # 5 % expected, of 40
+    assert np.min(most) > 0.85
+    assert np.mean(most) < 1.4
