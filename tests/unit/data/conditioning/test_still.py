@@ -54,7 +54,7 @@ def test_a_rest_with_a_hum_or_without_noise_tells_nothing() -> None:
 
 @pytest.mark.parametrize("samples", [1000, 30_000])
 def test_the_most_that_white_noise_can_be(samples: int) -> None:
-    """40 channels of noise, half of them under a drift that ends elsewhere: the bound is rarely below, never far off."""
+    """40 channels of noise, half of them under a drift that ends elsewhere: the bound is rarely below, never far."""
     rng = np.random.default_rng(6)
     values = rng.normal(size=(samples, 40))
     values[:, :20] += np.linspace(0, 10, samples)[:, None]
