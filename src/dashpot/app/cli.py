@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from pathlib import Path
 
 import click
 from click.shell_completion import CompletionItem
@@ -267,6 +268,8 @@ def main() -> None:
     except (Ended, KeyboardInterrupt) as asked:  # in the moments before the run and after it
         leave_signals()
         code = _stopped(asked)
+    if not _is_own_process():
+        sys.exit(code)
     # All is unwound and told.  Were the interpreter taken down now, threads of libraries that still work (those that
     # read ahead) might ask for it once more: they would be ended within C++, and the process with them, by SIGABRT.
     atexit._run_exitfuncs()
@@ -274,3 +277,11 @@ def main() -> None:
         with suppress(OSError, ValueError):
             stream.flush()
     os._exit(code)
+
+
+def _is_own_process() -> bool:
+    """Whether this process was started for the command, by its script or `python -m`, and not by a program that goes
+    on after it."""
+    started = sys.modules["__main__"]
+    spec, file = getattr(started, "__spec__", None), getattr(started, "__file__", None) or ""
+    return spec.name == "dashpot.__main__" if spec is not None else Path(file).stem == "dashpot"

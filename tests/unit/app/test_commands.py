@@ -213,7 +213,7 @@ cli.main()
     assert done.stdout.split() == [used, "False"], done.stderr
 
 
-def test_a_command_ends_without_the_interpreter_being_taken_down() -> None:
+def test_a_command_ends_without_the_interpreter_being_taken_down(tmp_path: Path) -> None:
     """What was registered for the end is done and told; threads of libraries that still read ahead meet no ruins."""
     program = """
 import atexit
@@ -226,8 +226,23 @@ atexit.register(print, "registered")
 cli.run = lambda *_: print("answered") or 3
 cli.main()
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    script = tmp_path / "dashpot"  # as an installed command is named
+    script.write_text(program, encoding="utf-8")
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.split(), done.stderr) == (3, ["answered", "registered"], "")
+
+
+def test_a_program_that_runs_the_command_goes_on_after_it() -> None:
+    program = """
+import runpy, sys
+sys.argv = ["dashpot", "--version"]
+try:
+    runpy.run_module("dashpot", run_name="__main__")
+except SystemExit as end:
+    print("ended with", end.code)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines()[-1] == "ended with 0", done.stderr
 
 
 def test_a_broken_pipe_is_silent(data: Path) -> None:
