@@ -209,7 +209,7 @@ def changed(baseline: Baseline) -> Iterator[Effect]:
         )  # fmt: skip
         for part, step, rise in _one_part_otherwise(first, second)[:NAMED]:
             other = second
-            if part.name not in first.problem.names:
+            if part not in problem.model.elements:  # stated, with a tolerance or without, or new
                 larger = second.problem.from_starts((second.psi,)).of_rig(replaced(problem.model, part))
                 (other,) = fitted([larger])
             chi2, fell = first.chi2 + other.chi2, second.chi2 - other.chi2

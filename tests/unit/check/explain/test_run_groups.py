@@ -48,6 +48,18 @@ def test_what_is_not_the_same_in_all_runs_is_named(element: str, by_experiment: 
     assert best.remaining < 1.5
 
 
+def test_a_value_with_a_tolerance_is_free_of_it_where_it_changed() -> None:
+    model, spectrum = clean("paper", np.random.default_rng(3))
+    late = np.arange(spectrum.lines) >= 13
+    data = changed(model, spectrum, "k2", 1.2, late)
+    stated = tuple(replace(e, sd=0.002 * e.value) if e.name == "k2" else e for e in model.elements)
+    best = diagnose(replace(model, elements=stated), data)[0]
+    assert (best.kind, best.of) == ("changed", ("k2",))
+    assert best.number is not None
+    assert abs(best.number) == pytest.approx(0.2 * dict(zip(*_parts(), strict=True))["k2"], rel=0.15)
+    assert best.remaining < 1.5
+
+
 RIG_OF_ONE = parse_rig(
     """
 coordinates = ["x1", "x2"]
