@@ -278,9 +278,15 @@ class LineProblem:
 
     def slopes(self, psi: Real, softness: float = 0.0) -> tuple[Real, Real, float]:
         """Information (M, M), minus half the slope (M,) and χ² at ψ."""
+        information, score, chi2 = self.slopes_at(psi[None], softness)
+        return information[0], score[0], float(chi2[0])
+
+    def slopes_at(self, psi: Real, softness: float = 0.0) -> tuple[Real, Real, Real]:
+        """As `slopes` at several ψ (K, M): (K, M, M), (K, M) and (K,)."""
+        sign = np.broadcast_to(self.sign, (len(psi), len(self.sign)))
         with np.errstate(all="ignore"):
-            at = local(self.view, self.arranged(softness), psi[None], self.sign[None])
-        return at.symmetric[0], at.gradient[0], float(at.cost[0])
+            at = local(self.view, self.arranged(softness), psi, sign)
+        return at.symmetric, at.gradient, at.cost
 
     def by_priors(self, psi: Real) -> float:
         """ln of the probability of ψ (M,) by what is stated of the unknowns, 0 at the stated values."""

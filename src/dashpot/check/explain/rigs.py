@@ -201,9 +201,10 @@ def _unit(model: Model, name: str, ratio: float) -> Phrase:
 # Bodies and forces that the rig has not.
 
 
-RESONANCES = 7  # frequencies over the band from which a hidden body is sought
-BODY = 0.1  # of the typical mass, where the search begins
-BODY_DAMPING = 0.02  # damping ratio there
+RESONANCES = 120  # frequencies of a hidden body, from the lowest line to the highest
+BODY_DAMPINGS = (0.01, 0.1)  # damping ratios with which it is looked for
+BODY = (0.01, 1.0)  # of the typical mass: between these the search begins
+PEAKS = 3  # frequencies at each coordinate from which it begins
 
 
 def oscillator(baseline: Baseline) -> Iterator[Effect]:
@@ -213,29 +214,67 @@ def oscillator(baseline: Baseline) -> Iterator[Effect]:
         return
     body = unused(model, "body", "body_2", "hidden_body")
     typical = _typical(model, baseline.as_is.psi, Kind.MASS)
-    omega = problem.omega
-    rates = np.geomspace(np.min(omega), np.max(omega), RESONANCES)
-    middle = float(np.sqrt(rates[0] * rates[-1]))
+    m, damping = typical * float(np.sqrt(np.prod(BODY))), float(np.sqrt(np.prod(BODY_DAMPINGS)))
+    middle = float(np.sqrt(np.min(problem.omega) * np.max(problem.omega)))
     for x in model.coordinates:
         joining = (between(f"k_{body}", Kind.SPRING, body, x), between(f"c_{body}", Kind.DAMPER, body, x))
         parts = (mass(f"m_{body}", body), *joining)
         larger = replace(model, coordinates=(*model.coordinates, body), elements=(*model.elements, *parts))
+        begun = _resonances(problem.from_starts((baseline.as_is.psi,)).of_rig(larger), parts, typical)
+        if not begun:
+            continue
         yield Effect(
-            "oscillator", (x,), partial(_beside_body, larger, parts, typical), partial(_body, model, parts, x),
-            tuple(rates.tolist()), 2.0, BODY * typical * middle**2, True, unknown=f"k_{body}",
-            others=((f"m_{body}", BODY * typical), (f"c_{body}", 2 * BODY_DAMPING * BODY * typical * middle)),
-            share=1 / len(model.coordinates),
+            "oscillator", (x,), partial(_beside_body, larger, parts, begun), partial(_body, model, parts, x),
+            tuple(begun), 2.0, m * middle**2, True, unknown=parts[1].name,
+            others=((parts[0].name, m), (parts[2].name, 2 * damping * m * middle)), share=1 / len(model.coordinates),
         )  # fmt: skip
 
 
+def _resonances(
+    larger: LineProblem, parts: Sequence[Element], typical: float
+) -> dict[float, tuple[float, ...]]:
+    """Mass, stiffness and damping of a body to begin with, by its resonance (rad/s), the most promising first.
+
+    Of a light body the motion shows m ω² times a resonance: that is one more column beside those of the rig's unknowns,
+    for each frequency and damping, and what χ² falls by it (Rao's score) has a peak at that of the body.
+    """
+    names, omega = larger.names, larger.omega
+    light = 1e-6 * typical  # so that it moves nothing
+    rates = np.geomspace(np.min(omega), np.max(omega), RESONANCES)
+    falls, begun = np.zeros(RESONANCES), dict[float, tuple[float, ...]]()
+    chosen = [names.index(each.name) for each in parts]
+    free = np.setdiff1d(np.arange(len(names)), chosen)
+    moves = np.zeros((len(free) + 1, len(names)))
+    moves[np.arange(len(free)), free] = 1.0
+    fixed = np.arange(len(moves)) == len(free)
+    for damping in BODY_DAMPINGS:
+        ways = np.stack([np.ones(RESONANCES), rates**2, 2 * damping * rates], axis=1)
+        psi = np.tile(larger.starts[0], (RESONANCES, 1))
+        psi[:, chosen] = light * ways
+        for k, (information, score, _) in enumerate(zip(*larger.slopes_at(psi), strict=True)):
+            moves[-1, chosen] = ways[k]
+            tests = score_tests([""] * len(moves), fixed, moves @ information @ moves.T, moves @ score, 0.0)
+            for test in tests:
+                if test.step > 0 and test.fall > falls[k]:
+                    falls[k] = test.fall
+                    m = min(max(test.step, BODY[0] * typical), BODY[1] * typical)
+                    begun[rates[k]] = tuple((m * ways[k]).tolist())
+    beside = np.pad(falls, 1)
+    peaks = np.flatnonzero((falls > 0) & (falls >= beside[:-2]) & (falls >= beside[2:]))
+    best = peaks[np.argsort(-falls[peaks])][:PEAKS]
+    return {rates[k]: begun[rates[k]] for k in best}
+
+
 def _beside_body(
-    larger: Model, parts: tuple[Element, ...], typical: float, problem: LineProblem, rate: float
+    larger: Model,
+    parts: Sequence[Element],
+    begun: dict[float, tuple[float, ...]],
+    problem: LineProblem,
+    rate: float,
 ) -> LineProblem:
-    m = BODY * typical
-    sizes = (m, m * rate**2, 2 * BODY_DAMPING * m * rate)
-    begun = [replace(each, guess=size) for each, size in zip(parts, sizes, strict=True)]
-    there = larger.elements[: -len(begun)]
-    return problem.of_rig(replace(larger, elements=(*there, *begun))).of_rig(larger)
+    sizes = [replace(each, guess=size) for each, size in zip(parts, begun[rate], strict=True)]
+    there = larger.elements[: -len(sizes)]
+    return problem.of_rig(replace(larger, elements=(*there, *sizes))).of_rig(larger)
 
 
 def _body(model: Model, parts: tuple[Element, ...], x: str, stiffness: float) -> Phrase:
