@@ -21,7 +21,6 @@ from dashpot.check.element_evidence import record_candidates, with_nothing
 from dashpot.check.explain.effect import Baseline, Effect, plainly, with_likely_causes
 from dashpot.check.explain.engine import LARGEST, NEARLY_ALL, OF_LAWS, Explanation, explain_in_time
 from dashpot.check.explain.laws import (
-    APART,
     CERTAIN,
     ENOUGH,
     QUIET,
@@ -33,7 +32,7 @@ from dashpot.check.explain.laws import (
 from dashpot.check.explain.problem import TimeProblem, fitted_from_starts, replaced
 from dashpot.check.explain.records import CHANGED_CHANNEL, channels_in_time
 from dashpot.check.explain.rigs import missing_elements, points_of
-from dashpot.check.explain.score import PARTS, steadiness, sums_of_parts
+from dashpot.check.explain.score import APART, PARTS, steadiness, sums_of_parts
 from dashpot.check.verdict import powerless, rejected, settled_by_size, unphysical, worst_of
 from dashpot.data.noise import smoothed
 from dashpot.data.record import Record

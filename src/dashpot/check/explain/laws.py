@@ -21,7 +21,7 @@ from dashpot.arrays import Complex, Real
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is
 from dashpot.check.explain.problem import FittedProblem, LineProblem, descended, without_raising
 from dashpot.check.explain.rigs import missing_in_words, points_of, unused
-from dashpot.check.explain.score import score_tests, steadiness
+from dashpot.check.explain.score import APART, score_tests, steadiness
 from dashpot.data.noise import smoothed
 from dashpot.data.spectrum import LinesInTime, Spectrum, WholeRecord
 from dashpot.errors import DashpotError
@@ -112,6 +112,11 @@ class ScoredElement:
         """Probability of such a fall by noise alone, what is left being noise."""
         left = max(self.left, 1e-300) / max(self.dof - 1, 1)
         return float(fdtrc(1.0, float(max(self.dof - 1, 1)), self.fall / max(left, 1.0)))
+
+    @property
+    def misfit(self) -> float:
+        """χ² without it beyond what noise leaves."""
+        return max(self.chi2 - self.dof, 0.0)
 
     def effect(self, model: Model) -> Effect:
         """As the rig `model` would have it, of the size that its fit or its score gives it."""
@@ -212,7 +217,6 @@ def feeds_motion(element: Element, value: float) -> bool:
 
 
 SOFT = 0.01  # of each amplitude: what harmonics that were not measured leave out of a force
-APART = 1e-4  # part of a column that the rig's own unknowns must leave
 NEAR = 1e-4  # relative step of differences along constants inside the rig's own laws
 FAR = 2.0  # times such a constant, or one over it: as far as one round moves it
 
@@ -358,7 +362,7 @@ def scored_in_dwells(
             with suppress(DashpotError):
                 larger = problem.balanced().of_rig(_with(problem.model, *by_name.values()))
                 at = larger.slopes(larger.starts[0], softness)
-                tests = score_tests(larger.names, [name in by_name for name in larger.names], *at, APART)
+                tests = score_tests(larger.names, [name in by_name for name in larger.names], *at)
                 scored += [
                     ScoredElement(by_name[p.name], min(p.fall, p.chi2), p.chi2, dof, p.step) for p in tests
                 ]
@@ -480,7 +484,7 @@ def called_for(problem: LineProblem, *, thorough: bool = True) -> list[ScoredEle
         begun = softened(problem) if softness else problem
         scored = scored_in_dwells(begun, candidate_elements(problem.model, motions_of(begun)), softness)
         for candidate in _passive(scored)[:followed]:
-            if candidate.fall > HINT * candidate.chi2:
+            if candidate.fall > HINT * candidate.misfit:
                 fitted += _passive([fitted_in_full(begun, candidate, chi2, softness)])
             if fitted and fitted[-1].left < ENOUGH * fitted[-1].dof:
                 return [fitted[-1]] if fitted[-1].p_value < CERTAIN else []
@@ -501,7 +505,7 @@ def _nearly_best(fitted: Sequence[ScoredElement]) -> list[ScoredElement]:
 
 def _certain(fitted: ScoredElement) -> bool:
     """Whether an element that was fitted in full is called for beyond doubt."""
-    return fitted.p_value < CERTAIN and fitted.fall > MARKED * fitted.chi2
+    return fitted.p_value < CERTAIN and fitted.fall > MARKED * fitted.misfit
 
 
 def _mends(scored: ScoredElement) -> bool:
@@ -509,7 +513,7 @@ def _mends(scored: ScoredElement) -> bool:
 
     Where something else is wrong, a fit in full takes long and comes to nothing.
     """
-    promising = scored.fall > HINT * max(scored.chi2 - scored.dof, 0.0) and scored.p_value < CERTAIN
+    promising = scored.fall > HINT * scored.misfit and scored.p_value < CERTAIN
     return promising and (scored.left < LEFT * scored.chi2 or scored.left < ROUGHLY * scored.dof)
 
 

@@ -13,7 +13,7 @@ from scipy.special import stdtr
 
 from dashpot.arrays import Real
 
-APART = 0.01  # part of a column that the rig's own unknowns must leave for it to count as something else
+APART = 1e-4  # part of a column that the rig's own unknowns must leave: what less leaves is lost in rounding
 PARTS = 40  # of records, each of which tells a parameter by itself
 
 
