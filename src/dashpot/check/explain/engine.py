@@ -93,6 +93,7 @@ LIKELY = 0.5  # of the misfit that a cause explains at the least to be named
 # Of it that a cause explains which leaves nothing to others, two together, or the second of what the first leaves
 NEARLY_ALL = 0.9
 CLOSELY = 16  # effects whose size is sought closely and whose evidence is computed
+FIRST_STEP = 1e-4  # of the prior scale of a size: to both sides of none, for the slopes of χ²
 BEGUN = 0.3  # of the prior scale of a size: the first step to both sides
 ROUNDS = 3  # parabolas through χ² about a size
 TOGETHER = log(10)  # difference of log likelihoods that tells two causes apart
@@ -313,7 +314,7 @@ def _leaves_more_than_noise(fit: FittedProblem) -> bool:
 
 ON_RECORDS = (rigs.element, rigs.value, rigs.hysteretic)  # kinds that are tried on the records themselves
 IN_FULL = 4  # effects on whole records beside the best of each kind that few lines call for
-HINT = 0.3  # of the misfit that an unknown gain or delay must explain to be looked at
+HINT = 0.3  # of what the best unknown gain or delay explains, which another must explain to be looked at
 NEAR = 0.2  # nepers within which a gain is taken for a usual ratio
 CALIBRATIONS = {"gain": (channels.sign, channels.unit, channels.gain), "delay": (channels.delay,)}
 
@@ -336,6 +337,7 @@ def explain_records(
     rough = _begun(lines, silent or {}, True, seed)
     tried = _tried(rough, KINDS)
     _search_afresh(rough, tried)
+    _closely(rough.problem, sorted(tried, key=lambda each: -each.roughly)[:CLOSELY], fitted)
     tried.sort(key=lambda each: -each.roughly)
     baseline = begun_at(problem, silent, True)
     as_is = baseline.as_is
@@ -406,17 +408,25 @@ def _chosen(
         for each in tried
         if each.effect.found is None and not (each.effect.unknown and each.effect.kind in again)
     ]
-    for c, channel in enumerate(problem.channels):
-        for word, kinds in CALIBRATIONS.items():
-            if getattr(channel, word) is None:
-                continue
-            fit, size, psi = _calibrated(baseline, c, word)
-            if not fit.reduced <= (1 - HINT) * baseline.as_is.reduced:
-                continue
-            forms = ((prior, each) for prior, kind in KINDS if kind in kinds for each in kind(baseline))
+    known = [
+        (c, word)
+        for c, channel in enumerate(problem.channels)
+        for word in CALIBRATIONS
+        if getattr(channel, word) is not None
+    ]
+    opened = [(c, word, *_calibrated(baseline, c, word)) for c, word in known]
+    most = max((baseline.as_is.chi2 - fit.chi2 for _, _, fit, *_ in opened), default=0.0)
+    for c, word, fit, size, psi in opened:
+        if baseline.as_is.chi2 - fit.chi2 > HINT * max(most, 0.0):
+            forms = (
+                (prior, each)
+                for prior, kind in KINDS
+                if kind in CALIBRATIONS[word]
+                for each in kind(baseline)
+            )
             for prior, effect in forms:
                 near = [each for each in effect.values if each * size > 0 and abs(log(each / size)) < NEAR]
-                if effect.of == (channel.name,) and (near or effect.width is not None):
+                if effect.of == (problem.channels[c].name,) and (near or effect.width is not None):
                     nearest = min(near, key=lambda each: abs(log(each / size)), default=size)
                     yield effect, prior, size if effect.width is not None else nearest, (psi,)
     # Ends, which the lines do without, make forms of one channel's mistake alike that these tell apart.
@@ -469,7 +479,7 @@ def _step(
 
 def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter | None = None) -> Explanation:
     """The best trials with their odds; their sizes are refined if there is a `fit`."""
-    hopeful = sorted(tried, key=lambda each: -each.roughly)[:CLOSELY]
+    hopeful = sorted(tried, key=lambda each: -_hope(each))[:CLOSELY]
     if fit is not None:
         _closely(baseline.problem, hopeful, fit)
     block = baseline.problem.blocks(baseline.as_is.psi)
@@ -512,6 +522,15 @@ def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter | None 
     return Explanation(baseline.as_is, grouped, unlisted, nearest, every)
 
 
+def _hope(trial: Trial) -> float:
+    """Log evidence of a trial from χ² and from what its rig's parts are."""
+    fits = trial.fit.parts or (trial.fit,)
+    positive = all(
+        np.all(fit.psi[: len(fit.problem.model.unknowns)][of_one_sign(fit.problem.model)] > 0) for fit in fits
+    )
+    return trial.roughly + (0.0 if positive else log_possible(trial.fit, trial.effect.unknown))
+
+
 def _enough(baseline: Baseline) -> float:
     """χ² over its degrees of freedom that leaves nothing to explain: noise, or next to nothing of a gross misfit."""
     return max(ENOUGH, NEXT_TO_NOTHING * baseline.as_is.reduced)
@@ -544,7 +563,7 @@ def _tried(
                 best[id(effect)] = Trial(effect, prior, effect.values[0], effect.found)
                 continue
             there = begun.get(effect.subject) if begun and effect.unknown else None
-            for size in effect.values:
+            for size in (*effect.values, *_promised(baseline, effect)):
                 with suppress(DashpotError):  # a rig or channels that cannot be
                     supposed = effect.act(baseline.problem, size)
                     if there is not None and len(there) == len(supposed.starts[0]):
@@ -561,6 +580,33 @@ def _tried(
         if so_far is None or end.roughly > so_far.fit.roughly:
             best[id(effect)] = Trial(effect, prior, size, end)
     return list(best.values())
+
+
+def _promised(baseline: Baseline, effect: Effect) -> tuple[float, ...]:
+    """The size that one step from the rig as it is promises (Rao's score beside ψ), of what is sought by its size.
+
+    Where a channel is all that tells a part of the rig, what the others predict of it is no size to begin at.
+    """
+    problem, psi = baseline.problem, baseline.as_is.psi
+    if effect.width is None or effect.unknown or not isinstance(problem, LineProblem):
+        return ()
+    null, step = effect.coordinate(effect.null), FIRST_STEP * effect.width
+    with suppress(DashpotError, np.linalg.LinAlgError):
+        problems = [
+            effect.act(problem, effect.size_at(null + side, effect.null)) for side in (-step, 0, step)
+        ]
+        (_, low, before), (information, gradient, at_null), (_, high, after) = (
+            each.slopes(psi) for each in problems
+        )
+        if abs(at_null - baseline.as_is.chi2) > step * at_null:  # not every scale of sizes begins at none
+            return ()
+        cross = (low - high) / (2 * step)
+        taken = scaled_inverse(information) @ np.column_stack([cross, gradient])
+        bend = (before - 2 * at_null + after) / (2 * step**2) - cross @ taken[:, 0]
+        move = ((before - after) / (4 * step) - cross @ taken[:, 1]) / bend
+        if bend > 0 and np.isfinite(move):
+            return (effect.size_at(null + float(move), effect.null),)
+    return ()
 
 
 def _search_afresh(baseline: Baseline, tried: Sequence[Trial]) -> None:

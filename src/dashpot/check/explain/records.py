@@ -214,12 +214,15 @@ def _before_step(
     at = spectrum.in_time(change.record)
     mended = y * np.exp(1j * spectrum.omega * size) if change.kind == "clock" else y / size
     more = at.history(mended - y)
-    more[: round(change.time_s / at.step_s)] = 0.0
+    first = round(change.time_s / at.step_s)
+    more[:first] = 0.0
     added = np.zeros(len(y), dtype=np.complex128)
     added[at.lines] = at.amplitudes(more)
     mended_y = np.array(problem.y)
     mended_y[:, c] += added[chosen]
-    return problem.with_amplitudes(mended_y)
+    # A gain is that of the noise as well, which is one for all of the record.
+    after = (at.samples - first) / at.samples if change.kind == "gain" else 0.0
+    return problem.scaled(c, (1 - after + after / size**2) ** 0.5).with_amplitudes(mended_y)
 
 
 # An input that is held from sample to sample: beside its spectrum in the band, times sin(x)/x and half a step late, it

@@ -14,6 +14,7 @@ from dashpot.check.explain.effect import with_likely_causes
 from dashpot.check.explain.engine import explain
 from dashpot.check.explain.examine import diagnose, examined
 from dashpot.check.explain.problem import LineProblem
+from dashpot.check.explain.score import score_tests
 from dashpot.check.verdict import assess
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError
@@ -467,3 +468,71 @@ def test_that_nothing_explains_the_data_is_no_likely_cause_of_a_refusal() -> Non
     named = Finding("sign", ("x",), "x has the opposite sign", "sign = -1", None)
     assert with_likely_causes(refused, [nothing]) is refused
     assert [cause.kind for cause in with_likely_causes(refused, [nothing, named]).causes] == ["sign"]
+
+
+# Mistakes that a first look at the fit of the rig as it is may pass over.
+
+THREE = (
+    "m1@bed m2@table m3@head k1:bed-ground k2:table-bed k3:head-table k4:head-ground "
+    "c1:bed-ground c3:head-table c4:head-ground"
+)
+THREE_VALUES = {
+    "m1": 2.5, "m2": 4.17, "m3": 1.7, "k1": 258800, "k2": 284900, "k3": 374000, "k4": 138200,
+    "c1": 36.8, "c3": 130.6, "c4": 142.0,
+}  # fmt: skip
+
+
+def test_a_body_whose_resonance_lies_between_two_lines_is_found_where_it_is() -> None:
+    coordinates, values = "bed table head", {"mb": 0.08, "kb": 0.08 * (2 * np.pi * 20.2) ** 2, "cb": 0.4}
+    true = network(f"{coordinates} body", "f@bed", f"{THREE} mb@body kb:body-table cb:body-table")
+    channels = (
+        *(Channel(x, {x: 1.0}, Quantity.VELOCITY) for x in coordinates.split()),
+        Channel("f", {"f": 1.0}, Quantity.FORCE),
+    )
+    hertz = np.geomspace(15.7, 139.8, 22)
+    pushed, noise = np.ones((len(hertz), 1)), {"": 0.003, "f": 0.0}
+    bench = partly_seen.Bench(
+        "", true, THREE_VALUES | values, channels, hertz, 0 * pushed[:, :0], pushed, noise
+    )
+    first = diagnose(network(coordinates, "f@bed", THREE), bench.spectrum(np.random.default_rng(4)))[0]
+    assert (first.kind, first.of) == ("oscillator", ("table",))
+    assert first.number == pytest.approx(values["kb"], rel=0.1)
+
+
+def test_what_the_rigs_unknowns_can_nearly_do_is_scored_as_its_regression_promises() -> None:
+    """All but 0.3 % of the last column is in the span of the others."""
+    rng = np.random.default_rng(1)
+    J = rng.normal(size=(200, 4))
+    J[:, 3] = J[:, :3] @ [1.0, -2.0, 0.5] + 0.003 * J[:, 3]
+    y = J @ [0.0, 0.0, 0.0, 400.0] + rng.normal(size=200)
+    left = [float(np.sum((y - X @ np.linalg.lstsq(X, y)[0]) ** 2)) for X in (J[:, :3], J)]
+    (test,) = score_tests("abcd", [False, False, False, True], J.T @ J, J.T @ y, left[0])
+    assert test.fall == pytest.approx(left[0] - left[1], rel=1e-6)
+    assert test.step == pytest.approx(np.linalg.lstsq(J, y)[0][3], rel=1e-6)
+
+
+def test_cross_talk_into_the_channel_that_tells_a_part_alone_is_among_the_causes() -> None:
+    """Without that channel the others say nothing of how large it is."""
+    parts = (
+        "m1@bed m2@table k1:bed-ground k2:table-bed=2058777 k3:table-ground "
+        "c1:bed-ground c2:table-bed c3:table-ground=656"
+    )
+    truth = {"m1": 262, "m2": 122.8, "k1": 5.34e6, "k3": 1.08e6, "c1": 1259, "c2": 558}
+    model = network("bed table", "f@table", parts)
+    channels = (
+        Channel("v_bed", {"bed": 1.0}, Quantity.VELOCITY),
+        Channel("a_table", {"table": 1.0}, Quantity.ACCELERATION),
+        Channel("f", {"f": 1.0}, Quantity.FORCE),
+    )
+    hertz = np.geomspace(12.0, 40.0, 13)
+    pushed = np.full((len(hertz), 1), 1000.0)
+    bench = partly_seen.Bench(
+        "", model, truth, channels, hertz, 0 * pushed[:, :0], pushed, {"": 0.01, "f": 0.0}
+    )
+    spectrum = bench.spectrum(np.random.default_rng(1))
+    Y = np.array(spectrum.amplitudes)
+    Y[:, 1] += 3.0 * Y[:, 0]
+    causes = diagnose(model, replace(spectrum, amplitudes=Y))
+    (found,) = (each for each in causes if (each.kind, each.of) == ("crosstalk", ("a_table", "v_bed")))
+    assert found.number == pytest.approx(3.0, rel=0.3)
+    assert found.odds > 0.05

@@ -153,6 +153,35 @@ def test_a_body_that_the_rig_lacks_is_named_in_a_whole_record() -> None:
     assert first.number == pytest.approx(0.15 * 60.0**2, rel=0.1)
 
 
+def test_a_low_pass_filter_far_above_the_motion_is_no_delay_and_no_held_input() -> None:
+    """Its corner is sought closely before forms of one channel's mistake are told apart."""
+    model, truth = chain(1, 0.03, base=True, seed=3)
+    test = record_of(model, truth, "random", decay_times=10, seed=2)
+    step = float(test.record.time[1] - test.record.time[0])
+    values, nyquist_hz = np.array(test.record.values), 0.5 / step
+    lines_hz = np.fft.rfftfreq(2 * len(values), step)
+    corner_hz = 0.6 * nyquist_hz
+    passed = np.fft.rfft(values[:, 0], 2 * len(values)) / (1 + 1j * lines_hz / corner_hz)
+    values[:, 0] = np.fft.irfft(passed, 2 * len(values))[: len(values)]
+    noise = np.random.default_rng(5).normal(size=values.shape) * 0.003 * values.std(axis=0) * [1, 0]
+    estimate = dashpot.identify(model, replace(test.record, values=values + noise), diagnose=True)
+    first = estimate.assessment.findings[0]
+    assert (first.kind, first.of) == ("filter", ("x1_dis",))
+    assert first.number == pytest.approx(corner_hz, rel=0.2)
+
+
+def test_a_small_gain_is_named_where_noise_is_most_of_what_is_left(
+    test_of_three: tuple[Model, Record],
+) -> None:
+    model, record = test_of_three
+    estimate = dashpot.identify(
+        model, replace(record, values=record.values * [1.0, 1.01, 1.0, 1.0]), diagnose=True
+    )
+    first = estimate.assessment.findings[0]
+    assert (first.kind, first.of) == ("gain", ("x2_dis",))
+    assert first.number == pytest.approx(1.01, abs=0.002)
+
+
 @pytest.mark.parametrize("proportional", [False, True])
 def test_the_noise_of_the_quietest_record_holds_for_all_as_it_stands_or_in_proportion(
     proportional: bool,
