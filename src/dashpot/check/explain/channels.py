@@ -309,7 +309,9 @@ def saturation(baseline: Baseline) -> Iterator[Effect]:
 
 def _unlimited(c: int, problem: LineProblem, limit: float) -> LineProblem:
     """Amplitudes as they would be without the limit, by the describing function of clipping."""
-    level = np.concatenate([np.linspace(0.0, 1.0, 50), np.geomspace(1.0, 50.0, 200)[1:]])
+    level = np.concatenate(
+        [[0.0], 1 + np.geomspace(1e-6, 50.0, 1000)]
+    )  # the curve leaves the line steeply at 1
     part = np.minimum(1 / np.maximum(level, 1e-9), 1.0)
     shown = level * 2 / np.pi * (np.arcsin(part) + part * np.sqrt(1 - part**2))
     size = np.abs(problem.y[:, c]) / limit

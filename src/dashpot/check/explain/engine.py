@@ -95,7 +95,10 @@ NEARLY_ALL = 0.9
 CLOSELY = 16  # effects whose size is sought closely and whose evidence is computed
 FIRST_STEP = 1e-4  # of the prior scale of a size: to both sides of none, for the slopes of χ²
 BEGUN = 0.3  # of the prior scale of a size: the first step to both sides
-ROUNDS = 3  # parabolas through χ² about a size
+ROUNDS = 8  # parabolas through χ² about a size, at most
+SETTLED = (
+    0.1  # of χ² over its degrees of freedom, by which a parabola lowers χ² at the least where another follows
+)
 TOGETHER = log(10)  # difference of log likelihoods that tells two causes apart
 IMPROBABLE = 1e-4  # p-value of what the best cause leaves, below which a second one is looked for
 NEXT_TO_NOTHING = 0.003  # of a gross misfit, beside which nothing finer is looked for: a rig is rarely better
@@ -137,13 +140,11 @@ class Trial:
         """The problem with the effect at a size so far away, begun where this one ended."""
         return self.effect.act(problem, self.at(move)).from_starts((self.fit.psi,))
 
-    def take(self, ends: Sequence[tuple[float, FittedProblem]]) -> bool:
-        """Take the best of other sizes if it fits better; return whether it did."""
+    def take(self, ends: Sequence[tuple[float, FittedProblem]]) -> None:
+        """Take the best of other sizes if it fits better."""
         size, fit = min(ends, key=lambda end: end[1].chi2)
-        better = fit.chi2 < self.fit.chi2
-        if better:
+        if fit.chi2 < self.fit.chi2:
             self.size, self.fit = size, fit
-        return better
 
 
 @dataclass(frozen=True)
@@ -672,11 +673,14 @@ def _closely(problem: FitProblem, every: Sequence[Trial], refit: Fitter) -> None
             moves.append(float(np.clip(vertex, -3 * each.step, 3 * each.step)))
         nearer = refit([each.moved(problem, move) for each, move in zip(sought, moves, strict=True)])
         for each, low, high, move, end in zip(sought, ends[::2], ends[1::2], moves, nearer, strict=True):
-            moved = each.take([(each.at(-each.step), low), (each.at(each.step), high), (each.at(move), end)])
+            before = each.fit.chi2
+            each.take([(each.at(-each.step), low), (each.at(each.step), high), (each.at(move), end)])
             if each.bend > 0:
                 scale = max(each.fit.reduced, 1.0) if np.isfinite(each.fit.reduced) else 1.0
-                each.step = min(each.step, 2 * float(np.sqrt(scale / each.bend)))
-            elif not moved:
+                near = 2 * float(np.sqrt(scale / each.bend))
+                settled = each.step <= near and before - each.fit.chi2 < SETTLED * scale
+                each.step = 0.0 if settled else min(each.step, near)
+            elif each.fit.chi2 == before:
                 each.step = 0.0
 
 

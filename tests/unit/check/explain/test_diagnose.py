@@ -536,3 +536,16 @@ def test_cross_talk_into_the_channel_that_tells_a_part_alone_is_among_the_causes
     (found,) = (each for each in causes if (each.kind, each.of) == ("crosstalk", ("a_table", "v_bed")))
     assert found.number == pytest.approx(3.0, rel=0.3)
     assert found.odds > 0.05
+
+
+def test_a_channel_that_is_limited_at_the_few_largest_motions_is_no_bad_dwell() -> None:
+    """Its limit is sought until χ² falls no more: 2 % beside it leave the dwell at the resonance to blame."""
+    model, spectrum = clean("paper", np.random.default_rng(6))
+    Y, c = np.array(spectrum.amplitudes), spectrum.index("d_x1")
+    size = np.abs(Y[:, c])
+    part = np.minimum(0.8 * size.max() / size, 1.0)  # of each cycle's peak that is left
+    shown = 2 / np.pi * (np.arcsin(part) + part * np.sqrt(1 - part**2))
+    Y[:, c] *= shown
+    first = diagnose(model, replace(spectrum, amplitudes=Y))[0]
+    assert (first.kind, first.of) == ("saturation", ("d_x1",))
+    assert first.number == pytest.approx(0.8 * size.max(), rel=0.01)
