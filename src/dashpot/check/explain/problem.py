@@ -19,7 +19,7 @@ from dashpot.check.residuals import blocks_of
 from dashpot.data.conditioning.unmeasured import with_likely
 from dashpot.data.modal_data import ModalData
 from dashpot.data.record import Record
-from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord, history_of_lines
+from dashpot.data.spectrum import SettledDwell, Spectrum, Unmeasured, WholeRecord, history_of_lines
 from dashpot.errors import DashpotError, ModelError
 from dashpot.estimate.likelihood.descent import Stage
 from dashpot.estimate.likelihood.global_search import SOFTNESS, candidates, through
@@ -187,15 +187,29 @@ class LineProblem:
         return self.with_amplitudes(self.y * turn, turn[:, :, None] * self.V * np.conj(turn)[:, None, :])
 
     def late(self, channel: int, late: float) -> LineProblem:
-        """With one channel that much (s) earlier than measured; of a whole record its ends have its own clock."""
+        """With one channel that much (s) earlier than measured.
+
+        Of a whole record it has not measured the samples at one end then; what is left of a sample is its own clock.
+        """
+        each, left = self.channels[channel], late
         shifted = self.scaled(channel, np.exp(1j * self.omega * late).astype(np.complex128))
-        if not self.spectrum.records:
+        if not self.spectrum.records or each.delay is None:
             return shifted
-        channels = tuple(
-            replace(each, delay=each.delay + late) if k == channel and each.delay is not None else each
-            for k, each in enumerate(self.channels)
+        stretches = list(self.spectrum.stretches)
+        for number, value in enumerate(stretches):
+            if isinstance(value, WholeRecord) and not measures_input(self.model, each):
+                count = round(late / value.step_s)
+                left = late - count * value.step_s
+                samples = np.arange(value.samples - count, value.samples) if count > 0 else np.arange(-count)
+                unknown = np.zeros(len(samples)), np.zeros((len(samples), len(samples)))
+                lost = Unmeasured(replace(each, gain=1.0, delay=0.0), samples, *unknown)
+                stretches[number] = replace(value, unmeasured=(*value.unmeasured, lost)) if count else value
+        channels = list(self.channels)
+        channels[channel] = replace(each, delay=each.delay + left)
+        spectrum = replace(shifted.spectrum, stretches=tuple(stretches))
+        return replace(shifted, data=replace(shifted.data, spectrum=spectrum)).of_rig(
+            self.model, tuple(channels)
         )
-        return shifted.of_rig(self.model, channels)
 
     def derived(self, channel: int, power: int) -> LineProblem:
         """With one channel as the derivative of the motion that is `power` higher."""
