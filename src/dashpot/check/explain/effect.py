@@ -55,6 +55,7 @@ class Effect:
     unknown    the unknown of the problem that is the size, where `act` makes it one
     others     further unknowns that it brings, which are positive, each with its likely size: their priors are as wide
                as a factor of e
+    between    what the size over the first of these is, if it is what its kind says
     found      the fit, where the search for the effect has made it already
     more       further unknowns that it brings, of which is known beforehand what one number of the data tells
     share      of the probability of its kind
@@ -70,6 +71,7 @@ class Effect:
     of_ratio: bool = False
     unknown: str = ""
     others: tuple[tuple[str, float], ...] = ()
+    between: tuple[float, float] = (0.0, np.inf)
     found: FittedProblem | None = None
     more: int = 0
     share: float = 1.0

@@ -726,12 +726,13 @@ def _brought(effect: Effect, fit: FittedProblem) -> tuple[list[int], Real, Real]
 def _of_unknowns(effect: Effect, fit: FittedProblem, scale: float) -> tuple[float, float | None]:
     """The size that is an unknown of the problem, and what the priors of all that the effect brings leave (Laplace).
 
-    None where a part that must be positive is not.
+    None where a part that must be positive is not, or a body's resonance is outside the band.
     """
     chosen, stretch, widths = _brought(effect, fit)
     values = fit.psi[chosen]
     size = float(values[0])
-    if effect.others and not np.all(values > 0):
+    low, high = effect.between
+    if effect.others and not (np.all(values > 0) and low <= size / values[1] <= high):
         return size, None
     information, _, _ = fit.problem.slopes(fit.psi)
     if not np.all(np.isfinite(information)):

@@ -204,6 +204,7 @@ def _unit(model: Model, name: str, ratio: float) -> Phrase:
 RESONANCES = 120  # frequencies of a hidden body, from the lowest line to the highest
 BODY_DAMPINGS = (0.01, 0.1)  # damping ratios with which it is looked for
 BODY = (0.01, 1.0)  # of the typical mass: between these the search begins
+BESIDE = 1.5  # times the highest line: a body that resonates further outside shows but a mass or a spring
 PEAKS = 3  # frequencies at each coordinate from which it begins
 
 
@@ -215,7 +216,8 @@ def oscillator(baseline: Baseline) -> Iterator[Effect]:
     body = unused(model, "body", "body_2", "hidden_body")
     typical = _typical(model, baseline.as_is.psi, Kind.MASS)
     m, damping = typical * float(np.sqrt(np.prod(BODY))), float(np.sqrt(np.prod(BODY_DAMPINGS)))
-    middle = float(np.sqrt(np.min(problem.omega) * np.max(problem.omega)))
+    low, high = float(np.min(problem.omega)), float(np.max(problem.omega))
+    middle = (low * high) ** 0.5
     for x in model.coordinates:
         joining = (between(f"k_{body}", Kind.SPRING, body, x), between(f"c_{body}", Kind.DAMPER, body, x))
         parts = (mass(f"m_{body}", body), *joining)
@@ -226,7 +228,8 @@ def oscillator(baseline: Baseline) -> Iterator[Effect]:
         yield Effect(
             "oscillator", (x,), partial(_beside_body, larger, parts, begun), partial(_body, model, parts, x),
             tuple(begun), 2.0, m * middle**2, True, unknown=parts[1].name,
-            others=((parts[0].name, m), (parts[2].name, 2 * damping * m * middle)), share=1 / len(model.coordinates),
+            others=((parts[0].name, m), (parts[2].name, 2 * damping * m * middle)),
+            between=((low / BESIDE) ** 2, (high * BESIDE) ** 2), share=1 / len(model.coordinates),
         )  # fmt: skip
 
 
