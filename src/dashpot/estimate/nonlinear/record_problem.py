@@ -596,12 +596,11 @@ class RecordProblem:
         return QuadraticModel(np.array([total]), (gradient - prior * away)[None], matrix[None], matrix[None])
 
     def bounds(self, psi: Real) -> tuple[Real, Real]:
-        """The rig's for ψ (M,); lengths and speeds inside laws stay above 0, where laws would divide by them."""
+        """The rig's for ψ (M,), near it."""
         lower, upper = np.full(len(psi), -np.inf), np.full(len(psi), np.inf)
         m, unknowns = len(self.model.unknowns), (*self.model.unknowns, *self.records[0].gains)
         lower[: len(unknowns)], upper[: len(unknowns)] = bounds_of(unknowns)
-        lengths = np.any(self.model.constants_map[0][must_be_positive(self.model)] > 0, axis=0)
-        lower[:m] = np.where(lengths, np.maximum(lower[:m], 1e-6 * np.abs(psi[:m])), lower[:m])
+        lower[:m], upper[:m] = bounds_near(self.model, psi[:m])
         return lower, upper
 
     def descend(
@@ -647,6 +646,13 @@ class RecordProblem:
             if near:
                 break
         return linear
+
+
+def bounds_near(model: Model, theta: Real) -> tuple[Real, Real]:
+    """Of θ (unknowns,); lengths and speeds inside laws stay above 0, where laws would divide by them."""
+    lower, upper = bounds_of(model.unknowns)
+    lengths = np.any(model.constants_map[0][must_be_positive(model)] > 0, axis=0)
+    return np.where(lengths, np.maximum(lower, 1e-6 * np.abs(theta)), lower), upper
 
 
 def begun_problem(

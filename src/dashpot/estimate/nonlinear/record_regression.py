@@ -2,24 +2,35 @@
 
 ∫ w (M ẍ + C ẋ + K x + Bᵀ p∘a) dt = ∫ w f dt for smooth windows w that vanish at their ends: the derivatives of masses
 and dampers are moved to w, so the measured motion is not differentiated but for laws of the rate (Shinbrot 1957).
+Noise of the motion is in the columns too, so that least squares are biased: they begin a fit in which the motion is
+corrected until the equations hold (errors in variables; Bortz, Messenger and Dukic 2023, Bull. Math. Biol. 85, 110).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from dashpot.arrays import Bools, Ints, Real
+from dashpot.data.noise import white_floor, without_leakage
 from dashpot.errors import DataError
 from dashpot.estimate.inference.diagnostics import require_traces
+from dashpot.estimate.nonlinear.record_problem import bounds_near, known_inputs
 from dashpot.estimate.nonlinear.records import RecordData, RecordedMotion, recorded_motion
 from dashpot.estimate.nonlinear.regression import require_finite_laws
-from dashpot.estimate.nonlinear.search import KEPT, constants_to_try, refined_constants, theta_of
+from dashpot.estimate.nonlinear.search import KEPT, constants_to_try, theta_of
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import operated_states, rated_states
+from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
 from dashpot.numerics.small_systems import solve_scaled
+
+FAR = 10.0  # times the largest elongation: states that go there do not settle
+EXACT = 1e-9  # of the variance of an equation: rounding
+INEXACT = 3e-4  # of the rms of a signal: what samples and windows tell wrongly where there is no noise
 
 
 @dataclass(frozen=True)
@@ -52,7 +63,11 @@ class WeakForm:
             if law.operator:
                 z = operated_states(law, z, g)
             elif law.rate is not None:
-                z = rated_states(law, z, v[:, row], self.step_s, g)
+                try:
+                    z = rated_states(law, z, v[:, row], self.step_s, g)
+                except (ValueError, np.linalg.LinAlgError):  # no number
+                    z = np.full_like(z, np.nan)
+                z = np.where(np.abs(z) < FAR * np.max(np.abs(d[:, row])), z, np.nan)
             unit[:, row] = law(d[:, row], v[:, row], z, g).value
         return unit
 
@@ -75,10 +90,14 @@ class WeakForm:
 
     def of(self, signal: Real, derivative: int) -> Real:
         """∫ w s^(derivative) of signals (samples, k), by parts; (windows, k)."""
+        return self.in_pieces(signal, derivative).reshape(-1, signal.shape[1])
+
+    def in_pieces(self, signal: Real, derivative: int) -> Real:
+        """The same, (pieces, windows, k)."""
         w = self.windows[derivative] * (-1.0) ** derivative
         length = w.shape[1]
         pieces = np.stack([signal[k : k + length] for k in self.first.tolist()])
-        return np.einsum("wt,ptk->pwk", w, pieces).reshape(-1, signal.shape[1])
+        return np.einsum("wt,ptk->pwk", w, pieces)
 
 
 def weak_form(model: Model, data: RecordData, at: RecordedMotion) -> WeakForm:
@@ -110,35 +129,54 @@ def weak_form(model: Model, data: RecordData, at: RecordedMotion) -> WeakForm:
 
 
 @dataclass(frozen=True)
+class UnitForces:
+    """Weak unit forces, columns (pieces, windows, elements), and how they grow with the elongation and its derivatives.
+
+    slopes (3, elements); of laws by least squares over the motion (Booton 1954; Caughey 1963).
+    """
+
+    columns: Real
+    slopes: Real
+
+    def without(self, noise: Real) -> Real:
+        """Less what noise of elongations makes, (3, pieces, windows, elements) in the windows and their derivatives."""
+        return self.columns - np.einsum("ka,kpwa->pwa", self.slopes, noise)
+
+
+@dataclass(frozen=True)
 class WeakEquations:
-    """A (equations, unknowns of elements and constant forces) θ = b without the nonlinear elements; free: which θ."""
+    """Σ A θ = b of the pieces of a record, (pieces, equations, windows), whose columns are noisy like the motion.
+
+    form: of the measured motion; smooth: of the motion less what of it is noise, for the laws.  columns (pieces,
+    windows, elements): weak unit forces of the linear elements; right (pieces, windows, equations): of f; noise
+    (elements + equations, the same): covariance of white noise in a sample of the elongations and of f.
+    products (3, 3, windows, windows): of the windows and their derivatives.  free: which θ are parameters.
+    whitener (equations · windows, the same): what makes the noise of the equations of a piece white.
+    """
 
     form: WeakForm
-    linear: Real
+    smooth: WeakForm
+    columns: Real
     right: Real
+    noise: Real
+    products: Real
     free: Bools
+    whitener: Real
 
     def fitted(self, constants: Real) -> tuple[Real, float]:
-        """(unknown parameters, squared residual) of least squares at given inner constants (G,).
+        """(unknown parameters and constant forces, squared residual) of least squares at inner constants (G,).
 
         The residual is not measured by the size of the terms: they cancel where constants are far off.
         """
-        A, b = self._with_laws(constants)
+        A, b = self._whitened(constants)
         theta = solve_scaled(A.T @ A, A.T @ b)
         left = b - A @ theta
-        return theta[: int(np.sum(self.free))], float(left @ left)
-
-    def left_over(self, constants: Real) -> Real:
-        """What least squares leave of each equation at given inner constants (G,)."""
-        A, b = self._with_laws(constants)
-        size = np.linalg.norm(A, axis=0)
-        scaled = A / np.where(size > 0, size, 1.0)
-        return b - scaled @ np.linalg.lstsq(scaled, b, rcond=None)[0]
+        return theta, float(left @ left)
 
     def without_laws(self, constants: Real) -> tuple[Real, float]:
         """(unknown parameters, squared residual) without the nonlinear elements, whose forces are then 1 %."""
         model = self.form.model
-        A, b = self._with_laws(constants)
+        A, b = self._whitened(constants)
         nonlinear = np.flatnonzero(np.any(model.T[model.nonlinear], axis=0)[self.free])
         rest = np.delete(np.arange(A.shape[1]), nonlinear)
         theta = np.zeros(A.shape[1])
@@ -148,34 +186,151 @@ class WeakEquations:
         theta[nonlinear] = 0.01 * np.sqrt(b @ b) / np.where(size > 0, size, 1.0)
         return theta[: int(np.sum(self.free))], float(left @ left)
 
-    def _with_laws(self, constants: Real) -> tuple[Real, Real]:
-        """A and b with the nonlinear elements, at given inner constants (G,)."""
+    def whitened_at(self, theta: Real) -> WeakEquations:
+        """The same, weighed by the noise that they have at θ (unknowns,)."""
+        model = self.form.model
+        unit = self._unit(model.inner_constants(theta))
+        return replace(self, whitener=self._whitener_at(model.parameters(theta), unit))
+
+    def with_noisy_columns(self, psi: Real) -> OptimizeResult:
+        """The likeliest θ and constant forces, ψ (unknowns + forces,), from a start: the motion's noise is in A too.
+
+        With e = b − A θ and its covariance C(θ), eᵀ C⁻¹ e is what the motion must be corrected by; along θ it falls
+        as A does that is made of the motion corrected (Gauss and Newton; Britt and Luecke 1973).
+        """
+        model = self.form.model
+        lower, upper = bounds_near(model, psi[: len(model.unknowns)])
+        stated = model.prior_precision > 0
+        lower, upper = np.where(stated, model.prior_mean, lower), np.where(stated, model.prior_mean, upper)
+        open_ = np.full(len(psi) - len(lower), np.inf)
+        return minimise(
+            lambda x, _: self._quadratic(x[0]),
+            psi[None],
+            limit=60,
+            tolerance=0.01,
+            lower=np.append(lower, -open_),
+            upper=np.append(upper, open_),
+            patience=60,
+        )
+
+    def _quadratic(self, psi: Real) -> QuadraticModel:
         model, form = self.form.model, self.form
-        columns = np.zeros((len(form.first) * len(form.windows[0]), len(model.elements)))
-        columns[:, model.nonlinear] = form.of(form.unit_forces(constants), 0)
-        known = columns @ (model.p0 * form.balance).T  # (rows, equations)
-        along = np.concatenate([(columns * row) @ model.T[:, self.free] for row in form.balance])
-        A = self.linear.copy()
-        A[:, : along.shape[1]] += along
-        return A, self.right - known.T.ravel()
+        theta, forces = np.split(psi, [len(model.unknowns)])
+        p, constants = model.parameters(theta), model.inner_constants(theta)
+        shape = (len(form.first), len(form.balance) * len(form.windows[0]))
+        constant = self._constant_forces()
+        unit = self._unit(constants)
+        try:
+            inverse = self._whitener_at(p, unit)
+        except np.linalg.LinAlgError:  # no number
+            nothing = np.full((1, len(psi), len(psi)), np.nan)
+            return QuadraticModel(np.array([np.inf]), nothing[..., 0], nothing, nothing)
+        e = self.right - (unit.columns * p) @ form.balance.T
+        e = np.swapaxes(e, 1, 2).reshape(shape) - constant @ forces
+        white = e @ inverse.T
+        score = (white @ inverse).reshape(shape[0], len(form.balance), -1)
+        # The noise of elongations that the equations tell, Cov(d, e) C⁻¹ e, in the windows and their derivatives
+        shared = np.einsum("ab,ljb->laj", self.noise[: len(p)], self._carried(p, unit))
+        told = np.einsum("laj,klwv,pjv->kpwa", shared, self.products, score, optimize=True)
+        true = unit.without(told)
+        along = true[..., None] * model.T
+        slope = model.constants_map[0]
+        for u in np.flatnonzero(np.any(slope, axis=0)).tolist():
+            step = 1e-4 * max(abs(theta[u]), 1e-9)
+            along[..., u] += (self._unit(constants + step * slope[:, u]).without(told) - true) / step * p
+        A = np.einsum("pwiu,ji->pjwu", along, form.balance).reshape(*shape, -1)
+        A = np.concatenate([A, np.broadcast_to(constant, (len(A), *constant.shape))], axis=-1)
+        J = np.einsum("ab,pbu->pau", inverse, A)
+        matrix = np.tensordot(J, J, axes=([0, 1], [0, 1]))[None]
+        gradient = np.einsum("pau,pa->u", J, white)[None]
+        return QuadraticModel(np.array([np.sum(white**2)]), gradient, matrix, matrix)
+
+    @cached_property
+    def derivatives(self) -> Real:
+        """1 where a linear element is proportional to that derivative of its elongation, (3, elements)."""
+        elements = self.form.model.elements
+        return np.array(
+            [[1.0 * (e.force_law is None and e.law.power == k) for e in elements] for k in range(3)]
+        )
+
+    def _unit(self, constants: Real) -> UnitForces:
+        """Of all elements, at inner constants (G,) of the laws."""
+        model, smooth = self.form.model, self.smooth
+        columns, slopes = self.columns.copy(), self.derivatives.copy()
+        forces = smooth.unit_forces(constants)
+        columns[..., model.nonlinear] = smooth.in_pieces(forces, 0)
+        for force, i in zip(forces.T, model.nonlinear.tolist(), strict=True):
+            motion = np.stack([smooth.elongation[:, i], smooth.rate[:, i]], axis=1)
+            slopes[:2, i] = solve_scaled(motion.T @ motion, motion.T @ force)
+        return UnitForces(columns, slopes)
+
+    def _carried(self, p: Real, unit: UnitForces) -> Real:
+        """What of elongations and f each derivative brings into the equations, (3, equations, elements + equations)."""
+        balance = self.form.balance
+        of_f = np.zeros((3, len(balance), len(balance)))
+        of_f[0] = np.eye(len(balance))
+        return np.concatenate([-(p * unit.slopes)[:, None, :] * balance, of_f], axis=2)
+
+    def _whitener_at(self, p: Real, unit: UnitForces) -> Real:
+        """What makes the noise of the equations of a piece white at parameters p, (equations · windows, the same)."""
+        carried = self._carried(p, unit)
+        between = np.einsum("kia,ab,ljb->klij", carried, self.noise, carried)
+        size = len(carried[0]) * len(self.products[0, 0])
+        C = np.einsum("klij,klwv->iwjv", between, self.products).reshape(size, size)
+        rounding = EXACT * np.mean(np.diagonal(C)) * np.eye(size)
+        whitener: Real = np.linalg.inv(np.linalg.cholesky(C + rounding))
+        return whitener
+
+    def _constant_forces(self) -> Real:
+        """(equations · windows, constants of f that are unknown)."""
+        form = self.form
+        constant = np.sum(form.windows[0], axis=1)
+        return np.kron(np.eye(len(form.still))[:, form.still], constant[:, None])
+
+    def _whitened(self, constants: Real) -> tuple[Real, Real]:
+        """A and b at given inner constants (G,), all equations one below the other."""
+        model, balance = self.form.model, self.form.balance
+        columns = self._unit(constants).columns
+        b = np.swapaxes(self.right - (columns * model.p0) @ balance.T, 1, 2).reshape(len(columns), -1)
+        A = np.einsum("pwi,ji,iu->pjwu", columns, balance, model.T[:, self.free]).reshape(*b.shape, -1)
+        forces = self._constant_forces()
+        A = np.concatenate([A, np.broadcast_to(forces, (len(A), *forces.shape))], axis=-1)
+        return (self.whitener @ A).reshape(-1, A.shape[-1]), (b @ self.whitener.T).ravel()
 
 
-def weak_equations(form: WeakForm) -> WeakEquations:
-    """All equations, one below the other."""
-    model = form.model
-    columns = np.zeros((len(form.first) * len(form.windows[0]), len(model.elements)))
+def weak_equations(model: Model, data: RecordData, at: RecordedMotion) -> WeakEquations:
+    """Of a record whose coordinates are all measured, weighed as if all linear elements pulled alike."""
+    form = weak_form(model, data, at)
+    motion = np.hstack([at.x, at.u])
+    x, u = np.split(known_inputs(motion, np.sqrt(_white_noise(motion))).mean, [model.n], axis=1)
+    smooth = weak_form(model, data, replace(at, x=x, u=u))
+    stretched = np.hstack([model.B, model.D])
+    noise = block_diag((stretched * _errors(motion)) @ stretched.T, np.diag(_errors(form.f)))
+    columns = np.zeros((len(form.first), len(form.windows[0]), len(model.elements)))
     for i, element in enumerate(model.elements):
         if element.force_law is None:
-            columns[:, i] = form.of(form.elongation[:, i : i + 1], element.law.power)[:, 0]
-    free = np.any(model.T, axis=0)
-    right = form.of(form.f, 0) - columns @ (model.p0 * form.balance).T  # (rows, equations)
-    constant = form.of(np.ones((len(form.f), 1)), 0)
-    A = []
-    for i, row in enumerate(form.balance):
-        offset = np.zeros((len(columns), len(form.still)))
-        offset[:, i] = constant[:, 0] * form.still[i]
-        A.append(np.concatenate([(columns * row) @ model.T[:, free], offset[:, form.still]], axis=1))
-    return WeakEquations(form, np.concatenate(A), right.T.ravel(), free)
+            columns[..., i] = form.in_pieces(form.elongation[:, i : i + 1], element.law.power)[..., 0]
+    signed = np.stack([(-1.0) ** k * w for k, w in enumerate(form.windows)])
+    products = np.einsum("kwt,lvt->klwv", signed, signed)
+    right, free = form.in_pieces(form.f, 0), np.any(model.T, axis=0)
+    equations = WeakEquations(form, smooth, columns, right, noise, products, free, np.eye(1))
+    # Before anything is known all linear elements pull alike, and no two noises cancel.
+    size = np.sqrt(np.mean(columns**2, axis=(0, 1)))
+    p = np.array([1.0 if e.law.power < 2 else -1.0 for e in model.elements]) / np.where(
+        size > 0, size, np.inf
+    )
+    return replace(equations, whitener=equations._whitener_at(p, UnitForces(columns, equations.derivatives)))
+
+
+def _white_noise(signals: Real) -> Real:
+    """Variance of white noise in the samples of signals (samples, k), as far as the top of the band shows it, (k,)."""
+    power = without_leakage(np.fft.rfft(signals, axis=0)) / len(signals)
+    return np.array([white_floor(each) for each in power.T])
+
+
+def _errors(signals: Real) -> Real:
+    """Variance of what signals (samples, k) are off by, (k,): noise, and what samples and windows tell wrongly."""
+    return _white_noise(signals) + np.mean((INEXACT * signals) ** 2, axis=0)
 
 
 def first_record_values(model: Model, records: tuple[RecordData, ...]) -> Real:
@@ -199,13 +354,12 @@ def valley_starts(model: Model, records: tuple[RecordData, ...]) -> list[Real]:
     )
     valleys = _valleys(equations)
     free = equations.free
-    information = equations.form.information(valleys[0])[np.ix_(free, free)]
+    information = equations.form.information(model.inner_constants(valleys[0]))[np.ix_(free, free)]
     information += np.diag(1.0 * (model.prior_precision[free] > 0))
     names = [name for name, there in zip(model.unknown_names, free, strict=True) if there]
     # A combination of columns of size 1 whose singular value is below 1e-6 leaves no trace in the motion.
     require_traces(model, names, information, 1e-6**2)
-    found = [(constants, equations.fitted(constants)[0]) for constants in valleys]
-    starts = [theta_of(model, constants, p) for constants, p in found if np.all(np.isfinite(p))]
+    starts = [theta for theta in valleys if np.all(np.isfinite(theta))]
     if not starts:
         raise DataError(
             "the motion does not determine the unknowns",
@@ -224,7 +378,9 @@ def mostly_linear_values(model: Model, records: tuple[RecordData, ...]) -> Real 
     if not open_names or recorded_motion(model, records[0]) is None:
         return None
     equations = _equations(model, records[0], open_names)
-    constants = _valleys(equations)[0]
+    theta = _valleys(equations)[0]
+    constants = model.inner_constants(theta)
+    equations = equations.whitened_at(theta)
     p, left = equations.without_laws(constants)
     explained = equations.fitted(constants)[1] < 0.9 * left  # laws that show explain a tenth at least
     return None if explained or not np.all(np.isfinite(p)) else theta_of(model, constants, p)
@@ -239,59 +395,41 @@ def _equations(model: Model, record: RecordData, open_names: Sequence[str]) -> W
             "not all coordinates are measured as displacements",
             cure="write guess = … for the unknowns in the rig file",
         )
-    return weak_equations(weak_form(model, record, at))
+    return weak_equations(model, record, at)
 
 
 def _valleys(equations: WeakEquations) -> list[Real]:
-    """Inner constants (G,) of the least residual in each valley near the best of a grid, the deepest first.
+    """Unknowns (unknowns,) of the least residual in each valley near the best of a grid, the deepest first.
 
-    Noise in the columns fills valleys, so that the deepest need not be the likeliest; what leaves twice the least or
-    more is none.
+    Noise in the columns fills valleys of least squares and moves them; what leaves twice the least or more is none.
     """
     form, model = equations.form, equations.form.model
     chosen = model.nonlinear
     elongation, speed = (np.max(np.abs(motion[:, chosen]), axis=0) for motion in (form.elongation, form.rate))
     grid = np.array(constants_to_try(model, elongation, speed))
 
-    def residual(constants: Real) -> float:
-        p, left = equations.fitted(constants)
-        return left if np.all(np.isfinite(p)) else np.inf
+    def best(equations: WeakEquations) -> list[tuple[Real, float]]:
+        """Where the best of the grid lead to, and what they leave."""
 
-    starts = sorted(grid, key=residual)[:KEPT]
-    ends = [_polished(equations, refined_constants(model, start, residual)) for start in starts]
-    left = np.array([residual(end) for end in ends])
+        def residual(constants: Real) -> float:
+            p, left = equations.fitted(constants)
+            return left if np.all(np.isfinite(p)) else np.inf
+
+        found = []
+        for constants in sorted(grid, key=residual)[:KEPT]:
+            p, free = equations.fitted(constants)[0], int(np.sum(equations.free))
+            end = equations.with_noisy_columns(np.append(theta_of(model, constants, p[:free]), p[free:]))
+            found.append((end.x[0][: len(model.unknowns)], float(end.cost[0])))
+        return found
+
+    ends = best(equations)
+    theta, cost = min(ends, key=lambda end: end[1])
+    if np.isfinite(cost):
+        ends += best(equations.whitened_at(theta))
+    left = np.array([cost for _, cost in ends])
     valleys: list[Real] = []
     for k in np.argsort(left, kind="stable"):
-        apart = all(np.any(np.abs(ends[k] - other) > 0.1 * np.abs(other)) for other in valleys)
-        if not valleys or (apart and left[k] < 2 * np.min(left)):
-            valleys.append(ends[k])
+        apart = all(np.any(np.abs(ends[k][0] - other) > 0.1 * np.abs(other)) for other in valleys)
+        if not valleys or (apart and left[k] < 2 * np.min(left) and len(valleys) < KEPT):
+            valleys.append(ends[k][0])
     return valleys
-
-
-def _polished(equations: WeakEquations, start: Real) -> Real:
-    """Inner constants (G,) of less residual near the start: several that share a valley are moved together.
-
-    Gauss and Newton with the parameters at their best for each (variable projection, Golub and Pereyra 1973).
-    """
-    from scipy.optimize import least_squares
-
-    model = equations.form.model
-    open_ones = [j for j, (_, c) in enumerate(model.constants) if c.unknown and c.guess is None and start[j]]
-    if len(open_ones) < 2:
-        return start
-
-    def moved(nepers: Real) -> Real:
-        constants = start.copy()
-        constants[open_ones] *= np.exp(nepers)
-        return constants
-
-    def left_over(nepers: Real) -> Real:
-        return equations.left_over(moved(nepers))
-
-    with np.errstate(all="ignore"):
-        try:
-            end = least_squares(left_over, np.zeros(len(open_ones)))
-        except (ValueError, np.linalg.LinAlgError):  # no number, somewhere on the way
-            return start
-    better = equations.fitted(moved(end.x))[1] < equations.fitted(start)[1]
-    return moved(end.x) if better else start

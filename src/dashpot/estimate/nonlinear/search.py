@@ -183,6 +183,7 @@ def constants_to_try(model: Model, elongation: Real, speed: Real) -> list[Real]:
                 else (0.01, 0.03, 0.1, 0.2, 0.35, 0.6, 0.85)
             )
             shares = np.array(sizes)[:: 3 if unknown > 2 else 1]
+            shares = 1 / shares if metre + second < 0 else shares
             low = -np.inf if constant.lower is None else constant.lower
             high = np.inf if constant.upper is None else constant.upper
             choices.append(tuple(np.clip(scale * shares, low, high).tolist()))
