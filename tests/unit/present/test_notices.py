@@ -12,16 +12,16 @@ COMPOSED = {
     "study/montecarlo.py": {"damaged_blocks", "outdated_blocks"},
     "data/conditioning/lines.py": {row.code for row in UNSTEADY},
 }
-PASSED_ON = {"estimate/assessment.py", "estimate/result.py"}
+PASSED_ON = {"data/record.py", "estimate/assessment.py", "estimate/result.py"}
 
 
 def given_codes() -> dict[str, set[str]]:
-    """Codes in calls of Notice, by module."""
+    """Codes in calls of Notice and of `notice` of a record, by module."""
     codes: dict[str, set[str]] = {}
     for path in SOURCE.rglob("*.py"):
         place = path.relative_to(SOURCE).as_posix()
         source = path.read_text(encoding="utf-8")
-        if "Notice(" not in source:
+        if "Notice(" not in source and ".notice(" not in source:
             continue
         tree = ast.parse(source)
         constants = {
@@ -32,7 +32,10 @@ def given_codes() -> dict[str, set[str]]:
             if isinstance(target, ast.Name)
         }
         for node in ast.walk(tree):
-            if not isinstance(node, ast.Call) or getattr(node.func, "id", None) != "Notice":
+            if not isinstance(node, ast.Call):
+                continue
+            of_record = getattr(node.func, "attr", None) == "notice" and len(node.args) == 2
+            if getattr(node.func, "id", None) != "Notice" and not of_record:
                 continue
             first = node.args[0] if node.args else next(k.value for k in node.keywords if k.arg == "code")
             texts = {leaf.value for leaf in ast.walk(first) if isinstance(leaf, ast.Constant)}
