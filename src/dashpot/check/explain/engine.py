@@ -20,7 +20,7 @@ from scipy.special import chdtrc, log_ndtr, logsumexp
 from dashpot.arrays import Ints, Real
 from dashpot.check.explain import channels, dwells, rigs
 from dashpot.check.explain import laws as laws_of_rig
-from dashpot.check.explain.effect import Baseline, Effect, Effects, Phrase, Subject
+from dashpot.check.explain.effect import Baseline, Effect, Effects, Subject
 from dashpot.check.explain.laws import ENOUGH
 from dashpot.check.explain.problem import (
     FEWER_DRAWS,
@@ -209,9 +209,20 @@ class Explanation:
         named = tuple(cause.finding(self.as_is.problem.noise_known) for cause in self.causes)
         if named and self.unlisted <= self.causes[0].odds:
             return named
-        said = unexplained(self)
-        none = Finding("unexplained", (), said.text, said.change, None, odds=self.unlisted, explains=0.0)
-        return (none, *named)
+        # What comes nearest, and where most of what that leaves is
+        left, nearest = self.causes[0].fit if self.causes else self.as_is, self.nearest
+        power = np.abs(left.residual / left.problem.sd) ** 2
+        line, c = np.unravel_index(int(np.argmax(np.nan_to_num(power))), power.shape)
+        name = [*(channel.name for channel in left.problem.channels), "frequency", "damping ratio"][int(c)]
+        largest = f"largest in {name} near {left.problem.frequency_hz[int(line)]:.4g} Hz"
+        text = f"no listed cause explains half of the misfit, which is {largest}"
+        if self.causes:
+            text = f"every listed cause leaves too much of the misfit; after the best one, the misfit is {largest}"
+        elif nearest is not None:
+            best = nearest.effect.words(nearest.size).text
+            text += f". The best one explains {100 * nearest.explains:.0f} %: {best}"
+        cure = "look at the residuals there; measure more points, or test fewer at a time"
+        return (Finding("unexplained", (), text, cure, None, odds=self.unlisted, explains=0.0), *named)
 
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
@@ -624,12 +635,9 @@ def _search_afresh(baseline: Baseline, tried: Sequence[Trial]) -> None:
         return
     far = [each for each in tried if each.effect.kind in FAR and each.effect.found is None]
     far = sorted(far, key=lambda each: -each.fit.roughly)[:AFRESH]
-    alike = []
-    for each in far:
-        supposed = each.effect.act(baseline.problem, each.size)
-        if isinstance(supposed, LineProblem) and supposed.view is baseline.lines.view:
-            alike.append((each, supposed))
-    for (each, _), end in zip(alike, searched([problem for _, problem in alike]), strict=True):
+    supposed = (each.effect.act(baseline.lines, each.size) for each in far)
+    ends = searched([problem for problem in supposed if isinstance(problem, LineProblem)])
+    for each, end in zip(far, ends, strict=True):
         if end.chi2 < each.fit.chi2:
             each.fit = _on_the_same_data(baseline, end)
 
@@ -923,24 +931,6 @@ def _half_for(shares: Real, k: int) -> Real:
     weights = 0.5 * others / np.sum(others)
     weights[k] = 0.5
     return np.log(weights)
-
-
-def unexplained(found: Explanation) -> Phrase:
-    """That none of the list is the matter, with what comes nearest and where most of what that leaves is."""
-    nearest = found.nearest
-    left = found.causes[0].fit if found.causes else found.as_is
-    power = np.abs(left.residual / left.problem.sd) ** 2
-    line, c = np.unravel_index(int(np.argmax(np.nan_to_num(power))), power.shape)
-    name = [*(channel.name for channel in left.problem.channels), "frequency", "damping ratio"][int(c)]
-    largest = f"largest in {name} near {left.problem.frequency_hz[int(line)]:.4g} Hz"
-    text = f"no listed cause explains half of the misfit, which is {largest}"
-    if found.causes:
-        text = (
-            f"every listed cause leaves too much of the misfit; after the best one, the misfit is {largest}"
-        )
-    elif nearest is not None:
-        text += f". The best one explains {100 * nearest.explains:.0f} %: {nearest.effect.words(nearest.size).text}"
-    return Phrase(text, "look at the residuals there; measure more points, or test fewer at a time")
 
 
 def _covariance(effect: Effect, fit: FittedProblem) -> Real:

@@ -9,6 +9,7 @@ among it, is weighed by the engine on the part of a record of which most is left
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -102,12 +103,13 @@ def assess_records(
     cut = any(notice.code == CUT_RECORD for notice in estimate.warnings)
     uncertain = fitted is not None and fitted.problem.inputs is not None and not cut
     converged = bool(estimate.converged)
-    certain: list[ScoredElement] = []
+    certain, trails = list[ScoredElement](), list[FollowedRecord]()
     if uncertain and fitted is not None:
         trails = followed_records(fitted.problem, fitted.psi)
         certain = elements_of_uncertain(fitted.problem, fitted.psi) if converged else []
-    else:
-        trails = [] if cut else _followed(model, records, estimate)
+    elif not cut:
+        with suppress(DataError):  # no motion can be followed
+            trails = [followed_record(model, estimate, record) for record in records]
         certain = elements_called_for(model, trails) if trails and converged else []
     in_place = [] if certain or converged else _without_laws(model, records)
     against += [_reason(model, each) for each in (*certain, *in_place)[:1]]
@@ -248,13 +250,6 @@ def _reason(model: Model, cause: ScoredElement) -> Notice:
     of = f" of the rig without {laws_in_words(model)}" if cause.in_place else ""
     text = f"{part} {place} explains {100 * share:.0f} % of the residuals{of} (p < 1e-6)"
     return Notice("element_called_for", text, points)
-
-
-def _followed(model: Model, records: Sequence[Record], estimate: Estimate) -> list[FollowedRecord]:
-    try:
-        return [followed_record(model, estimate, record) for record in records]
-    except DataError:  # no motion can be followed
-        return []
 
 
 def _relative(motions: Sequence[PredictedMotion]) -> dict[str, float]:

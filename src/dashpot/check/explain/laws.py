@@ -241,18 +241,14 @@ def scored_by_equation(problem: LineProblem, elements: Sequence[Element]) -> lis
     count = len(model.elements)
     added = motion.unit_forces(extended.constants_map[1])[..., count:]
     columns = added[0, :, None, :] * extended.B[count:].T
-    scored = _Regression(data, _softened(states), own, columns).scored(psi, every)
+    soft = (SOFT * np.abs(states.z)) ** 2  # the noise that unmeasured harmonics amount to
+    states = replace(states, covariance=states.covariance + soft[..., None] * np.eye(soft.shape[-1]))
+    scored = _Regression(data, states, own, columns).scored(psi, every)
     best: dict[str, ScoredElement] = {}
     for candidate in sorted(scored, key=lambda each: -each.fall):
         name = candidate.element.name.rsplit(" ", 1)[0]
         best.setdefault(name, replace(candidate, element=replace(candidate.element, name=name)))
     return list(best.values())
-
-
-def _softened(states: States) -> States:
-    """The states with the noise that unmeasured harmonics amount to."""
-    soft = (SOFT * np.abs(states.z)) ** 2
-    return replace(states, covariance=states.covariance + soft[..., None] * np.eye(soft.shape[-1]))
 
 
 @dataclass(frozen=True)
