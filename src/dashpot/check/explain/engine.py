@@ -491,7 +491,7 @@ def _step(
 
 def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter | None = None) -> Explanation:
     """The best trials with their odds; their sizes are refined if there is a `fit`."""
-    hopeful = sorted(tried, key=lambda each: -_hope(each))[:CLOSELY]
+    hopeful = sorted(filter(_is_such, tried), key=lambda each: -_hope(each))[:CLOSELY]
     if fit is not None:
         _closely(baseline.problem, hopeful, fit)
     block = baseline.problem.blocks(baseline.as_is.psi)
@@ -591,7 +591,7 @@ def _tried(
         so_far = best.get(id(effect))
         if so_far is None or end.roughly > so_far.fit.roughly:
             best[id(effect)] = Trial(effect, prior, size, end)
-    return list(best.values())
+    return [each for each in best.values() if _is_such(each)]
 
 
 def _promised(baseline: Baseline, effect: Effect) -> tuple[float, ...]:
@@ -731,17 +731,23 @@ def _brought(effect: Effect, fit: FittedProblem) -> tuple[list[int], Real, Real]
     return chosen, stretch, widths
 
 
+def _is_such(trial: Trial) -> bool:
+    """Whether all that the effect brings is what its kind says: positive, and a body with a resonance near the band."""
+    if not trial.effect.others:
+        return True
+    values = trial.fit.psi[_brought(trial.effect, trial.fit)[0]]
+    low, high = trial.effect.between
+    return bool(np.all(values > 0) and low <= values[0] / values[1] <= high)
+
+
 def _of_unknowns(effect: Effect, fit: FittedProblem, scale: float) -> tuple[float, float | None]:
     """The size that is an unknown of the problem, and what the priors of all that the effect brings leave (Laplace).
 
-    None where a part that must be positive is not, or a body's resonance is outside the band.
+    None where the data tell nothing of them.
     """
     chosen, stretch, widths = _brought(effect, fit)
     values = fit.psi[chosen]
     size = float(values[0])
-    low, high = effect.between
-    if effect.others and not (np.all(values > 0) and low <= size / values[1] <= high):
-        return size, None
     information, _, _ = fit.problem.slopes(fit.psi)
     if not np.all(np.isfinite(information)):
         return size, None
