@@ -97,6 +97,21 @@ def test_estimate_is_the_joint_gaussian_posterior() -> None:
     np.testing.assert_allclose(found.impacts[0, 2], covariance[0, 2] / sd[2], rtol=1e-5)
 
 
+def test_a_prior_without_width_is_a_stated_gain_and_a_wide_one_is_none() -> None:
+    tight, stated = rig("gain = { value = 1.02, sd = 1e-9 }"), rig("gain = 1.02")
+    data = seen(tight, 1.03)
+    gain = np.array([1.02, 1.0])  # which is taken out of the amplitudes where it is known
+    V = data.covariance / np.outer(gain, gain)
+    taken_out = replace(data, channels=stated.channels, amplitudes=data.amplitudes / gain, covariance=V)
+    a, b = identify(tight.model, data), identify(stated.model, taken_out)
+    np.testing.assert_allclose(a.values[:2], b.values, rtol=1e-6)
+    np.testing.assert_allclose(a.sd[:2], b.sd, rtol=1e-5)
+    wide, unknown = rig("gain = { value = 1, sd = 1e6 }"), rig('gain = "unknown"')
+    a, b = identify(wide.model, seen(wide, 3.0)), identify(unknown.model, seen(unknown, 3.0))
+    np.testing.assert_allclose(a.values, b.values, rtol=1e-6)
+    np.testing.assert_allclose(a.sd, b.sd, rtol=1e-4)
+
+
 @pytest.mark.parametrize("noise", ["given", "unknown"])
 def test_noise_that_is_not_given_is_found_before_the_prior_weighs(noise: str) -> None:
     of = rig('gain = { value = 1.02, sd = "1 %" }')
