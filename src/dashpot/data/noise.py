@@ -187,9 +187,12 @@ def without_leakage(Y: Complex) -> Real:
 def most_noise(Y: Complex) -> Real:
     """What white noise in neighbouring lines (k, ...) of a record can be at most, E|Δ|² (...,): by their quietest part.
 
-    Its mean power over how low chance makes the least of so many means, which once in twenty is lower still.
+    Its mean power over how low chance makes the least of so many means, which once in twenty is lower still.  Less than
+    three lines show none: inf.
     """
     power = without_leakage(Y)
+    if not len(power):
+        return np.full(Y.shape[1:], np.inf)
     width = min(2 * HALF_WINDOW + 1, len(power))
     looks = width / ALIKE**2
     windows = 6 * len(power) / width  # that slide have chances as six times those side by side

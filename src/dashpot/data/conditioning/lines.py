@@ -494,6 +494,8 @@ def used_dwells(
 
     Nothing where lines do not stand for one settled dwell each: whole records, averaged periods, tables beside them.
     """
+    if any(record.frequency_hz is None for record in records):
+        return ()
     records, _, _ = long_enough(records, settings)
     # The lines of one dwell after another: of a stretch with a fundamental all, else each line alone
     fundamental = [getattr(stretch, "fundamental_hz", None) for stretch in spectrum.stretches]
