@@ -379,11 +379,21 @@ def swap(baseline: Baseline) -> Iterator[Effect]:
         if np.array_equal(problem.kept[:, i], problem.kept[:, j]):
             pair = problem.channels[i], problem.channels[j]
             of = tuple(channel.name for channel in pair)
-            act, words = plainly("exchanged", i, j), partial(_swap, problem.model, *pair)
-            yield Effect("swap", of, act, words)
+            forms = (
+                (True,) if pair[0].factor * pair[1].scale == pair[1].factor * pair[0].scale else (True, False)
+            )
+            for by_column in forms:
+                act, words = (
+                    plainly("exchanged", i, j, by_column),
+                    partial(_swap, problem.model, *pair, by_column),
+                )
+                yield Effect("swap", of, act, words, share=1 / len(forms))
 
 
-def _swap(model: Model, first: Channel, second: Channel, _: float) -> Phrase:
+def _swap(model: Model, first: Channel, second: Channel, by_column: bool, _: float) -> Phrase:
+    if not by_column:
+        text = f"{first.name} and {second.name} are exchanged, each scaled to the unit of the other"
+        return Phrase(text, f"exchange {first.name} and {second.name} where they were recorded")
     mended = replace(second, name=first.name), replace(first, name=second.name)
     change = "; ".join(channel_line(channel, model) for channel in mended)
     return Phrase(f"{first.name} and {second.name} are exchanged", f"[channels] {change}", mended)

@@ -81,6 +81,7 @@ OF_LAWS = 0.05  # that a nonlinear element is missing
 OF_DATA = (
     channels.sign, channels.unit, channels.gain, channels.delay, channels.derivative, channels.swap, dwells.clock,
 )  # fmt: skip
+OF_SILENT = ("channel", "swap")  # kinds that a channel which measured nothing by its own numbers may have
 FAR = ("swap", "sign", "conjugate", "quantity")  # kinds to whose rigs the way may be long
 AFRESH = 6  # of them that are searched from drawn rigs
 NEGATIVE = 1e-3  # that a spring of a sound rig is negative, as one that represents bending
@@ -261,7 +262,8 @@ def explain_in_steps(baseline: Baseline, kinds: Kinds, *, laws: bool = False) ->
         return first
     mended = best.fit.problem.from_starts((best.fit.psi,))
     second = _step(begun_at(mended, baseline.silent, baseline.of_samples), kinds)
-    more = [each for each in second.causes if each.effect.subject != best.effect.subject]
+    others = (each for each in second.causes if each.effect.subject != best.effect.subject)
+    more = [each for each in others if each.odds > 1 - LISTED]
     if not more:
         return first
     both = replace(more[0], odds=best.odds * more[0].odds)
@@ -569,7 +571,7 @@ def _tried(
     best: dict[int, Trial] = {}
     for prior, kind in kinds:
         for effect in kind(baseline):
-            if effect.kind != "channel" and not baseline.silent.keys().isdisjoint(effect.of):
+            if effect.kind not in OF_SILENT and not baseline.silent.keys().isdisjoint(effect.of):
                 continue  # of what measured nothing no gain and no sign can be told
             if effect.found is not None:
                 best[id(effect)] = Trial(effect, prior, effect.values[0], effect.found)

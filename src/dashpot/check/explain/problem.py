@@ -215,10 +215,12 @@ class LineProblem:
         """With one channel as the derivative of the motion that is `power` higher."""
         return self.scaled(channel, ((1j * self.omega) ** -float(power)).astype(np.complex128))
 
-    def exchanged(self, first: int, second: int) -> LineProblem:
-        """With two channels exchanged."""
+    def exchanged(self, first: int, second: int, by_column: bool) -> LineProblem:
+        """With two channels exchanged: their columns, each read in the unit of the other, or what they show."""
         order = exchanging(len(self.channels), first, second)
-        return self.with_amplitudes(self.y[:, order], self.V[:, order][:, :, order], self.kept[:, order])
+        read = read_as(self.channels, order) if by_column else np.ones(len(order))
+        V = self.V[:, order][:, :, order] * np.outer(read, read)
+        return self.with_amplitudes(self.y[:, order] * read, V, self.kept[:, order])
 
     def conjugated(self, chosen: Bools) -> LineProblem:
         """With the phases of chosen channels (channels,) of opposite sign; correlations with the others are lost."""
@@ -450,7 +452,7 @@ class ModalProblem:
         V = turn[:, None] * self.data.shape_covariance * np.conj(turn)
         return replace(self, data=replace(self.data, shapes=self.data.shapes * turn, shape_covariance=V))
 
-    def exchanged(self, first: int, second: int) -> ModalProblem:
+    def exchanged(self, first: int, second: int, _: bool) -> ModalProblem:
         """With two points exchanged."""
         order = exchanging(len(self.data.points), first, second)
         V = self.data.shape_covariance[:, order][:, :, order]
@@ -809,11 +811,14 @@ class TimeProblem:
             self.model, tuple(other if c == channel else each for c, each in enumerate(self.channels))
         )
 
-    def exchanged(self, first: int, second: int) -> TimeProblem:
-        """With two channels exchanged."""
+    def exchanged(self, first: int, second: int, by_column: bool) -> TimeProblem:
+        """With two channels exchanged: their columns, each read in the unit of the other, or what they show."""
         order = exchanging(len(self.channels), first, second)
+        read = read_as(self.channels, order) if by_column else np.ones(len(order))
         status = None if self.record.status is None else self.record.status[:, order]
-        return replace(self, record=replace(self.record, values=self.record.values[:, order], status=status))
+        values = self.record.values[:, order] * read
+        noise = self.noise[order] * np.abs(read)
+        return replace(self, record=replace(self.record, values=values, status=status), noise=noise)
 
     def without(self, dropped: Bools) -> TimeProblem:
         """With channels left out, (lines, channels), which may have an error of any size."""
@@ -973,6 +978,13 @@ def exchanging(count: int, first: int, second: int) -> Ints:
     order = np.arange(count)
     order[[first, second]] = second, first
     return order
+
+
+def read_as(channels: Sequence[Channel], order: Ints) -> Real:
+    """What each quantity of another order is multiplied by, as its column is read in the unit and with the gain of the
+    channel in whose place it comes, (channels,)."""
+    read = np.array([channel.factor / channel.scale for channel in channels])
+    return np.asarray(read[order] / read)
 
 
 def _never_zero(variance: Real, y: Complex) -> Real:

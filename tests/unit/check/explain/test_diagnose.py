@@ -549,3 +549,21 @@ def test_a_channel_that_is_limited_at_the_few_largest_motions_is_no_bad_dwell() 
     first = diagnose(model, replace(spectrum, amplitudes=Y))[0]
     assert (first.kind, first.of) == ("saturation", ("d_x1",))
     assert first.number == pytest.approx(0.8 * size.max(), rel=0.01)
+
+
+@pytest.mark.parametrize("by_column", [True, False])
+def test_exchanged_channels_of_other_units_are_named(by_column: bool) -> None:
+    """Columns under each other's names, or cables whose signals were scaled as those of the other."""
+    model, spectrum = clean("paper", np.random.default_rng(6))
+    units = {"d_x1": ("mm", 1e-3), "d_x2": ("m", 1.0), "u": ("m", 1.0)}
+    channels = tuple(replace(c, unit=units[c.name][0], scale=units[c.name][1]) for c in spectrum.channels)
+    a, b = spectrum.index("d_x1"), spectrum.index("d_x2")
+    Y, V = np.array(spectrum.amplitudes), np.array(spectrum.covariance)
+    order = [{a: b, b: a}.get(k, k) for k in range(len(channels))]
+    read = np.array([{a: 1e-3, b: 1e3}.get(k, 1.0) if by_column else 1.0 for k in range(len(channels))])
+    V = V[:, order][:, :, order] * np.outer(read, read)
+    wrong = replace(spectrum, channels=channels, amplitudes=Y[:, order] * read, covariance=V)
+    first = diagnose(model, wrong)[0]
+    assert (first.kind, first.of) == ("swap", ("d_x1", "d_x2"))
+    assert first.remaining < 1.5
+    assert bool(first.channels) is by_column  # what an edit of the rig file can mend
