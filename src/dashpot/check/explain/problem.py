@@ -54,6 +54,7 @@ ROUGHLY = 1e-2  # standard deviations at which a descent ends
 LIMIT = 2.0  # nepers and radians beyond which a residual of logarithms counts no more
 FAINTEST = 1e-6  # relative noise of channels that have none
 NEAR_INPUTS = 1.0  # of an input's size: changes of it that are taken to first order at a first look
+LATEST = 0.1  # of a record, within which a late channel is late by a part of it
 SLOWER = 3  # times as many iterations are done where a motion is integrated for each
 DERIVATIVES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 
@@ -189,27 +190,30 @@ class LineProblem:
     def late(self, channel: int, late: float) -> LineProblem:
         """With one channel that much (s) earlier than measured.
 
-        Of a whole record it has not measured the samples at one end then; what is left of a sample is its own clock.
+        Of a whole record it has not measured the samples at one end then, which may be of any size; what is left of a
+        sample is its own clock.
         """
-        each, left = self.channels[channel], late
+        each, left, given_up = self.channels[channel], late, self.given_up
         shifted = self.scaled(channel, np.exp(1j * self.omega * late).astype(np.complex128))
         if not self.spectrum.records or each.delay is None:
             return shifted
+        size = np.sum(np.abs(self.y[:, channel]) ** 2) / np.sum(self.sd[:, channel] ** 2)
         stretches = list(self.spectrum.stretches)
         for number, value in enumerate(stretches):
-            if isinstance(value, WholeRecord) and not measures_input(self.model, each):
+            usual = isinstance(value, WholeRecord) and abs(late) < LATEST * value.duration_s
+            if isinstance(value, WholeRecord) and usual and not measures_input(self.model, each):
                 count = round(late / value.step_s)
                 left = late - count * value.step_s
                 samples = np.arange(value.samples - count, value.samples) if count > 0 else np.arange(-count)
                 unknown = np.zeros(len(samples)), np.zeros((len(samples), len(samples)))
                 lost = Unmeasured(replace(each, gain=1.0, delay=0.0), samples, *unknown)
                 stretches[number] = replace(value, unmeasured=(*value.unmeasured, lost)) if count else value
+                given_up -= abs(count) * 0.5 * (1 + float(np.log(max(size, 1.0))))
         channels = list(self.channels)
         channels[channel] = replace(each, delay=each.delay + left)
         spectrum = replace(shifted.spectrum, stretches=tuple(stretches))
-        return replace(shifted, data=replace(shifted.data, spectrum=spectrum)).of_rig(
-            self.model, tuple(channels)
-        )
+        data = replace(shifted.data, spectrum=spectrum)
+        return replace(shifted, data=data, given_up=given_up).of_rig(self.model, tuple(channels))
 
     def derived(self, channel: int, power: int) -> LineProblem:
         """With one channel as the derivative of the motion that is `power` higher."""

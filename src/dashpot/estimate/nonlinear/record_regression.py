@@ -406,7 +406,7 @@ def _valleys(equations: WeakEquations) -> list[Real]:
     form, model = equations.form, equations.form.model
     chosen = model.nonlinear
     elongation, speed = (np.max(np.abs(motion[:, chosen]), axis=0) for motion in (form.elongation, form.rate))
-    grid = np.array(constants_to_try(model, elongation, speed))
+    grid = np.array(constants_to_try(model, elongation, speed, reciprocal=True))
 
     def best(equations: WeakEquations) -> list[tuple[Real, float]]:
         """Where the best of the grid lead to, and what they leave."""

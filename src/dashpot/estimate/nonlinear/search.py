@@ -160,10 +160,11 @@ def constant_trials(motion: MeasuredMotion) -> list[Real]:
     return constants_to_try(motion.model, np.max(largest, axis=0), np.max(speed, axis=0))
 
 
-def constants_to_try(model: Model, elongation: Real, speed: Real) -> list[Real]:
+def constants_to_try(model: Model, elongation: Real, speed: Real, *, reciprocal: bool = False) -> list[Real]:
     """As `constant_trials`, for elements whose largest elongation and speed are given, (e,) each.
 
     Shares are in the constant's unit and within its bounds, and fewer where there are more than two to be found.
+    reciprocal: whether constants whose unit has 1/m are tried at one over the shares, where any state can be followed.
     """
     choices: list[tuple[float, ...]] = []
     unknown = sum(constant.unknown and constant.guess is None for _, constant in model.constants)
@@ -183,7 +184,7 @@ def constants_to_try(model: Model, elongation: Real, speed: Real) -> list[Real]:
                 else (0.01, 0.03, 0.1, 0.2, 0.35, 0.6, 0.85)
             )
             shares = np.array(sizes)[:: 3 if unknown > 2 else 1]
-            shares = 1 / shares if metre + second < 0 else shares
+            shares = 1 / shares if reciprocal and metre + second < 0 else shares
             low = -np.inf if constant.lower is None else constant.lower
             high = np.inf if constant.upper is None else constant.upper
             choices.append(tuple(np.clip(scale * shares, low, high).tolist()))
