@@ -518,9 +518,9 @@ def used_dwells(
 
 def _fits(record: Record, spectrum: Spectrum, lines: Ints) -> bool:
     """Whether the lines are multiples of the record's frequency, of its experiment."""
-    if record.frequency_hz is None or record.values.ndim != 2:
+    if record.values.ndim != 2:
         return False
-    order = spectrum.frequency_hz[lines] / record.frequency_hz
+    order = spectrum.frequency_hz[lines] / record.stated_hz
     # 0.02 of the drive frequency: as far as a line may lie from a multiple of it
     near = np.all(np.abs(order - np.rint(order)) <= 0.02 * np.maximum(order, 1.0)) and np.all(order > 0.5)
     settled = spectrum.noise[int(lines[0])] in ("white", "blocks")
