@@ -244,24 +244,29 @@ def _resonances(
     names, omega = larger.names, larger.omega
     light = 1e-6 * typical  # so that it moves nothing
     rates = np.geomspace(np.min(omega), np.max(omega), RESONANCES)
-    falls, begun = np.zeros(RESONANCES), dict[float, tuple[float, ...]]()
+    every, damping = np.tile(rates, len(BODY_DAMPINGS)), np.repeat(BODY_DAMPINGS, RESONANCES)
+    ways = np.stack(
+        [np.ones(len(every)), every**2, 2 * damping * every], axis=1
+    )  # of the parts with the mass
     chosen = [names.index(each.name) for each in parts]
     free = np.setdiff1d(np.arange(len(names)), chosen)
-    moves = np.zeros((len(free) + 1, len(names)))
-    moves[np.arange(len(free)), free] = 1.0
-    fixed = np.arange(len(moves)) == len(free)
-    for damping in BODY_DAMPINGS:
-        ways = np.stack([np.ones(RESONANCES), rates**2, 2 * damping * rates], axis=1)
-        psi = np.tile(larger.starts[0], (RESONANCES, 1))
-        psi[:, chosen] = light * ways
-        for k, (information, score, _) in enumerate(zip(*larger.slopes_at(psi), strict=True)):
-            moves[-1, chosen] = ways[k]
-            tests = score_tests([""] * len(moves), fixed, moves @ information @ moves.T, moves @ score, 0.0)
-            for test in tests:
-                if test.step > 0 and test.fall > falls[k]:
-                    falls[k] = test.fall
-                    m = min(max(test.step, BODY[0] * typical), BODY[1] * typical)
-                    begun[rates[k]] = tuple((m * ways[k]).tolist())
+    psi = np.tile(larger.starts[0], (len(ways), 1))
+    psi[:, chosen] = light * ways
+    information, score, _ = larger.slopes_at(psi)
+    # The rig's own unknowns, which know nothing of so light a body, and beside them each way by itself
+    along = np.einsum("kmc,kc->km", information[:, :, chosen], ways)
+    whole = np.diag(np.concatenate([np.zeros(len(free)), np.sum(along[:, chosen] * ways, axis=1)]))
+    whole[: len(free), : len(free)] = information[0][np.ix_(free, free)]
+    whole[: len(free), len(free) :] = along[:, free].T
+    pull = np.concatenate([score[0, free], np.sum(score[:, chosen] * ways, axis=1)])
+    numbers = np.arange(len(pull)) - len(free)
+    falls, begun = np.zeros(RESONANCES), dict[float, tuple[float, ...]]()
+    for test in score_tests(list(map(str, numbers)), (numbers >= 0).tolist(), whole, pull, 0.0):
+        way, k = int(test.name), int(test.name) % RESONANCES
+        if test.step > 0 and test.fall > falls[k]:
+            falls[k] = test.fall
+            m = min(max(test.step, BODY[0] * typical), BODY[1] * typical)
+            begun[rates[k]] = tuple((m * ways[way]).tolist())
     beside = np.pad(falls, 1)
     peaks = np.flatnonzero((falls > 0) & (falls >= beside[:-2]) & (falls >= beside[2:]))
     best = peaks[np.argsort(-falls[peaks])][:PEAKS]
