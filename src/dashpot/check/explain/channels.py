@@ -309,9 +309,8 @@ def saturation(baseline: Baseline) -> Iterator[Effect]:
 
 def _unlimited(c: int, problem: LineProblem, limit: float) -> LineProblem:
     """Amplitudes as they would be without the limit, by the describing function of clipping."""
-    level = np.concatenate(
-        [[0.0], 1 + np.geomspace(1e-6, 50.0, 1000)]
-    )  # the curve leaves the line steeply at 1
+    # What is shown leaves the straight line steeply at 1: close levels there
+    level = np.concatenate([[0.0], 1 + np.geomspace(1e-6, 50.0, 1000)])
     part = np.minimum(1 / np.maximum(level, 1e-9), 1.0)
     shown = level * 2 / np.pi * (np.arcsin(part) + part * np.sqrt(1 - part**2))
     size = np.abs(problem.y[:, c]) / limit
@@ -379,9 +378,8 @@ def swap(baseline: Baseline) -> Iterator[Effect]:
         if np.array_equal(problem.kept[:, i], problem.kept[:, j]):
             pair = problem.channels[i], problem.channels[j]
             of = tuple(channel.name for channel in pair)
-            forms = (
-                (True,) if pair[0].factor * pair[1].scale == pair[1].factor * pair[0].scale else (True, False)
-            )
+            alike = pair[0].factor / pair[0].scale == pair[1].factor / pair[1].scale
+            forms = (True,) if alike else (True, False)
             for by_column in forms:
                 act, words = (
                     plainly("exchanged", i, j, by_column),

@@ -97,9 +97,8 @@ CLOSELY = 16  # effects whose size is sought closely and whose evidence is compu
 FIRST_STEP = 1e-4  # of the prior scale of a size: to both sides of none, for the slopes of χ²
 BEGUN = 0.3  # of the prior scale of a size: the first step to both sides
 ROUNDS = 8  # parabolas through χ² about a size, at most
-SETTLED = (
-    0.1  # of χ² over its degrees of freedom, by which a parabola lowers χ² at the least where another follows
-)
+# Of χ² over its degrees of freedom, by which a parabola lowers χ² at the least where another follows
+SETTLED = 0.1
 TOGETHER = log(10)  # difference of log likelihoods that tells two causes apart
 IMPROBABLE = 1e-4  # p-value of what the best cause leaves, below which a second one is looked for
 NEXT_TO_NOTHING = 0.003  # of a gross misfit, beside which nothing finer is looked for: a rig is rarely better
@@ -422,27 +421,28 @@ def _chosen(
         for each in tried
         if each.effect.found is None and not (each.effect.unknown and each.effect.kind in again)
     ]
-    known = [
-        (c, word)
+    opened = [
+        (channel.name, word, *_calibrated(baseline, c, word))
         for c, channel in enumerate(problem.channels)
         for word in CALIBRATIONS
         if getattr(channel, word) is not None
     ]
-    opened = [(c, word, *_calibrated(baseline, c, word)) for c, word in known]
     most = max((baseline.as_is.chi2 - fit.chi2 for _, _, fit, *_ in opened), default=0.0)
-    for c, word, fit, size, psi in opened:
-        if baseline.as_is.chi2 - fit.chi2 > HINT * max(most, 0.0):
-            forms = (
-                (prior, each)
-                for prior, kind in KINDS
-                if kind in CALIBRATIONS[word]
-                for each in kind(baseline)
-            )
-            for prior, effect in forms:
-                near = [each for each in effect.values if each * size > 0 and abs(log(each / size)) < NEAR]
-                if effect.of == (problem.channels[c].name,) and (near or effect.width is not None):
-                    nearest = min(near, key=lambda each: abs(log(each / size)), default=size)
-                    yield effect, prior, size if effect.width is not None else nearest, (psi,)
+    hints = [each for each in opened if baseline.as_is.chi2 - each[2].chi2 > HINT * max(most, 0.0)]
+    forms = [
+        (word, prior, effect)
+        for word in {each[1] for each in hints}
+        for prior, kind in KINDS
+        if kind in CALIBRATIONS[word]
+        for effect in kind(baseline)
+    ]
+    for name, word, _, size, psi in hints:
+        for prior, effect in (each[1:] for each in forms if each[0] == word and each[2].of == (name,)):
+            near = [each for each in effect.values if each * size > 0 and abs(log(each / size)) < NEAR]
+            if effect.width is not None:
+                yield effect, prior, size, (psi,)
+            elif near:
+                yield effect, prior, min(near, key=lambda each: abs(log(each / size))), (psi,)
     # Ends, which the lines do without, make forms of one channel's mistake alike that these tell apart.
     likeliest: dict[tuple[str, ...], float] = {}
     for each in of_lines:
@@ -606,14 +606,12 @@ def _promised(baseline: Baseline, effect: Effect) -> tuple[float, ...]:
         return ()
     null, step = effect.coordinate(effect.null), FIRST_STEP * effect.width
     with suppress(DashpotError, np.linalg.LinAlgError):
-        problems = [
-            effect.act(problem, effect.size_at(null + side, effect.null)) for side in (-step, 0, step)
-        ]
-        (_, low, before), (information, gradient, at_null), (_, high, after) = (
-            each.slopes(psi) for each in problems
-        )
-        if abs(at_null - baseline.as_is.chi2) > step * at_null:  # not every scale of sizes begins at none
+        # Not every scale of sizes begins at none: those of filters and limits do not.
+        if not np.allclose(effect.act(problem, effect.null).y, problem.y, rtol=1e-9, atol=0.0):
             return ()
+        sides = [effect.act(problem, effect.size_at(null + side, effect.null)) for side in (-step, step)]
+        (_, low, before), (_, high, after) = (each.slopes(psi) for each in sides)
+        information, gradient, at_null = baseline.slopes
         cross = (low - high) / (2 * step)
         taken = scaled_inverse(information) @ np.column_stack([cross, gradient])
         bend = (before - 2 * at_null + after) / (2 * step**2) - cross @ taken[:, 0]

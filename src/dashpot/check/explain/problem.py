@@ -190,27 +190,29 @@ class LineProblem:
     def late(self, channel: int, late: float) -> LineProblem:
         """With one channel that much (s) earlier than measured.
 
-        Of a whole record it has not measured the samples at one end then, which may be of any size; what is left of a
-        sample is its own clock.
+        Of a whole record its ends have their own clock, and it has not measured the samples at one of them, which may
+        be of any size.
         """
-        each, left, given_up = self.channels[channel], late, self.given_up
+        each, given_up = self.channels[channel], self.given_up
         shifted = self.scaled(channel, np.exp(1j * self.omega * late).astype(np.complex128))
         if not self.spectrum.records or each.delay is None:
             return shifted
         size = np.sum(np.abs(self.y[:, channel]) ** 2) / np.sum(self.sd[:, channel] ** 2)
         stretches = list(self.spectrum.stretches)
-        for number, value in enumerate(stretches):
-            usual = isinstance(value, WholeRecord) and abs(late) < LATEST * value.duration_s
-            if isinstance(value, WholeRecord) and usual and not measures_input(self.model, each):
-                count = round(late / value.step_s)
-                left = late - count * value.step_s
-                samples = np.arange(value.samples - count, value.samples) if count > 0 else np.arange(-count)
+        for number in () if measures_input(self.model, each) else self.spectrum.records:
+            record = stretches[number]
+            assert isinstance(record, WholeRecord)
+            count = round(late / record.step_s) if abs(late) < LATEST * record.duration_s else 0
+            if count:
+                samples = (
+                    np.arange(record.samples - count, record.samples) if count > 0 else np.arange(-count)
+                )
                 unknown = np.zeros(len(samples)), np.zeros((len(samples), len(samples)))
                 lost = Unmeasured(replace(each, gain=1.0, delay=0.0), samples, *unknown)
-                stretches[number] = replace(value, unmeasured=(*value.unmeasured, lost)) if count else value
-                given_up -= abs(count) * 0.5 * (1 + float(np.log(max(size, 1.0))))
+                stretches[number] = replace(record, unmeasured=(*record.unmeasured, lost))
+                given_up -= len(samples) * 0.5 * (1 + float(np.log(max(size, 1.0))))
         channels = list(self.channels)
-        channels[channel] = replace(each, delay=each.delay + left)
+        channels[channel] = replace(each, delay=each.delay + late)
         spectrum = replace(shifted.spectrum, stretches=tuple(stretches))
         data = replace(shifted.data, spectrum=spectrum)
         return replace(shifted, data=data, given_up=given_up).of_rig(self.model, tuple(channels))
