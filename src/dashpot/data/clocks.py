@@ -11,10 +11,10 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.drive_frequency import OWN, refine_frequency
-from dashpot.data.conditioning.harmonic_fit import fit_harmonics
+from dashpot.data.conditioning.harmonic_fit import rounding_steps
+from dashpot.data.conditioning.lines import Treated, driven_parts, evened_and_marked, lines_of, treated
 from dashpot.data.conditioning.settings import Conditioning
-from dashpot.data.conditioning.steadiness import settled, without_start
-from dashpot.data.record import Record, calibrated
+from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
 from dashpot.io.words import counted
@@ -406,60 +406,57 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
     Noise of different sensors is independent; the sd σ of a clock adds 2 (ωσ)² X Xᴴ among its channels.
     Raises DataError as `fit_harmonics`, and where there is no drive frequency or moments of samples are asked for.
     """
+    source = joint.parts[0].source
     if settings.moments:
         cure = "choose a method that works on amplitudes"
-        raise DataError(
-            "sensors with their own clocks have no common sample times", joint.parts[0].source, cure
-        )
-    parts = _treated(joint.parts, settings)
-    fits = [fit_harmonics(part, None, settings) for part in parts]
-    lines, channels = len(settings.wanted), sum(len(part.channels) for part in parts)
-    X, V = np.zeros((lines, channels), complex), np.zeros((lines, channels, channels), complex)
-    frequency = fits[0].frequency_hz * np.array(settings.wanted, dtype=float)
-    first, dof = 0, np.full(lines, np.inf)
-    for part, fit, clock in zip(parts, fits, joint.clocks, strict=True):
-        wanted = [fit.orders.index(order) for order in settings.wanted]
-        own = slice(first, first + len(part.channels))
-        X[:, own], V[:, own, own] = calibrated(
-            part.channels, frequency, fit.amplitudes[wanted], fit.covariance[wanted]
-        )
-        # Twice, for half of a complex variance is along X.
-        phase = 2 * (2 * np.pi * frequency * clock.sd_over(part.time)) ** 2
-        V[:, own, own] += phase[:, None, None] * X[:, own, None] * np.conj(X[:, None, own])
-        dof = np.minimum(dof, fit.dof[wanted])
-        first = own.stop
-    kind = "blocks" if any(fit.noise == "blocks" for fit in fits) else "white"
-    samples = np.full(lines, min(fit.samples for fit in fits))
-    experiment = np.full(lines, parts[0].experiment)
-    notes = tuple(dict.fromkeys(note for fit in fits for note in fit.notes))
-    return Spectrum(joint.channels, frequency, X, V, samples, dof, (kind,) * lines, experiment, notes=notes)
-
-
-def _treated(parts: Sequence[Record], settings: Conditioning) -> list[Record]:
-    """The parts settled together and at one frequency, as far as that is wanted."""
-    if any(part.frequency_hz is None for part in parts):
+        raise DataError("sensors with their own clocks have no common sample times", source, cure)
+    if any(part.frequency_hz is None for part in joint.parts):
         cure = "give it; a record without one needs sensors on one clock"
-        raise DataError("the drive frequency is not known", parts[0].source, cure)
-    if settings.settle == "auto":
-        # From where the last of them has settled to where the first of them ends
-        kept = [settled(part).record for part in parts]
-        start, end = max(part.time[0] for part in kept), min(part.time[-1] for part in kept)
-        parts = [
-            replace(part, time=part.time[inside], values=part.values[inside])
-            for part in parts
-            if np.any(inside := (part.time >= start) & (part.time <= end))
-        ]
-    elif settings.settle != "none":
-        parts = [without_start(part, float(settings.settle)) for part in parts]
-    return list(parts) if settings.refine == "none" else _at_one_frequency(parts, settings)
+        raise DataError("the drive frequency is not known", source, cure)
+    parts, settings, notes = treated(OF_SENSORS, joint.parts, settings)
+    each = [lines_of(part, settings, settings.wanted, rounding_steps([part]))[0] for part in parts]
+    X = np.concatenate([one.amplitudes for one in each], axis=-1)
+    V, first = np.zeros((*X.shape, X.shape[-1]), dtype=np.complex128), 0
+    for part, one, clock in zip(parts, each, joint.clocks, strict=True):
+        own = slice(first, first + len(one.channels))
+        # Twice, for half of a complex variance is along X.
+        phase = 2 * (one.omega * clock.sd_over(part.time)) ** 2
+        along = one.amplitudes[:, :, None] * np.conj(one.amplitudes[:, None])
+        V[:, own, own] = one.covariance + phase[:, None, None] * along
+        first = own.stop
+    return replace(
+        each[0],
+        channels=joint.channels,
+        amplitudes=X,
+        covariance=V,
+        samples=np.min([one.samples for one in each], axis=0),
+        dof=np.min([one.dof for one in each], axis=0),
+        noise=max((one.noise for one in each), key=lambda noise: "blocks" in noise),
+        notes=tuple(dict.fromkeys([*notes, *(note for one in each for note in one.notes)])),
+    )
 
 
-def _at_one_frequency(parts: Sequence[Record], settings: Conditioning) -> list[Record]:
+def _driven_together(parts: Sequence[Record], settings: Conditioning) -> Treated:
+    """As `driven_parts`, from where the last of them is driven to where the first of them ends."""
+    driven, settings, notes = driven_parts(parts, settings)
+    start, end = max(part.time[0] for part in driven), min(part.time[-1] for part in driven)
+    if start < end and any(len(part.time) < len(of.time) for part, of in zip(driven, parts, strict=True)):
+        ends = [(np.searchsorted(p.time, start), np.searchsorted(p.time, end, "right")) for p in driven]
+        driven = [part.part(slice(*between)) for part, between in zip(driven, ends, strict=True)]
+    return driven, settings, notes
+
+
+def _at_one_frequency(parts: Sequence[Record], settings: Conditioning) -> Treated:
     """At the weighted mean of their frequencies; with "auto" only where that is not the stated one."""
+    if settings.refine == "none":
+        return parts, settings, []
     refined = [refine_frequency(part, drift=settings.drift) for part in parts]
     weights = np.array([1 / max(r.sd, 1e-15) ** 2 for r in refined])
     frequency = float(np.sum(weights * np.array([r.frequency_hz for r in refined])) / np.sum(weights))
     beyond = abs(frequency - refined[0].nominal_hz) * np.sqrt(np.sum(weights)) > OWN
     if settings.refine == "auto" and not beyond:
-        return list(parts)
-    return [replace(part, frequency_hz=frequency) for part in parts]
+        return parts, settings, []
+    return [replace(part, frequency_hz=frequency) for part in parts], settings, []
+
+
+OF_SENSORS = (evened_and_marked, _driven_together, _at_one_frequency)

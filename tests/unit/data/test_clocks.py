@@ -98,6 +98,19 @@ def test_one_clock_is_as_one_record():
         clocked_lines(ClockedRecords((Record((A,), t, y[:, :1]),), (Clock(),)), settings)
 
 
+def test_a_sensor_that_clips_is_used_by_its_other_samples():
+    rng = np.random.default_rng(8)
+    t = np.arange(2000) / 100
+    first = np.cos(6 * np.pi * t) + 0.02 * rng.normal(size=2000)
+    second = np.clip(np.sin(6 * np.pi * (t + 0.003)) + 0.02 * rng.normal(size=2000), -0.7, 0.7)
+    parts = tuple(Record((c,), x, y[:, None], 3.0) for c, x, y in ((A, t, first), (B, t + 0.003, second)))
+    lines = clocked_lines(ClockedRecords(parts, (Clock(), Clock())), Conditioning())
+    assert [note.code for note in lines.notes] == ["unclipped"]
+    sd = np.sqrt(np.diagonal(lines.covariance[0]).real)
+    assert np.all(np.abs(np.abs(lines.amplitudes[0]) - 1) < 3 * sd)
+    assert sd[0] < sd[1] < 3 * sd[0]
+
+
 LAG = 1.0  # rad, by which the second point of a rig moves behind the first one
 
 

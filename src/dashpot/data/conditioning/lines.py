@@ -233,8 +233,8 @@ def spectrum(
 
 def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     """The lines of dwells, treated as all of them together ask for."""
-    uncut, settings, of_samples = _treated(OF_SAMPLES, dwells, settings)
-    dwells, settings, of_sines = _treated(OF_SINES, uncut, settings)
+    uncut, settings, of_samples = treated(OF_SAMPLES, dwells, settings)
+    dwells, settings, of_sines = treated(OF_SINES, uncut, settings)
     notes = [*of_samples, *of_sines]
     found = [row for row in UNSTEADY if _asked(row, settings) and row.shows(dwells)]
     why = _why_whole(dwells, settings, found)
@@ -271,7 +271,7 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
 # Treatments of dwells: what these become, the settings for what follows, notices.
 
 
-def _treated(
+def treated(
     treatments: Sequence[Callable[[Sequence[Record], Conditioning], Treated]],
     dwells: Sequence[Record],
     settings: Conditioning,
@@ -284,7 +284,7 @@ def _treated(
     return dwells, settings, notes
 
 
-def _evened_and_marked(dwells: Sequence[Record], settings: Conditioning) -> Treated:
+def evened_and_marked(dwells: Sequence[Record], settings: Conditioning) -> Treated:
     """On even stamps where those are even but for rounding, with the samples marked that channels clip or miss; as they
     are with "none"."""
     if settings.refine == "none":
@@ -319,10 +319,10 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
         if settings.settle == "none" and driven_throughout(record):
             kept.append(record)
             continue
-        part = settled(record)
-        enough = settings.settle == "auto" or part.record.periods >= MANY_PERIODS
-        kept.append(part.record if enough else record)
-        notes += [part.note] if enough and part.note is not None else []
+        part, note = settled(record)
+        enough = settings.settle == "auto" or part.periods >= MANY_PERIODS
+        kept.append(part if enough else record)
+        notes += [note] if enough and note is not None else []
     return kept, settings, notes
 
 
@@ -345,7 +345,7 @@ def _at_drive_frequencies(dwells: Sequence[Record], settings: Conditioning) -> T
     return refined, settings, notes
 
 
-OF_SAMPLES = (long_enough, _evened_and_marked)
+OF_SAMPLES = (long_enough, evened_and_marked)
 OF_SINES = (_made_to_settle, driven_parts, _at_drive_frequencies)
 
 
@@ -403,7 +403,8 @@ def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Con
     if settings.orders == "auto" and not settings.moments:
         driven, notes = driven_orders(dwells, settings)
     each, told, other = zip(
-        *(_lines(record, settings, of, steps) for record, of in zip(dwells, driven, strict=True)), strict=True
+        *(lines_of(record, settings, of, steps) for record, of in zip(dwells, driven, strict=True)),
+        strict=True,
     )
     notes.insert(0, account_of_dwells(given, each, settings))
     lines = concatenate(each)
@@ -435,7 +436,7 @@ def _why_whole(dwells: Sequence[Record], settings: Conditioning, found: Sequence
     return " or ".join(dict.fromkeys(reasons)) or None
 
 
-def _lines(
+def lines_of(
     record: Record, settings: Conditioning, orders: tuple[int, ...], steps: Real
 ) -> tuple[Spectrum, Real, Notice | None]:
     """The lines of one record, whose channels are rounded to `steps` (channels,), the share of each amplitude's
