@@ -218,7 +218,8 @@ def array_columns(
 
 _RATES = "fs rate_hz rate fsamp sample_rate samplerate sampling_rate sampling_frequency samplefrequency"
 RATES = set(_RATES.split())
-STEPS = {"dt", "ts", "step", "delta_t", "sampling_time", "sample_time", "tsample"}
+STEPS = {"dt", "ts", "step", "delta_t", "sampling_time", "sample_time", "tsample", "wf_increment"}
+START = "wf_start_offset"  # s, beside the step of a waveform of LabVIEW
 EXPERIMENT = "experiment"
 OF_ALL = (FREQUENCY, EXPERIMENT)
 
@@ -240,7 +241,7 @@ def parts_of_variables(
             for ending, part in (("re", array.real), ("im", array.imag)):
                 arrays[f"{name}_{ending}"] = part
                 units.setdefault(f"{name}_{ending}", units.get(name))
-        elif array.dtype.kind in "fiubmM":
+        elif array.dtype.kind in ("fiubmM" if array.ndim else "fiub"):
             (arrays if array.ndim else scalars)[name] = array
         elif name == EXPERIMENT and array.dtype.kind in "OUT":  # names of those of the rig file
             (arrays if array.ndim else scalars)[name] = array.astype(str)
@@ -300,7 +301,7 @@ def _by_length(
         if not any(name.lower() in TIME_NAMES for name in columns):
             step = step_of(scalars)
             if step is not None:
-                columns[TIME] = steps(0.0, step, rows)
+                columns[TIME] = steps(float(scalars.get(START, 0.0)), step, rows)
         yield array_columns(source, columns, of_columns)
 
 

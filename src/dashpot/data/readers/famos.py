@@ -64,12 +64,10 @@ def read_famos(file: DataFile) -> Iterator[ArrayColumns]:
     groups, blocks = _read(data, file.name)
     together: dict[tuple[int, float, float], dict[str, Any]] = {}
     units: dict[str, str | None] = {}
-    count = 0
     for number, group in enumerate(groups, start=1):
         if not group.holds_motion:
             continue
         component = group.components[0]
-        count += 1
         values = [_values(each, data, blocks, file.name) for each in group.components[:2]]
         name = component.name or f"channel_{number}"
         if len(values) == 2 and len(values[0]) == len(values[1]):
@@ -78,8 +76,6 @@ def read_famos(file: DataFile) -> Iterator[ArrayColumns]:
         key = len(values[0]), component.step or group.step, component.start or group.start
         together.setdefault(key, {})[name] = values[0]
         units[name] = component.unit or None
-    if not count:
-        raise DataError("there are no channels with samples of motion or force", file.name, "record some")
     for (rows, step, start), columns in together.items():
         time = {TIME: steps(start, step, rows)} if step > 0 else {}
         yield array_columns(file.name, {**time, **columns}, units)

@@ -36,7 +36,6 @@ def read_hdf5(file: DataFile, h5py: Any) -> Iterator[ArrayColumns]:
     Attributes of a group and of those around it are scalars of it.
     """
     _refuse_endless_heaps(file.contents)
-    anything = False
     with h5py.File(noted(file.path), "r") as content:
         for name, scalars, datasets in _Walk(h5py, content, file).groups():
             variables, units = dict(scalars), {}
@@ -45,11 +44,8 @@ def read_hdf5(file: DataFile, h5py: Any) -> Iterator[ArrayColumns]:
                 units[key] = _unit(item)
                 variables |= {k: v for k, v in _scalars(item).items() if k not in variables}
             if any(np.size(value) > 1 for value in variables.values()):
-                anything = True
                 place = f"{file.name} ({name})" if name else file.name
                 yield from parts_of_variables(place, variables, units)
-    if not anything:
-        raise DataError("there are no datasets of numbers", file.name, "save the channels as datasets")
 
 
 @dataclass

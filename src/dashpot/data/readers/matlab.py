@@ -47,8 +47,6 @@ def read_matlab(file: DataFile, scipy_io: Any) -> Iterator[ArrayColumns]:
         yield from parts_of_variables(f"{file.name} ({name})", {**variables, **fields})
     if series and not any(np.size(value) > 1 for value in variables.values()):
         return
-    if not variables:
-        raise DataError("there are no variables of numbers", file.name, "save the channels as arrays")
     yield from parts_of_variables(file.name, variables)
 
 

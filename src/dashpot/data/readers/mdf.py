@@ -13,7 +13,6 @@ import numpy as np
 from dashpot.data.readers.arrays import LONG, ArrayColumns, Streamed, array_columns
 from dashpot.data.readers.columns import TIME
 from dashpot.data.readers.datafile import DataFile
-from dashpot.errors import DataError
 
 
 def read_mdf(file: DataFile, asammdf: Any) -> Iterator[ArrayColumns]:
@@ -25,15 +24,11 @@ def read_mdf(file: DataFile, asammdf: Any) -> Iterator[ArrayColumns]:
         mdf.configure(read_fragment_size=1 << 24)  # bytes of records that are read at once
         groups = [group.channel_group for group in mdf.groups]
         file.check_unpacked(sum(group.cycles_nr * getattr(group, "samples_byte_nr", 0) for group in groups))
-        count = 0
         for number, group in enumerate(mdf.groups):
             columns, units = _group(mdf, number, group)
             if columns:
-                count += 1
                 place = f"{file.name} (group {number + 1})" if len(groups) > 1 else file.name
                 yield array_columns(place, columns, units)
-        if not count:
-            raise DataError("there are no channels with samples", file.name, "record something")
 
 
 def _refuse_rings(content: bytes | mmap.mmap) -> None:

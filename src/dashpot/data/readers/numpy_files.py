@@ -49,8 +49,6 @@ def read_numpy(file: DataFile) -> Iterator[ArrayColumns]:
                         variables |= _fields(array)
                     else:
                         variables[name] = array
-    if not any(np.size(value) > 1 for value in variables.values()):
-        raise DataError("there are no named arrays of numbers", file.name, "save them by np.savez(x1=…)")
     yield from parts_of_variables(file.name, variables, units)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 from dashpot.data.readers.arrow_files import read_feather, read_parquet
 from dashpot.data.readers.columns import Columns
@@ -47,11 +48,18 @@ class Reader:
     native: bool = False
 
     def parts(self, file: DataFile) -> Iterator[Columns]:
-        """The parts of a file.  Raises DataError, one line, for what is damaged or cut off, or not installed."""
+        """The parts of a file, one at least.
+
+        Raises DataError, one line, for what is damaged, cut off or without numbers, and what is not installed.
+        """
         needed = [] if self.module is None else [library(*self.module, file.name, self.format)]
-        if not self.native:
-            return self.read(file, *needed)
-        return guarded(file, self.format, lambda: self.read(file, *needed))
+        read = partial(self.read, file, *needed)
+        part = None
+        for part in guarded(file, self.format, read) if self.native else read():
+            yield part
+        if part is None:
+            what, cure = "there are no channels with samples", "save some in it, or name another file"
+            raise DataError(what, file.name, cure)
 
 
 _FORMATS = "formats"

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.data.readers.arrays import OF_ALL, PIECE, ArrayColumns, Streamed, array_columns, step_of, steps
-from dashpot.data.readers.columns import TIME, TIME_NAMES
+from dashpot.data.readers.arrays import PIECE, ArrayColumns, Streamed, parts_of_variables
+from dashpot.data.readers.columns import FREQUENCY
 from dashpot.data.readers.datafile import DataFile
 from dashpot.errors import DataError
 from dashpot.io.ledger import noted
@@ -118,36 +118,24 @@ def read_tdms(file: DataFile, nptdms: Any) -> Iterator[ArrayColumns]:
         if getattr(content, "_incomplete_channel_properties", None):
             raise DataError("the file is cut off", file.name, "copy it again")
         groups = list(content.groups())
-        count = 0
         for group in groups:
             lengths: dict[int, list[Any]] = {}
             for channel in group.channels():
                 if np.dtype(channel.dtype).kind in "fiubM" and len(channel):
                     lengths.setdefault(len(channel), []).append(channel)
-            scalars = {**content.properties, **group.properties}
-            for channels in lengths.values():
-                count += 1
-                place = f"{file.name} ({group.name})" if len(groups) > 1 else file.name
-                # Channels of one length
-                rows, about = len(channels[0]), scalars
-                columns: dict[str, Any] = {}
+            for rows, channels in lengths.items():
+                variables = {**content.properties, **group.properties}
                 units: dict[str, str | None] = {}
                 for channel in channels:
-                    columns[channel.name] = Streamed(rows, partial(_samples, file, content, channel))
+                    variables = {**channel.properties, **variables}
                     said = (channel.properties.get(key) for key in ("unit_string", "NI_UnitDescription"))
                     units[channel.name] = next(filter(None, said), None)
-                    about = {**channel.properties, **about}
-                for name in OF_ALL:
-                    if name in about and name not in columns:
-                        columns[name] = np.broadcast_to(float(about[name]), rows)
-                if not any(name.lower() in TIME_NAMES for name in columns):
-                    waveform = channels[0].properties
-                    step = float(waveform.get("wf_increment", 0)) or step_of(about)
-                    if step:
-                        columns[TIME] = steps(float(waveform.get("wf_start_offset", 0)), step, rows)
-                yield array_columns(place, columns, units)
-        if not count:
-            raise DataError("there are no channels with samples", file.name, "record something")
+                if FREQUENCY in variables:  # which may be a text
+                    variables[FREQUENCY] = float(variables[FREQUENCY])
+                for channel in channels:
+                    variables[channel.name] = Streamed(rows, partial(_samples, file, content, channel))
+                place = f"{file.name} ({group.name})" if len(groups) > 1 else file.name
+                yield from parts_of_variables(place, variables, units)
 
 
 def _samples(file: DataFile, content: Any, channel: Any) -> Iterator[Any]:

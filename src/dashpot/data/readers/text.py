@@ -789,12 +789,8 @@ def read_excel(file: DataFile, fastexcel: Any) -> Iterator[TextTable]:
     if file.head.startswith(ZIP):
         with damaged(file.name, "Excel"), file.reading() as stream, ZipFile(stream) as archive:
             file.check_unpacked(sum(item.file_size for item in archive.infolist()))
-    count = 0
     for place, text in guarded(file, "Excel", lambda: _sheets(file, fastexcel)):
-        count += 1
         yield open_table(file.rewritten([text]), source=place)
-    if not count:
-        raise DataError("the workbook is empty", file.name, "give one with a header row and data")
 
 
 def _sheets(file: DataFile, fastexcel: Any) -> Generator[tuple[str, bytes]]:

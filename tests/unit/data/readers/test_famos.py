@@ -68,7 +68,7 @@ def test_switches_are_passed_over(tmp_path):
     assert part.header == ("time_s", "x")
     path.write_bytes(HEAD + switch)
     with pytest.raises(DataError, match="no channels with samples"):
-        list(famos.read_famos(open_file(path)))
+        read(path, CHANNELS)
 
 
 @pytest.mark.parametrize(
