@@ -2,8 +2,8 @@
 
 A wrong sign or unit, or two channels exchanged, keeps a search by integration busy for minutes, to no end.
 Where the channels of displacement show all coordinates, the equation of motion in its weak form tells the mistake at
-once: with the parts of the rig, and any smooth law at the places of its nonlinear elements, its terms cancel or they do
-not.  Elsewhere the motion that follows from the guesses is laid beside the measured one.
+once: with the parts of the rig, and any smooth law at the places of its nonlinear elements, or their own hysteresis,
+its terms cancel or they do not.  Elsewhere the motion that follows from the guesses is laid beside the measured one.
 """
 
 from __future__ import annotations
@@ -131,7 +131,8 @@ def channel_mistakes(model: Model, record: Record) -> tuple[Finding, ...]:
     """
     bench = _Bench(model, {})
     as_is = bench.contradiction(record)
-    if as_is is None or not np.max(as_is.shares, initial=0.0) > CONTRADICTED:
+    # Laws that take a hundred times as long to try come last: what they resolve is no mistake.
+    if as_is is None or not as_is.there or not (bench.contradiction(record, own=True) or as_is).there:
         return ()
     recorded = TimeProblem(model, record, np.zeros(len(record.channels)), ())
     inputs = {channel.name for channel in record.channels if measures_input(model, channel)}
@@ -164,6 +165,11 @@ class _Contradiction:
     guessed: bool = False
 
     @property
+    def there(self) -> bool:
+        """Whether something is wrong."""
+        return bool(np.max(self.shares, initial=0.0) > CONTRADICTED)
+
+    @property
     def total(self) -> float:
         """All of them together."""
         return float(np.sum(self.shares))
@@ -182,8 +188,11 @@ class _Bench:
     model: Model
     shown: dict[bytes, Real | None]
 
-    def contradiction(self, record: Record) -> _Contradiction | None:
-        """What of a record contradicts the rig; None where that cannot be told."""
+    def contradiction(self, record: Record, *, own: bool = False) -> _Contradiction | None:
+        """What of a record contradicts the rig; None where that cannot be told.  own: laws with states are tried too.
+
+        Without, hysteresis may seem to contradict: it is no function of the motion at the same instant.
+        """
         model = self.model
         try:
             data = arranged(model, record.part(slice(0, MOST)))
@@ -192,7 +201,9 @@ class _Bench:
                 return self._beside_guesses(arranged(model, record.part(slice(0, MOST_INTEGRATED))))
             form = weak_form(model, data, at)
             with np.errstate(all="ignore"):
-                return _Contradiction(np.concatenate([_of_equations(form), _of_channels(form, data, at)]))
+                return _Contradiction(
+                    np.concatenate([_of_equations(form, own), _of_channels(form, data, at)])
+                )
         except (DashpotError, np.linalg.LinAlgError):
             return None
 
@@ -266,8 +277,11 @@ class _Terms:
         return self.columns * (self.by @ theta + self.known)
 
 
-def _terms(form: WeakForm) -> _Terms:
-    """Those of a rig in the measured motion.  Inertia is a place of its own, and so is what stands still."""
+def _terms(form: WeakForm, own: bool) -> _Terms:
+    """Those of a rig in the measured motion.  Inertia is a place of its own, and so is what stands still.
+
+    own: whether laws with states are among them, as the rig has them.
+    """
     model, points = form.model, [frozenset(e.along.items()) for e in form.model.elements]
     bent = {points[int(index)] for index in model.nonlinear}
     linear = [i for i, element in enumerate(model.elements) if element.force_law is None]
@@ -278,11 +292,11 @@ def _terms(form: WeakForm) -> _Terms:
         along.append(form.balance[:, i])
         places.append((points[i], power == 2))
         passive.append(power == 2 or points[i] not in bent)
-    for index in model.nonlinear:
-        laws = _smooth_laws(form, int(index))
+    for row, index in enumerate(model.nonlinear.tolist()):
+        laws = _laws(form, row, own)
         columns.append(laws)
-        along += [form.balance[:, int(index)]] * laws.shape[1]
-        places += [(points[int(index)], False)] * laws.shape[1]
+        along += [form.balance[:, index]] * laws.shape[1]
+        places += [(points[index], False)] * laws.shape[1]
     columns += [form.of(np.ones((len(form.f), 1)), 0)] * len(form.still)  # zeros of sensors, weights
     along += list(np.eye(len(form.still)))
     places += [(i, "still") for i in range(len(form.still))]
@@ -298,9 +312,9 @@ def _terms(form: WeakForm) -> _Terms:
     )  # fmt: skip
 
 
-def _of_equations(form: WeakForm) -> Real:
+def _of_equations(form: WeakForm, own: bool) -> Real:
     """Share of each equation's power that its terms leave, and of all what negative parts have, (equations + 1,)."""
-    terms = _terms(form)
+    terms = _terms(form, own)
     n, tiny = len(form.still), np.finfo(float).tiny
     push = np.stack([form.of(form.f[:, i : i + 1], 0)[:, 0] for i in range(n)])
     A = terms.slopes()
@@ -323,11 +337,19 @@ def _of_equations(form: WeakForm) -> Real:
     return np.append(left, np.sum(against / power))
 
 
-def _smooth_laws(form: WeakForm, index: int) -> Real:
-    """Weak terms of laws that bend as most do, at the place of an element, (rows, laws)."""
+def _laws(form: WeakForm, row: int, own: bool) -> Real:
+    """Weak terms of laws that bend as most do, at the place of a nonlinear element, (rows, laws).
+
+    own: also of its own law, if that has a state, at all constants that a search tries.
+    """
+    model, index = form.model, int(form.model.nonlinear[row])
     d, v = form.elongation[:, index], form.rate[:, index]
     far, fast = (max(float(np.max(np.abs(motion))), np.finfo(float).tiny) for motion in (d, v))
     laws = [d, v, d**2, d * np.abs(d), d**3, d**5, v * np.abs(v), v**3]
     for share in SHARES:
         laws += [np.tanh(v / (share * fast)), np.maximum(d - share * far, 0), np.minimum(d + share * far, 0)]
+    if own and model.laws[row].has_state:
+        grid = np.array(form.constants_to_try())[:, model.constant_slices[row]]
+        tried = [form.unit_force(row, constants) for constants in np.unique(grid, axis=0)]
+        laws += [unit for unit in tried if np.all(np.isfinite(unit))]
     return form.of(np.stack(laws, axis=1), 0)

@@ -54,22 +54,30 @@ class WeakForm:
 
     def unit_forces(self, constants: Real) -> Real:
         """Unit forces of the nonlinear elements in the measured motion, (samples, e), for constants (G,)."""
-        model, chosen = self.model, self.model.nonlinear
-        d, v = self.elongation[:, chosen], self.rate[:, chosen]
-        unit = np.empty_like(d)
-        for row, (law, inner) in enumerate(zip(model.laws, model.constant_slices, strict=True)):
-            g = constants[inner]
-            z = d[:, row]
-            if law.operator:
-                z = operated_states(law, z, g)
-            elif law.rate is not None:
-                try:
-                    z = rated_states(law, z, v[:, row], self.step_s, g)
-                except (ValueError, np.linalg.LinAlgError):  # no number
-                    z = np.full_like(z, np.nan)
-                z = np.where(np.abs(z) < FAR * np.max(np.abs(d[:, row])), z, np.nan)
-            unit[:, row] = law(d[:, row], v[:, row], z, g).value
+        rows = enumerate(self.model.constant_slices)
+        return np.stack([self.unit_force(row, constants[inner]) for row, inner in rows], axis=1)
+
+    def unit_force(self, row: int, g: Real) -> Real:
+        """That of one nonlinear element, (samples,), for the constants (g,) of its law; no number beyond the motion."""
+        law, index = self.model.laws[row], int(self.model.nonlinear[row])
+        d, v = self.elongation[:, index], self.rate[:, index]
+        z = d
+        if law.operator:
+            z = operated_states(law, d, g)
+        elif law.rate is not None:
+            try:
+                z = rated_states(law, d, v, self.step_s, g)
+            except (ValueError, np.linalg.LinAlgError):  # no number
+                z = np.full_like(d, np.nan)
+            z = np.where(np.abs(z) < FAR * np.max(np.abs(d)), z, np.nan)
+        unit: Real = law(d, v, z, g).value
         return unit
+
+    def constants_to_try(self) -> list[Real]:
+        """Constants (G,) of all laws that may be near the true ones, by the largest elongations and speeds."""
+        motions = (self.elongation[:, self.model.nonlinear], self.rate[:, self.model.nonlinear])
+        elongation, speed = (np.max(np.abs(motion), axis=0) for motion in motions)
+        return constants_to_try(self.model, elongation, speed, reciprocal=True)
 
     def information(self, constants: Real) -> Real:
         """Normal equations of all unknown parameters with their forces as they are in time, (unknowns, unknowns).
@@ -403,10 +411,7 @@ def _valleys(equations: WeakEquations) -> list[Real]:
 
     Noise in the columns fills valleys of least squares and moves them; what leaves twice the least or more is none.
     """
-    form, model = equations.form, equations.form.model
-    chosen = model.nonlinear
-    elongation, speed = (np.max(np.abs(motion[:, chosen]), axis=0) for motion in (form.elongation, form.rate))
-    grid = np.array(constants_to_try(model, elongation, speed, reciprocal=True))
+    model, grid = equations.form.model, equations.form.constants_to_try()
 
     def best(equations: WeakEquations) -> list[tuple[Real, float]]:
         """Where the best of the grid lead to, and what they leave."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.decays_and_stands import decay
 from dashpot.api import identify
 from dashpot.channel import Channel, Quantity
 from dashpot.check.explain.record_channels import channel_mistakes, require_sound_channels
@@ -110,6 +111,18 @@ def test_sound_channels_are_left_alone_under_noise_whatever_the_law(law: str) ->
     model, _, data = record(law, SEEN, noise=0.1)
     weighed = replace(data, values=data.values + np.array([0.0, 0.0, 9.81, 0.0]))
     assert channel_mistakes(model, weighed) == ()
+
+
+@pytest.mark.parametrize(("seed", "count"), [(903, 4), (6006, 6)])
+def test_hysteresis_that_smooth_laws_do_not_describe_is_no_mistake_of_a_channel(
+    seed: int, count: int
+) -> None:
+    """Free decays: smooth laws in its place fitted best beside a mass below zero, and any unit mended that."""
+    drawn = decay("bouc-wen", count, np.random.default_rng((seed, count)))
+    assert isinstance(drawn.data, dict)
+    time, *seen = drawn.data.values()
+    data = Record(drawn.rig.channels, time, np.column_stack(seen))
+    assert channel_mistakes(drawn.rig.model, data) == ()
 
 
 def test_another_rig_than_the_stated_one_is_no_mistake_of_a_channel() -> None:
