@@ -38,7 +38,7 @@ def problem_of(samples: int, drive: float) -> tuple[RecordProblem, np.ndarray]:
 
 def test_the_true_inputs_as_so_many_unknowns_give_the_same() -> None:
     """Least squares over the unknowns, the start and each line of the input, with differences for slopes."""
-    problem, psi = problem_of(24, 0.03)
+    problem, psi = problem_of(16, 0.03)
     end = minimise(lambda x, rows: problem.quadratic(x), psi[None], limit=40, tolerance=1e-8)
     data, known = problem.records[0], problem.inputs[0] if problem.inputs else None
     size = np.where(psi != 0, psi, 1e-3)
@@ -50,7 +50,7 @@ def test_the_true_inputs_as_so_many_unknowns_give_the_same() -> None:
         left = data.outputs - x
         return np.concatenate([((left - left.mean()) / problem.sd).ravel(), white.ravel()])
 
-    z = np.concatenate([psi / size, np.zeros(24)])
+    z = np.concatenate([psi / size, np.zeros(16)])
     slow = least_squares(residuals, z, xtol=1e-12, ftol=1e-12, gtol=1e-12)
     values = slow.x[:5] * size
     covariance = np.linalg.inv(slow.jac.T @ slow.jac)[:5, :5] * np.outer(size, size)

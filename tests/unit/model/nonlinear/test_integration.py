@@ -60,7 +60,7 @@ def by_scipy(model, theta, time, u):
 )
 def test_the_motion_is_that_of_another_integrator(law, substeps, tolerance):
     model, theta = two_masses(law)
-    time, u = sweep()
+    time, u = sweep(151)
     machine = Integrator(model, theta, forcing(STEP, u), substeps)
     motion = integrate(machine, np.zeros(4))
     reference = by_scipy(model, theta, time, u)

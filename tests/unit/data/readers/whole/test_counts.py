@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dashpot.arrays import Real
-from dashpot.data.readers import read, write_records
+from dashpot.data.readers import Reading, read, write_records
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.estimate.identify import identify
@@ -77,26 +77,35 @@ OTHERS = {
 }
 
 
-@pytest.mark.parametrize("suffix", [*TABLES, *OTHERS])
-def test_two_converters(tmp_path: Path, suffix: str) -> None:
-    rig = rig_of(TWO_CONVERTERS)
+def recorded(folder: Path, suffix: str) -> Reading:
+    """The dwells in counts, as a format of whole numbers holds them."""
     for drive_hz in DRIVE_HZ:
-        path, columns = tmp_path / f"{drive_hz:g}Hz{suffix}", in_counts(drive_hz)
+        path, columns = folder / f"{drive_hz:g}Hz{suffix}", in_counts(drive_hz)
         if suffix in OTHERS:
             OTHERS[suffix](path, columns)
         else:
             TABLES[suffix](path, {"time_s": dwell(drive_hz)[0], **columns})
-    of_counts = read(tmp_path / f"{{frequency}}Hz{suffix}", rig.channels)
-    for record in of_counts.records:
+    return read(folder / f"{{frequency}}Hz{suffix}", rig_of(TWO_CONVERTERS).channels)
+
+
+@pytest.mark.parametrize("suffix", [*TABLES, *OTHERS])
+def test_counts_of_every_format(tmp_path: Path, suffix: str) -> None:
+    records = recorded(tmp_path, suffix).records
+    assert [record.frequency_hz for record in records] == list(DRIVE_HZ)
+    for record in records:
         counts = in_counts(record.frequency_hz or 0.0)
         assert np.array_equal(record.values, np.stack([counts["x"], counts["f"]], axis=-1))
+
+
+def test_two_converters(tmp_path: Path) -> None:
+    of_counts = recorded(tmp_path, ".csv")
     in_units = rig_of('x = { of = "x" }\nf = { of = "f" }\n')
     scales = [MOTION / 2**15, FORCE / 2**23]
     records = [
         Record(in_units.channels, r.time, r.values * scales, r.frequency_hz) for r in of_counts.records
     ]
     write_records(records, tmp_path / "units.csv")
-    estimate = identify(rig.model, of_counts.spectrum())
+    estimate = identify(rig_of(TWO_CONVERTERS).model, of_counts.spectrum())
     same = identify(in_units.model, read(tmp_path / "units.csv", in_units.channels).spectrum())
     for name, truth in {"m": MASS, "c": DAMPING, "k": STIFFNESS}.items():
         assert estimate[name].value == pytest.approx(truth, rel=1e-3)
