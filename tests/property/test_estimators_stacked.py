@@ -163,7 +163,7 @@ def test_random_networks(
     assert_equal(rig, records(rig, seen, rng, samples=14, periods=periods, relative=noise, jitter=jitter))
 
 
-@pytest.mark.parametrize("noise", [0.01, 0.1, 0.35])
+@pytest.mark.parametrize("noise", [0.01, 0.35])
 def test_the_papers_rig(noise: float) -> None:
     """CASE 3, 56 samples over one period of each line."""
     rng = np.random.default_rng(1989)

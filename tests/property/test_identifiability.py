@@ -19,7 +19,7 @@ from dashpot.model.network import Model
 from tests.rigs import Rig, channels, perfect, random_rig
 
 Case = tuple[Model, tuple[Channel, ...], set[str]]
-RIGS = 15  # of each kind: 120 deficient ones
+RIGS = 8  # of each kind: 64 deficient ones
 
 
 def shown(model: Model, seen: Sequence[Channel], psi: np.ndarray, middle: np.ndarray) -> np.ndarray:
@@ -213,7 +213,7 @@ def test_planted_deficiencies_are_reported_with_true_directions(
 def test_sound_rigs_are_not_refused() -> None:
     """Rigs whose noise-free regressor has full rank in floating point, by a wide margin."""
     rng = np.random.default_rng(12)
-    for _ in range(80):
+    for _ in range(40):
         rig = deficient(rng, n=int(rng.integers(1, 7)))
         found = structure(rig.model, channels(rig), perfect(rig, channels(rig)))
         assert found.identifiable
@@ -224,7 +224,7 @@ def test_partly_seen_rigs_are_judged_as_floating_point_does() -> None:
     """Channels left out at random; where singular values of finite differences leave no doubt, so must the verdict."""
     rng = np.random.default_rng(13)
     doubtful = sound = 0
-    for _ in range(120):
+    for _ in range(80):
         rig = deficient(rng, n=int(rng.integers(2, 5)), levers=False)
         seen = channels(rig)
         inputs = {*rig.model.displacement_inputs, *rig.model.force_inputs}
@@ -246,5 +246,5 @@ def test_partly_seen_rigs_are_judged_as_floating_point_does() -> None:
             assert not found.identifiable
         else:
             doubtful += 1
-    assert sound > 40
-    assert doubtful < 30
+    assert sound > 25
+    assert doubtful < 20

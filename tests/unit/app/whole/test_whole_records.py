@@ -215,7 +215,7 @@ def test_a_response_that_something_unseen_drives_is_no_free_decay(dashpot: Comma
 
 def test_sensors_that_drift(dashpot: Command, rig: str) -> None:
     """A ramp ten times the motion in each output costs nothing, unless it is said that there is none."""
-    recorded("run.csv", seed=16)
+    recorded("run.csv", seed=16, seconds=6.0)
     with Path("run.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     for k, row in enumerate(rows):

@@ -105,7 +105,7 @@ def test_a_channel_that_is_wrong_in_all_records_is_mended_in_the_rig_file() -> N
     assert caught.value.causes[0].channels[0].sign == -1.0
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", ["cubic", "coulomb", "backlash"])
 def test_sound_channels_are_left_alone_under_noise_whatever_the_law(law: str) -> None:
     """A tenth of each channel is noise; an accelerometer that hangs shows its weight."""
     model, _, data = record(law, SEEN, noise=0.1)

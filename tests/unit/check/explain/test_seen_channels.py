@@ -35,9 +35,9 @@ def measured(law, wrong=None, factor=1.0):
     )
 
 
-@pytest.mark.parametrize("law", ["cubic", "gap"])
 @pytest.mark.parametrize(
-    ("wrong", "factor", "kind"), [("x1", -1.0, "sign"), ("x2", 1000.0, "unit"), ("u", 9.80665, "unit")]
+    ("law", "wrong", "factor", "kind"),
+    [("cubic", "x1", -1.0, "sign"), ("gap", "x2", 1000.0, "unit"), ("cubic", "u", 9.80665, "unit")],
 )
 def test_a_channel_of_the_wrong_sign_or_unit_is_named_first(law, wrong, factor, kind):
     model, spectrum = measured(law, wrong, factor)

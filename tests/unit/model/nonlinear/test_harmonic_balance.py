@@ -33,7 +33,7 @@ def rows(model, theta):
 
 
 STIFF = {("quintic", 1), ("square", 4)}  # whose motion nine harmonics do not tell at 1 mm
-OTHER_COUNTS = [each for each in IN_ROWS if each[1] != 2]
+OTHER_COUNTS = [("cubic", 1), ("coulomb", 1), *(each for each in IN_ROWS if each[1] != 2)]
 
 
 @pytest.mark.parametrize(
