@@ -609,9 +609,12 @@ def _promised(baseline: Baseline, effect: Effect) -> tuple[float, ...]:
         # Not every scale of sizes begins at none: those of filters and limits do not.
         if not np.allclose(effect.act(problem, effect.null).y, problem.y, rtol=1e-9, atol=0.0):
             return ()
-        sides = [effect.act(problem, effect.size_at(null + side, effect.null)) for side in (-step, step)]
-        (_, low, before), (_, high, after) = (each.slopes(psi) for each in sides)
         information, gradient, at_null = baseline.slopes
+        sides = [effect.act(problem, effect.size_at(null + side, effect.null)) for side in (-step, step)]
+        (_, low, before), (_, high, after) = (
+            each.begun_beside(problem).slopes(psi) if isinstance(each, LineProblem) else each.slopes(psi)
+            for each in sides
+        )
         cross = (low - high) / (2 * step)
         taken = scaled_inverse(information) @ np.column_stack([cross, gradient])
         bend = (before - 2 * at_null + after) / (2 * step**2) - cross @ taken[:, 0]

@@ -298,6 +298,14 @@ class LineProblem:
         """Where the motion of a nonlinear rig is sought from that of its linear part, not from the measured one."""
         return replace(self, data=replace(self.data, states=None))
 
+    def begun_beside(self, other: LineProblem) -> LineProblem:
+        """The same, where the motion of a nonlinear rig is sought from that which the other, of this rig, came to."""
+        here, there = self.arranged().nonlinear, other.arranged().nonlinear
+        if here is not None and there is not None:
+            here.warm.delta.update(there.warm.delta)
+            here.warm.inputs.update(there.warm.inputs)
+        return self
+
     def slopes(self, psi: Real, softness: float = 0.0) -> tuple[Real, Real, float]:
         """Information (M, M), minus half the slope (M,) and χ² at ψ."""
         information, score, chi2 = self.slopes_at(psi[None], softness)
