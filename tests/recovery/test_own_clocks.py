@@ -109,8 +109,9 @@ def draw(folder: Path, chain: Chain, rng: np.random.Generator, loud: float, nois
     return folder / "test.toml"
 
 
-@pytest.mark.parametrize("chain", [TWO, THREE], ids=["two", "three"])
-@pytest.mark.parametrize(("loud", "noise"), [(30.0, 1.0), (1.0, 0.02)], ids=["noise counts", "clocks count"])
+@pytest.mark.parametrize(
+    ("chain", "loud", "noise"), [(TWO, 30.0, 1.0), (THREE, 1.0, 0.02)], ids=["noise counts", "clocks count"]
+)
 def test_intervals_hold_the_truth(tmp_path: Path, chain: Chain, loud: float, noise: float) -> None:
     rig = parse_rig(chain.rig(), "rig.toml")
     held, squares = [], []

@@ -30,13 +30,6 @@ def identified(of: dict[str, float], draws: int, seed: int) -> tuple[Real, Real]
     return estimate.values, np.mean((low < THETA) & (high > THETA), axis=0)
 
 
-@pytest.mark.long
-def test_intervals_cover_with_a_reaction_channel_and_unknown_noise() -> None:
-    """400 tests: the coverage is known to 1.1 % (one sd).  Taken for an input, F gave 78, 84 and 98 %."""
-    _, coverage = identified(REACTION, 400, 11)
-    assert np.max(np.abs(coverage - 0.95)) < 0.045
-
-
 def test_a_reaction_is_the_sum_of_its_parts() -> None:
     """The same force in the words of the elements that make it: the same estimates."""
     np.testing.assert_allclose(identified(REACTION, 20, 12)[0], identified(PARTS, 20, 12)[0], rtol=1e-9)
@@ -44,6 +37,6 @@ def test_a_reaction_is_the_sum_of_its_parts() -> None:
 
 @pytest.mark.long
 def test_intervals_cover_to_half_a_per_cent() -> None:
-    """8000 tests: the coverage is known to 0.24 % (one sd)."""
+    """8000 tests: the coverage is known to 0.24 % (one sd).  Taken for an input, F gave 78, 84 and 98 %."""
     _, coverage = identified(REACTION, 8000, 21)
     assert np.max(np.abs(coverage - 0.95)) < 0.01

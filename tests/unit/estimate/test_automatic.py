@@ -107,7 +107,7 @@ def test_what_runs_off_to_infinity_is_no_end() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("make", "n"), [*((chain, n) for n in (2, 3, 4, 5)), (constant, 5)])
+@pytest.mark.parametrize(("make", "n"), [(chain, 3), (chain, 5), (constant, 5)])
 def test_no_wrong_valley_is_silent(make: Callable[..., tuple[rigs.Rig, Spectrum]], n: int) -> None:
     """An end is wrong whose χ² lies above that beside the truth, where no part is negative beyond doubt.
 

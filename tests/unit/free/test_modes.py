@@ -143,10 +143,10 @@ def test_free_decays() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("case", ["random", "close", "damping", "decays", "responses"])
 def test_coverage(case: str) -> None:
-    """60 draws: coverage of 93 to 97 %, bias a fifth of the sd, each to three standard errors."""
+    """40 draws: coverage of 93 to 97 %, bias a fifth of the sd, each to three standard errors."""
     f, zeta, shapes = [], [], []
     bench = {"close": CLOSE, "damping": WIDE}.get(case, TWO)
-    for draw in range(60):
+    for draw in range(40):
         rng = np.random.default_rng(draw)
         if case == "decays":
             found = dashpot.modes(decays(TWO, rng, 1, 8.0, 0.02), [], "x0,x1")

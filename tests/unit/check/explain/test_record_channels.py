@@ -13,7 +13,7 @@ from dashpot.data.record import MISSING, Record
 from dashpot.errors import DataError
 from dashpot.estimate.assessment import Finding
 from dashpot.model.network import Model
-from tests.nonlinear_rigs import LAWS, guessed, motions
+from tests.nonlinear_rigs import guessed, motions
 from tests.unit.estimate.nonlinear.test_whole_record import chaotic, record
 
 SEEN = (*motions("x1", "x2"), Channel("a1", {"x1": 1.0}, Quantity.ACCELERATION), *motions("u"))

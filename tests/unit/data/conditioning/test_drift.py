@@ -48,9 +48,9 @@ def test_long_dwells_lose_a_slope_always() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("slope", "most"), [(0.0, 1.2), (0.02, 1.35), (0.05, 1.55), (0.2, 1.55)])
+@pytest.mark.parametrize(("slope", "most"), [(0.0, 1.2), (0.05, 1.55), (0.2, 1.55)])
 def test_slopes_cost_what_the_theory_says(slope: float, most: float) -> None:
-    """Rms error over the bound of no drift, one-period dwells at 5 % noise; THEORY §11 has 1.09, 1.23, 1.42 and 1.35.
+    """Rms error over the bound of no drift, one-period dwells at 5 % noise; THEORY §11 has 1.09, 1.42 and 1.35.
 
     60 tests of six unknowns that move together in threes: ± 6 %.  Coverage 93-95 % there, here ± 3.5 %.
     """
