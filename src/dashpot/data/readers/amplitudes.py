@@ -23,9 +23,9 @@ from dashpot.data.readers.columns import FREQUENCY, LARGEST, Columns, bare, freq
 from dashpot.data.readers.records import EXPERIMENT, check_frequency, experiment_column, whole_numbers
 from dashpot.data.readers.text import write_rows
 from dashpot.data.record import calibrated, calibration
-from dashpot.data.spectrum import SettledDwell, Spectrum, Stretch, WholeRecord, concatenate
+from dashpot.data.spectrum import SettledDwell, Spectrum, Stretch, WholeRecord
 from dashpot.errors import DashpotError, DataError
-from dashpot.io.words import listed, shown
+from dashpot.io.words import shown
 from dashpot.notices import Notice
 
 # Complex amplitudes as pairs of columns: NAME_re and NAME_im, or NAME_amplitude and NAME_phase.
@@ -98,7 +98,7 @@ def phase_factor(columns: Columns, column: int) -> float:
         raise DataError(what, columns.heading, "give the phase in deg or rad") from None
 
 
-def _required(
+def required(
     columns: Columns, found: Mapping[str, AmplitudeColumns], stem: str, why: str = ""
 ) -> AmplitudeColumns:
     """The columns of one amplitude.  Raises DataError if one is missing or named twice."""
@@ -153,146 +153,9 @@ def phase_notices(
     return [Notice("phase_unit", text, of)]
 
 
-# Tables of frequency response functions as CSV: `frequency_hz`, then `OUT/IN_re`, `OUT/IN_im`, optionally
-# `OUT/IN_sd`.
-#
-# OUT and IN are channels of the rig file, in their units; `OUT/IN_sd` is the standard deviation of the real
-# and of the imaginary part, each, `OUT/IN_coherence` tells it where there is none; `A/IN&B/IN_cov_re`, `…_cov_im`
-# the covariance E[Δ_A conj(Δ_B)]. Every input makes an experiment of its own, driven with amplitude 1 at IN and 0 at
-# the others, which are exact.
-
-
-def read_frf(
-    columns: Columns,
-    found: Mapping[str, AmplitudeColumns],
-    channels: Sequence[Channel],
-    experiment: int = 0,
-    named: Sequence[str] = (),
-) -> tuple[Spectrum, list[Notice]]:
-    """The spectrum in SI units, one experiment for each input from number `experiment` on, and notes.
-
-    `found` are the amplitude columns.  Without any sd column the noise is unknown.
-    Raises DataError with file and column for what is missing, not a number, or not in the rig file.
-    """
-    pairs, names = _pairs(columns, found, channels), [channel.name for channel in channels]
-    at = {pair: _required(columns, found, "/".join(pair)) for pair in pairs}
-    sd_at = {pair: i for pair in pairs if (i := columns.find(f"{'/'.join(pair)}_sd")) is not None}
-    coherence_at = {
-        pair: i
-        for pair in pairs
-        if not sd_at and (i := columns.find(f"{'/'.join(pair)}_coherence")) is not None
-    }
-    frequency_at, notes = _frequency_at(columns, channels), list(columns.notes)
-    together = {
-        (one, other): _required(columns, found, stem)
-        for one in sd_at
-        for other in sd_at
-        if one[1] == other[1] and (stem := f"{'/'.join(one)}&{'/'.join(other)}_cov") in found
-    }
-    of_pairs = (i for both in (*at.values(), *together.values()) for i in (both.first, both.second))
-    values = columns.numbers(
-        list(dict.fromkeys([frequency_at, *of_pairs, *sd_at.values(), *coherence_at.values()]))
-    )
-    frequency = values[frequency_at] * frequency_scale(columns, frequency_at)
-    check_frequency(columns, frequency_at, frequency)
-    variances = {pair: 2 * values[i] ** 2 for pair, i in sd_at.items()}
-    for pair, i in coherence_at.items():
-        columns.refuse(
-            i, (values[i] < 0) | (values[i] > 1.001), "a coherence of {:g}", "it is 0 to 1", values[i]
-        )
-        variance, said = coherent_variance(at[pair].of(values), values[i], None)
-        variances[pair] = 2 * variance
-        notes.append(Notice("averages_unknown", f"{columns.source}: {'/'.join(pair)}: {said}", pair))
-    for i in sd_at.values():
-        columns.refuse(i, values[i] < 0, "a standard deviation of {:g}", "0 means exact", values[i])
-    scale = np.array([channel.scale for channel in channels])
-    spectra, lines = [], len(frequency)
-    for number, into in enumerate(dict.fromkeys(into for _, into in pairs)):
-        X = np.zeros((lines, len(channels)), dtype=np.complex128)
-        V = np.full((lines, len(channels), len(channels)), 0.0 if variances else np.nan, dtype=np.complex128)
-        for c, channel in enumerate(channels):
-            pair = (channel.name, into)
-            if channel.name == into:
-                X[:, c] = 1.0
-            elif pair in at:
-                X[:, c] = at[pair].of(values)
-                if pair in variances:
-                    V[:, c, c] = variances[pair]
-        for (one, other), pair_columns in together.items():
-            if one[1] == into:
-                c, d = (names.index(name) for name in (one[0], other[0]))
-                V[:, c, d] = pair_columns.of(values)
-                V[:, d, c] = np.conj(V[:, c, d])
-        spectra.append(
-            Spectrum(
-                tuple(channels),
-                frequency,
-                *calibrated(channels, frequency, X * scale, V * np.outer(scale, scale)),
-                np.ones(lines, dtype=np.int64),
-                np.full(lines, np.inf),
-                ("given" if variances else "unknown",) * lines,
-                np.full(lines, experiment + number),
-                stretches=(SettledDwell(per_unit=True),),
-            )
-        )
-    return concatenate(spectra), notes
-
-
-def coherent_variance(H: Complex, gamma2: Real, averages: Real | None) -> tuple[Real, str]:
-    """The variance of real and imaginary part of H (lines,) by its coherence, and what is to be said of it.
-
-    Where the number of averages is not known, the size is that of second differences of neighbouring lines, which bends
-    of H only make larger, and one average at most.
-    """
-    trusted = np.clip(gamma2, 1e-6, 1 - 1e-9)
-    once = np.abs(H) ** 2 * (1 - trusted) / (2 * trusted)
-    if averages is not None:
-        return once / np.maximum(averages, 1), ""
-    share = 1.0
-    if len(H) >= 8:
-        bend = np.abs(H[:-2] - 2 * H[1:-1] + H[2:]) ** 2
-        expected = 2 * (once[:-2] + 4 * once[1:-1] + once[2:])
-        # The median of what is distributed as χ² of two degrees of freedom is ln 2 of its mean.
-        share = min(float(np.median(bend / np.maximum(expected, 1e-300)) / np.log(2)), 1.0)
-    text = (
-        "the number of averages behind the coherence is not stated: the noise is estimated from the scatter of "
-        f"neighbouring lines (as of {1 / max(share, 1e-9):.2g} averages); add a column averages"
-    )
-    return share * once, text
-
-
-def _frequency_at(columns: Columns, channels: Sequence[Channel]) -> int:
+def frequency_at(columns: Columns, channels: Sequence[Channel]) -> int:
     at = frequency_column(columns, channels)
     return columns.need(FREQUENCY) if at is None else at
-
-
-def _pairs(
-    columns: Columns, found: Mapping[str, AmplitudeColumns], channels: Sequence[Channel]
-) -> list[tuple[str, str]]:
-    """Which response to which input there is.  Raises DataError if there is none, or one is missing."""
-    names = {channel.name for channel in channels}
-    pairs = []
-    plain = (bare(column)[0] for column in columns.header)
-    for stem in dict.fromkeys([*(name[:-3] for name in plain if name.endswith("_re")), *found]):
-        out, _, into = stem.partition("/")
-        if out in names and into in names:
-            pairs.append((out, into))
-    if not pairs:
-        raise DataError(
-            f"no column OUT/IN_re names two channels of the rig file ({listed(c.name for c in channels)})",
-            columns.source,
-            "name the columns after its channels",
-        )
-    inputs = {into for _, into in pairs}
-    for into in inputs:
-        for out in names - inputs:
-            if (out, into) not in pairs:
-                raise DataError(
-                    f"there is no column {out}/{into}_re (the rig file lists the channels)",
-                    columns.source,
-                    "add it, or take the channel out of the rig file",
-                )
-    return pairs
 
 
 SAMPLES, DOF, NOISE = "samples", "dof", "noise"
@@ -409,8 +272,8 @@ def _layout(
 ) -> _Layout:
     """Where everything stands.  Raises DataError for a column that is missing or of another unit."""
     why = " (the rig file lists the channel)"
-    frequency_at = _frequency_at(columns, channels)
-    amplitudes = [_required(columns, found, channel.name, why) for channel in channels]
+    at_frequency = frequency_at(columns, channels)
+    amplitudes = [required(columns, found, channel.name, why) for channel in channels]
     sd = [columns.find(f"{channel.name}_sd") for channel in channels]
     scales = []
     for pair, at, channel in zip(amplitudes, sd, channels, strict=True):
@@ -427,12 +290,12 @@ def _layout(
         for j, b in enumerate(channels):
             name = f"{a.name}&{b.name}_cov"
             if i != j and columns.find(f"{name}_re") is not None:
-                pairs[i, j] = _required(columns, found, name)
+                pairs[i, j] = required(columns, found, name)
     names = [EXPERIMENT, SAMPLES, DOF, NOISE]
     if columns.find(RECORD) is not None:
         names += [RECORD, FUNDAMENTAL, PER_UNIT, *OF_RECORDS]
     more = {name: at for name in names if (at := columns.find(name)) is not None}
-    return _Layout(frequency_at, amplitudes, sd, np.array(scales), pairs, more, bool(named))
+    return _Layout(at_frequency, amplitudes, sd, np.array(scales), pairs, more, bool(named))
 
 
 def _covariance(

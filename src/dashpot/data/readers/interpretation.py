@@ -10,10 +10,10 @@ import numpy as np
 
 from dashpot.channel import RUNS, Channel, Experiment, channels_of, numbered
 from dashpot.data.clocks import ClockedRecords
-from dashpot.data.readers.amplitudes import amplitude_columns, phase_notices, read_amplitudes, read_frf
+from dashpot.data.readers.amplitudes import amplitude_columns, phase_notices, read_amplitudes
 from dashpot.data.readers.columns import Columns, bare
 from dashpot.data.readers.records import Circumstances, read_records
-from dashpot.data.readers.responses import Response, is_response, joined_responses, read_response
+from dashpot.data.readers.responses import Response, is_response, joined_responses, read_frf, read_response
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError
@@ -74,8 +74,12 @@ def interpret(columns: Columns, channels: Sequence[Channel], circumstances: Circ
         response, notes = read_response(columns, channels)
         return Interpreted(notes=tuple(notes), responses=(response,))
     if found:
-        reader = read_frf if any("/" in name for name in found) else read_amplitudes
-        lines, notes = reader(columns, found, channels, circumstances.experiment, circumstances.named)
+        if any("/" in name for name in found):
+            lines, notes = read_frf(columns, found, channels, circumstances.experiment)
+        else:
+            lines, notes = read_amplitudes(
+                columns, found, channels, circumstances.experiment, circumstances.named
+            )
         notes += phase_notices(columns, found, lines.frequency_hz)
         return Interpreted((), (lines,), tuple(notes))
     records, notes = read_records(columns, channels, circumstances)

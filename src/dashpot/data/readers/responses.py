@@ -10,20 +10,27 @@ of neighbouring lines, and γ² tells how it runs.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.data.noise import moderated
-from dashpot.data.readers.amplitudes import AmplitudeColumns, coherent_variance, phase_factor, phase_notices
+from dashpot.data.readers.amplitudes import (
+    AmplitudeColumns,
+    frequency_at,
+    phase_factor,
+    phase_notices,
+    required,
+)
 from dashpot.data.readers.columns import Columns, bare, frequency_scale
 from dashpot.data.readers.records import check_frequency
 from dashpot.data.record import calibrated
-from dashpot.data.spectrum import SettledDwell, Spectrum
+from dashpot.data.spectrum import SettledDwell, Spectrum, concatenate
 from dashpot.errors import DataError
 from dashpot.io.words import listed
 from dashpot.notices import Notice
@@ -39,6 +46,7 @@ _PARTS = (
 )
 _COHERENCE = ("coherence", "coh", "gamma2", "kohärenz")
 _AVERAGES = ("averages", "n_avg", "navg")
+Pair = tuple[str, str]  # output, input
 _NO_CHANNEL = re.compile(r"\d+(hz)?|(h|frf|tf|tap|hit|test|run|avg|mean|resp|response|mag|phase)\d*")
 
 
@@ -49,7 +57,7 @@ class Response:
     frequency_hz (lines,); H (lines,) complex; variance (lines,) of the real and the imaginary part each.
     """
 
-    pair: tuple[str, str]
+    pair: Pair
     source: str
     frequency_hz: Real
     H: Complex
@@ -114,14 +122,9 @@ def read_response(columns: Columns, channels: Sequence[Channel]) -> tuple[Respon
     H, variance = both.of(values), np.full(len(frequency), np.nan)
     coherence = [i for i, name in more.items() if name in _COHERENCE]
     if coherence:
-        gamma2 = values[coherence[0]]
-        columns.refuse(
-            coherence[0], (gamma2 < 0) | (gamma2 > 1.001), "a coherence of {:g}", "it is 0 to 1", gamma2
-        )
-        averages = [values[i] for i, name in more.items() if name in _AVERAGES]
-        variance, said = coherent_variance(H, gamma2, averages[0] if averages else None)
-        if said:
-            notes.append(Notice("averages_unknown", f"{columns.source}: {said}", pair))
+        averages = next((values[i] for i, name in more.items() if name in _AVERAGES), None)
+        variance, said = _by_coherence(columns, coherence[0], values, H, averages, pair)
+        notes += said
     return Response(pair, columns.source, frequency, H, variance), notes
 
 
@@ -146,28 +149,143 @@ def _pair(source: str, channels: Sequence[Channel]) -> tuple[str, str]:
     return named[0].name, named[1].name
 
 
+# Tables of frequency response functions as CSV: `frequency_hz`, then `OUT/IN_re`, `OUT/IN_im`, optionally
+# `OUT/IN_sd`.
+#
+# OUT and IN are channels of the rig file, in their units; `OUT/IN_sd` is the standard deviation of the real
+# and of the imaginary part, each, `OUT/IN_coherence` tells it where there is none; `A/IN&B/IN_cov_re`, `…_cov_im`
+# the covariance E[Δ_A conj(Δ_B)]. Every input makes an experiment of its own, driven with amplitude 1 at IN and 0 at
+# the others, which are exact.
+
+
+def read_frf(
+    columns: Columns, found: Mapping[str, AmplitudeColumns], channels: Sequence[Channel], experiment: int = 0
+) -> tuple[Spectrum, list[Notice]]:
+    """The spectrum in SI units, one experiment for each input from number `experiment` on, and notes.
+
+    `found` are the amplitude columns.  Without any sd or coherence the noise is unknown; else what has none is exact.
+    Raises DataError with file and column for what is missing, not a number, or not in the rig file.
+    """
+    at = {pair: required(columns, found, "/".join(pair)) for pair in _pairs(columns, found, channels)}
+    sd_at, coherence_at = (
+        {pair: i for pair in at if (i := columns.find("/".join(pair) + ending)) is not None}
+        for ending in ("_sd", "_coherence")
+    )
+    coherence_at = {} if sd_at else coherence_at
+    f_at, notes = frequency_at(columns, channels), list(columns.notes)
+    together = {
+        (one[0], other[0], one[1]): required(columns, found, stem)
+        for one in sd_at
+        for other in sd_at
+        if one[1] == other[1] and (stem := f"{'/'.join(one)}&{'/'.join(other)}_cov") in found
+    }
+    of_pairs = (i for both in (*at.values(), *together.values()) for i in (both.first, both.second))
+    values = columns.numbers(list(dict.fromkeys([f_at, *of_pairs, *sd_at.values(), *coherence_at.values()])))
+    frequency = values[f_at] * frequency_scale(columns, f_at)
+    check_frequency(columns, f_at, frequency)
+    responses = []
+    for pair, both in at.items():
+        H, variance = both.of(values), np.full(len(frequency), 0.0 if sd_at or coherence_at else np.nan)
+        if pair in sd_at:
+            sd = values[sd_at[pair]]
+            columns.refuse(sd_at[pair], sd < 0, "a standard deviation of {:g}", "0 means exact", sd)
+            variance = sd**2
+        elif pair in coherence_at:
+            variance, said = _by_coherence(columns, coherence_at[pair], values, H, None, pair)
+            notes += said
+        responses.append(Response(pair, columns.source, frequency, H, variance))
+    shared = {three: both.of(values) for three, both in together.items()}
+    return concatenate(list(joined_responses(responses, channels, experiment, shared))), notes
+
+
+def _by_coherence(
+    columns: Columns, at: int, values: Mapping[int, Real], H: Complex, averages: Real | None, pair: Pair
+) -> tuple[Real, list[Notice]]:
+    """The variance of a response by the coherence in column `at`, and notes.  Raises DataError if it is none."""
+    gamma2 = values[at]
+    columns.refuse(at, (gamma2 < 0) | (gamma2 > 1.001), "a coherence of {:g}", "it is 0 to 1", gamma2)
+    variance, said = coherent_variance(H, gamma2, averages)
+    text = f"{columns.source}: {'/'.join(pair)}: {said}"
+    return variance, [Notice("averages_unknown", text, pair)] if said else []
+
+
+def coherent_variance(H: Complex, gamma2: Real, averages: Real | None) -> tuple[Real, str]:
+    """The variance of real and imaginary part of H (lines,) by its coherence, and what is to be said of it.
+
+    Where the number of averages is not known, the size is that of second differences of neighbouring lines, which bends
+    of H only make larger, and one average at most.
+    """
+    trusted = np.clip(gamma2, 1e-6, 1 - 1e-9)
+    once = np.abs(H) ** 2 * (1 - trusted) / (2 * trusted)
+    if averages is not None:
+        return once / np.maximum(averages, 1), ""
+    share = 1.0
+    if len(H) >= 8:
+        bend = np.abs(H[:-2] - 2 * H[1:-1] + H[2:]) ** 2
+        expected = 2 * (once[:-2] + 4 * once[1:-1] + once[2:])
+        # The median of what is distributed as χ² of two degrees of freedom is ln 2 of its mean.
+        share = min(float(np.median(bend / np.maximum(expected, 1e-300)) / np.log(2)), 1.0)
+    text = (
+        "the number of averages behind the coherence is not stated: the noise is estimated from the scatter of "
+        f"neighbouring lines (as of {1 / max(share, 1e-9):.2g} averages); add a column averages"
+    )
+    return share * once, text
+
+
+def _pairs(
+    columns: Columns, found: Mapping[str, AmplitudeColumns], channels: Sequence[Channel]
+) -> list[Pair]:
+    """Which response to which input there is.  Raises DataError if there is none, or one is missing."""
+    names = {channel.name for channel in channels}
+    pairs = []
+    plain = (bare(column)[0] for column in columns.header)
+    for stem in dict.fromkeys([*(name[:-3] for name in plain if name.endswith("_re")), *found]):
+        out, _, into = stem.partition("/")
+        if out in names and into in names:
+            pairs.append((out, into))
+    if not pairs:
+        raise DataError(
+            f"no column OUT/IN_re names two channels of the rig file ({listed(c.name for c in channels)})",
+            columns.source,
+            "name the columns after its channels",
+        )
+    inputs = {into for _, into in pairs}
+    for into in inputs:
+        for out in names - inputs:
+            if (out, into) not in pairs:
+                raise DataError(
+                    f"there is no column {out}/{into}_re (the rig file lists the channels)",
+                    columns.source,
+                    "add it, or take the channel out of the rig file",
+                )
+    return pairs
+
+
 def joined_responses(
-    responses: Sequence[Response], channels: Sequence[Channel], experiment: int
+    responses: Sequence[Response],
+    channels: Sequence[Channel],
+    experiment: int,
+    shared: Mapping[tuple[str, str, str], Complex] = MappingProxyType({}),
 ) -> Iterator[Spectrum]:
     """The spectra of responses in SI units, one for each input and its frequencies, numbered from `experiment` on.
 
+    shared: E[Δ_A conj(Δ_B)] (lines,) of the noise that two outputs A, B share in their responses to an input.
     Channels that were not measured with an input are NaN.  Raises DataError as `calibrated`.
     """
-    groups: dict[tuple[str, bytes], list[Response]] = {}
+    groups: dict[tuple[str | bytes, ...], list[Response]] = {}
     for each in responses:
-        key = np.round(each.frequency_hz / each.frequency_hz[0], 6).tobytes() + bytes(
-            f"{each.frequency_hz[0]:.6g}", "ascii"
-        )
-        groups.setdefault((each.pair[1], key), []).append(each)
+        first = each.frequency_hz[:1]
+        key = np.round(each.frequency_hz / first, 6).tobytes(), *(f"{f:.6g}" for f in first)
+        groups.setdefault((each.pair[1], *key), []).append(each)
     inputs = {each.pair[1] for each in responses}
     forces = {channel.name for channel in channels if channel.quantity is Quantity.FORCE}
     if (
         inputs & forces
     ):  # what is pushed somewhere is not pushed elsewhere; a force on a moved base is none that drives
         inputs |= forces
-    scale = np.array([channel.scale for channel in channels])
-    for number, ((into, _), group) in enumerate(groups.items()):
-        frequency = group[0].frequency_hz
+    scale, names = np.array([channel.scale for channel in channels]), [channel.name for channel in channels]
+    for number, group in enumerate(groups.values()):
+        into, frequency = group[0].pair[1], group[0].frequency_hz
         lines = len(frequency)
         X = np.full((lines, len(channels)), np.nan, dtype=np.complex128)
         V = np.zeros((lines, len(channels), len(channels)), dtype=np.complex128)
@@ -185,6 +303,10 @@ def joined_responses(
                 X[:, c] = float(channel.name == into)
             else:
                 V[:, c, c] = np.nan
+        for (one, other, of_input), covariance in shared.items():
+            if of_input == into:
+                c, d = names.index(one), names.index(other)
+                V[:, c, d], V[:, d, c] = covariance, np.conj(covariance)
         noise = "unknown" if "unknown" in kinds else "periods" if "periods" in kinds else "given"
         if noise == "unknown":
             V, dof = np.full_like(V, np.nan), np.inf

@@ -9,7 +9,7 @@ import dashpot
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.data.readers import read
-from dashpot.data.readers.amplitudes import coherent_variance
+from dashpot.data.readers.responses import coherent_variance
 from tests.two_masses import HELD
 
 RIG = dashpot.parse_rig(f"""
