@@ -586,46 +586,26 @@ def _in_front_of_numbers(data: Text, candidate: _Row, delimiter: str | None) -> 
         if following is None:
             break
         rows.append(following)
-        if len(rows) == 2 and _follow_at_once(rows, delimiter):
-            break
-        if len(rows) > 2:
-            header = _header_in_front(rows, delimiter)
-            if header is not None:
-                return rows[header]
-            # Whether the last two rows are the first ones of numbers, and the row above has too few cells to
-            # name them
-            mark = _delimiter(rows[-1].text) if delimiter is None else delimiter
-            above, first, second = (_cells(row.text, mark) for row in rows[-3:])
-            alike = len(first) == len(second) > 1 and all(map(_is_number, (*first, *second)))
-            if alike and 2 * len(above) <= len(first) and not any(map(_is_number, above)):
-                return rows[-2]
+        shows = rows[0] if len(rows) == 2 else rows[-1]
+        mark = _delimiter(shows.text) if delimiter is None else delimiter
+        *above, first, second = ([], *(_cells(row.text, mark) for row in rows[-4:]))
+        if len(rows) == 2:  # whether numbers follow at once, one for each name
+            if abs(len(first) - len(second)) <= 1 and _is_data(second) and not any(map(_is_number, first)):
+                break
+            continue
+        if len(first) != len(second):
+            continue
+        if _is_data(first) and _is_data(second):
+            for row, names in zip(rows[-3::-1], above[:0:-1], strict=False):
+                if abs(len(names) - len(first)) > 1 or any(map(_is_number, names)):
+                    break
+                if not _is_unit_row(names):
+                    return row
+        # Whether these are the first rows of numbers, and the row above has too few cells to name them
+        alone = len(first) > 1 and all(map(_is_number, (*first, *second)))
+        if alone and 2 * len(above[-1]) <= len(first) and not any(map(_is_number, above[-1])):
+            return rows[-2]
     return candidate
-
-
-def _follow_at_once(rows: Sequence[_Row], delimiter: str | None) -> bool:
-    """Whether numbers follow the first candidate, one for each name."""
-    mark = _delimiter(rows[0].text) if delimiter is None else delimiter
-    names, cells = (_cells(row.text, mark) for row in rows)
-    return (
-        abs(len(names) - len(cells)) <= 1 and _is_data(cells) and not any(_is_number(name) for name in names)
-    )
-
-
-def _header_in_front(rows: Sequence[_Row], delimiter: str | None) -> int | None:
-    """The header row, where the last two rows are the first ones of numbers; None if they are not."""
-    mark = _delimiter(rows[-1].text) if delimiter is None else delimiter
-    *_, first, second = (_cells(row.text, mark) for row in rows[-3:])
-    if len(first) != len(second) or not (_is_data(first) and _is_data(second)):
-        return None
-    for at in (len(rows) - 3, len(rows) - 4):
-        if at < 0:
-            return None
-        cells = _cells(rows[at].text, mark)
-        if abs(len(cells) - len(first)) > 1 or any(_is_number(cell) for cell in cells):
-            return None
-        if not _is_unit_row(cells):
-            return at
-    return None
 
 
 def _delimiter(text: str) -> str:
