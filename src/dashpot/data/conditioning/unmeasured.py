@@ -72,13 +72,10 @@ def _with_missing(record: Record, notices: list[Notice]) -> Record:
     """
     if record.values.ndim != 2 or record.frequency_hz is None:
         return record
-    still = record.values[1:] == record.values[:-1]
-    # Two equal neighbours in a row anywhere: nearly no record has any, which spares it the rest.
-    held = np.any(still[1:] & still[:-1], axis=0)
     most = max(1.0, PER_PERIOD * record.periods)
     status = np.zeros(record.values.shape, dtype=np.int64)
     for c, column in enumerate(record.values.T):
-        runs = list(runs_of_one_value(column, 3)) if held[c] else []
+        runs = list(runs_of_one_value(column, 3))
         spikes = [at for at in _spikes(column) if not any(begin <= at < end for begin, end in runs)]
         runs += [(at, at + 1) for at in spikes] if len(spikes) <= most else []
         if not runs:
@@ -286,13 +283,11 @@ def marked_whole(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
         return [record], ()
     status, notes = record.marks(), list[Notice]()
     held, holding = np.zeros(len(record.time), dtype=bool), []
-    still = record.values[1:] == record.values[:-1]
-    suspect = np.any(still[1:] & still[:-1], axis=0)
     away = _departures(record.values)
     for c, channel in enumerate(record.channels):
         if channel.quantity is Quantity.FORCE:
             continue
-        runs = _runs_held(record.values[:, c]) if suspect[c] else []
+        runs = _runs_held(record.values[:, c])
         if runs:
             holding.append(channel.name)
         for begin, end in runs:
@@ -363,12 +358,11 @@ def _alone(away: Real, at: int, c: int) -> bool:
 
 def _runs_held(column: Real) -> list[tuple[int, int]]:
     """Begin and end of each run of one value (samples,) that the motion around it does not explain."""
-    runs = list(runs_of_one_value(column, SHORTEST_HELD_SAMPLES))
-    values, counts = np.unique(column, return_counts=True)
-    resting = values[counts > MOST_MISSING * len(column)]
-    if not 0 < len(runs) <= MOST_RUNS or sum(end - begin for begin, end in runs) > MOST_MISSING * len(column):
+    runs, most = list(runs_of_one_value(column, SHORTEST_HELD_SAMPLES)), MOST_MISSING * len(column)
+    if not 0 < len(runs) <= MOST_RUNS or sum(end - begin for begin, end in runs) > most:
         return []
-    if len(resting) or len(values) < 2:
+    values, counts = np.unique(column, return_counts=True)
+    if np.any(counts > most) or len(values) < 2:  # a value at which the channel rests
         return []
     step = float(np.min(np.diff(values)))
     runs = [
