@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -22,6 +21,7 @@ from dashpot.channel import Channel
 from dashpot.data.conditioning.clock import even_step
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning
+from dashpot.data.conditioning.unmeasured import SHORTEST
 from dashpot.data.conditioning.whole_record import without_gaps
 from dashpot.data.noise import moderated, smoothed, with_local_noise
 from dashpot.data.periods import ROUNDING, averaged_periods
@@ -38,7 +38,6 @@ from dashpot.io.words import chosen_format, counted, joined, listed
 from dashpot.notices import Notice
 
 Band = tuple[float, float]
-SHORTEST = 64  # samples of a piece between gaps: a local model needs some 30 lines
 Data = TypeVar("Data", Record, Spectrum)
 
 
@@ -198,7 +197,8 @@ def parted(reading: Reading, inputs: Sequence[str], outputs: Sequence[str]) -> P
     for record in (each for each in records if each.frequency_hz is None):
         repeated = averaged_periods(record, len(inputs)) if inputs else None
         if repeated is None:
-            whole += _pieces(record, told)
+            pieces, said = without_gaps(record, split=True)
+            whole, told = [*whole, *pieces], [*told, *said]
             continue
         _require_motion(record, len(inputs))
         spectra.append(repeated[0])
@@ -246,17 +246,6 @@ def _of_channels(data: Data, inputs: Sequence[str], outputs: Sequence[str]) -> D
     cell = None if data.cell is None else data.cell[at]
     status = None if data.status is None else data.status[:, at]
     return replace(data, channels=channels, values=data.values[..., at], sd=None, status=status, cell=cell)
-
-
-def _pieces(record: Record, told: list[Notice]) -> list[Record]:
-    """The record in pieces without gaps; what is said of them is told."""
-    pieces, notes = without_gaps(record)
-    told += notes
-    if any(piece.status is not None for piece in pieces):  # rows of unknown samples were put in: cut there
-        usual = float(np.median(np.diff(record.time)))
-        edges = [0, *(np.flatnonzero(np.diff(record.time) > 1.5 * usual) + 1).tolist(), len(record.time)]
-        pieces = [record.part(slice(a, b)) for a, b in pairwise(edges) if b - a >= SHORTEST]
-    return pieces
 
 
 # Steady amplitudes: rows at one frequency, both sides noisy.

@@ -93,13 +93,22 @@ def _simplest(time: Real, index: Real, step: float, rounding: float) -> float:
     return step
 
 
+def rows_of(record: Record, first: int, last: int) -> Record:
+    """The samples from one to before another.  Raises DataError where fewer than two are left."""
+    if last - first < 2:
+        text = (
+            f"fewer than two samples are left: the record is from {record.time[0]:g} to {record.time[-1]:g} s"
+        )
+        raise DataError(text, record.source, "use more of it, or record longer")
+    return record.part(slice(first, last))
+
+
 def cut(record: Record, start: float, end: float) -> Record:
     """The samples of a record between two shares of its length.  Raises DataError where fewer than two are left."""
-    first, last = round(start * len(record.time)), round(end * len(record.time))
-    if last - first < 2:
-        raise DataError(
-            f"{100 * (end - start):.3g} % of {len(record.time)} samples leaves nothing",
-            record.source,
-            "use a larger share",
-        )
-    return record.part(slice(first, last))
+    return rows_of(record, round(start * len(record.time)), round(end * len(record.time)))
+
+
+def between(record: Record, start: float, end: float) -> Record:
+    """The samples of a record from one time to another, s.  Raises DataError where fewer than two are left."""
+    first, last = np.searchsorted(record.time, start), np.searchsorted(record.time, end, side="right")
+    return rows_of(record, int(first), int(last))

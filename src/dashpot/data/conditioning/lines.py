@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from dashpot.arrays import Bools, Ints, Real, diagonal_matrices
-from dashpot.data.conditioning.clock import with_even_stamps
+from dashpot.data.conditioning.clock import between, with_even_stamps
 from dashpot.data.conditioning.drive_frequency import (
     at_drive_frequencies,
     driven_at,
@@ -40,7 +40,6 @@ from dashpot.data.conditioning.steadiness import (
     settled,
     shows_settling,
     slopes_show,
-    without_start,
 )
 from dashpot.data.conditioning.unmeasured import expected, marked, notices_of_doubt
 from dashpot.data.conditioning.whole_record import AT_REST, continuous, dwells_with_transients, whole_records
@@ -236,7 +235,7 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     uncut, settings, of_samples = treated(OF_SAMPLES, dwells, settings)
     dwells, settings, of_sines = treated(OF_SINES, uncut, settings)
     notes = [*of_samples, *of_sines]
-    found = [row for row in UNSTEADY if _asked(row, settings) and row.shows(dwells)]
+    found = [row for row in UNSTEADY if row.asked(settings) and row.shows(dwells)]
     why = _why_whole(dwells, settings, found)
     if why is not None:
         at_hz = [record.frequency_hz for record in dwells]
@@ -260,7 +259,7 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     brief = tuple(
         record.source for record in dwells if not shows_settling(record) and record.values.ndim == 2
     )
-    if brief and _asked(UNSETTLED, settings) and UNSETTLED.code not in said:
+    if brief and UNSETTLED.asked(settings) and UNSETTLED.code not in said:
         which = "one dwell is" if len(brief) == 1 else f"{len(brief)} dwells are"
         text = f"{which} too short to show a transient: treated as settled"
         said["transient_undetectable"] = Notice("transient_undetectable", text, brief)
@@ -311,7 +310,11 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
         beyond_half_rate = [record for record in dwells if 2 * record.step_s * record.stated_hz > 1]
         require_stated(beyond_half_rate, settings.wanted)
     if settings.settle not in ("auto", "none"):
-        return [without_start(record, float(settings.settle)) for record in dwells], settings, []
+        return (
+            [between(record, record.time[0] + float(settings.settle), np.inf) for record in dwells],
+            settings,
+            [],
+        )
     if settings.settle == "none" and settings.transients != "auto":
         return list(dwells), settings, []
     kept, notes = [], []
@@ -347,19 +350,6 @@ def _at_drive_frequencies(dwells: Sequence[Record], settings: Conditioning) -> T
 
 OF_SAMPLES = (long_enough, evened_and_marked)
 OF_SINES = (_made_to_settle, driven_parts, _at_drive_frequencies)
-
-
-def _asked(row: Unsteady, settings: Conditioning) -> bool:
-    """Whether the settings leave open if dwells are steady in some way."""
-    if row is WANDERS:
-        return settings.refine == "auto"
-    if row is FADES:
-        return settings.refine != "none" or settings.dwells_may_be_whole
-    return (
-        settings.settle == "none"
-        and settings.refine != "always"
-        and settings.transients in ("auto", "settle")
-    )
 
 
 def _as_whole(

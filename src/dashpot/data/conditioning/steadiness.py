@@ -25,6 +25,7 @@ from dashpot.data.conditioning.regression import (
     turning,
     window,
 )
+from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.noise import LEVEL, together
 from dashpot.data.record import Record, kept
 from dashpot.errors import DataError
@@ -422,11 +423,13 @@ def bending(records: Sequence[Record]) -> float:
 
 @dataclass(frozen=True)
 class Unsteady:
-    """What makes dwells other than steady sines: p-value of all dwells without it, the level of the test, the reason
-    that is given where they are used as whole records, the notice's code and text where they count as steady."""
+    """What makes dwells other than steady sines: p-value of all dwells without it, the level of the test, whether the
+    settings leave it open, the reason that is given where they are used as whole records, the notice's code and text
+    where they count as steady."""
 
     p: Callable[[Sequence[Record]], float]
     level: float
+    asked: Callable[[Conditioning], bool]
     why: str
     code: str
     ignored: str
@@ -436,11 +439,16 @@ class Unsteady:
         return self.p(records) < self.level
 
 
-NOT_SETTLED = "the dwells have not reached steady state, but are treated as settled"
+def _settling_asked(settings: Conditioning) -> bool:
+    plain = settings.settle == "none" and settings.refine != "always"
+    return plain and settings.transients in ("auto", "settle")
+
+
 IGNORED = "within a dwell, but the dwells are treated as steady"
 WANDERS = Unsteady(
     lambda records: together(map(_wander, records)),
     1e-4,
+    lambda settings: settings.refine == "auto",
     "not steady (the drive frequency drifts)",
     "drive_wanders",
     f"the drive frequency drifts {IGNORED}",
@@ -448,12 +456,14 @@ WANDERS = Unsteady(
 FADES = Unsteady(
     lambda records: together(map(_fading, records)),
     LEVEL,
+    lambda settings: settings.refine != "none" or settings.dwells_may_be_whole,
     "not steady (the drive amplitude drifts)",
     "drive_fades",
     f"the drive amplitude drifts {IGNORED}",
 )
-UNSETTLED = Unsteady(settling, LEVEL, "not settled", "transients_ignored", NOT_SETTLED)
-BENT = Unsteady(bending, LEVEL, "not steady sines", "transients_ignored", NOT_SETTLED)
+_IGNORED = "transients_ignored", "the dwells have not reached steady state, but are treated as settled"
+UNSETTLED = Unsteady(settling, LEVEL, _settling_asked, "not settled", *_IGNORED)
+BENT = Unsteady(bending, LEVEL, _settling_asked, "not steady sines", *_IGNORED)
 UNSTEADY = (WANDERS, FADES, UNSETTLED, BENT)
 
 
@@ -512,19 +522,6 @@ def settled(record: Record) -> tuple[Record, Notice | None]:
     whole = float(time[-1] - time[0])
     text = f"discarded {' and '.join(what)} of {whole:.4g} s at {f:g} Hz (transient)"
     return record.part(slice(first, last)), record.notice("transient_discarded", text)
-
-
-def without_start(record: Record, seconds: float) -> Record:
-    """The record without its first seconds.  Raises DataError where less than two samples are left."""
-    first = int(np.searchsorted(record.time, record.time[0] + seconds))
-    if len(record.time) - first < 2:
-        length = float(record.time[-1] - record.time[0])
-        raise DataError(
-            f"the record is {length:.4g} s long and its first {seconds:g} s are to be dropped",
-            record.source,
-            "drop less, or record longer",
-        )
-    return record.part(slice(first, None))
 
 
 @kept

@@ -58,10 +58,11 @@ HIGHEST_LINES = 0.96  # of half the sampling rate: a recorder's filter leaves no
 MANY_LINES = 300_000  # from which on a narrower band is worth stating
 
 
-def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
+def without_gaps(record: Record, *, split: bool = False) -> tuple[list[Record], tuple[Notice, ...]]:
     """The record with rows of unknown samples where some are missing, or cut there, and where its clock slips; a note.
 
-    It is cut where too many are missing, or not a whole number of steps.  Pieces too short to use are left out.
+    It is cut where too many are missing, or not a whole number of steps, or to `split`.  Pieces too short to use are
+    left out.
 
     Raises DataError where no piece is long enough.
     """
@@ -77,7 +78,7 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
     if not len(cuts):
         return [record], ()
     at = ", ".join(f"{record.time[cut]:.6g} s" for cut in cuts[:3]) + (", …" if len(cuts) > 3 else "")
-    whole = None if slipped else _with_unknown_rows(record, np.rint(steps / usual).astype(np.int64))
+    whole = None if slipped or split else _with_unknown_rows(record, np.rint(steps / usual).astype(np.int64))
     if whole is not None:
         count = len(whole.time) - len(record.time)
         text = f"{counted(count, 'sample')} missing before {at}: treated as unknown"
@@ -94,7 +95,7 @@ def without_gaps(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
         )
     if not pieces:
         raise DataError(
-            f"the record has {len(cuts)} gaps, and no segment between them has {SHORTEST} samples",
+            f"the record has {counted(len(cuts), 'gap')}, and no segment beside has {SHORTEST} samples",
             record.source,
             "give the record without gaps",
         )

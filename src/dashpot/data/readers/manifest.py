@@ -32,11 +32,11 @@ from pathlib import Path
 from time import monotonic
 from typing import Annotated, Any, ClassVar, Literal, Self, cast
 
-import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from dashpot.channel import RESERVED_NAMES, Channel
 from dashpot.data.clocks import ClockedRecords, Sensor, aligned_sensors, joined_sensors
+from dashpot.data.conditioning.clock import between
 from dashpot.data.conditioning.settings import Treatments
 from dashpot.data.noise import moderated
 from dashpot.data.periods import average_periods, one_period, samples_of_period
@@ -45,7 +45,6 @@ from dashpot.data.readers.datafile import open_file
 from dashpot.data.readers.interpretation import Interpreted, interpret
 from dashpot.data.readers.records import Circumstances, read_records
 from dashpot.data.readers.registry import reader_of
-from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.toml_document import Entry, Report, Wanted, read_toml, validated, wrong
 from dashpot.io.words import did_you_mean, listed, shown
@@ -463,11 +462,11 @@ def read_group(
         notes = tuple(note for note in found.notes if note.code != "columns_not_read")
         found = replace(found, notes=notes)
     if entry.window_s is not None:
-        window = entry.window_s
         joint = (
-            replace(each, parts=tuple(_cut(part, window) for part in each.parts)) for each in found.joint
+            replace(each, parts=tuple(between(part, *entry.window_s) for part in each.parts))
+            for each in found.joint
         )
-        records = tuple(_cut(record, window) for record in found.records)
+        records = tuple(between(record, *entry.window_s) for record in found.records)
         found = replace(found, records=records, joint=tuple(joint))
     return found if entry.lines is None else _averaged(found, line_numbers(entry.lines, group.place), group)
 
@@ -566,14 +565,6 @@ def _joined(group: FileGroup, channels: Sequence[Channel], circumstances: Circum
     if isinstance(joint, ClockedRecords):
         return Interpreted(notes=tuple(notes), joint=(joint,))
     return Interpreted((joint,), notes=tuple(notes))
-
-
-def _cut(record: Record, window: tuple[float, float]) -> Record:
-    inside = (record.time >= window[0]) & (record.time <= window[1])
-    if np.sum(inside) < 2:
-        span = f"{record.time[0]:g} to {record.time[-1]:g} s"
-        raise DataError(f"nothing lies in window_s, the record goes from {span}", record.source, "correct it")
-    return replace(record, time=record.time[inside], values=record.values[inside])
 
 
 def _averaged(found: Interpreted, lines: tuple[int, ...], group: FileGroup) -> Interpreted:

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from dashpot.data.conditioning.clock import between
 from dashpot.data.conditioning.drive_frequency import refine_frequency
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.lines import spectrum
-from dashpot.data.conditioning.steadiness import settled, without_start
+from dashpot.data.conditioning.steadiness import settled
 from dashpot.data.record import Record
 from dashpot.errors import DataError
 from tests.unit.data.conditioning.signals import X1, X2, wave
@@ -59,9 +60,9 @@ def test_settled_record_is_left_alone():
 def test_a_stated_time_is_dropped():
     t = 5 + np.arange(1000) / 100
     record = Record((X1,), t, wave(t, 2.0, [1.0]), 2.0)
-    assert without_start(record, 2.5).time[0] == pytest.approx(7.5)
+    assert between(record, 7.5, np.inf).time[0] == pytest.approx(7.5)
     lines, whole = spectrum([record], settle=2.5), spectrum([record])
     assert lines.samples[0] == 750
     assert whole.samples[0] == 1000
-    with pytest.raises(DataError, match="are to be dropped"):
-        without_start(record, 10)
+    with pytest.raises(DataError, match="fewer than two samples"):
+        spectrum([record], settle=10)

@@ -192,7 +192,7 @@ def test_sensors_of_other_sample_times_keep_them(tmp_path):
         ('[[files]]\nname = "2Hz.csv"\nunits = { x1 = "N" }\n', "N is not a unit"),
         ('[[files]]\nname = "2Hz.csv"\nlines = "1:x"\n', "1:x are not multiples"),
         ('[[files]]\nname = "2Hz.csv"\nlines = [1]\nfrequency_hz = 0.3\n', "not a whole"),
-        ('[[files]]\nname = "2Hz.csv"\nwindow_s = [90, 91]\n', "nothing lies in window_s"),
+        ('[[files]]\nname = "2Hz.csv"\nwindow_s = [90, 91]\n', "fewer than two samples are left"),
         ('[[files]]\nname = "2Hz.csv"\npart = "sheet 4"\n', "there is no part"),
         ('[[files]]\nname = "{sensor}Hz.csv"\n[files.sensors]\na = {}\n', "no file of these"),
         ('[[files]]\nname = "{sensor}Hz.csv"\n[files.sensors]\na = {}\n2 = {}\n', "no file of sensor"),
