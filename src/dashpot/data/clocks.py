@@ -10,7 +10,7 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel
-from dashpot.data.conditioning.clock import between
+from dashpot.data.conditioning.clock import span_of
 from dashpot.data.conditioning.drive_frequency import OWN, refine_frequency
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
 from dashpot.data.conditioning.lines import Treated, driven_parts, evened_and_marked, lines_of, treated
@@ -442,7 +442,7 @@ def _driven_together(parts: Sequence[Record], settings: Conditioning) -> Treated
     driven, settings, notes = driven_parts(parts, settings)
     start, end = max(part.time[0] for part in driven), min(part.time[-1] for part in driven)
     if any(len(part.time) < len(of.time) for part, of in zip(driven, parts, strict=True)):
-        driven = [between(part, start, end) for part in driven]
+        driven = [span_of(part, start, end) for part in driven]
     return driven, settings, notes
 
 

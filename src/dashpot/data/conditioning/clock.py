@@ -108,7 +108,7 @@ def cut(record: Record, start: float, end: float) -> Record:
     return rows_of(record, round(start * len(record.time)), round(end * len(record.time)))
 
 
-def between(record: Record, start: float, end: float) -> Record:
+def span_of(record: Record, start: float, end: float) -> Record:
     """The samples of a record from one time to another, s.  Raises DataError where fewer than two are left."""
     first, last = np.searchsorted(record.time, start), np.searchsorted(record.time, end, side="right")
     return rows_of(record, int(first), int(last))

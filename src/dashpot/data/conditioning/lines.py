@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from dashpot.arrays import Bools, Ints, Real, diagonal_matrices
-from dashpot.data.conditioning.clock import between, with_even_stamps
+from dashpot.data.conditioning.clock import span_of, with_even_stamps
 from dashpot.data.conditioning.drive_frequency import (
     at_drive_frequencies,
     driven_at,
@@ -311,7 +311,7 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
         require_stated(beyond_half_rate, settings.wanted)
     if settings.settle not in ("auto", "none"):
         return (
-            [between(record, record.time[0] + float(settings.settle), np.inf) for record in dwells],
+            [span_of(record, record.time[0] + float(settings.settle), np.inf) for record in dwells],
             settings,
             [],
         )
@@ -322,10 +322,10 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
         if settings.settle == "none" and driven_throughout(record):
             kept.append(record)
             continue
-        part, note = settled(record)
-        enough = settings.settle == "auto" or part.periods >= MANY_PERIODS
-        kept.append(part if enough else record)
-        notes += [note] if enough and note is not None else []
+        part = settled(record)
+        enough = settings.settle == "auto" or part.record.periods >= MANY_PERIODS
+        kept.append(part.record if enough else record)
+        notes += [part.note] if enough and part.note is not None else []
     return kept, settings, notes
 
 

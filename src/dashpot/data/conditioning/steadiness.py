@@ -484,8 +484,21 @@ def slopes_show(records: Sequence[Record], orders: Sequence[int]) -> float:
 # The part of a dwell that is driven and where the transient has decayed.
 
 
-def settled(record: Record) -> tuple[Record, Notice | None]:
-    """The part of a dwell that is driven, after its transient, and what was thrown away or could not be seen.
+@dataclass(frozen=True)
+class Settled:
+    """The part of a dwell that is driven and where the transient has decayed, and what was thrown away around it.
+
+    `note` says so in words; it is None where nothing was thrown away and a transient would have been seen.
+    """
+
+    record: Record
+    dropped_samples: int
+    dropped_s: float
+    note: Notice | None
+
+
+def settled(record: Record) -> Settled:
+    """The part of a dwell that is driven, after its transient.
 
     Blocks of whole periods, counted from the end, give amplitudes and residuals.  The longest run of blocks with more
     than half of the greatest lasting amplitude is what was driven.  Within it the cut is where the mean of what
@@ -497,7 +510,7 @@ def settled(record: Record) -> tuple[Record, Notice | None]:
     blocks = period_blocks(record)
     if blocks is None:
         text = f"{int(record.periods + 1e-6)} periods at {f:g} Hz are too few to detect a transient, or have gaps"
-        return record, record.notice("transient_undetectable", text)
+        return Settled(record, 0, 0.0, record.notice("transient_undetectable", text))
     starts, Z, rms = blocks.starts, blocks.amplitudes, blocks.rms
     begin, end = _driven(Z)
     if end - begin >= 8:
@@ -514,14 +527,17 @@ def settled(record: Record) -> tuple[Record, Notice | None]:
         begin += _truncation((values - np.mean(values[tail:], axis=0)) / scatter)
     first = 0 if begin == 0 else int(starts[begin])
     last = len(time) if end == len(starts) else int(starts[end])
-    if last - first == len(time):
-        return record, None
+    dropped = len(time) - (last - first)
+    if not dropped:
+        return Settled(record, 0, 0.0, None)
+    kept = record.part(slice(first, last))
     what = [f"the first {time[first] - time[0]:.4g} s"] * (first > 0) + [
         f"the last {time[-1] - time[last - 1]:.4g} s"
     ] * (last < len(time))
     whole = float(time[-1] - time[0])
     text = f"discarded {' and '.join(what)} of {whole:.4g} s at {f:g} Hz (transient)"
-    return record.part(slice(first, last)), record.notice("transient_discarded", text)
+    note = record.notice("transient_discarded", text)
+    return Settled(kept, dropped, float(time[-1] - time[0] - (kept.time[-1] - kept.time[0])), note)
 
 
 @kept

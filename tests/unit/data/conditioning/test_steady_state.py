@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dashpot.data.conditioning.clock import between
+from dashpot.data.conditioning.clock import span_of
 from dashpot.data.conditioning.drive_frequency import refine_frequency
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.lines import spectrum
@@ -18,11 +18,13 @@ def test_transient_is_cut_and_reported():
     t, f = np.arange(6000) / 100, 2.0
     decay = np.exp(-t / 3)[:, None] * np.cos(2 * np.pi * 2.3 * t)[:, None]
     y = wave(t, f, [1, 2]) + decay + 0.01 * rng.normal(size=(6000, 2))
-    found, note = settled(Record((X1, X2), t, y, f))
-    assert 6 < found.time[0] < 30
-    assert note.code == "transient_discarded"
-    assert np.array_equal(found.time, t[-len(found.time) :])
-    after = fit_harmonics(found)
+    found = settled(Record((X1, X2), t, y, f))
+    assert 6 < found.dropped_s < 30
+    assert found.dropped_samples == np.searchsorted(t, t[0] + found.dropped_s - 1e-9)
+    assert found.note.code == "transient_discarded"
+    assert found.record.time[0] == t[found.dropped_samples]
+    assert found.record.time[-1] == t[-1]
+    after = fit_harmonics(found.record)
     assert np.all(np.abs(after.amplitudes[0] - [1, 2]) < 6 * np.sqrt(np.diagonal(after.covariance[0]).real))
 
 
@@ -36,12 +38,13 @@ def test_silence_before_and_ring_down_after_the_dwell_are_cut():
         + decay * [0.5, 1]
         + 0.01 * rng.normal(size=(8000, 2))
     )
-    found, note = settled(Record((X1, X2), t, y, 2.0))
-    assert 20 < found.time[0] < 26
-    assert 44 < found.time[-1] < 50
-    assert "the first" in str(note)
-    assert "the last" in str(note)
-    assert refine_frequency(found).frequency_hz == pytest.approx(f, abs=1e-4)
+    found = settled(Record((X1, X2), t, y, 2.0))
+    assert 20 < found.record.time[0] < 26
+    assert 44 < found.record.time[-1] < 50
+    assert found.dropped_samples == 8000 - len(found.record.time)
+    assert "the first" in str(found.note)
+    assert "the last" in str(found.note)
+    assert refine_frequency(found.record).frequency_hz == pytest.approx(f, abs=1e-4)
 
 
 def test_settled_record_is_left_alone():
@@ -49,18 +52,18 @@ def test_settled_record_is_left_alone():
     rng = np.random.default_rng(15)
     t = np.arange(1000) / 50
     cut = [
-        len(settled(Record((X1,), t, wave(t, 2, [1]) + 0.1 * rng.normal(size=(1000, 1)), 2.0))[0].time) < 1000
+        settled(Record((X1,), t, wave(t, 2, [1]) + 0.1 * rng.normal(size=(1000, 1)), 2.0)).dropped_samples > 0
         for _ in range(100)
     ]
     assert sum(cut) < 8
-    assert len(settled(Record((X1,), t, wave(t, 2, [1]), 2.0))[0].time) == 1000
-    assert "too few" in str(settled(Record((X1,), t, wave(t, 0.2, [1]), 0.2))[1])
+    assert settled(Record((X1,), t, wave(t, 2, [1]), 2.0)).dropped_samples == 0
+    assert "too few" in str(settled(Record((X1,), t, wave(t, 0.2, [1]), 0.2)).note)
 
 
 def test_a_stated_time_is_dropped():
     t = 5 + np.arange(1000) / 100
     record = Record((X1,), t, wave(t, 2.0, [1.0]), 2.0)
-    assert between(record, 7.5, np.inf).time[0] == pytest.approx(7.5)
+    assert span_of(record, 7.5, np.inf).time[0] == pytest.approx(7.5)
     lines, whole = spectrum([record], settle=2.5), spectrum([record])
     assert lines.samples[0] == 750
     assert whole.samples[0] == 1000
