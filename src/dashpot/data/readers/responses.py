@@ -272,11 +272,11 @@ def joined_responses(
     shared: E[Δ_A conj(Δ_B)] (lines,) of the noise that two outputs A, B share in their responses to an input.
     Channels that were not measured with an input are NaN.  Raises DataError as `calibrated`.
     """
-    groups: dict[tuple[str | bytes, ...], list[Response]] = {}
+    groups: dict[tuple[str, bytes], list[Response]] = {}
     for each in responses:
         first = each.frequency_hz[:1]
-        key = np.round(each.frequency_hz / first, 6).tobytes(), *(f"{f:.6g}" for f in first)
-        groups.setdefault((each.pair[1], *key), []).append(each)
+        key = np.round(each.frequency_hz / first, 6).tobytes() + b"".join(b"%.6g" % f for f in first)
+        groups.setdefault((each.pair[1], key), []).append(each)
     inputs = {each.pair[1] for each in responses}
     forces = {channel.name for channel in channels if channel.quantity is Quantity.FORCE}
     if (

@@ -588,7 +588,7 @@ def _in_front_of_numbers(data: Text, candidate: _Row, delimiter: str | None) -> 
         rows.append(following)
         shows = rows[0] if len(rows) == 2 else rows[-1]
         mark = _delimiter(shows.text) if delimiter is None else delimiter
-        *above, first, second = ([], *(_cells(row.text, mark) for row in rows[-4:]))
+        *above, first, second = (list[str](), *(_cells(row.text, mark) for row in rows[-4:]))
         if len(rows) == 2:  # whether numbers follow at once, one for each name
             if abs(len(first) - len(second)) <= 1 and _is_data(second) and not any(map(_is_number, first)):
                 break
