@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from dashpot.notices import Notice
 
 UNEVEN = 0.02  # of a sampling step: stamps may be rounded by that much
 ROUNDED = 1e-6  # of a sampling step: stamps that are less off are even
+FIGURES = range(4, 10)  # that stamps may be written with; files of more are not coarse
 FEWEST, FEWEST_OF_A_DWELL = 16, 8  # samples of a record: of one whose frequency is known fewer tell something
 
 
@@ -58,7 +60,8 @@ def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
     """The record on an even clock where its stamps are even times rounded to some digit, else as it is.
 
     Steps of 10 and 20 ms are what 64 samples a second look like in stamps of 10 ms: taken at their word, they are
-    noise of the time.  A note says so where the digit is coarse.
+    noise of the time.  So are stamps of six significant figures, once they are long.  A note says so where the digit
+    is coarse.
     """
     time = record.time
     if len(time) < FEWEST_OF_A_DWELL:
@@ -67,18 +70,36 @@ def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
     away = float(np.max(off))
     if not ROUNDED * step < away < step:
         return record, None
-    steps = np.diff(time)
-    digit = float(np.min(steps[steps > 1e-9 * step], initial=np.inf))
-    digit = float(np.min(np.abs(np.diff(np.unique(np.round(steps, 12)))), initial=digit))
-    whole = np.abs(steps / digit - np.round(steps / digit))
     coarse = away > UNEVEN * step
-    if digit <= 0 or np.max(whole) > 1e-3 or away > (1.02 if coarse else 0.75) * digit:
+    fits = [digit for digit in _digits(time) if 0 < away <= (1.02 if coarse else 0.75) * digit]
+    if not fits:
         return record, None
+    digit = fits[0]
     middle = float(np.mean(time))
     step = _simplest(time - middle, index, step, (1 + 1e-6) * digit)
     even: Real = np.asarray(middle + step * index, dtype=np.float64)
     text = f"time stamps are rounded to {digit:.3g} s; evenly spaced samples, {step:.6g} s apart, are used"
     return replace(record, time=even), record.notice("stamps_rounded", text) if coarse else None
+
+
+def _digits(time: Real) -> Iterator[float]:
+    """The digits that all stamps may be rounded to, s: a fixed one, or that of the largest where figures are fixed."""
+    steps = np.diff(time)
+    digit = float(np.min(steps[steps > 1e-9 * np.mean(steps)], initial=np.inf))
+    digit = float(np.min(np.abs(np.diff(np.unique(np.round(steps, 12)))), initial=digit))
+    if digit > 0 and _multiples(steps, digit):
+        yield digit
+    size = np.abs(time[time != 0])
+    decade = np.floor(np.log10(size))
+    for figures in FIGURES:
+        digits = 10 ** (decade + 1 - figures)
+        if np.max(digits) <= np.mean(steps) and _multiples(size, digits):
+            yield float(np.max(digits))
+            return
+
+
+def _multiples(values: Real, digit: Real | float) -> bool:
+    return bool(np.max(np.abs(values / digit - np.round(values / digit)), initial=0.0) < 1e-3)
 
 
 def _simplest(time: Real, index: Real, step: float, rounding: float) -> float:

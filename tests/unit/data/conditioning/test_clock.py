@@ -39,6 +39,18 @@ def test_stamps_with_few_decimals_are_no_jitter(digit: float) -> None:
     assert np.max(np.abs(even.time - rounded.time)) < digit
 
 
+@pytest.mark.parametrize(("samples", "said"), [(4000, False), (16384, True)])
+def test_stamps_of_six_figures_are_no_jitter(samples: int, said: bool) -> None:
+    """Milliseconds at 4,096 Hz, as `%.6g` writes them: 0.244141, 1000.24."""
+    t = np.array([float(f"{1e3 * each:.6g}") for each in np.arange(samples) / 4096]) / 1e3
+    even, note = with_even_stamps(Record((X1, U), t, np.zeros((samples, 2))))
+    assert (note is not None) is said
+    np.testing.assert_allclose(even.time, np.arange(samples) / 4096, atol=6e-6)
+    assert even_step(Record((X1, U), t, np.zeros((samples, 2)))) == 1 / 4096
+    t[samples // 2] += 2e-4
+    assert with_even_stamps(Record((X1, U), t, np.zeros((samples, 2))))[1] is None
+
+
 def test_jitter_and_gaps_are_left_alone() -> None:
     fine = stamped(1e-4)
     rng = np.random.default_rng(2)
