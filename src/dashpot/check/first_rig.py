@@ -23,6 +23,7 @@ _LETTERS = {"a": "acceleration", "v": "velocity", "f": "force", **dict.fromkeys(
 _BASE = re.compile(
     r"(base|table|shaker|ground|floor_?0|input|drive|excit|ref|boden|tisch|fuss|fuß)", re.IGNORECASE
 )
+_ENDING = re.compile(r"(?P<stem>.+?)[_/ ]\(?(?P<unit>(?!in\b)[A-Za-zµ]+(/s(\^2|²)?)?)\)?")  # acc1_g, F/N
 _BASE_LETTERS = re.compile(r"([auw]?[_ ]?(base|table|ground)|u\d*|w\d*|a?0)$", re.IGNORECASE)
 DECAYED = 0.5  # rms of the last quarter of a record over that of its first, below which the rig was let go
 
@@ -77,11 +78,15 @@ def seen_data(inspections: Sequence[Inspection]) -> SeenData:
     for channel in (each for part in parts for each in part.channels):
         if channel.name.lower() not in RESERVED_NAMES:
             name, unit = channel.name, channel.unit if channel.unit and is_unit(channel.unit) else None
+            ending = None if unit else _ENDING.fullmatch(name)
+            stem = ending["stem"] if ending and is_unit(ending["unit"]) else name
             quantity = (
-                guessed_quantity(name, unit) if unit or not re.fullmatch(r"[A-Za-z]\d*", name) else None
+                guessed_quantity(stem, unit) if unit or not re.fullmatch(r"[A-Za-z]\d*", stem) else None
             )
-            if quantity is None and (letter := re.fullmatch(r"([A-Za-z])[\d_xyz]*", name)):
+            if quantity is None and (letter := re.fullmatch(r"([A-Za-z])[\d_xyz]*", stem)):
                 quantity = _LETTERS.get(letter[1].lower())
+            if ending and quantity and factors(ending["unit"], quantity):
+                unit = ending["unit"]
             of_base = bool(_BASE.search(name) or _BASE_LETTERS.fullmatch(name))
             of_base |= channel.of_input and quantity != "force"
             by_name.setdefault(channel.name, SeenColumn(name, unit, quantity, of_base, channel.decay))

@@ -52,6 +52,7 @@ def written() -> dict:
             {"x1": "x1", "a1": "x1", "base": "u"},
         ),
         ("t,hammer [N],a [m/s^2]", [STEADY, STEADY], {"f": "force"}, {"hammer": "f", "a": "x1"}),
+        ("t,hammer_N,a1/g", [STEADY, STEADY], {"f": "force"}, {"hammer_N": "f", "a1/g": "x1"}),
         ("t,Stroke [mm],Load [kN]", [STEADY, STEADY], {"u": "displacement"}, {"Stroke": "u", "Load": "u"}),
     ],
 )
