@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from types import MappingProxyType
 
@@ -46,6 +46,7 @@ class Channel:
     is in Hz; they are used in simulation and design, never in identification.  `same_gain_as` names the channel whose
     unknown gain this one shares (the same amplifier in another experiment).  `only` names the one experiment of the
     rig file that the channel belongs to; there it replaces the channel with the same column name.
+    `stated` is the unit that the data themselves state, in a heading or a file's description of the channel.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Channel:
     gain_prior: Unknown | None = None
     delay_prior: Unknown | None = None
     only: str | None = None
+    stated: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         try:

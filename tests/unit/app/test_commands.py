@@ -356,6 +356,19 @@ def test_what_drives_a_nonlinear_rig_must_be_said_once(
     assert named in str(result.err)
 
 
+def test_a_wrong_unit_that_the_data_state_is_corrected_by_a_gain(dashpot: Command, data: Path) -> None:
+    """A rig file in another unit than the heading of a column would be refused."""
+    head, *rows = data.read_text(encoding="utf-8").splitlines()
+    at = head.split(",").index("x2")
+    cells = [row.split(",") for row in rows]
+    smaller = [",".join([*row[:at], repr(float(row[at]) / 1000), *row[at + 1 :]]) for row in cells]
+    Path("m.csv").write_text("\n".join([head.replace("x2", "x2 [mm]"), *smaller]) + "\n", encoding="utf-8")
+    assert dashpot("identify rig.toml m.csv --apply new.toml -q").code == 0
+    assert "gain = 0.001" in Path("new.toml").read_text(encoding="utf-8")
+    assert dashpot("identify new.toml m.csv --json again.json -q").code == 0
+    assert json.loads(Path("again.json").read_text(encoding="utf-8"))["fit"]["verdict"] == "fits"
+
+
 def test_apply_edits_the_text_of_the_rig_file_and_replaces_no_other(dashpot: Command, data: Path) -> None:
     """One entry changes; comments, units and order stay.  A file that is there is replaced with --force alone."""
     head, *rows = data.read_text(encoding="utf-8").splitlines()

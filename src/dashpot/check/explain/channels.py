@@ -15,6 +15,7 @@ from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, by_size, plainly, said
 from dashpot.check.explain.problem import DERIVATIVES, FitProblem, LineProblem, TimeProblem
+from dashpot.data.readers.columns import factors
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
 from dashpot.io.toml_document import toml_key
@@ -30,6 +31,7 @@ RATIOS = (
     1e3, 1e-3, 1e6, 1e-6, 100.0, 0.01, 9.80665, 1 / 9.80665, 2**0.5, 0.5**0.5, 2.0, 0.5,
     180 / np.pi, np.pi / 180, 2 * np.pi, 1 / (2 * np.pi), 25.4, 1 / 25.4, 0.0254, 1 / 0.0254, 9806.65, 1 / 9806.65,
 )  # fmt: skip
+OF_NAMED = 0.9  # of wrong units: that it is one in which the quantity is measured, or a peak value for an rms
 OF_FORCES = RATIOS[:12]  # forces are in no inches and no degrees
 CLOSE = 0.015  # relative distance within which a factor is taken for a usual ratio
 GAINS = (0.4, 0.6, 0.8, 0.9, 0.97, 1.03, 1.1, 1.25, 1.6, 2.5)  # where the search for a gain begins
@@ -105,7 +107,11 @@ def unit(baseline: Baseline) -> Iterator[Effect]:
     for c, channel in enumerate(baseline.problem.channels):
         ratios = OF_FORCES if channel.quantity is Quantity.FORCE else RATIOS
         words = partial(factor_in_words, baseline.problem.model, channel)
-        yield Effect("unit", (channel.name,), partial(times, c), words, ratios, share=baseline.share(c))
+        named = tuple(ratio for ratio in ratios if _question(ratio) or _other_unit(channel, ratio))
+        others = tuple(ratio for ratio in ratios if ratio not in named)
+        for share, values in ((OF_NAMED, named), (1 - OF_NAMED, others)):
+            share *= baseline.share(c)
+            yield Effect("unit", (channel.name,), partial(times, c), words, values, share=share)
 
 
 def gain(baseline: Baseline) -> Iterator[Effect]:
@@ -132,21 +138,34 @@ def turned(model: Model, channel: Channel, _: float) -> Phrase:
 
 def factor_in_words(model: Model, channel: Channel, factor: float) -> Phrase:
     text = f"{channel.name} is {rounded(factor)} × what the model predicts"
+    mended, question = with_gain(channel, factor), _question(factor)
+    if other := _other_unit(channel, factor):
+        stated = channel.stated or channel.unit or units.si_unit(channel.quantity.value)
+        question = (
+            f"Are the data in {other[0]}, not {stated}{', as their file states' if channel.stated else ''}?"
+        )
+        if not channel.stated:  # a file that states another unit than the rig file is refused
+            mended = replace(channel, unit=other[0], scale=other[1])
+    return Phrase(f"{text}. {question}" if question else text, _line(model, mended), (mended,))
+
+
+def _question(factor: float) -> str:
+    asked = (each for ratio, each in RATIOS_IN_WORDS.items() if abs(abs(factor) / ratio - 1) < CLOSE)
+    return next(asked, "")
+
+
+def _other_unit(channel: Channel, factor: float) -> tuple[str, float] | None:
+    """The usual unit, and its size in SI, that data would be in which are `factor` times what they should be."""
+    possible = [] if channel.unit else factors(channel.stated, channel.quantity.value)
+    now = possible[0] if possible else channel.scale
     for each in USUAL_UNITS[channel.quantity]:
         try:
             scale = units.scale(each, channel.quantity.value, each in ("deg", "rad", "rpm"))
         except DashpotError:
             continue
-        another = abs(scale / channel.scale - 1) > 2 * CLOSE
-        if another and factor > 0 and abs(scale * factor / channel.scale - 1) < CLOSE:
-            stated = channel.unit if channel.unit else units.si_unit(channel.quantity.value)
-            mended = replace(channel, unit=each, scale=scale)
-            return Phrase(f"{text}. Are the data in {each}, not {stated}?", _line(model, mended), (mended,))
-    mended = with_gain(channel, factor)
-    for ratio, question in RATIOS_IN_WORDS.items():
-        if abs(abs(factor) / ratio - 1) < CLOSE:
-            text += f". {question}"
-    return Phrase(text, _line(model, mended), (mended,))
+        if abs(scale / now - 1) > 2 * CLOSE and factor > 0 and abs(scale * factor / now - 1) < CLOSE:
+            return each, scale
+    return None
 
 
 # A course over frequency: late, filtered, another derivative, phases the other way.

@@ -252,8 +252,9 @@ def read_amplitudes(
         what = f"{np.abs(X[i, c]):g} (SI) is too large"
         raise columns.error(i, layout.amplitudes[c].first, what, "check the unit and the number")
     stretch, stretches = _stretches(columns, layout.more, values, lines)
+    firsts = (pair.first for pair in layout.amplitudes)
     spectrum = Spectrum(
-        tuple(channels),
+        tuple(map(columns.described, firsts, channels)),
         frequency,
         *calibrated(channels, frequency, X, V),
         samples,

@@ -222,7 +222,7 @@ class Columns(ABC):
             raise DataError(
                 f"column {shown(channel.name)}: in {shown(unit)}, the rig file says {channel.unit or 'SI units'}",
                 self.heading,
-                f'set unit = "{shown(unit)}" for this channel in the rig file',
+                f'set unit = "{shown(unit)}" for this channel in the rig file, or correct the unit in the data',
             )
         if any(factors(unit, quantity.value) for quantity in Quantity):
             raise DataError(
@@ -231,6 +231,10 @@ class Columns(ABC):
                 "correct the unit in the file, or the quantity in the rig file",
             )
         return channel.scale
+
+    def described(self, column: int, channel: Channel) -> Channel:
+        """The channel with the unit that the file states for the column, if it does."""
+        return replace(channel, stated=self.unit(column) or "")
 
     def _scale_of_raw(self, unit: str, channel: Channel) -> float:
         """Factor of a column in volts or counts: the rig file has to say the same, and the sensitivity.

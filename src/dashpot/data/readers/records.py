@@ -63,6 +63,7 @@ def read_records(
     f_at, experiment_at = frequency_column(columns, channels), columns.find(EXPERIMENT)
     at = [columns.need(channel.name, " (the rig file lists it as a channel)") for channel in channels]
     scales = [columns.scale(column, channel) for column, channel in zip(at, channels, strict=True)]
+    channels = tuple(map(columns.described, at, channels))
     numeric = None if circumstances.named else experiment_at
     wanted = list(dict.fromkeys(i for i in (f_at, numeric, *at) if i is not None))
     notes += columns.not_read((*wanted, time_at, experiment_at))
@@ -83,9 +84,7 @@ def read_records(
         check_range(columns, column, values[:, i], LARGEST, "(SI)")
     starts = _blocks(columns, at[0] if time_at is None else time_at, time, frequency, experiments)
     records = [
-        _record(
-            columns, tuple(channels), time, values, start, end, columns.source if len(starts) == 1 else ""
-        )
+        _record(columns, channels, time, values, start, end, columns.source if len(starts) == 1 else "")
         for start, end in zip(starts, [*starts[1:], len(time)], strict=True)
     ]
     for i, start in enumerate(starts):
