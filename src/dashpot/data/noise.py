@@ -341,8 +341,8 @@ def moderated(spectrum: Spectrum, told: Real | None = None, *, kind: str = "whit
     few = int(np.sum(short))
     what = ("short dwell" if kind == "white" else "line") + ("s" if few > 1 else "")
     text = (
-        f"the noise of {few} {what} ({np.min(nu):.3g} degrees of freedom) is pooled with that of all {len(nu)}, as if "
-        f"each had {d0:.3g} more"
+        f"the noise of {few} {what} ({np.min(nu):.3g} degrees of freedom) is pooled with that of all {len(nu)}, which "
+        f"adds {d0:.3g} degrees of freedom to each"
     )
     note = Notice("noise_moderated", text)
     return replace(spectrum, covariance=covariance, dof=dof, notes=(*spectrum.notes, note))

@@ -168,7 +168,7 @@ def truncated_reach(beyond: Real, dof: Real, level: float) -> Real:
 
 FORMAT = "0.1"
 SENSOR_NOISE, RESIDUALS, MISFIT = "sensor noise", "residuals", "model misfit"  # what intervals may rest on
-REMEDY = "write one with dashpot identify"
+REMEDY = "write one with dashpot identify --json"
 
 
 def _with_sd(name: str, value: float, sd: float, unit: str) -> str:
@@ -619,8 +619,8 @@ class Estimate(Printable):
         except KeyError as error:
             raise DataError(f"this is not a dashpot estimate ({error} is missing)", where, REMEDY) from error
         except (TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
-            cause = shown(str(error), 100)
-            raise DataError(f"this is not a dashpot estimate ({cause})", where, REMEDY) from error
+            what = "TOML, such as a rig file" if where.endswith(".toml") else shown(str(error), 100)
+            raise DataError(f"this is not a dashpot estimate ({what})", where, REMEDY) from error
         cure = "write it again with dashpot, or correct it"
         if problems := [Problem(what, where, cure) for what in _faults(estimate)]:
             raise DataError(problems)

@@ -189,8 +189,8 @@ def _used_whole(plan: Plan, whole: UnsettledTest) -> str:
         )
     if whole.thrown_away < -WASTE:
         return (
-            "Waiting for steady state pays: with the transients, whose noise is in proportion, the same "
-            f"test gives {gives}."
+            "Waiting for steady state pays: transients are noisier here (noise in per cent of the motion); "
+            f"with them the same test gives {gives}."
         )
     return f"Waiting for steady state costs little: with the transients, the same test gives {gives}."
 

@@ -564,15 +564,14 @@ def _noise(assessment: Assessment) -> str:
 def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
     """A line for each of the most probable causes, with its odds and what to do about it."""
     lines = []
-    for rank, finding in enumerate(findings[:3]):  # the most probable and two beside it
+    # Another factor of the same channel, as good, is no other cause
+    factors = {(each.of, each.group): each for each in reversed(findings) if each.kind in ("unit", "gain")}
+    told = [
+        each for each in findings if each is factors.get((each.of, each.group), each) or each.group is None
+    ]
+    for rank, finding in enumerate(told[:3]):  # the most probable and two beside it
         group = findings[0].group is not None and finding.group == findings[0].group
-        lead = (
-            "Likely cause"
-            if rank == 0
-            else "Or, which these data cannot distinguish from it"
-            if group
-            else "Or"
-        )
+        lead = "Likely cause" if rank == 0 else "Or, fitting these data equally well" if group else "Or"
         odds = "" if finding.odds is None else f" (odds {percent_of_odds(finding.odds)})"
         if finding.kind == "unexplained":
             lead, odds = ("An unlisted cause", odds) if len(findings) > 1 else ("No cause found", "")

@@ -190,8 +190,8 @@ def command(
 
     The values to design for are those of the rig file (value, guess), of --set, or of an estimate.  Standard
     deviations in per cent are of the values.  The duality gap that is printed proves how close to optimal the test is
-    (equivalence theorem).  Of a rig without inputs, releases are planned: where to hold it, how far (--stroke), how
-    long to record, and which releases together.
+    (equivalence theorem).  A rig without inputs gets a plan of releases: where to hold it, how far (--stroke), how
+    long to record, and which releases to combine.
     """
     from dashpot.check.structure import require_scale
     from dashpot.design.advise import answer, answer_to_json, plan_to_csv

@@ -60,16 +60,16 @@ def command(
     seed: Annotated[int, opt.SEED, "the starting values that ml draws"],
     quiet: opt.Quiet,
 ) -> None:
-    """Identify very many data sets of rigs that are built alike: all of them have the rig file RIG.
+    """Identify the data sets of many rigs of one kind, all described by the rig file RIG.
 
     The result has one row for each data set: every unknown with its standard deviation and 95 % interval, χ², and how
-    far the rig is from the others. A data set that fails has its reason there and does not stop the rest. Rigs unlike
-    the others, and drift along the fleet, are named.
+    far the rig is from the others. A data set that fails is listed with the reason and does not stop the others. Rigs
+    unlike the others, and drift along the fleet, are reported.
 
     Exit codes: 0 done; 2 bad usage, model or data; 3 no data set can be identified; 5 not enough memory.
 
-    Run again, only data sets that are new or have changed are computed. The result is the same to the bit with any
-    number of workers.
+    When run again, only new and changed data sets are computed. The result is the same to the bit with any number of
+    workers.
     """
     from dashpot.check.deficiencies import require_identifiable
     from dashpot.fleet.data_sets import expanded, of_files, of_tables

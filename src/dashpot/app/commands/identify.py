@@ -112,7 +112,7 @@ def command(
 
     DATA are data files: time records (frequency_hz, time_s, channels), complex amplitudes (frequency_hz, NAME_re,
     NAME_im, NAME_sd) or frequency response functions (frequency_hz, OUT/IN_re, OUT/IN_im).  Files of instruments
-    (UFF, MAT, HDF5, TDMS, Excel, …) are read as they are, and so are files of measured modes, one alone.
+    (UFF, MAT, HDF5, TDMS, Excel, …) are read as they are; so is one file of measured modes.
 
     Exit codes: 0 done, whatever the verdict; 2 bad usage, model or data; 3 the data do not determine the unknowns, or
     the iteration did not converge; 4 with --strict, the model does not fit; 5 not enough memory.

@@ -48,7 +48,7 @@ def command(
     """Natural frequencies, damping ratios and mode shapes from DATA, with standard deviations; no rig is needed.
 
     Records of any excitation, several at once; free decays, where no input is named; stepped sine, periodic tests,
-    tables of amplitudes and of frequency responses.  How many modes there are, the evidence decides.
+    tables of amplitudes and of frequency responses.  The number of modes is chosen by evidence.
     """
     from dashpot.api import draw, modes
     from dashpot.data.readers.modes import write_mode_table

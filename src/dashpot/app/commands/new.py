@@ -40,7 +40,7 @@ def command(
         str | None, opt.Option("--unit UNIT", None, CHAIN), "Unit of the sensors, such as mm, m/s or g."
     ],
     known: Annotated[
-        float | None, opt.Option("--first-mass KG", opt.MASS), "The first mass, where it has been weighed."
+        float | None, opt.Option("--first-mass KG", opt.MASS), "The first mass, if it was weighed."
     ],
 ) -> None:
     """Write a rig file to start from: RIG, a row of masses with springs and dampers between them.
@@ -61,7 +61,7 @@ def command(
     motion = motion or ask("What the sensors measure", usual.motion, MEASURED)
     si = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²"}[motion]
     unit = unit or ask("Unit of the sensors", si, opt.TextType("unit", partial(_unit, motion)))
-    if known is None and (first := ask("Mass of x1, where it has been weighed", UNKNOWN, WEIGHED)) != UNKNOWN:
+    if known is None and (first := ask("Mass of x1, if it was weighed", UNKNOWN, WEIGHED)) != UNKNOWN:
         known = first
     scale(unit, motion, uncalibrated=True)  # refused here, before a rig file has it in three places
     chain = Chain(name, masses, cast(Any, drive), cast(Any, motion), unit, usual.force_unit, known)

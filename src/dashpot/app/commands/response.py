@@ -57,9 +57,9 @@ def command(
     figure: Annotated[str | None, opt.FIGURE, "Draw the curves, unstable branches dashed."],
     quiet: opt.Quiet,
 ) -> None:
-    """Follow the settled motion of a nonlinear RIG along the frequency or the size of the drive.
+    """Compute the steady state of a nonlinear RIG over the frequency or the amplitude of the drive.
 
-    The curves go through folds; the text says which parts are stable and where they turn.  Every unknown needs a
+    Curves are followed through folds; the text says which parts are stable and where they turn.  Every unknown needs a
     value: from --set, or the value or guess of the rig file.
     """
     from dashpot.model.observation import measures_input

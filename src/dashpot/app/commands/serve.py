@@ -47,13 +47,15 @@ def command(
         "TCP port for rows of a running test: text with the names of the channels in its first line.",
     ],
 ) -> None:
-    """Serve a page on which rigs are described and identified in a browser, with files of FOLDER and others.
+    """Serve a page in the browser on which rigs are described and identified, with files of FOLDER or dropped ones.
 
-    The first line printed is the address with a token, without which nothing is served.  All comes from this machine.
-    Ctrl-C ends it; the same command goes on where it was left.
+    The first line printed is the address, with the token that access needs.  Nothing is loaded from other machines.
+    Ctrl-C ends it; the same command resumes the session.
     """
     if find_spec("nicegui") is None:
-        raise UsageError("the page needs NiceGUI", cure='install it: pip install "dashpot[web]"')
+        raise UsageError(
+            "the page needs NiceGUI", cure='install it: pip install ".[web]" in the folder of dashpot'
+        )
 
     serve(Path(folder).resolve(), host, port, not no_browser, rows_at)
 

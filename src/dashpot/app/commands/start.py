@@ -47,7 +47,7 @@ def command(
     known: Annotated[
         float | None,
         opt.Option("--first-mass KG", opt.MASS, CHAIN),
-        "The first mass, where it has been weighed.",
+        "The first mass, if it was weighed.",
     ],
     at: Annotated[
         str | None, opt.Option("--force-at NAME", None, CHAIN), "The mass that the force acts on, such as x1."
@@ -55,7 +55,7 @@ def command(
     base: Annotated[
         str | None,
         opt.Option("--base COLUMN", None, CHAIN),
-        "The column of the base's motion, where none is named like one.",
+        "The column of the base motion, if its name does not show it.",
     ],
     rate: Annotated[
         float | None, opt.Option("--rate HZ", opt.FREQUENCY, CHAIN), "Sampling rate of files without times."
@@ -63,8 +63,7 @@ def command(
 ) -> None:
     """Show what is in FILES, and write a rig file that names their columns as channels, with its drawing.
 
-    Asks where an answer matters and the data do not tell; without a terminal "?" stands there, and other commands point
-    at it.
+    It asks for what the data do not show.  Without a terminal it writes "?", and the next command names the line.
     """
     from dashpot.check.first_rig import first_rig, seen_data
     from dashpot.data.inspection import inspect_named
@@ -102,10 +101,7 @@ def command(
     drive = drive or ("base" if base else "force" if at else None)
     drive = drive or (seen.drive if seen.sure else ask("What drives it", seen.drive, DRIVEN))
     chain = first_rig(seen, _title(paths), cast(Any, drive), known, at, base)
-    if (
-        chain.lacks_scale
-        and (first := ask("Mass of x1, where it has been weighed", UNKNOWN, WEIGHED)) != UNKNOWN
-    ):
+    if chain.lacks_scale and (first := ask("Mass of x1, if it was weighed", UNKNOWN, WEIGHED)) != UNKNOWN:
         chain = replace(chain, known=first)
     if chain.at == PLACEHOLDER:
         places = click.Choice((*(f"x{i + 1}" for i in range(chain.masses)), PLACEHOLDER))

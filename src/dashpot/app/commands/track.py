@@ -62,10 +62,11 @@ def command(
     ],
     quiet: opt.Quiet,
 ) -> None:
-    """The unknown masses, dampers and springs of RIG over time, from one long RECORD, and when they change.
+    """Track the unknown masses, dampers and springs of RIG through one long RECORD, and report when they change.
 
-    Each window of the record is identified by itself; a random walk smooths over the windows, as fast as they show the
-    values to move. An abrupt change is announced with its time, size and significance, a gradual one with its size.
+    Each window of the record is identified separately. The values are then smoothed as a random walk, whose speed is
+    estimated from the windows. Abrupt changes are reported with time, size and significance, gradual ones with their
+    size.
 
     Exit codes: 0 done, changed or not; 2 bad usage, model or data; 3 the channels do not determine the unknowns;
     5 not enough memory.

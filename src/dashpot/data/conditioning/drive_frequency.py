@@ -124,7 +124,8 @@ ALIKE = 0.05  # relative
 
 def driven_at(record: Record, f: float) -> Notice:
     """That a record is driven at another frequency than is stated, Hz."""
-    text = f"driven at {f:.7g} Hz, not at {record.frequency_hz:.7g} Hz"
+    digits = next(n for n in range(7, 18) if n == 17 or f"{f:.{n}g}" != f"{record.frequency_hz:.{n}g}")
+    text = f"driven at {f:.{digits}g} Hz, not at {record.frequency_hz:.{digits}g} Hz"
     return record.notice("frequency_refined", text)
 
 

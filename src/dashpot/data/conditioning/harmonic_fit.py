@@ -234,8 +234,8 @@ class HarmonicFit:
                          "blocks": cross-spectrum of the residual on lines beside each harmonic
     whiteness            (...,)  p-value of a white residual, smallest over channels (Bonferroni); NaN where not tested
     notes                what was found on the way
-    told                 (orders, channels)  share of an amplitude's information that the samples measured have
-    in_cells             (channels,)  of which a value stood for all that a converter rounds to it
+    told                 (orders, channels)  share of an amplitude's information that comes from measured samples
+    in_cells             (channels,)  whether values were taken as all that the converter rounds to them
     """
 
     channels: tuple[Channel, ...]

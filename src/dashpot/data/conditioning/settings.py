@@ -46,25 +46,25 @@ class Treatments(FitTreatments, total=False):
 class Conditioning:
     """How records become amplitudes.  Every treatment is "auto", a value, or "none".
 
-    orders     multiples of the drive frequency whose amplitudes are wanted; "auto": the fundamental, and of long dwells
-               those harmonics that drive every channel beside it
-    harmonics  multiples solved for beside them, so that they do not count as noise; "auto" (or None): those up to the
-               tenth below half the sampling rate that are significant
-    drift      degree of the polynomial taken out; 0 is an offset alone, "none" (or None) not even that; "auto" is 1,
-               and 0 where some dwell is short and one test of all dwells shows no slope
-    noise      "white": covariance of least squares; "blocks": the spectrum of the residual beside each harmonic;
-               "own" takes "white" unless the residual is coloured and there are enough periods; "auto" does so too, and
-               lets dwells of few samples lean on the noise of the others
-    moments    add the second moments of the samples (order 1 alone); "auto": where they can be had
-    refine     "auto": the stated frequency, refused where the record moves elsewhere and refined where all dwells
-               together show that it is off; "always" (or True): the most likely one near it; "none" (or False): stated,
+    orders     multiples of the drive frequency whose amplitudes are used as data; "auto": the fundamental and, in long
+               dwells, the harmonics that appear in every channel
+    harmonics  further multiples that are fitted, so that they do not count as noise; "auto" (or None): the significant
+               ones up to the tenth, below half the sampling rate
+    drift      degree of the polynomial removed: 0 removes the mean, "none" (or None) nothing; "auto" is 1, or 0 if some
+               dwell is short and a test over all dwells shows no slope
+    noise      "white": covariance of least squares; "blocks": spectrum of the residual beside each harmonic; "own":
+               "white" unless the residual is coloured and there are enough periods; "auto": as "own", with the noise of
+               short dwells pooled
+    moments    add the second moments of the samples (order 1 alone); "auto": where possible
+    refine     "auto": the stated frequency, refined if all dwells together show that it is off; a record that responds
+               elsewhere is refused; "always" (or True): the most likely one near it; "none" (or False): the stated one,
                and all samples count as measured
     settle     "auto" (or True): drop the transient of each record; a number: drop that many seconds; "none" (or False)
-    transients "auto": records without a frequency and dwells that follow each other in time are whole records, and so
-               are dwells that have not settled; "estimate": every dwell is; "settle": no dwell is, and where some have
-               not settled the transient of each is dropped; "none": every dwell counts as settled
-    band_hz    lowest and highest frequency of the lines of whole records, "auto": as far as something moves
-    still      the noise that a record at rest shows, for whole records
+    transients "auto": records without a frequency, dwells that follow each other in time and unsettled dwells are used
+               whole, with their transients estimated; "estimate": every dwell is; "settle": none is, and if some are
+               unsettled the transient of each is dropped; "none": every dwell is treated as settled
+    band_hz    lowest and highest frequency of the lines of continuous records; "auto": the band in which the rig moves
+    still      the noise of an at-rest record, for continuous records
 
     Raises DataError for orders that are not multiples, and for a drift or a time out of range.
     """

@@ -102,4 +102,4 @@ def reader_of(file: DataFile) -> Reader:
     if text.sniff(file):
         return text
     known = ", ".join(reader.format for reader in READERS)
-    raise DataError("the file is not text, and its format is not known", file.name, f"there are {known}")
+    raise DataError("the file is not text, and its format is unknown", file.name, f"formats are {known}")

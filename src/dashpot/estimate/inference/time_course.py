@@ -712,11 +712,8 @@ class BandStability:
         if not self.disagree[0]:
             return []
         most = np.argsort(-self.apart[0])[:2]
-        moves = joined(f"{names[int(j)]} by {self.apart[0, j]:.2g}" for j in most)
-        text = (
-            "parts of the band disagree: leaving out one sixth of it changes the values by up to "
-            f"{moves} standard deviations of the noise"
-        )
+        moves = joined(f"{names[int(j)]} by up to {self.apart[0, j]:.2g}" for j in most)
+        text = f"parts of the band disagree: leaving out one sixth of it shifts {moves} standard deviations"
         return [Notice(DISAGREE, text, tuple(names[int(j)] for j in most))]
 
 

@@ -86,9 +86,10 @@ class TotalLeastSquares(Method):
 
 @dataclass(frozen=True)
 class CompensatedLeastSquares(Method):
-    """Weighted least squares less the noise's own moments: no bias in the normal matrix, if the noise is known.
+    """Weighted least squares with the noise's own moments subtracted: an unbiased normal matrix, if the noise is known.
 
-    Where the noise is so large that taking it out leaves no positive definite matrix, it is left in, with a warning.
+    Where the difference would not be positive definite, because the noise is too large, nothing is subtracted, with a
+    warning.
     """
 
     name: ClassVar[str] = "cls"
