@@ -429,7 +429,6 @@ def _response(
     phase = np.degrees(np.unwrap(np.angle(curve)))
     at_lines = np.interp(lines[order], grid, phase)
     measured = at_lines + (np.degrees(np.angle(H)) - at_lines + 180) % 360 - 180
-    turns = 360 * np.round(float(np.median(measured)) / 360) if len(H) else 0.0
     here = model.here
     apart = here is not None and spectrum.channels[c].only != here
     return FrequencyResponse(
@@ -439,10 +438,10 @@ def _response(
         lines[order],
         H,
         found.sd[there, c][order] / np.abs(drive),
-        measured - turns,
+        measured,
         grid,
         curve,
-        phase - turns,
+        phase,
         log_sd,
         np.degrees(phase_sd),
     )

@@ -538,24 +538,31 @@ def _words(rig: Rig, estimate: Estimate) -> dict[str, Any]:
         mode_columns,
         page_verdict,
         parameter_columns,
+        reasons_in_words,
         remarks,
+        residuals_in_words,
         warnings_in_words,
     )
+    from dashpot.present.words import sentence
 
     content = json.loads(estimate.to_json())
     findings = () if estimate.assessment is None else estimate.assessment.findings
     causes = set(diagnosis_in_words(findings))
     modes = mode_columns(estimate.modes) if has_modes(estimate) else []
+    statements = [each.text for each in fit_paragraphs(estimate)]
+    if estimate.assessment is not None:  # the verdict itself is the headline
+        reasons = reasons_in_words(estimate, estimate.assessment)
+        statements[:1] = [*reasons, residuals_in_words(estimate.fit)]
     return {
         "estimate": content,
         "verdict": page_verdict(estimate),
         "headline": headline(estimate, doubtful(estimate)),
-        "statements": [each.text for each in fit_paragraphs(estimate) if each.text not in causes],
+        "statements": [text for text in statements if text and text not in causes],
         "remarks": [convergence_in_words(estimate), *remarks(estimate)],
         "parameters": _table(parameter_columns(estimate)),
         "modes": _table(modes),
-        "warnings": [*warnings_in_words(estimate, untried=())],
-        "notes": [note.text for note in estimate.notes],
+        "warnings": [*warnings_in_words(estimate, untried=(), coded=True)],
+        "notes": [f"{sentence(note.text)} [{note.code}]" for note in estimate.notes],
         "drawing": None,
         "shapes": [],
         "files": [],
