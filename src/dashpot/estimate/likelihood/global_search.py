@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.channel import Quantity
 from dashpot.data.modal_data import ModalData, of_eigenvalues
-from dashpot.data.spectrum import Spectrum, WholeRecord
+from dashpot.data.spectrum import LinesInTime, Spectrum, WholeRecord
 from dashpot.errors import ConvergenceError, DashpotError
 from dashpot.estimate.likelihood.descent import (
     NEAR_END,
@@ -27,7 +27,7 @@ from dashpot.estimate.likelihood.objective import directly_driven, measured, pre
 from dashpot.estimate.linear.least_squares import starts as equation_starts
 from dashpot.estimate.linear.least_squares import where_finite
 from dashpot.estimate.method import OtherMinima
-from dashpot.estimate.preparation import Prepared
+from dashpot.estimate.preparation import Prepared, states_if_seen
 from dashpot.model.dynamics import amplitudes, unit_forces
 from dashpot.model.elements import Kind
 from dashpot.model.matrix_elements import free_names
@@ -276,18 +276,24 @@ def moves_freely(model: Model, spectrum: Spectrum) -> bool:
 def decay_minima(data: Prepared, effort: Effort) -> LocalMinima:
     """Where rigs with the modes of free decays lead in one repeat, the lowest first; none of other data."""
     view = data.view
-    few = thinned(data, 80)  # lines of each part of the band
-    rigs = _rigs(few, effort)
-    signs = np.ones((len(rigs), len(view.channels)))
     minima = LocalMinima.none(len(view.names), len(view.channels))
-    # Many rigs are one: a few lines tell which.
-    for each, limit in ((12, PATIENCE), (80, ROUGH)) if len(rigs) else ():
+    if view.gains or view.delays or np.any(view.flips) or not moves_freely(view.model, data.spectrum):
+        return minima
+    few = thinned(data, 80)  # lines of each part of the band
+    rigs, near = _rigs(few, effort), _by_equation(data)
+    # Many rigs are one: a few lines tell which.  What is near already is taken no further by few lines.
+    for each, limit in ((12, PATIENCE), (80, ROUGH)):
+        if limit == ROUGH:
+            rigs = np.concatenate([rigs, near])
+        if not len(rigs):
+            continue
+        signs = np.ones((len(rigs), len(view.channels)))
         likelihood = Likelihood.of(thinned(few, each), effort)
         with np.errstate(all="ignore"):
             ends = likelihood.descend_in(likelihood.exact, rigs, signs, limit, near=NEAR_END)
         minima = LocalMinima.none(*minima.psi.shape[1:], *minima.sign.shape[1:])
         minima = minima.with_ends(ends.x, signs, ends.cost).competing(likelihood.exact.rows)
-        rigs, signs = minima.psi, minima.sign
+        rigs = minima.psi
     return minima
 
 
@@ -295,8 +301,6 @@ def _rigs(data: Prepared, effort: Effort) -> Real:
     """Rigs with the modes that free decays show, (rigs, unknowns); none where channels tell too little of shapes."""
     view = data.view
     none = np.empty((0, len(view.names)))
-    if view.gains or view.delays or np.any(view.flips) or not moves_freely(view.model, data.spectrum):
-        return none
     from dashpot.estimate.modal import rigs_with  # loads scipy.optimize
 
     poles, shown = free_modes(data)
@@ -306,6 +310,26 @@ def _rigs(data: Prepared, effort: Effort) -> Real:
         )
     except (DashpotError, np.linalg.LinAlgError):
         return none
+
+
+def _by_equation(data: Prepared) -> Real:
+    """The rig by the equation of motion in windows of the first record, (rigs, unknowns); none if not all is seen."""
+    from dashpot.estimate.nonlinear.record_regression import decay_start  # loads scipy.optimize
+
+    spectrum, states = data.spectrum, states_if_seen(data.view, data.spectrum, data.covariance)
+    first, lines = spectrum.stretches[0], np.flatnonzero(spectrum.stretch == 0)
+    none = np.empty((0, len(data.view.names)))
+    if states is None or data.model.differs or not isinstance(first, WholeRecord):
+        return none
+    order = first.orders(spectrum.frequency_hz[lines])
+    samples = min(
+        first.samples, 4 * (int(np.max(order)) + 1)
+    )  # windows of as many should last for some cycles
+    try:
+        rig = decay_start(data.model, states, LinesInTime(lines, order, first.duration_s, samples))
+    except (DashpotError, ValueError, np.linalg.LinAlgError):  # no number
+        return none
+    return rig[None] if np.all(np.isfinite(rig)) else none
 
 
 def free_modes(data: Prepared) -> tuple[Complex, Complex]:

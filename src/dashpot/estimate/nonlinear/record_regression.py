@@ -17,12 +17,14 @@ from scipy.linalg import block_diag
 
 from dashpot.arrays import Bools, Ints, Real
 from dashpot.data.noise import white_floor, without_leakage
+from dashpot.data.spectrum import LinesInTime
 from dashpot.errors import DataError
 from dashpot.estimate.inference.diagnostics import require_traces
 from dashpot.estimate.nonlinear.record_problem import bounds_near, known_inputs
 from dashpot.estimate.nonlinear.records import RecordData, RecordedMotion, recorded_motion
 from dashpot.estimate.nonlinear.regression import require_finite_laws
 from dashpot.estimate.nonlinear.search import KEPT, constants_to_try, theta_of
+from dashpot.estimate.preparation import States
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import operated_states, rated_states
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
@@ -54,8 +56,10 @@ class WeakForm:
 
     def unit_forces(self, constants: Real) -> Real:
         """Unit forces of the nonlinear elements in the measured motion, (samples, e), for constants (G,)."""
-        rows = enumerate(self.model.constant_slices)
-        return np.stack([self.unit_force(row, constants[inner]) for row, inner in rows], axis=1)
+        unit = np.empty_like(self.elongation[:, self.model.nonlinear])
+        for row, inner in enumerate(self.model.constant_slices):
+            unit[:, row] = self.unit_force(row, constants[inner])
+        return unit
 
     def unit_force(self, row: int, g: Real) -> Real:
         """That of one nonlinear element, (samples,), for the constants (g,) of its law; no number beyond the motion."""
@@ -110,14 +114,23 @@ class WeakForm:
 
 def weak_form(model: Model, data: RecordData, at: RecordedMotion) -> WeakForm:
     """Of a record whose coordinates are all measured."""
+    r = model.D.shape[1] - len(data.bases.names)
+    shown = [c for c in range(len(data.names)) if data.gain[c] < 0 and np.any(data.force[c])]
+    balance = np.concatenate([model.B.T, data.force[shown][:, : len(model.elements)]])
+    f = np.hstack([data.inputs[:, r : r + len(model.force_inputs)] @ model.S.T, data.outputs[:, shown]])
+    still = np.append(np.any(model.S, axis=1), np.array(data.drift, dtype=bool)[shown])
+    return _weak_form(model, data.step_s, at.x @ model.B.T + at.u @ model.D.T, balance, f, still)
+
+
+def _weak_form(model: Model, step_s: float, d: Real, balance: Real, f: Real, still: Bools) -> WeakForm:
+    """Of elongations d (samples, elements)."""
     from scipy.interpolate import CubicSpline  # with it comes all of scipy.optimize
 
-    d = at.x @ model.B.T + at.u @ model.D.T
-    time = data.step_s * np.arange(len(d))
+    time = step_s * np.arange(len(d))
     rate = CubicSpline(time, d, axis=0)(time, 1)
     length = min(64, len(d))  # samples of a window; each half overlaps the next
     s = np.linspace(0, 1, length)
-    span = data.step_s * (length - 1)
+    span = step_s * (length - 1)
     # sin⁴(π s) times a cosine or a sine of 0 to 6 cycles, which chooses a part of the band: sums of waves, whose
     # derivatives are exact
     cycles, own = np.arange(7)[:, None], np.array([1, -4, 6, -4, 1]) / 16
@@ -127,12 +140,7 @@ def weak_form(model: Model, data: RecordData, at: RecordedMotion) -> WeakForm:
     ]
     windows = tuple(np.concatenate([each.real, each.imag[1:]]) for each in both)
     first = np.arange(0, len(d) - length + 1, max(length // 2, 1))
-    r = model.D.shape[1] - len(data.bases.names)
-    shown = [c for c in range(len(data.names)) if data.gain[c] < 0 and np.any(data.force[c])]
-    balance = np.concatenate([model.B.T, data.force[shown][:, : len(model.elements)]])
-    f = np.hstack([data.inputs[:, r : r + len(model.force_inputs)] @ model.S.T, data.outputs[:, shown]])
-    still = np.append(np.any(model.S, axis=1), np.array(data.drift, dtype=bool)[shown])
-    form = (model, data.step_s, d, rate, balance, f, still)
+    form = (model, step_s, d, rate, balance, f, still)
     return WeakForm(*form, (windows[0], windows[1], windows[2]), first)
 
 
@@ -314,6 +322,28 @@ def weak_equations(model: Model, data: RecordData, at: RecordedMotion) -> WeakEq
     smooth = weak_form(model, data, replace(at, x=x, u=u))
     stretched = np.hstack([model.B, model.D])
     noise = block_diag((stretched * _errors(motion)) @ stretched.T, np.diag(_errors(form.f)))
+    return _weighed(form, smooth, noise)
+
+
+def decay_start(model: Model, states: States, at: LinesInTime) -> Real:
+    """Unknowns (unknowns,) of a linear rig that moves freely, from the lines of one record.
+
+    In windows of some samples its modes are wide, and what is searched has one valley where the likelihood of the whole
+    record has one for each line.  The ends, which some lines alone do not show, are left out, and so is the mean.
+    """
+    cut = at.samples // 50
+    x = at.history(states.X[0])[cut : at.samples - cut]
+    noise = np.mean(states.covariance[0][at.lines, : model.n, : model.n].real, axis=0) * at.samples / 4
+    noise += np.diag(np.mean((INEXACT * x) ** 2, axis=0))
+    equations = (model.B.T, np.zeros_like(x), np.ones(model.n, dtype=bool))
+    form = _weak_form(model, at.step_s, x @ model.B.T, *equations)
+    noise = block_diag(model.B @ noise @ model.B.T, np.zeros((model.n, model.n)))
+    return _valleys(_weighed(form, form, noise))[0]
+
+
+def _weighed(form: WeakForm, smooth: WeakForm, noise: Real) -> WeakEquations:
+    """Weighed as if all linear elements pulled alike; noise as `WeakEquations` has it."""
+    model = form.model
     columns = np.zeros((len(form.first), len(form.windows[0]), len(model.elements)))
     for i, element in enumerate(model.elements):
         if element.force_law is None:
