@@ -39,24 +39,20 @@ def at_limits(values: Real, *, with_steps: bool = False) -> Bools:
     limits = np.zeros((2, len(values)), dtype=bool)
     if not len(values) or np.ptp(values) == 0:
         return limits
-    highest, lowest = np.max(values), np.min(values)
-    for side, (limit, other, extreme, beyond) in enumerate(
-        ((highest, lowest, np.max, np.greater), (lowest, highest, np.min, np.less))
-    ):
-        at = values == limit
+    for side, signed in enumerate((values, -values)):
+        limit = np.max(signed)
+        at = signed == limit
         count = int(np.count_nonzero(at))
         if count < 3 or count > AT_REST * len(values):
             continue
         if not (with_steps or np.any(at[2:] & at[1:-1] & at[:-2])):  # three follow each other nowhere
             continue
-        median = float(np.median(values[:: 1 + (len(values) >> 20)]))  # of a million samples, evenly spread
-        loud = len(values)
-        if limit != median:
-            # 0.5 of the way from the median to the limit, beyond which a sample is loud
-            loud = int(np.count_nonzero(beyond(values, median + 0.5 * (limit - median))))
-        following = extreme(values, where=~at, initial=other)
+        median = float(np.median(signed[:: 1 + (len(values) >> 20)]))  # of a million samples, evenly spread
+        # 0.5 of the way from the median to the limit, beyond which a sample is loud
+        loud = np.count_nonzero(signed > median + 0.5 * (limit - median)) if limit != median else len(values)
+        following = np.max(signed, where=~at, initial=np.min(signed))
         # 8: times as many samples as at the value next to the limit: fewer are the steps of a converter
-        many = with_steps or count >= 8 * np.sum(values == following)
+        many = with_steps or count >= 8 * np.sum(signed == following)
         if many and count >= SHARE * min(len(values), LOUD * loud):
             limits[side] = at
     return limits
