@@ -14,6 +14,7 @@ import numpy as np
 
 from dashpot.arrays import Real, freeze
 from dashpot.channel import RESERVED_NAMES, Channel, Quantity
+from dashpot.data.conditioning.clock import GAP
 from dashpot.data.readers.amplitudes import amplitude_columns
 from dashpot.data.readers.columns import (
     Columns,
@@ -271,7 +272,7 @@ class _Stretch:
 
 def _stretch(time: Real, begin: int, end: int) -> _Stretch:
     steps = np.diff(time[begin:end])
-    regular = steps[steps <= 1.5 * float(np.median(steps))]  # others are gaps
+    regular = steps[steps <= GAP * float(np.median(steps))]  # others are gaps
     mean, gaps = float(np.mean(regular)), len(steps) - len(regular)
     at = begin + int(np.argmax(steps))
     longest = (float(time[at]), float(time[at + 1])) if gaps else None

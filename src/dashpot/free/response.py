@@ -22,9 +22,9 @@ from dashpot.data.conditioning.clock import even_step
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.unmeasured import SHORTEST
-from dashpot.data.conditioning.whole_record import without_gaps
+from dashpot.data.conditioning.whole_record import at_rest, require_motion, without_gaps
 from dashpot.data.noise import moderated, smoothed, with_local_noise
-from dashpot.data.periods import ROUNDING, averaged_periods
+from dashpot.data.periods import averaged_periods
 from dashpot.data.readers import Reading
 from dashpot.data.readers.text import write_rows
 from dashpot.data.readers.uff import FRF, NodalFunction, NodePoint
@@ -200,7 +200,7 @@ def parted(reading: Reading, inputs: Sequence[str], outputs: Sequence[str]) -> P
             pieces, said = without_gaps(record, split=True)
             whole, told = [*whole, *pieces], [*told, *said]
             continue
-        _require_motion(record, len(inputs))
+        require_motion(record, len(inputs))
         spectra.append(repeated[0])
         shares = zip(outputs, repeated[1][len(inputs) :].tolist(), strict=True)
         distortion = distortion or {name: (even, odd) for name, (even, odd) in shares}
@@ -381,18 +381,6 @@ def _rows(U: Complex, Y: Complex, V: Complex) -> _Rows | None:
     return _Rows(H, pairs, explained / np.maximum(explained + noise, 1e-300), 0.0, 0.0)
 
 
-def _resting(values: Real) -> Bools:
-    """(channels,): which of (samples, channels) move by no more than rounding."""
-    return np.asarray(np.ptp(values, axis=0) <= ROUNDING * np.max(np.abs(values), axis=0))
-
-
-def _require_motion(record: Record, nu: int) -> None:
-    """Raises DataError if an output stays at one value."""
-    for c in np.flatnonzero(_resting(record.values)):
-        if c >= nu:
-            raise DataError(f"{record.channels[c].name} does not move", record.source, "leave it out")
-
-
 # Records of any excitation: in windows of neighbouring lines H and the transient of each record are smooth.
 
 SPARE = (
@@ -422,12 +410,12 @@ def record_lines(record: Record, nu: int) -> RecordLines:
     """The lines of a record.  Raises DataError for uneven stamps, and outputs that do not move."""
     if record.values.ndim != 2:
         raise DataError("repeats of a record cannot be combined", record.source, "give one at a time")
-    _require_motion(record, nu)
+    require_motion(record, nu)
     step, samples = even_step(record), len(record.time)
     lines = (samples - 1) // 2
     frequency = np.arange(1, lines + 1) / (samples * step)
     X = fft.rfft(record.values - record.values.mean(axis=0), axis=0)[1 : lines + 1] * (2 / samples**0.5)
-    X = X * calibration(record.channels, frequency) * ~_resting(record.values)  # inputs at rest: exactly
+    X = X * calibration(record.channels, frequency) * ~at_rest(record.values)  # inputs at rest: exactly
     return RecordLines(frequency, X[:, :nu], X[:, nu:], samples * step, samples)
 
 

@@ -44,8 +44,8 @@ def lost_samples(records: Sequence[Record]) -> list[str]:
     that moves at the drive frequency holds no value for half a period.  Of continuous records conditioning says it,
     and of dwells where it marks those samples as missing; each channel is named once.
     """
+    from dashpot.data.conditioning.clock import GAP
     from dashpot.data.conditioning.unmeasured import marked
-    from dashpot.data.conditioning.whole_record import GAP
     from dashpot.data.record import runs_of_one_value
 
     said: list[str] = []

@@ -12,6 +12,7 @@ from dashpot.data.record import Record, kept
 from dashpot.errors import DataError
 from dashpot.notices import Notice
 
+GAP = 1.5  # sampling steps between samples from which on there is a gap
 UNEVEN = 0.02  # of a sampling step: stamps may be rounded by that much
 ROUNDED = 1e-6  # of a sampling step: stamps that are less off are even
 FIGURES = range(4, 10)  # that stamps may be written with; files of more are not coarse

@@ -19,7 +19,13 @@ from scipy import fft
 
 from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel
-from dashpot.data.conditioning.clock import FEWEST_OF_A_DWELL, even_step, fewest_samples, with_even_stamps
+from dashpot.data.conditioning.clock import (
+    FEWEST_OF_A_DWELL,
+    GAP,
+    even_step,
+    fewest_samples,
+    with_even_stamps,
+)
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.regression import Terms, solve_harmonics
 from dashpot.data.conditioning.unmeasured import (
@@ -40,14 +46,13 @@ from dashpot.data.noise import (
     white_floor,
     without_leakage,
 )
-from dashpot.data.periods import driven_lines, driven_note
+from dashpot.data.periods import ROUNDING, driven_lines, driven_note
 from dashpot.data.record import MISSING, Record, calibrated, real_factor
 from dashpot.data.spectrum import Spectrum, Unmeasured, WholeRecord, concatenate
 from dashpot.errors import DataError
 from dashpot.io.words import counted, joined
 from dashpot.notices import Notice
 
-GAP = 1.5  # sampling steps: where the next sample is later than this, another record begins
 SLIP = 0.1  # of a step: where the next sample is early or late by more, the clock has slipped
 UNEVEN = 0.02  # share of gaps from which on they are the clock's
 HIGHEST = 0.9  # of half the sampling rate: above it the input between the samples is not known well enough
@@ -151,7 +156,7 @@ def whole_record(
     record, remaining = _aligned(record, step)
     samples = len(record.time)
     duration = samples * step
-    _require_motion(record)
+    require_motion(record)
     first, last = _lines_of(record.source, band_hz, samples, step)
     record, known = with_likely(record)
     X, floor, folded = _amplitudes(record, first, last, stated=band_hz is not None)
@@ -373,17 +378,20 @@ def _aligned(record: Record, step: float) -> tuple[Record, tuple[Channel, ...]]:
     ), remaining
 
 
-def _require_motion(record: Record) -> None:
-    """Raises DataError where a channel stays at one value."""
-    for c, channel in enumerate(record.channels):
-        column = record.values[:, c]
-        if np.ptp(column) == 0:
-            raise DataError(
-                f"{channel.name} stays at {column[0]:g} throughout",
-                record.source,
-                "check that the sensor is connected, or leave the channel out of the rig file; an input that stays "
-                "at rest during a free decay is ground, not an input",
-            )
+def at_rest(values: Real) -> Bools:
+    """(channels,): which of (samples, channels) move by no more than rounding."""
+    return np.asarray(np.ptp(values, axis=0) <= ROUNDING * np.max(np.abs(values), axis=0))
+
+
+def require_motion(record: Record, inputs: int = 0) -> None:
+    """Raises DataError where a channel stays at one value; the first `inputs` may."""
+    for c in np.flatnonzero(at_rest(record.values[:, inputs:])).tolist():
+        raise DataError(
+            f"{record.channels[inputs + c].name} stays at {record.values[0, inputs + c]:g} throughout",
+            record.source,
+            "check that the sensor is connected, or leave the channel out; an input that stays at "
+            "rest during a free decay is ground, not an input",
+        )
 
 
 def leaked_by_a_step(column: Real) -> Complex:

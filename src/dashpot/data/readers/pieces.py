@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dashpot.channel import Channel
-from dashpot.data.conditioning.clock import FEWEST
+from dashpot.data.conditioning.clock import FEWEST, GAP
 from dashpot.data.readers.arrow_files import parquet_pieces
 from dashpot.data.readers.columns import Columns, is_timestamp, time_column
 from dashpot.data.readers.datafile import HEAD, DataFile, open_file
@@ -25,7 +25,6 @@ from dashpot.io.ledger import noted
 
 PIECE = 1 << 23  # bytes of text that are read at a time
 LOOK = 1.0  # s between looks at a file that grows
-APART = 1.5  # sampling steps between samples from which on there is a gap
 
 
 def records_in_pieces(
@@ -134,7 +133,7 @@ def windows_of(records: Iterable[Record], seconds: float) -> Iterator[Record]:
         held = record if held is None else _joined(held, record)
         while held is not None:
             step = _step(held, seconds)
-            gap = np.flatnonzero(np.diff(held.time) > APART * step)
+            gap = np.flatnonzero(np.diff(held.time) > GAP * step)
             end = int(gap[0]) + 1 if len(gap) else len(held.time)
             count = round(seconds / step)
             if end >= count:
