@@ -533,9 +533,13 @@ def page_verdict(estimate: Estimate) -> Verdict:
 
 
 def _described(assessment: Assessment) -> list[str]:
-    """What of the motion the rig misses at the most beyond noise, where that is known of all and speaks for it."""
+    """What of the motion the rig misses beyond noise, where more of it is known than the bound in the verdict."""
     missed = _bound_missed(assessment)
-    return [f"Apart from noise, the model misses {missed}."] if missed else []
+    return (
+        [f"Apart from noise, the model misses {missed}."]
+        if missed and not missed.startswith("at most")
+        else []
+    )
 
 
 def _bound_missed(assessment: Assessment) -> str:
