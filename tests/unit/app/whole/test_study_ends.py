@@ -119,7 +119,7 @@ def _of_a_run(mark: str) -> list[int]:
 @pytest.mark.long
 @pytest.mark.parametrize("command", ["study", "fleet"])
 def test_two_signals_within_milliseconds_leave_nothing_behind(tmp_path: Path, command: str) -> None:
-    """At 24 moments spread over four seconds, to the process or its group: one of the two codes, no file, no process."""
+    """At 24 moments of four seconds, to the process or its group: one of the two exit codes, no file, no process."""
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     (tmp_path / "noise.toml").write_text(STUDY.replace("draws = 30", "draws = 1000000"), encoding="utf-8")
     (tmp_path / "machine.toml").write_text(FLEET, encoding="utf-8")
