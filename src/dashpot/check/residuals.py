@@ -14,14 +14,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammainc, gammaincc
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze, hermitian
+from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices, freeze
 from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.record import calibration, real_factor
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Discrepancy
 from dashpot.estimate.likelihood.measured import Measured
-from dashpot.estimate.likelihood.objective import FLOOR, measured, predict
+from dashpot.estimate.likelihood.objective import (
+    FLOOR,
+    measured,
+    predict,
+)
 from dashpot.estimate.likelihood.record_sums import shown_by_ends
 from dashpot.estimate.nonlinear.objective import predicted_lines
 from dashpot.estimate.preparation import Prepared, working_covariance
@@ -39,7 +43,7 @@ from dashpot.model.observation import (
     transfer,
 )
 
-TOGETHER = 20_000  # lines that are projected at once
+EXACT = 1e-9  # relative noise that exact channels are given, beside which that of all others is large
 
 Calibrations = Mapping[str, float]
 
@@ -151,10 +155,9 @@ def residuals(
     if not known:
         # V with zeros where nothing was measured (sizes of absent channels mean nothing)
         V = np.where(np.isfinite(V), V, 0.0) + 0 * np.nan_to_num(y)[..., None]
-    predicted, spread, v = _predicted(model, theta, spectrum, V, calibrations)
+    predicted, variance, v = _predicted(model, theta, spectrum, V, calibrations)
     difference = y - predicted
     size = np.diagonal(V, axis1=-2, axis2=-1).real
-    variance = np.diagonal(spread, axis1=-2, axis2=-1).real
     usable = np.isfinite(y) & (variance > 1e-9 * np.where(size > 0, size, np.inf))
     with np.errstate(invalid="ignore", divide="ignore"):
         normalised = np.where(usable, difference / np.sqrt(np.where(usable, variance, 1.0) / 2), np.nan)
@@ -183,40 +186,45 @@ def residuals(
 
 def _predicted(
     model: Model, theta: Real, spectrum: Spectrum, V: Complex, calibrations: Calibrations | None
-) -> tuple[Complex, Complex, Complex]:
-    """Channels as the rig has them with the inputs that fit best, covariance of what is left, and those inputs."""
-    y = spectrum.amplitudes
+) -> tuple[Complex, Real, Complex]:
+    """Channels as the rig has them with the inputs that fit best, variance of what is left, and those inputs.
+
+    Generalised least squares line by line; exact channels are met exactly as far as they agree with each other.
+    """
+    y, theta = spectrum.amplitudes, np.asarray(theta, dtype=float)
+    variance = np.diagonal(V, axis1=-2, axis2=-1).real
+    size = np.max(np.abs(np.nan_to_num(y)), axis=0, initial=0.0)
     if len(model.nonlinear):
         estimated = {} if calibrations is None else calibrations
-        predicted, v = predicted_lines(model, np.asarray(theta, dtype=float), spectrum, V, estimated)
+        predicted, v = predicted_lines(model, theta, spectrum, V, estimated)
         # Inputs that are all but exact are met to the floor that the likelihood gives them.
-        floor = FLOOR * np.max(np.abs(np.nan_to_num(y)), axis=0, initial=0.0)
-        return predicted, V + np.diag(floor**2), v
-    p = model.parameters(np.asarray(theta, dtype=float))
+        return predicted, variance + (FLOOR * size) ** 2, v
+    p = model.parameters(theta)
     G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations, spectrum.experiment)
-    transients = _transients(model, theta, spectrum, V, calibrations)
-    predicted, spread, v = _project(G, y - transients, V)
-    return predicted + transients, spread, v
-
-
-def _transients(
-    model: Model, theta: Real, spectrum: Spectrum, V: Complex, calibrations: Calibrations | None
-) -> Complex:
-    """What the two ends of whole records add to the channels, (lines, channels); 0 at settled lines."""
-    if not spectrum.carries_loads:
-        return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128)
     view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
-    psi, sign = of_channels(view, np.asarray(theta, dtype=float), calibrations)
-    exact = weighed_by(view, spectrum, V)
-    if exact.ends is None:
-        return np.zeros(spectrum.amplitudes.shape, dtype=np.complex128)
-    at_ends: Complex | None = (
-        shown_by_ends(exact.record_pieces, psi[None], sign[None])
-        if small(model)
-        else predict(view, exact, psi[None], sign[None]).at_ends
-    )
-    assert at_ends is not None
-    return at_ends[0]
+    psi, sign = of_channels(view, theta, calibrations)
+    at_ends: Complex | None = None  # what the two ends of whole records add to the channels
+    data = weighed_by(view, spectrum, V) if spectrum.carries_loads else None
+    if data is not None and data.ends is not None and small(model):
+        at_ends = shown_by_ends(data.record_pieces, psi[None], sign[None])
+    elif data is not None and data.ends is not None:
+        at_ends = predict(view, data, psi[None], sign[None]).at_ends
+    transients = np.zeros_like(y) if at_ends is None else at_ends[0]
+    seen = np.isfinite(y)
+    noise = np.where(seen[:, :, None] & seen[:, None, :], V, 0.0)
+    noisy = seen & (variance > 0)
+    sd = np.where(noisy, np.sqrt(np.where(noisy, variance, 1.0)), EXACT * np.where(size > 0, size, 1.0))
+    weight = np.where(seen, 1 / sd, 0.0)
+    alike = noise * weight[:, :, None] * weight[:, None] + diagonal_matrices(np.where(noisy, 1e-13, 1.0))
+    root = np.linalg.solve(np.linalg.cholesky(alike), diagonal_matrices(weight).astype(np.complex128))
+    white = root @ G
+    scale = np.linalg.norm(white, axis=1, keepdims=True)
+    scale = np.where(scale > 0, scale, 1.0)
+    by_channel = np.linalg.pinv(white / scale, rcond=EXACT) / np.swapaxes(scale, 1, 2) @ root
+    v = np.einsum("lqc,lc->lq", by_channel, np.where(seen, y - transients, 0.0))
+    rest = np.eye(y.shape[-1]) - G @ by_channel
+    left = np.einsum("lij,ljk,lik->li", rest, noise, rest.conj(), optimize=True).real
+    return np.einsum("lcq,lq->lc", G, v) + transients, left * seen, v
 
 
 def weighed_by(view: ObservationModel, spectrum: Spectrum, V: Complex) -> Measured:
@@ -235,64 +243,6 @@ def of_channels(view: ObservationModel, theta: Real, calibrations: Calibrations 
     values = [given.get(name, value) for name, value in named]
     sign = np.array([given.get(f"{channel.name}.sign", 1.0) for channel in view.channels])
     return np.concatenate([theta, values]), sign
-
-
-def _project(G: Complex, y: Complex, V: Complex) -> tuple[Complex, Complex, Complex]:
-    """(ŷ, covariance of y − ŷ, v̂): generalised least squares of v in y = G v + noise, line by line.
-
-    Exact channels (variance 0) are met exactly as far as they agree with each other.
-    """
-    predicted = np.empty_like(y)
-    spread = np.zeros_like(V)
-    v = np.zeros((len(y), G.shape[-1]), dtype=complex)
-    present = np.isfinite(y)
-    kinds = present.astype(int) + (present & (np.diagonal(V, axis1=-2, axis2=-1).real <= 0))
-    # Lines that have the same channels, and the same of them exact, are solved together.
-    for kind in np.unique(kinds, axis=0):
-        alike, there = np.flatnonzero(np.all(kinds == kind, axis=1)), np.flatnonzero(kind)
-        for first in range(0, len(alike), TOGETHER):
-            lines = alike[first : first + TOGETHER]
-            cells = np.ix_(lines, there, there)
-            g, noise = G[lines][:, there], V[cells]
-            size = np.sqrt(np.sum(np.abs(g) ** 2, axis=1, keepdims=True))
-            size = np.where(size > 0, size, 1.0)
-            P = _estimators(g / size, noise, kind[there] == 2)
-            v[lines] = (P @ y[lines][:, there, None])[..., 0] / size[:, 0]
-            rest = np.eye(len(there)) - (g / size) @ P
-            spread[cells] = rest @ noise @ hermitian(rest)
-            predicted[lines] = (G[lines] @ v[lines, :, None])[..., 0]
-    return predicted, spread, v
-
-
-def _estimators(g: Complex, V: Complex, exact: Bools) -> Complex:
-    """P (lines, q, channels) with v̂ = P y minimising (y − g v)ᴴ V⁻¹ (y − g v) at each line.
-
-    g (lines, channels, q), V (lines, channels, channels).  Channels that are `exact` come first, the rest of v from
-    the noisy ones.
-    """
-    lines, channels, q = g.shape
-    P = np.zeros((lines, q, channels), dtype=complex)
-    free = np.broadcast_to(np.eye(q, dtype=complex), (lines, q, q))
-    if np.any(exact):
-        P[:, :, exact] = np.linalg.pinv(g[:, exact], rcond=1e-10)
-        _, s, Vh = np.linalg.svd(g[:, exact])
-        rank = np.sum(s > 1e-10 * s[:, :1], axis=-1)
-        if np.any(rank != rank[0]):
-            for k in np.unique(rank):
-                P[rank == k] = _estimators(g[rank == k], V[rank == k], exact)
-            return P
-        free = hermitian(Vh[:, rank[0] :])
-    noisy = ~exact
-    if free.shape[-1] and np.any(noisy):
-        of_noisy = V[:, noisy][:, :, noisy]
-        sd = np.sqrt(np.diagonal(of_noisy, axis1=-2, axis2=-1).real)
-        L = np.linalg.cholesky(of_noisy / sd[:, :, None] / sd[:, None] + 1e-13 * np.eye(sd.shape[-1]))
-        white = np.linalg.solve(L, (g[:, noisy] @ free) / sd[:, :, None])
-        scale = (np.eye(sd.shape[-1]) / sd[:, :, None]).astype(complex)
-        half = np.linalg.pinv(white, rcond=1e-10) @ np.linalg.solve(L, scale)
-        P[:, :, noisy] = free @ half
-        P[:, :, exact] -= free @ (half @ (g[:, noisy] @ P[:, :, exact]))
-    return P
 
 
 def correlation(covariance: Real) -> Real:
