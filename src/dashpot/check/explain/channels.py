@@ -13,7 +13,7 @@ import numpy as np
 from dashpot import units
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
-from dashpot.check.explain.effect import Baseline, Effect, Phrase, by_size, plainly, said
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, by_size, plainly
 from dashpot.check.explain.problem import DERIVATIVES, FitProblem, LineProblem, TimeProblem
 from dashpot.data.readers.columns import factors
 from dashpot.errors import DashpotError
@@ -98,7 +98,7 @@ def _line(model: Model, channel: Channel) -> str:
 def sign(baseline: Baseline) -> Iterator[Effect]:
     """Each channel with the opposite sign."""
     for c, channel in enumerate(baseline.problem.channels):
-        words = partial(turned, baseline.problem.model, channel)
+        words = turned(baseline.problem.model, channel)
         yield Effect("sign", (channel.name,), partial(times, c), words, (-1.0,))
 
 
@@ -130,7 +130,7 @@ def times(c: int, problem: FitProblem, factor: float) -> FitProblem:
     return problem.scaled(c, 1 / factor)
 
 
-def turned(model: Model, channel: Channel, _: float) -> Phrase:
+def turned(model: Model, channel: Channel) -> Phrase:
     mended = replace(channel, sign=-1.0 if channel.sign is None else -channel.sign)
     text = f"{channel.name} has the opposite sign to what the model predicts. Sensor reversed?"
     return Phrase(text, _line(model, mended), (mended,))
@@ -245,15 +245,13 @@ def conjugate(baseline: Baseline) -> Iterator[Effect]:
     everything = tuple(range(len(channels)))
     for chosen in (*(() if baseline.of_samples else ((),)), *((c,) for c in everything)):
         of = tuple(channels[c].name for c in chosen)
-        act, words = plainly("conjugated", np.isin(everything, chosen or everything)), partial(_opposite, of)
+        text = "all phases have the opposite sign: the data use e^(−jωt)"
+        words = Phrase(text, "change the sign of the imaginary parts")
+        if of:
+            text = f"the phases of {of[0]} have the opposite sign"
+            words = Phrase(text, f"conjugate {of[0]} in the data")
+        act = plainly("conjugated", np.isin(everything, chosen or everything))
         yield Effect("conjugate", of, act, words, share=0.01 if baseline.of_samples else 1.0)
-
-
-def _opposite(of: tuple[str, ...], _: float) -> Phrase:
-    if of:
-        return Phrase(f"the phases of {of[0]} have the opposite sign", f"conjugate {of[0]} in the data")
-    text = "all phases have the opposite sign: the data use e^(−jωt)"
-    return Phrase(text, "change the sign of the imaginary parts")
 
 
 def radians(baseline: Baseline) -> Iterator[Effect]:
@@ -262,7 +260,7 @@ def radians(baseline: Baseline) -> Iterator[Effect]:
     small = np.max(np.abs(np.angle(y)), initial=0.0) < 1.01 * np.pi * np.pi / 180
     if small and not baseline.of_samples:
         words = Phrase("the phases are radians, read as degrees", "give the phases in rad, as NAME_phase_rad")
-        yield Effect("unit", (), _phases_times, partial(said, words), (180 / np.pi,))
+        yield Effect("unit", (), _phases_times, words, (180 / np.pi,))
 
 
 def _phases_times(problem: LineProblem, factor: float) -> LineProblem:
@@ -400,14 +398,11 @@ def swap(baseline: Baseline) -> Iterator[Effect]:
             alike = pair[0].factor / pair[0].scale == pair[1].factor / pair[1].scale
             forms = (True,) if alike else (True, False)
             for by_column in forms:
-                act, words = (
-                    plainly("exchanged", i, j, by_column),
-                    partial(_swap, problem.model, *pair, by_column),
-                )
-                yield Effect("swap", of, act, words, share=1 / len(forms))
+                words = _swapped(problem.model, *pair, by_column)
+                yield Effect("swap", of, plainly("exchanged", i, j, by_column), words, share=1 / len(forms))
 
 
-def _swap(model: Model, first: Channel, second: Channel, by_column: bool, _: float) -> Phrase:
+def _swapped(model: Model, first: Channel, second: Channel, by_column: bool) -> Phrase:
     if not by_column:
         text = f"{first.name} and {second.name} are exchanged, each scaled to the unit of the other"
         return Phrase(text, f"exchange {first.name} and {second.name} where they were recorded")
@@ -497,7 +492,7 @@ def left_out(baseline: Baseline) -> Iterator[Effect]:
         fit = baseline.without[c]
         if shows and isinstance(fit.problem, LineProblem):  # what measured nothing need not show anything
             fit = replace(fit, problem=replace(fit.problem, lost=None))
-        yield Effect("channel", (name,), partial(without, c), partial(said, phrase), found=fit)
+        yield Effect("channel", (name,), partial(without, c), phrase, found=fit)
 
 
 def without(c: int, problem: FitProblem, _: float = 1.0) -> FitProblem:

@@ -10,7 +10,7 @@ import numpy as np
 
 from dashpot.arrays import Bools
 from dashpot.check.explain.channels import DIFFERENT, rounded
-from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, by_size, plainly, said
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, by_size, plainly
 from dashpot.check.explain.problem import (
     FEWER_DRAWS,
     FitProblem,
@@ -58,28 +58,25 @@ def dwell(baseline: Baseline) -> Iterator[Effect]:
     order = sorted(range(len(worst)), key=lambda k: ends[k].chi2)
     for k in order:
         label = labels[worst[k]]
-        text, cure = (
-            f"the dwell at {label} disagrees with all others",
-            f"leave out {label}, or measure it again",
-        )
-        words = partial(said, Phrase(text, cure))
+        text = f"the dwell at {label} disagrees with all others"
+        words = Phrase(text, f"leave out {label}, or measure it again")
         yield Effect("dwell", (label,), plainly("without", dropped[k]), words, share=share)
     for k in order[:NAMED]:
         line, label = worst[k], labels[worst[k]]
         if not len(problem.model.nonlinear):  # else harmonics go with the frequency of their dwell
-            begun, act = _own_frequency(ends[k], problem, line), partial(_labelled, line)
-            words = partial(_relabelled, label)
-            yield Effect("frequency", (label,), act, words, begun, LABEL_WIDTH, 1.0, True, share=share)
+            begun, own = _own_frequency(ends[k], problem, line), partial(_relabelled, label)
+            act = partial(_labelled, line)
+            yield Effect("frequency", (label,), act, own, begun, LABEL_WIDTH, 1.0, True, share=share)
             for other in range(lines):
                 if other != line and labels[other] != label:
                     pair = tuple(labels[i] for i in sorted((line, other)))
                     text = f"the dwells labelled {pair[0]} and {pair[1]} are swapped"
                     cure = f"label the dwell at {pair[0]} {pair[1]}, and the one at {pair[1]} {pair[0]}"
-                    act, words = partial(_exchanged, line, other), partial(said, Phrase(text, cure))
-                    yield Effect("frequency", pair, act, words, share=share / lines)
+                    swapped = partial(_exchanged, line, other)
+                    yield Effect("frequency", pair, swapped, Phrase(text, cure), share=share / lines)
         if not baseline.of_samples:
             text = f"the phases of the dwell at {label} have the opposite sign"
-            words = partial(said, Phrase(text, f"conjugate the amplitudes at {label}"))
+            words = Phrase(text, f"conjugate the amplitudes at {label}")
             yield Effect("conjugate", (label,), partial(_turned, line), words, share=share)
 
 
@@ -204,7 +201,7 @@ def changed(baseline: Baseline) -> Iterator[Effect]:
         subject = f"{where} behave{'s' if where.startswith('experiment') else ''} like a different rig"
         change = f"identify {where} separately, or find out what was changed"
         yield Effect(
-            "changed", (), as_is, partial(said, Phrase(subject, change)), found=whole, more=len(first.psi),
+            "changed", (), as_is, Phrase(subject, change), found=whole, more=len(first.psi),
             share=ALL_AT_ONCE / len(parts),
         )  # fmt: skip
         for part, step, rise in _one_part_otherwise(first, second)[:NAMED]:
@@ -221,7 +218,7 @@ def changed(baseline: Baseline) -> Iterator[Effect]:
             own = replace(part, only="other", stands_for=part.name if part.name in there else None)
             cure = f"{change}; or let it differ in that test: {DIFFERENT}; {element_line(own)}"
             yield Effect(
-                "changed", points_of(part, problem.model), as_is, partial(said, Phrase(text, cure)), (step,),
+                "changed", points_of(part, problem.model), as_is, Phrase(text, cure), (step,),
                 found=single, more=1, share=1 / len(parts),
             )  # fmt: skip
 

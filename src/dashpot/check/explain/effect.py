@@ -47,7 +47,7 @@ class Effect:
 
     kind, of   as in a Finding
     act        the problem with the supposition at a size
-    words      what a person reads at the size that was found
+    words      what a person reads, by the size that was found where that is in it
     values     sizes that are tried: alternatives, or where the search for a size begins
     width      the prior scale of a size that is sought, about `null`; None where `values` are alternatives.  The prior
                is Cauchy's: most mistakes are small, some are large
@@ -64,7 +64,7 @@ class Effect:
     kind: str
     of: tuple[str, ...]
     act: Callable[[Any, float], FitProblem]
-    words: Callable[[float], Phrase]
+    words: Phrase | Callable[[float], Phrase]
     values: tuple[float, ...] = (1.0,)
     width: float | None = None
     null: float = 0.0
@@ -89,12 +89,16 @@ class Effect:
         """The size at a coordinate, of the sign of another one."""
         return float(np.copysign(np.exp(coordinate), like)) if self.of_ratio else coordinate
 
+    def phrase(self, size: float) -> Phrase:
+        """What a person reads at a size."""
+        return self.words if isinstance(self.words, Phrase) else self.words(size)
+
     def finding(
         self, size: float, remaining: float | None = None, *, odds: float | None = None,
         explains: float | None = None, group: int | None = None,
     ) -> Finding:  # fmt: skip
         """At a size, as an assessment has it; remaining: χ² over its degrees of freedom with it mended."""
-        said = self.words(size)
+        said = self.phrase(size)
         number = None if self.values == (1.0,) else size
         return Finding(
             self.kind, self.of, said.text, said.change, remaining, number, said.channels, said.elements,
@@ -156,11 +160,6 @@ class Baseline:
         with np.errstate(invalid="ignore"):
             used = self.problem.kept[:, c] & np.isfinite(expected) & (np.abs(expected) > 0) & (np.abs(y) > 0)
         return used, y[used], expected[used]
-
-
-def said(phrase: Phrase, _: float) -> Phrase:
-    """For `words` that no size changes."""
-    return phrase
 
 
 def by_size(method: str, *of: Any) -> Callable[[Any, float], FitProblem]:

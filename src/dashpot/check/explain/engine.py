@@ -219,7 +219,7 @@ class Explanation:
         if self.causes:
             text = f"every listed cause leaves too much of the misfit; after the best one, the misfit is {largest}"
         elif nearest is not None:
-            best = nearest.effect.words(nearest.size).text
+            best = nearest.effect.phrase(nearest.size).text
             text += f". The best one explains {100 * nearest.explains:.0f} %: {best}"
         cure = "look at the residuals there; measure more points, or test fewer at a time"
         return (Finding("unexplained", (), text, cure, None, odds=self.unlisted, explains=0.0), *named)
@@ -942,16 +942,6 @@ def _half_for(shares: Real, k: int) -> Real:
     return np.log(weights)
 
 
-def _covariance(effect: Effect, fit: FittedProblem) -> Real:
-    """Of ψ (M,), (M, M), with an effect fitted: by χ² over its degrees of freedom wider than noise gives it, where that
-    is larger.  What the data do not tell of the unknowns that it brings, their priors do."""
-    information, _, _ = fit.problem.slopes(fit.psi)
-    information = information / max(fit.reduced, 1.0 if fit.problem.noise_known else 0.0)
-    chosen, stretch, widths = _brought(effect, fit)
-    information[chosen, chosen] += 1 / (stretch * widths) ** 2
-    return scaled_inverse(information)
-
-
 def allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) -> Estimate:
     """The estimate with intervals that allow for what its unknowns would be with each cause mended, by its odds.
 
@@ -975,7 +965,15 @@ def allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) ->
             if not set(names) <= set(there):
                 continue
             places = [there.index(name) for name in names]
-            spread = 0.0 if effect is None else _covariance(effect, part)[np.ix_(places, places)]
+            spread: Real | float = 0.0
+            if effect is not None:
+                # By χ² over its degrees of freedom wider than noise gives it, where that is larger.  What the data do
+                # not tell of the unknowns that the effect brings, their priors do.
+                information, _, _ = part.problem.slopes(part.psi)
+                information = information / max(part.reduced, 1.0 if part.problem.noise_known else 0.0)
+                chosen, stretch, widths = _brought(effect, part)
+                information[chosen, chosen] += 1 / (stretch * widths) ** 2
+                spread = scaled_inverse(information)[np.ix_(places, places)]
             moves.append((odds / len(parts), part.psi[places], spread))
     return allowing_for(model, estimate, moves)
 

@@ -147,7 +147,7 @@ def _pushed_backwards(model: Model, spectrum: Spectrum, estimate: Estimate | Non
     theta, sd = (values[: len(model.unknowns)] for values in (estimate.values, estimate.noise_sd))
     if not np.all(theta < -BEYOND * sd):
         return ()
-    said = turned(model, forces[0], -1.0)
+    said = turned(model, forces[0])
     left = float(estimate.fit.misfit) ** 2
     return (Finding("sign", (forces[0].name,), said.text, said.change, left, -1.0, said.channels, odds=1.0),)
 

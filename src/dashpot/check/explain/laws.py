@@ -19,7 +19,7 @@ from scipy.special import fdtrc
 
 from dashpot.arrays import Complex, Real
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is
-from dashpot.check.explain.problem import FittedProblem, LineProblem, descended, without_raising
+from dashpot.check.explain.problem import FittedProblem, LineProblem, descended, replaced, without_raising
 from dashpot.check.explain.rigs import missing_in_words, points_of, unused
 from dashpot.check.explain.score import APART, score_tests, steadiness
 from dashpot.data.noise import smoothed
@@ -232,7 +232,7 @@ def scored_by_equation(problem: LineProblem, elements: Sequence[Element]) -> lis
     if states is None or len(psi) > len(model.unknowns) or not elements:
         return []
     every = [replace(e, name=f"{e.name} {k}") for k, e in enumerate(at_each_scale(elements))]
-    extended = _with(model, *every)
+    extended = replaced(model, *every)
     try:
         motion = measured_motion(data.of_rig(extended))
         own = measured_motion(data) if len(model.nonlinear) else None
@@ -356,17 +356,13 @@ def scored_in_dwells(
         for first in range(0, len(alike), TOGETHER):
             by_name = {element.name: element for element in alike[first : first + TOGETHER]}
             with suppress(DashpotError):
-                larger = problem.balanced().of_rig(_with(problem.model, *by_name.values()))
+                larger = problem.balanced().of_rig(replaced(problem.model, *by_name.values()))
                 at = larger.slopes(larger.starts[0], softness)
                 tests = score_tests(larger.names, [name in by_name for name in larger.names], *at)
                 scored += [
                     ScoredElement(by_name[p.name], min(p.fall, p.chi2), p.chi2, dof, p.step) for p in tests
                 ]
     return sorted(scored, key=lambda candidate: -candidate.fall)
-
-
-def _with(model: Model, *elements: Element) -> Model:
-    return replace(model, elements=(*model.elements, *elements))
 
 
 def _told_apart(data: Prepared, elements: Sequence[Element]) -> Sequence[Element]:
@@ -386,7 +382,7 @@ def motions_of(problem: LineProblem) -> Motions:
         replace(between(f"probe_{a}_{b}", Kind.SPRING, a, b, value=0.0), force_law=force_law("cubic"))
         for a, b in both
     ]
-    larger = _with(model, *probes)
+    larger = replaced(model, *probes)
     try:
         part = problem.balanced().of_rig(larger).arranged().nonlinear
     except DashpotError:
@@ -407,7 +403,7 @@ def measured_motions(data: Prepared) -> Motions:
         return {}
     both = moving_pairs(model)
     probes = [between(f"probe_{a}_{b}", Kind.SPRING, a, b, value=0.0) for a, b in both]
-    larger = _with(model, *probes)
+    larger = replaced(model, *probes)
     chosen = slice(len(model.elements), None)
     delta = np.abs(states.X[0] @ larger.B[chosen].T + states.U[0] @ larger.D[chosen].T)
     return _moving(both, delta, data.spectrum.omega)
@@ -525,7 +521,7 @@ def fitted_in_full(
     """The candidate's value and how far χ² falls from `chi2` with all unknowns at their best, from the start."""
     assert candidate.element.force_law is not None
     element = with_open_constants(candidate.element)
-    extended = _with(problem.model, element)
+    extended = replaced(problem.model, element)
     seen = candidate.psi is not None  # the motion is then followed from the measured one
     own = problem.starts[0] if candidate.psi is None else candidate.psi
     larger = (problem if seen else problem.balanced()).from_starts((problem.starts[0], own)).of_rig(extended)
@@ -752,7 +748,7 @@ def _places(
     """
     model, pairs = view.model, moving_pairs(view.model)
     probes = [between(f"place {a} {b}", Kind.SPRING, a, b, value=0.0) for a, b in pairs]
-    larger = _with(model, *probes)
+    larger = replaced(model, *probes)
     rig = calibrated_transfer(
         observation_model(larger, view.channels, view.omega, view.experiment), psi, sign
     )

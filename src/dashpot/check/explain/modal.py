@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from dashpot.check.explain import channels, dwells, rigs
 from dashpot.check.explain.channels import in_data
-from dashpot.check.explain.effect import Baseline, Effect, Phrase, plainly, said
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, plainly
 from dashpot.check.explain.engine import KINDS, LARGEST, allowing_for_causes, begun_at, explain_in_steps
 from dashpot.check.explain.problem import ModalProblem
 from dashpot.check.verdict import doubts_about, rejected, unphysical, unstable, worst_of
@@ -65,9 +64,10 @@ def _damped_words(number: float) -> Phrase:
 def mode(baseline: Baseline) -> Iterator[Effect]:
     """Each mode left out, or its frequency or its damping alone."""
     kept = baseline.problem.kept
-    for k, label in enumerate(baseline.problem.labels):
+    for k, frequency in enumerate(baseline.problem.frequency_hz):
+        label = f"{frequency:.4g} Hz"
         text = f"the mode at {label} disagrees with all others"
-        words = partial(said, Phrase(text, f"leave out the mode at {label}, or measure it again"))
+        words = Phrase(text, f"leave out the mode at {label}, or measure it again")
         for columns in (slice(None), slice(-2, -1), slice(-1, None)):
             out = np.zeros_like(kept)
             out[k, columns] = True

@@ -373,11 +373,6 @@ class ModalProblem:
         return tuple(Channel(name, {name: 1.0}) for name in self.data.points)
 
     @property
-    def labels(self) -> list[str]:
-        """Modes by their frequencies."""
-        return [f"{frequency:.4g} Hz" for frequency in self.frequency_hz]
-
-    @property
     def frequency_hz(self) -> Real:
         """Of the modes, (modes,)."""
         return self.data.frequency_hz
@@ -714,11 +709,6 @@ class TimeProblem:
     def omega(self) -> Real:
         """Angular frequencies of the lines, (lines,)."""
         return 2 * np.pi * self.frequency_hz
-
-    @property
-    def labels(self) -> list[str]:
-        """Lines by their frequencies."""
-        return [f"{frequency:.4g} Hz" for frequency in self.frequency_hz]
 
     def _lines_of(self, samples: Real) -> Complex:
         lines: Complex = np.fft.rfft(samples, axis=0)[self._order] * (2 / len(samples))

@@ -18,7 +18,7 @@ from dashpot.arrays import Complex, Ints, Real
 from dashpot.channel import Quantity
 from dashpot.check.explain.channels import DISAGREES, limited
 from dashpot.check.explain.dwells import held_words
-from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is, said
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, as_is
 from dashpot.check.explain.engine import Explanation, explain_records
 from dashpot.check.explain.problem import (
     FitProblem,
@@ -97,7 +97,7 @@ def channels_in_time(
             continue
         by_others = predicted(c, fit)
         kind, phrase = _shown(whole, c, by_others)
-        yield Effect(kind, (channel.name,), as_is, partial(said, phrase), found=fit)
+        yield Effect(kind, (channel.name,), as_is, phrase, found=fit)
         share = 1 / np.count_nonzero(~baseline.inputs)
         beside = (by_others, predicted(c, baseline.as_is))
         yield from _stepping(whole, chosen, c, [each for each in beside if each is not None], share)
@@ -160,17 +160,12 @@ def _stepping(
 ) -> Iterator[Effect]:
     """Channel c with a clock or gain that steps once, against what all others make of it."""
     spectrum, name = whole.spectrum, whole.channels[c].name
-    steps = [
-        _best_step(spectrum, whole.y[:, c], each, number, name)
-        for each in predicted
-        for number in spectrum.records
-    ]
+    tried = ((each, number) for each in predicted for number in spectrum.records)
+    steps = [_best_step(spectrum, whole.y[:, c], *each, name) for each in tried]
     _, change = min(steps, key=lambda each: each[0], default=(np.inf, None))
     if change is not None:
-        act, words = (
-            partial(_before_step, whole, chosen, c, change),
-            partial(_step_in_words, spectrum, change),
-        )
+        act = partial(_before_step, whole, chosen, c, change)
+        words = partial(_step_in_words, spectrum, change)
         yield Effect("time", change.channels, act, words, (change.size,), more=3, share=share)
 
 
@@ -248,8 +243,12 @@ def between_samples(baseline: Baseline) -> Iterator[Effect]:
                 for _ in range(SETTLING):
                     mended = _without_images(problem, c, fit.psi, step, straight)
                     fit = fitted_from_starts(mended.from_starts((fit.psi, *problem.starts)))
-                words = partial(_held_in_words, problem.channels[c].name, straight)
-                yield Effect("hold", (problem.channels[c].name,), as_is, words, (step,), found=fit, share=0.5)
+                name, words = problem.channels[c].name, held_words(problem.channels[c].name, step)
+                if straight:
+                    text = f"{name} looks as if it ran straight from sample to sample ({1e3 * step:.3g} ms)"
+                    cure = f"give {name} more finely, as it is between samples"
+                    words = Phrase(f"{text}. By a simulator?", cure)
+                yield Effect("hold", (name,), as_is, words, (step,), found=fit, share=0.5)
 
 
 def _without_images(problem: LineProblem, c: int, psi: Real, step: float, straight: bool) -> LineProblem:
@@ -272,13 +271,6 @@ def _without_images(problem: LineProblem, c: int, psi: Real, step: float, straig
     held_shown = np.sum((shown - last) * weight[..., None], axis=0) + last
     y = problem.y - (held_shown - shown[IMAGES]) * problem.y[:, c][:, None]
     return problem.with_amplitudes(np.where(problem.kept, y, 0.0))
-
-
-def _held_in_words(name: str, straight: bool, step: float) -> Phrase:
-    if not straight:
-        return held_words(name, step)
-    text = f"{name} looks as if it ran straight from sample to sample ({1e3 * step:.3g} ms). By a simulator?"
-    return Phrase(text, f"give {name} more finely, as it is between samples")
 
 
 def _step_in_words(spectrum: Spectrum, change: TimeChange, size: float) -> Phrase:
@@ -308,17 +300,13 @@ def tones(baseline: Baseline) -> Iterator[Effect]:
         for of, shape in (*alone.items(), *pushed.items()):
             frequency, tone = _loudest_tone(found, problem, number, shape)
             near = f"leave the lines near {frequency:.4g} Hz out"
-            kind, text, cure = (
-                "tone",
-                f"{of} contains a tone of {frequency:.4g} Hz that nothing drives: hum?",
-                near,
-            )
+            text = f"{of} contains a tone of {frequency:.4g} Hz that nothing drives: hum?"
+            kind, words, share = "tone", Phrase(text, near), HEARD / len(motions)
             if shape is pushed.get(of):
-                kind, cure = "input", f"stop it, measure it, or {near}"
                 text = f"a force of {frequency:.4g} Hz acts at {of}, which no channel measures"
-            share = HEARD / len(motions) if kind == "tone" else (1 - HEARD) / len(points)
-            act, words = partial(_without_tone, tone), partial(said, Phrase(text, cure))
-            yield Effect(kind, (of,), act, words, more=3, share=share)
+                words = Phrase(text, f"stop it, measure it, or {near}")
+                kind, share = "input", (1 - HEARD) / len(points)
+            yield Effect(kind, (of,), partial(_without_tone, tone), words, more=3, share=share)
 
 
 def _loudest_tone(

@@ -13,7 +13,7 @@ from dashpot import units
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Quantity
 from dashpot.check.explain.channels import CLOSE, SHARE_WIDTH, rounded
-from dashpot.check.explain.effect import Baseline, Effect, Phrase, plainly, said
+from dashpot.check.explain.effect import Baseline, Effect, Phrase, plainly
 from dashpot.check.explain.problem import FitProblem, LineProblem, replaced
 from dashpot.check.explain.score import score_tests
 from dashpot.model.elements import Element, Kind, between, mass
@@ -302,7 +302,7 @@ def unmeasured(baseline: Baseline) -> Iterator[Effect]:
         larger = replace(model, inputs=(*model.inputs, Input(name, "force", {x: 1.0})))
         text = f"an unmeasured force at {x} explains the residuals"
         phrase = Phrase(text, f'measure it, or add [inputs] {name} = {{ kind = "force", at = "{x}" }}')
-        yield Effect("input", (x,), plainly("of_rig", larger), partial(said, phrase), share=1 / model.n)
+        yield Effect("input", (x,), plainly("of_rig", larger), phrase, share=1 / model.n)
 
 
 # Resonances outside the band, over its highest and its lowest frequency: of what is so stiff that only its compliance
@@ -340,7 +340,7 @@ def residual(baseline: Baseline) -> Iterator[Effect]:
                 phrase = _outside(channels[c].name, channels[source].name, float(np.max(omega)), resonance)
                 act = partial(_beyond, c, source, order, resonance)
                 yield Effect(
-                    "residual", (channels[c].name,), act, partial(said, phrase), (size,), width,
+                    "residual", (channels[c].name,), act, phrase, (size,), width,
                     share=0.5 if np.isinf(resonance) else 0.5 / (len(resonances) - 1),
                 )  # fmt: skip
 
