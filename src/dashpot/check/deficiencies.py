@@ -113,7 +113,11 @@ def in_words(one: Deficiency, found: Structure, model: Model, channels: Sequence
 def combinations_in_words(one: Deficiency) -> tuple[str, ...]:
     """The sums, products or sums of reciprocals that can be found."""
     power = _POWERS.get(one.sort, 0)
-    return tuple(_combination(row, one.names, power) for row in one.combinations)
+    texts = []
+    for row in one.combinations:
+        terms = [(_simple(float(x)), name) for x, name in zip(row, one.names, strict=True) if x != 0]
+        texts.append(_product(terms) if power == 1 else _sum(terms, reciprocal=power == 2))
+    return tuple(texts)
 
 
 def _said(one: Deficiency, found: Structure, model: Model, channels: Sequence[Channel]) -> tuple[str, str]:
@@ -205,7 +209,9 @@ def _moves(one: Deficiency, found: Structure) -> str:
     parts = []
     for direction, share in zip(one.directions[:2, columns], _relative(one, found)[:2], strict=True):
         moved = [
-            f"{name} {absolute:+.2g} s" if name.endswith(".delay") else f"{name} {_share(100 * part)} %"
+            f"{name} {absolute:+.2g} s"
+            if name.endswith(".delay")
+            else f"{name} {100 * part:{'+.0f' if abs(part) >= 0.995 else '+.2g'}} %"
             for name, absolute, part in zip(one.names, direction, share, strict=True)
             if part != 0
         ]
@@ -259,12 +265,6 @@ def _sensors(sensors: Sequence[Channel], model: Model) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
 
 
-def _combination(row: Real, names: Sequence[str], power: int) -> str:
-    """A sum, a product or a sum of reciprocals as text."""
-    terms = [(_simple(float(x)), name) for x, name in zip(row, names, strict=True) if x != 0]
-    return _product(terms) if power == 1 else _sum(terms, reciprocal=power == 2)
-
-
 def _product(terms: Sequence[tuple[float, str]]) -> str:
     over = [_to_the(name, x) for x, name in terms if x > 0]
     under = [_to_the(name, -x) for x, name in terms if x < 0]
@@ -309,10 +309,6 @@ def _place(along: Mapping[str, float]) -> str:
     if len(ends) == 2 and abs(sum(along.values())) < 1e-12:
         return f"{ends[0]} to {ends[1]}"
     return "the same points"
-
-
-def _share(percent: float) -> str:
-    return f"{percent:+.0f}" if abs(percent) >= 99.5 else f"{percent:+.2g}"
 
 
 def _named(names: Sequence[str]) -> str:

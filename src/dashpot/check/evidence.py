@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -364,36 +365,18 @@ def evidence_of(
     """The evidence of an estimate (no batch axes); `dwells` are those that the spectrum's lines come from."""
     if spectrum is None:
         return Evidence()
-    left = residuals_of(model, spectrum, estimate)
-    try:
+    left, weak = residuals_of(model, spectrum, estimate), None
+    records, profiles = tuple[RecordPrediction, ...](), tuple[Profile, ...]()
+    with suppress(DashpotError):  # of some rigs nothing is said of single lines
         weak = collinearity(chi2_surface(model, spectrum, estimate), estimate.covariance)
-    except DashpotError:
-        weak = None  # of such a rig nothing is said of single lines
-    return Evidence(
-        left,
-        weak,
-        tuple(responses_of_channels(model, estimate, spectrum, left)),
-        _records(model, spectrum, estimate),
-        tuple(dwell_histories(dwells, left)),
-        _profiles(model, spectrum, estimate, level),
-    )
-
-
-def _records(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[RecordPrediction, ...]:
-    if len(model.nonlinear) or not spectrum.records:
-        return ()
-    try:
-        return tuple(part for part in validate(model, estimate, spectrum) if part.samples)
-    except DataError:
-        return ()
-
-
-def _profiles(model: Model, spectrum: Spectrum, estimate: Estimate, level: float) -> tuple[Profile, ...]:
-    """Profiles of the unknowns whose intervals follow χ², so that a report shows one interval of each."""
-    try:
-        return tuple(profile(model, spectrum, name, level, estimate) for name in estimate.profiles)
-    except DashpotError:
-        return ()  # nothing is said of the surface of such a rig
+    if spectrum.records and not len(model.nonlinear):
+        with suppress(DataError):
+            records = tuple(part for part in validate(model, estimate, spectrum) if part.samples)
+    # Profiles of the unknowns whose intervals follow χ², so that a report shows one interval of each
+    with suppress(DashpotError):
+        profiles = tuple(profile(model, spectrum, name, level, estimate) for name in estimate.profiles)
+    responses = tuple(responses_of_channels(model, estimate, spectrum, left))
+    return Evidence(left, weak, responses, records, tuple(dwell_histories(dwells, left)), profiles)
 
 
 # What errors of the known parameters do to the estimates (the paper's complaint about its own method, answered).

@@ -264,6 +264,10 @@ def _with_lines(
     involved = [j for j in range(M) if j in free or np.any(reduced[: len(pivots), free][pivots.index(j)])]
     slopes = floating(model, channels, lines, base.nominal, rate, rng)
     scale = np.where(base.nominal == 0, 1.0, base.nominal)
+    # How many more lines, with all channels and inputs, of each experiment at hand would do
+    longer = (lines + generic_lines(model, channels, k, kinds=lines.kinds) for k in range(1, M + 1))
+    ranks = (field.rank(exact(model, channels, each, rng).rows) for each in longer)
+    missing = (more for more, each in enumerate(ranks, start=1) if each == M)
     deficiency = Deficiency(
         "lines",
         tuple(base.names[j] for j in involved),
@@ -272,22 +276,11 @@ def _with_lines(
         lines=LinesAtHand(
             len(lines.frequency),
             len(np.unique(lines.frequency)),
-            _lines_missing(model, channels, lines, rng, M),
+            next(missing, None),
             model.differs and 0 not in lines.kinds,
         ),
     )
     return replace(base, rank=rank, deficiencies=(deficiency,))
-
-
-def _lines_missing(
-    model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np.random.Generator, M: int
-) -> int | None:
-    """How many more lines, with all channels and inputs, of each experiment at hand would do; None: none."""
-    for more in range(1, M + 1):
-        longer = lines + generic_lines(model, channels, more, kinds=lines.kinds)
-        if field.rank(exact(model, channels, longer, rng).rows) == M:
-            return more
-    return None
 
 
 # What can be found of a rig with nonlinear elements, by the rank of the slopes of its settled motions (THEORY §9).

@@ -22,7 +22,6 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError, ModelError, Problem
 from dashpot.estimate.method import Method
 from dashpot.io.words import listed, with_values
-from dashpot.model.elements import Law
 from dashpot.model.modes import typical_sizes
 from dashpot.model.network import Model, pushed_everywhere
 from dashpot.model.observation import (
@@ -61,8 +60,12 @@ def free_scales(model: Model, channels: Sequence[Channel]) -> tuple[tuple[str, .
         if channel.quantity is Quantity.FORCE and channel.gain is not None
         for name in channel.of
     }
-    for point in measured_forces:
-        fixed |= {parts[end] for end in _ends(model, point)}
+    # What a force acts on: the coordinates of an applied one, an element, the elements at an input
+    applied = {given.name: given.at for given in model.inputs if given.kind == "force"}
+    for name in measured_forces:
+        touching = [("element", e.name) for e in model.elements if e.name == name or name in e.along]
+        ends = [("point", x) for x in applied[name]] if name in applied else touching
+        fixed |= {parts[end] for end in ends}
     groups: dict[int, list[str]] = {}
     inner = {f"{element.name}.{constant.name}" for element, constant in model.constants}
     for unknown in model.unknowns:
@@ -141,15 +144,6 @@ def _parts(model: Model) -> dict[Node, int]:
             leader[find(("point", first))] = find(("point", second))
     number: dict[Node, int] = {}
     return {node: number.setdefault(find(node), len(number)) for node in list(leader)}
-
-
-def _ends(model: Model, name: str) -> list[Node]:
-    """What a force of that name acts on: an element, the coordinates of an applied force, the elements at an input."""
-    for given in model.inputs:
-        if given.name == name and given.kind == "force":
-            return [("point", coordinate) for coordinate in given.at]
-    touching = [element.name for element in model.elements if element.name == name or name in element.along]
-    return [("element", element) for element in touching]
 
 
 def spaced(count: int, least: float, most: float) -> Real:
@@ -300,7 +294,8 @@ def exact(model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np
         j = np.repeat([ROOT, PRIME - ROOT], len(lines.frequency))
         present, driven = np.concatenate([present, present]), np.concatenate([driven, driven])
         experiment = None if experiment is None else np.concatenate([experiment, experiment])
-    law = np.stack([_law_in_field(element.law, s, j) for element in model.elements], axis=-1)
+    laws = [_to_the_power(s, e.law.power) * (j if e.law.hysteretic else 1) % PRIME for e in model.elements]
+    law = np.stack(laws, axis=-1)  # φ, j being √−1 in the field
     for rig, some in model.by_experiment(experiment):
         law[some] *= rig.acts
     q = rng.integers(1, PRIME, driven.shape) * driven
@@ -329,12 +324,6 @@ def exact(model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np
         reduced, pivots = field.echelon(line, inputs)
         rows.append(reduced[len(pivots) :, inputs:])
     return Draw(np.concatenate(rows), psi)
-
-
-def _law_in_field(law: Law, s: Ints, j: Ints) -> Ints:
-    """φ at the points s of the field, j being √−1 there; the shape of s."""
-    phi = _to_the_power(s, law.power)
-    return phi * j % PRIME if law.hysteretic else phi
 
 
 def _channels(
@@ -588,7 +577,9 @@ class Deficient:
         rows, M = self.draws[0].rows, len(self.names)
         unseen = [j for j in range(M) if not np.any(rows[:, j])]
         rest = [j for j in range(M) if j not in set(unseen)]
-        described = [self._unseen(unseen)] if unseen else []
+        scale = np.where(self.psi == 0, 1.0, self.psi)
+        none, names = np.zeros((0, len(unseen))), tuple(self.names[j] for j in unseen)
+        described = [Deficiency("unseen", names, np.eye(M)[unseen] * scale, none)] if unseen else []
         explained = np.zeros((0, M), dtype=np.int64)
         count = M - field.rank(rows) - len(unseen)
         sorts: tuple[Sort, ...] = ("sum", "scale", "series")
@@ -607,25 +598,19 @@ class Deficient:
         ]
 
     def _explained(self, explained: Ints, columns: list[int], power: int) -> tuple[Ints, list[Ints]]:
-        """`explained` with the directions c ψ^power that it has not yet, and their constants."""
+        """`explained` with the directions δψ = c ψ^power that it has not yet, unseen at every draw, and their c."""
+        powers = [_to_the_power(draw.psi, power) for draw in self.draws]
+        rows = [draw.rows * by % PRIME for draw, by in zip(self.draws, powers, strict=True)]
         new = []
-        for constant in self._constant(columns, power):
-            direction = constant * _to_the_power(self.draws[0].psi, power) % PRIME
+        for vector in field.null_space(np.concatenate(rows)[:, columns]):
+            constant = np.zeros(len(self.names), dtype=np.int64)
+            constant[columns] = vector
+            direction = constant * powers[0] % PRIME
             more = np.concatenate([explained, direction[None]])
             if field.rank(more) == len(more):
                 explained = more
                 new.append(constant)
         return explained, new
-
-    def _constant(self, columns: list[int], power: int) -> Ints:
-        """Constants c with δψ = c ψ^power unseen at every draw, (k, M), in echelon form."""
-        stacked = np.concatenate(
-            [draw.rows[:, columns] * _to_the_power(draw.psi, power)[columns] % PRIME for draw in self.draws]
-        )
-        basis = field.null_space(stacked)
-        whole = np.zeros((len(basis), len(self.names)), dtype=np.int64)
-        whole[:, columns] = basis
-        return whole
 
     def _circuits(self, columns: list[int]) -> list[Ints]:
         """A basis of the unseen directions among some unknowns, of small support."""
@@ -673,11 +658,6 @@ class Deficient:
         # Sums have the physical constants, ratios the relative ones, reciprocals δ(1/θ) = −c.
         constants = relative[:, columns] * scale[columns] ** (1.0 - power)
         return Deficiency(sort, names, relative * scale, _complement(constants))
-
-    def _unseen(self, columns: list[int]) -> Deficiency:
-        names = tuple(self.names[j] for j in columns)
-        directions = np.eye(len(self.names))[columns] * np.where(self.psi == 0, 1.0, self.psi)
-        return Deficiency("unseen", names, directions, np.zeros((0, len(columns))))
 
     def _sensors(self, found: Sequence[Deficiency]) -> list[tuple[Channel, ...]]:
         """For each deficiency, single further sensors that show all its directions; calibrations are not mended so."""

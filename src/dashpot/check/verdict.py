@@ -329,12 +329,16 @@ def assess(
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     relative = _relative_verdict(left, motions)
     limits = [share.within for share in shares.values() if share is not None]
+    # What changes in the course of a record, and channels that end, as what may be wrong; no remedy is tried
+    kinds = [*(("channel", notice) for notice in ended), *(("time", notice) for notice in in_time)]
+    said = [(kind, notice.of, remedy_in_words(notice)) for kind, notice in kinds]
+    findings = tuple(Finding(kind, of, phrase.text, phrase.change, None) for kind, of, phrase in said)
     return Assessment(
         verdict,
         (*against, *doubts),
         relative,
         _worst_verdict(left) if estimate.fit.dof > 0 else (),
-        findings=tuple(_finding_of(notice) for notice in (*ended, *in_time)),
+        findings=findings,
         relative_noise=_noise_alone(left, tuple(relative)) if elsewhere else {},
         discrepancy=shares,
         within=max(limits, default=None) if within is None else within,
@@ -386,12 +390,6 @@ def remedy_in_words(notice: Notice) -> Phrase:
         return Phrase(f"{notice.text}. Clipped or saturated?", change)
     question, remedy = IN_TIME[notice.code]
     return Phrase(f"{notice.text}. {question}", remedy)
-
-
-def _finding_of(notice: Notice) -> Finding:
-    """Such a change as what may be wrong; its remedy is not tried."""
-    said = remedy_in_words(notice)
-    return Finding("channel" if notice.code == LIMITED else "time", notice.of, said.text, said.change, None)
 
 
 def rejected(estimate: Estimate) -> list[Notice]:
