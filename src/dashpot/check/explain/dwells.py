@@ -77,7 +77,8 @@ def dwell(baseline: Baseline) -> Iterator[Effect]:
         if not baseline.of_samples:
             text = f"the phases of the dwell at {label} have the opposite sign"
             words = Phrase(text, f"conjugate the amplitudes at {label}")
-            yield Effect("conjugate", (label,), partial(_turned, line), words, share=share)
+            at_line = np.broadcast_to((np.arange(lines) == line)[:, None], problem.kept.shape)
+            yield Effect("conjugate", (label,), plainly("conjugated", at_line), words, share=share)
 
 
 def _own_frequency(end: FittedProblem, problem: LineProblem, line: int) -> tuple[float, ...]:
@@ -111,12 +112,6 @@ def _relabelled(label: str, ratio: float) -> Phrase:
 def _exchanged(first: int, second: int, problem: LineProblem, _: float) -> LineProblem:
     order = exchanging(len(problem.y), first, second)
     return problem.with_amplitudes(problem.y[order], problem.V[order], problem.kept[order])
-
-
-def _turned(line: int, problem: LineProblem, _: float) -> LineProblem:
-    y, V = np.array(problem.y), np.array(problem.V)
-    y[line], V[line] = np.conj(y[line]), np.conj(V[line])
-    return problem.with_amplitudes(y, V)
 
 
 def clock(baseline: Baseline) -> Iterator[Effect]:

@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -55,25 +56,36 @@ from dashpot.numerics.small_systems import orthonormal, real_rows
 # Nonlinear elements that a rig might have: laws between points that move, and what is said for each.
 
 
-# Kind, law and the share of the motion that its constant is, if it has one.
-LAWS: tuple[tuple[Kind, str, str, float], ...] = (
-    (Kind.SPRING, "cubic", "", 0.0),
-    (Kind.SPRING, "square", "", 0.0),
-    (Kind.SPRING, "quadratic", "", 0.0),
-    (Kind.SPRING, "quintic", "", 0.0),
-    (Kind.SPRING, "gap", "gap", 0.5),
-    (Kind.SPRING, "one-sided", "gap", 0.3),
-    (Kind.SPRING, "jenkins", "slip", 0.3),
-    (Kind.DAMPER, "quadratic", "", 0.0),
-    (Kind.DAMPER, "cubic", "", 0.0),
-    (Kind.DAMPER, "coulomb", "v0", 0.1),
+class TriedLaw(NamedTuple):
+    """A law that is tried: its name and what it is called in rig files, what is said of it, and of its constant, if it
+    has one, the name and which share of the motion it is."""
+
+    kind: Kind
+    name: str
+    usual: str
+    character: str
+    constant: str = ""
+    share: float = 0.0
+
+
+LAWS = (
+    TriedLaw(Kind.SPRING, "cubic", "k3", "odd"),
+    TriedLaw(Kind.SPRING, "square", "k2", "even"),
+    TriedLaw(Kind.SPRING, "quadratic", "kq", "odd"),
+    TriedLaw(Kind.SPRING, "quintic", "k5", "odd"),
+    TriedLaw(Kind.SPRING, "gap", "kgap", "with a clearance", "gap", 0.5),
+    TriedLaw(Kind.SPRING, "one-sided", "kstop", "with a clearance on one side", "gap", 0.3),
+    TriedLaw(Kind.SPRING, "jenkins", "kslip", "friction behind a spring", "slip", 0.3),
+    TriedLaw(Kind.DAMPER, "quadratic", "cq", "damping that grows with speed"),
+    TriedLaw(Kind.DAMPER, "cubic", "c3", "damping that grows with speed"),
+    TriedLaw(Kind.DAMPER, "coulomb", "fc", "friction", "v0", 0.1),
 )
+# Tried where elements are compared
 FURTHER = (
-    (Kind.SPRING, "d**4", "", 0.0),
-    (Kind.DAMPER, "d**2*v", "", 0.0),
-)  # tried where elements are compared
+    TriedLaw(Kind.SPRING, "d**4", "k4", "quartic"),
+    TriedLaw(Kind.DAMPER, "d**2*v", "c3", "growing"),
+)
 ONE_SIDED = "one-sided"  # a law that may act either way
-WORDS = {"d**4": "quartic", "d**2*v": "growing"}  # in names of elements
 FEW = 4  # coordinates up to which any two points are tried, and not only those that an element joins
 # Times the usual size of a constant inside a law: others that are tried.
 SCALES = tuple(float(4.0 ** (k / 2.5)) for k in (0, -1, 1, -2, 2, -3, -4, -5))
@@ -147,10 +159,10 @@ def moving_pairs(model: Model) -> list[tuple[str, str]]:
 
 
 @cache
-def _law(kind: Kind, name: str, constant: str) -> ForceLaw:
+def _law(tried: TriedLaw) -> ForceLaw:
     """A law, read once: that takes longer than all that is done with it."""
-    constants = [Constant(constant, 1.0)] if constant else []
-    return force_law(name, constants, damper=kind is Kind.DAMPER)
+    constants = [Constant(tried.constant, 1.0)] if tried.constant else []
+    return force_law(tried.name, constants, damper=tried.kind is Kind.DAMPER)
 
 
 def candidate_elements(model: Model, motions: Motions, further: bool = False) -> list[Element]:
@@ -165,11 +177,12 @@ def candidate_elements(model: Model, motions: Motions, further: bool = False) ->
     }
     candidates = []
     for (first, second), (size, speed) in motions.items():
-        for kind, name, constant, share in (*LAWS, *(FURTHER if further else ())):
-            value = share * (speed if constant == "v0" else size)
-            law = _law(kind, name, constant).with_constants([Constant(constant, value)])
-            for points in ((first, second), (second, first))[: 2 if name == ONE_SIDED else 1]:
-                plain = between("_".join([WORDS.get(name, name), kind.value, *points]), kind, *points)
+        for tried in (*LAWS, *(FURTHER if further else ())):
+            value = tried.share * (speed if tried.constant == "v0" else size)
+            law = _law(tried).with_constants([Constant(tried.constant, value)])
+            for points in ((first, second), (second, first))[: 2 if tried.name == ONE_SIDED else 1]:
+                word = tried.name if tried in LAWS else tried.character
+                plain = between("_".join([word, tried.kind.value, *points]), tried.kind, *points)
                 if (law.expression.text, frozenset(plain.along)) not in there:
                     candidates.append(replace(plain, force_law=law))
     return candidates
@@ -550,27 +563,18 @@ def fitted_in_full(
     return replace(candidate, element=fitted_element, fall=fall, chi2=chi2, value=value, fit=fit)
 
 
-CHARACTER = {
-    ("spring", "cubic"): "odd", ("spring", "quintic"): "odd", ("spring", "quadratic"): "odd",
-    ("spring", "square"): "even", ("spring", "gap"): "with a clearance",
-    ("spring", "one-sided"): "with a clearance on one side", ("spring", "jenkins"): "friction behind a spring",
-    ("damper", "quadratic"): "damping that grows with speed", ("damper", "cubic"): "damping that grows with speed",
-    ("damper", "coulomb"): "friction",
-}  # fmt: skip
-
-
-USUAL_NAMES = {
-    "cubic": "k3", "square": "k2", "quintic": "k5", "quadratic": "kq", "gap": "kgap", "one-sided": "kstop",
-    "jenkins": "kslip", "coulomb": "fc", "d**4": "k4", "d**2*v": "c3",
-}  # fmt: skip
+def _tried_as(element: Element) -> TriedLaw:
+    """The row of a candidate's law."""
+    assert element.force_law is not None
+    like = element.kind, element.force_law.text
+    return next(law for law in (*LAWS, *FURTHER) if (law.kind, law.name) == like)
 
 
 def law_in_words(model: Model, element: Element, value: float) -> Phrase:
     """A nonlinear element that the data call for, in words; the p-value is below that of CERTAIN."""
-    assert element.force_law is not None
-    points = points_of(element, model)
-    character = CHARACTER[element.kind.value, element.force_law.text]
-    if element.kind is Kind.SPRING and element.force_law.text not in ("square", "jenkins"):
+    points, law = points_of(element, model), _tried_as(element)
+    character = law.character
+    if law.kind is Kind.SPRING and law.name not in ("square", "jenkins"):
         character += ", stiffening" if value > 0 else ", softening"
     text = f"the data call for a nonlinear element between {' and '.join(points)}, {character} (p < 1e-6)"
     named = replace(with_open_constants(element), name=free_name(model, element), guess=float(f"{value:.4g}"))
@@ -607,10 +611,7 @@ def in_place_of_laws(model: Model, words: Callable[[float], Phrase], size: float
 
 def free_name(model: Model, element: Element) -> str:
     """A name that the rig has not: what the law is usually called."""
-    assert element.force_law is not None
-    word = USUAL_NAMES[element.force_law.text]
-    if element.kind is Kind.DAMPER and word.startswith("k"):
-        word = "c" + word[1:]
+    word = _tried_as(element).usual
     return unused(model, word, *(f"{word}_{'_'.join(element.along)}{suffix}" for suffix in ("", "_2", "_3")))
 
 

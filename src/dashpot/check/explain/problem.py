@@ -229,9 +229,12 @@ class LineProblem:
         return self.with_amplitudes(self.y[:, order] * read, V, self.kept[:, order])
 
     def conjugated(self, chosen: Bools) -> LineProblem:
-        """With the phases of chosen channels (channels,) of opposite sign; correlations with the others are lost."""
+        """With the phases of chosen channels (channels,), or amplitudes (lines, channels), of opposite sign.
+
+        Correlations with the others are lost.
+        """
         y = np.where(chosen, np.conj(self.y), self.y)
-        both, neither = chosen[:, None] & chosen, ~chosen[:, None] & ~chosen
+        both, neither = (at[..., :, None] & at[..., None, :] for at in (chosen, ~chosen))
         return self.with_amplitudes(y, np.where(both, np.conj(self.V), np.where(neither, self.V, 0.0)))
 
     def without(self, dropped: Bools) -> LineProblem:
