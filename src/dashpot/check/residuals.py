@@ -20,7 +20,6 @@ from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.record import calibration, real_factor
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Discrepancy
-from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import (
     FLOOR,
     measured,
@@ -187,33 +186,50 @@ def residuals(
 def _predicted(
     model: Model, theta: Real, spectrum: Spectrum, V: Complex, calibrations: Calibrations | None
 ) -> tuple[Complex, Real, Complex]:
-    """Channels as the rig has them with the inputs that fit best, variance of what is left, and those inputs.
-
-    Generalised least squares line by line; exact channels are met exactly as far as they agree with each other.
-    """
+    """Channels as the rig has them with the inputs that fit best, variance of what is left, and those inputs."""
     y, theta = spectrum.amplitudes, np.asarray(theta, dtype=float)
-    variance = np.diagonal(V, axis1=-2, axis2=-1).real
-    size = np.max(np.abs(np.nan_to_num(y)), axis=0, initial=0.0)
+    seen = np.isfinite(y)
     if len(model.nonlinear):
         estimated = {} if calibrations is None else calibrations
         predicted, v = predicted_lines(model, theta, spectrum, V, estimated)
         # Inputs that are all but exact are met to the floor that the likelihood gives them.
-        return predicted, variance + (FLOOR * size) ** 2, v
+        floor = FLOOR * np.max(np.abs(np.nan_to_num(y)), axis=0, initial=0.0)
+        return predicted, np.diagonal(V, axis1=-2, axis2=-1).real + floor**2, v
+    predicted, v, passed = projection(model, theta, spectrum, V, calibrations)
+    rest = np.eye(y.shape[-1]) - passed
+    noise = np.where(seen[:, :, None] & seen[:, None, :], V, 0.0)
+    left = np.einsum("lij,ljk,lik->li", rest, noise, rest.conj(), optimize=True).real
+    return predicted, left * seen, v
+
+
+def projection(
+    model: Model, theta: Real, spectrum: Spectrum, V: Complex, calibrations: Calibrations | None
+) -> tuple[Complex, Complex, Complex]:
+    """ŷ (lines, channels), v̂ (lines, inputs), and ∂ŷ/∂y (lines, channels, channels) of a linear rig at θ (unknowns,).
+
+    Generalised least squares line by line, V (lines, channels, channels) being the covariance of the noise; exact
+    channels are met exactly as far as they agree with each other.  Of whole records ŷ has the transients of their ends.
+    """
     p = model.parameters(theta)
     G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations, spectrum.experiment)
-    view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
-    psi, sign = of_channels(view, theta, calibrations)
-    at_ends: Complex | None = None  # what the two ends of whole records add to the channels
-    data = weighed_by(view, spectrum, V) if spectrum.carries_loads else None
-    if data is not None and data.ends is not None and small(model):
-        at_ends = shown_by_ends(data.record_pieces, psi[None], sign[None])
-    elif data is not None and data.ends is not None:
-        at_ends = predict(view, data, psi[None], sign[None]).at_ends
-    transients = np.zeros_like(y) if at_ends is None else at_ends[0]
-    seen = np.isfinite(y)
+    y, seen = spectrum.amplitudes, np.isfinite(spectrum.amplitudes)
+    transients = np.zeros_like(y)
+    if spectrum.carries_loads:
+        view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
+        psi, sign = of_channels(view, theta, calibrations)
+        single = replace(spectrum, amplitudes=y[None], covariance=V[None], moments=None)
+        data = measured(Prepared(view, single, V[None], None, True, np.ones(1, dtype=bool)))
+        at_ends: Complex | None = None
+        if data.ends is not None and small(model):
+            at_ends = shown_by_ends(data.record_pieces, psi[None], sign[None])
+        elif data.ends is not None:
+            at_ends = predict(view, data, psi[None], sign[None]).at_ends
+        transients = transients if at_ends is None else at_ends[0]
     noise = np.where(seen[:, :, None] & seen[:, None, :], V, 0.0)
-    noisy = seen & (variance > 0)
-    sd = np.where(noisy, np.sqrt(np.where(noisy, variance, 1.0)), EXACT * np.where(size > 0, size, 1.0))
+    variance = np.diagonal(noise, axis1=-2, axis2=-1).real
+    noisy, size = variance > 0, np.max(np.abs(np.nan_to_num(y)), axis=0, initial=0.0)
+    # A channel that shows nothing at all, as that of an idle input, is exact beside any other.
+    sd = np.where(noisy, np.sqrt(np.maximum(variance, 0.0)), EXACT * np.where(size > 0, size, 1e-20))
     weight = np.where(seen, 1 / sd, 0.0)
     alike = noise * weight[:, :, None] * weight[:, None] + diagonal_matrices(np.where(noisy, 1e-13, 1.0))
     root = np.linalg.solve(np.linalg.cholesky(alike), diagonal_matrices(weight).astype(np.complex128))
@@ -222,15 +238,7 @@ def _predicted(
     scale = np.where(scale > 0, scale, 1.0)
     by_channel = np.linalg.pinv(white / scale, rcond=EXACT) / np.swapaxes(scale, 1, 2) @ root
     v = np.einsum("lqc,lc->lq", by_channel, np.where(seen, y - transients, 0.0))
-    rest = np.eye(y.shape[-1]) - G @ by_channel
-    left = np.einsum("lij,ljk,lik->li", rest, noise, rest.conj(), optimize=True).real
-    return np.einsum("lcq,lq->lc", G, v) + transients, left * seen, v
-
-
-def weighed_by(view: ObservationModel, spectrum: Spectrum, V: Complex) -> Measured:
-    """Amplitudes (no batch axes) as the likelihood takes them, with a covariance (lines, channels, channels)."""
-    single = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=V[None], moments=None)
-    return measured(Prepared(view, single, V[None], None, True, np.ones(1, dtype=bool)))
+    return np.einsum("lcq,lq->lc", G, v) + transients, v, G @ by_channel
 
 
 def of_channels(view: ObservationModel, theta: Real, calibrations: Calibrations | None) -> tuple[Real, Real]:

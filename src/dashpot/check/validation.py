@@ -13,14 +13,14 @@ import numpy as np
 from scipy.special import chdtrc
 
 from dashpot.arrays import Bools, Complex, Real, freeze
-from dashpot.check.residuals import calibrations_of, channel_response, of_channels, weighed_by
+from dashpot.check.residuals import calibrations_of, projection
 from dashpot.check.verdict import REJECTED
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.noise import Still
 from dashpot.data.record import Record
 from dashpot.data.spectrum import SettledDwell, Spectrum, WholeRecord, history_of_lines
 from dashpot.errors import DataError
-from dashpot.estimate.likelihood.objective import predict
+from dashpot.estimate.likelihood.objective import inputs_by_channel
 from dashpot.estimate.nonlinear.objective import noise_of_measured_inputs, predicted_lines
 from dashpot.estimate.nonlinear.record_problem import (
     LinearisedRecord,
@@ -32,7 +32,7 @@ from dashpot.estimate.nonlinear.records import NoiseAtRest, noise_of_channels
 from dashpot.estimate.nonlinear.whole_record import FollowedRecord, followed_record
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
-from dashpot.model.observation import ObservationModel, channel_unit, observation_model
+from dashpot.model.observation import channel_unit, observation_model
 
 MISSED = 0.8  # FIT below which the data may be wrong, or the rig another one
 
@@ -127,10 +127,8 @@ def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Reco
     # 1e-2 of a channel's size: its weight in the fit of the transients where its noise is not known
     chosen = np.where(usable & known, variance, 1e-2**2 * size) * outputs
     V: Complex = (chosen[..., None] * np.eye(len(spectrum.channels))).astype(np.complex128)
-    predicted = _predicted(model, estimate, view, spectrum, V)
-    variance = np.diagonal(V, axis1=-2, axis2=-1).real
-    if known:
-        variance = variance + _noise_of_inputs(model, estimate, spectrum, V, outputs)
+    predicted, of_inputs = _predicted(model, estimate, spectrum, V, outputs, known)
+    variance = np.diagonal(V, axis1=-2, axis2=-1).real + of_inputs
     parts = []
     # Lines of what is predicted by itself: the settled ones together, and those of each whole record
     settled = np.array([isinstance(value, SettledDwell) for value in spectrum.stretches])
@@ -165,38 +163,26 @@ def validate(model: Model, estimate: Estimate, spectrum: Spectrum) -> tuple[Reco
 
 
 def _predicted(
-    model: Model, estimate: Estimate, view: ObservationModel, spectrum: Spectrum, V: Complex
-) -> Complex:
-    """What the channels show under the measured inputs, (lines, channels); V takes the inputs as exact."""
-    theta = estimate.values[: len(model.unknowns)]
+    model: Model, estimate: Estimate, spectrum: Spectrum, V: Complex, outputs: Bools, known: bool
+) -> tuple[Complex, Real]:
+    """What the channels show under the measured inputs, (lines, channels), and its variance by the noise of these.
+
+    V takes the inputs as exact; known: whether the noise is.
+    """
+    theta, found = estimate.values[: len(model.unknowns)], calibrations_of(model, estimate)
     if len(model.nonlinear):
-        return predicted_lines(model, theta, spectrum, V, calibrations_of(model, estimate))[0]
-    psi, sign = of_channels(view, theta, calibrations_of(model, estimate))
-    data = weighed_by(view, spectrum, V)
-    if data.q is None:
+        shown = predicted_lines(model, theta, spectrum, V, found)[0]
+        noise = noise_of_measured_inputs(model, theta, spectrum, V, found) if known else np.zeros(shown.shape)
+        return shown, noise * outputs
+    view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
+    if inputs_by_channel(view, np.isfinite(spectrum.amplitudes) & view.inputs_alone & view.is_direct) is None:
         raise DataError(
             "some input is not measured, so the motion cannot be predicted",
             cure="record the inputs as well",
         )
-    return spectrum.amplitudes - predict(view, data, psi[None], sign[None]).r[0]
-
-
-def _noise_of_inputs(
-    model: Model, estimate: Estimate, spectrum: Spectrum, V: Complex, outputs: Bools
-) -> Real:
-    """Variance of the predicted outputs from the noise of the channels that show the inputs, (lines, channels)."""
-    if len(model.nonlinear):
-        theta = estimate.values[: len(model.unknowns)]
-        return noise_of_measured_inputs(model, theta, spectrum, V, calibrations_of(model, estimate)) * outputs
-    p = model.parameters(estimate.values[: len(model.unknowns)])
-    calibrations = calibrations_of(model, estimate)
-    G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations, spectrum.experiment)
-    there = np.isfinite(spectrum.amplitudes) & ~outputs
-    H = G @ np.linalg.pinv(
-        np.where(there[..., None], G, 0.0)
-    )  # outputs for what the channels of the inputs show
-    noise = np.where(there[..., None] & there[..., None, :], np.nan_to_num(spectrum.covariance), 0.0)
-    return np.einsum("lij,ljk,lik->li", H, noise, H.conj()).real * outputs
+    shown, _, H = projection(model, theta, spectrum, V, found)
+    of_inputs = np.where(~outputs[:, None] & ~outputs, np.nan_to_num(spectrum.covariance), 0.0)
+    return shown, np.einsum("lij,ljk,lik->li", H, of_inputs, H.conj()).real * outputs
 
 
 # How well an estimate of a nonlinear rig predicts whole records that it was not made of, from their inputs
