@@ -331,17 +331,14 @@ def nonlinear_structure(
     _, s, Vh = np.linalg.svd(np.concatenate([rows, known]), full_matrices=False)
     # 1e-7: singular value over the largest below which a combination shows nothing
     rank = int(np.sum(s > 1e-7 * s[0])) if s[0] > 0 else 0
-    deficiencies = tuple(_deficiency(view.names, vector, scale) for vector in Vh[rank:])
-    return Structure(view.names, view.units, rank, psi, deficiencies)
-
-
-def _deficiency(names: Sequence[str], vector: Real, scale: Real) -> Deficiency:
-    """One direction that no channel shows; an unknown alone is one that has no effect at all."""
-    # 1e-3: part of a direction from which an unknown belongs to it
-    part = np.abs(vector) > 1e-3 * np.max(np.abs(vector))
-    chosen = tuple(name for name, there in zip(names, part, strict=True) if there)
-    direction = np.where(part, vector, 0.0) * scale
-    return Deficiency("mixed", chosen, direction[None], np.zeros((0, len(chosen))))
+    deficiencies = []
+    for vector in Vh[rank:]:  # directions that no channel shows; an unknown alone has no effect at all
+        # 1e-3: part of a direction from which an unknown belongs to it
+        part = np.abs(vector) > 1e-3 * np.max(np.abs(vector))
+        chosen = tuple(name for name, there in zip(view.names, part, strict=True) if there)
+        direction = np.where(part, vector, 0.0) * scale
+        deficiencies.append(Deficiency("mixed", chosen, direction[None], np.zeros((0, len(chosen)))))
+    return Structure(view.names, view.units, rank, psi, tuple(deficiencies))
 
 
 def _settled_test(model: Model, channels: Sequence[Channel]) -> Spectrum:

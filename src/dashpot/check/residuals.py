@@ -19,7 +19,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.record import calibration, real_factor
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.assessment import Discrepancy
+from dashpot.estimate.assessment import Discrepancy, Misfit
 from dashpot.estimate.likelihood.objective import (
     FLOOR,
     measured,
@@ -86,13 +86,14 @@ class Residuals:
         """Places of the channels that can be compared with a prediction."""
         return [i for i in range(len(self.channels)) if np.any(np.isfinite(self.normalised[:, i]))]
 
-    def worst(self) -> tuple[str, float, float] | None:
-        """(channel, frequency in Hz, |normalised| / √2) of the largest residual; None if there is none."""
+    def largest(self, count: int) -> list[Misfit]:
+        """The largest residuals, `count` at the most; those of 0 are none."""
         size = np.nan_to_num(np.abs(self.normalised)) / np.sqrt(2)
-        if not size.size or not np.any(size > 0):
-            return None
-        line, channel = np.unravel_index(int(np.argmax(size)), size.shape)
-        return self.channels[int(channel)], float(self.frequency_hz[line]), float(size[line, channel])
+        places = (np.unravel_index(int(k), size.shape) for k in np.argsort(-size, axis=None)[:count])
+        found = (
+            (self.channels[c], float(self.frequency_hz[line]), float(size[line, c])) for line, c in places
+        )
+        return [Misfit(*each) for each in found if each[2] > 0]
 
     def rms(self) -> Real:
         """Root mean square of the normalised residuals of each channel, (channels,): 1 if model and noise are right."""

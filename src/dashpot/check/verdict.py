@@ -337,7 +337,7 @@ def assess(
         verdict,
         (*against, *doubts),
         relative,
-        _worst_verdict(left) if estimate.fit.dof > 0 else (),
+        tuple(left.largest(WORST)) if estimate.fit.dof > 0 else (),
         findings=findings,
         relative_noise=_noise_alone(left, tuple(relative)) if elsewhere else {},
         discrepancy=shares,
@@ -556,13 +556,3 @@ def _noise_alone(left: Residuals, names: Sequence[str]) -> dict[str, float]:
 def worst_of(misfits: Iterable[Misfit]) -> tuple[Misfit, ...]:
     """The misfits that are named, the largest first."""
     return tuple(sorted(misfits, key=lambda misfit: -misfit.sd)[:WORST])
-
-
-def _worst_verdict(left: Residuals) -> tuple[Misfit, ...]:
-    size = np.nan_to_num(np.abs(left.normalised)) / np.sqrt(2)
-    places = (np.unravel_index(int(flat), size.shape) for flat in np.argsort(-size, axis=None)[:WORST])
-    return tuple(
-        Misfit(left.channels[c], float(left.frequency_hz[line]), float(size[line, c]))
-        for line, c in places
-        if size[line, c] > 0
-    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import astuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -397,7 +398,7 @@ def _residuals(found: Residuals, estimate: Estimate) -> list[Section]:
         if np.isfinite(value)
     ]
     texts.append(f"Rms of each channel: {joined(rms)}.")
-    worst = found.worst()
+    worst = next((astuple(each) for each in found.largest(1)), None)
     largest = ""
     if worst is not None:
         name, f, value = worst

@@ -108,10 +108,10 @@ def test_a_misplaced_line_is_the_worst() -> None:
     X = spectrum.amplitudes.copy()
     X[4, 1] += 50
     found = residuals(MODEL, THETA, replace(spectrum, amplitudes=X))
-    worst = found.worst()
-    assert worst[0] == "a2"
-    assert worst[1] == pytest.approx(F[4])
-    assert worst[2] > 10
+    (worst,) = found.largest(1)
+    assert worst.channel == "a2"
+    assert worst.frequency_hz == pytest.approx(F[4])
+    assert worst.sd > 10
 
 
 def test_what_was_not_measured_has_no_residual_but_a_prediction() -> None:

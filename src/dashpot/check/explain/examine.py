@@ -269,7 +269,9 @@ def _beside_laws(
     (sign,) = spectrum.signs({} if estimate is None else estimate.signs)
     problem = LineProblem(data, sign, (psi,))
     found = None
-    if known and _roughly_described(problem, psi):
+    # Where a rig leaves half of the power of a channel, its trials lead nowhere.
+    left = problem.left(psi) if known else problem.y
+    if np.all(np.sum(np.abs(left) ** 2, axis=0) < 0.5 * np.sum(np.abs(problem.y) ** 2, axis=0)):
         found = explain_beside_laws(problem, silent_channels(model, spectrum))
         if found.causes and found.causes[0].explains >= NEARLY_ALL:
             return found.findings(), found
@@ -277,12 +279,6 @@ def _beside_laws(
     if laws:
         return tuple(each.effect(model).finding(each.value, each.left / each.dof) for each in laws), None
     return ((), None) if found is None else (found.findings(), found)
-
-
-def _roughly_described(problem: LineProblem, psi: Real) -> bool:
-    """Whether a rig at ψ (M,) leaves less than half of the power of every channel; else its trials lead nowhere."""
-    left = np.sum(np.abs(problem.left(psi)) ** 2, axis=0)
-    return bool(np.all(left < 0.5 * np.sum(np.abs(problem.y) ** 2, axis=0)))
 
 
 def _in_place_of_laws(model: Model, spectrum: Spectrum, misfit: float, seed: int) -> tuple[Finding, ...]:
