@@ -11,7 +11,7 @@ def test_without_its_extra_it_names_the_cure(dashpot: Command, monkeypatch: pyte
     done = dashpot("serve --no-browser")
     assert done.code == 2
     assert len(done.err) == 1
-    assert "dashpot[web]" in done.err[0]
+    assert ".[web]" in done.err[0]
 
 
 @pytest.mark.parametrize("words", ["serve nowhere", "serve --port 70000", "serve --port x"])
