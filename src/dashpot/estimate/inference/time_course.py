@@ -649,6 +649,7 @@ class BandStability:
         tails = np.ones(len(self.total))
         for k, total in enumerate(self.total):
             size = np.sqrt(np.diagonal(total))
+            size = np.where(size > 0, size, 1.0)  # nothing is known of an unknown that has run away
             values, vectors = np.linalg.eigh(total / (size[:, None] * size))
             usable = values > 1e-12 * values[-1]
             root = vectors[:, usable] / np.sqrt(values[usable]) / size[:, None]
