@@ -638,10 +638,21 @@ class Fit:
 
 
 def free_fit(case: Case, data: Data, extra: tuple[tuple[str, Any], ...] = ()) -> Fit:
-    """The rig of the file fitted to data without noise, by Gauss-Newton in logarithms, from the truth."""
+    """The rig of the file fitted to data without noise, in logarithms, from the truth.
+
+    From the truth in the scale of each value that is stated wrongly, too: with one known mass all others follow it.
+    """
+    parts = case.stated.parts
+    scales = {0.0} | {float(np.log(p.stated / p.value)) for p in parts if p.stated and p.stated * p.value > 0}
+    fits = [fit for scale in sorted(scales) if (fit := _fit_from(case, data, extra, scale)) is not None]
+    return min(fits, key=lambda fit: fit.d)
+
+
+def _fit_from(case: Case, data: Data, extra: tuple[tuple[str, Any], ...], scale: float) -> Fit | None:
+    """By Gauss-Newton from the true values times e^scale; None where that is no rig to begin with."""
     rig = case.stated
     names = [part.name for part in rig.parts if part.free or ("value", part.name) in extra]
-    start = {part.name: part.value if part.free else part.stated for part in rig.parts}
+    start = {part.name: part.value * np.exp(scale) if part.free else part.stated for part in rig.parts}
     others = [e for e in extra if e[0] != "value"]
     priors = [
         (names.index(p.name), p) for p in rig.parts if p.sd is not None and ("value", p.name) not in extra
@@ -655,24 +666,32 @@ def free_fit(case: Case, data: Data, extra: tuple[tuple[str, Any], ...] = ()) ->
 
     theta = np.zeros(len(names) + len(others))
     step = np.array([1e-4] * len(names) + [1e-4 if kind == "gain" else 1e-3 for kind, _ in others])
-    if case.kind == "nonlinear":
-        rows, J = nonlinear_slopes(case, data, names, start, priors)
-        change = np.linalg.lstsq(J, -rows, rcond=None)[0]
-        left = rows + J @ change
-    else:
-        for _ in range(4):
+    try:
+        if case.kind == "nonlinear":
+            rows, J = nonlinear_slopes(case, data, names, start, priors)
+            theta = np.linalg.lstsq(J, -rows, rcond=None)[0]
+            rows = rows + J @ theta
+        else:
             rows = residual(theta)
-            J = np.array([(residual(theta + h) - rows) / h.sum() for h in np.diag(step)]).T
-            change = np.linalg.lstsq(J, -rows, rcond=None)[0]
-            theta = theta + np.clip(change, -0.5, 0.5)
-            if np.abs(change).max(initial=0) < 1e-7:
-                break
-        left, change = residual(theta), theta
+            for _ in range(40):
+                J = np.array([(residual(theta + h) - rows) / h.sum() for h in np.diag(step)]).T
+                change = np.clip(np.linalg.lstsq(J, -rows, rcond=None)[0], -0.5, 0.5)
+                tried = [residual(theta + change / 2**k) for k in range(6)]
+                best = int(np.argmin([rows @ rows for rows in tried]))
+                if not tried[best] @ tried[best] < (1 - 1e-6) * rows @ rows:
+                    break
+                theta, rows = theta + change / 2**best, tried[best]
+    except OverdampedError:
+        if scale:
+            return None
+        raise
     singular = np.linalg.svd(J, compute_uv=False)
     if not len(names) or singular[-1] < 1e-9 * singular[0]:
-        return Fit([], float(np.linalg.norm(left)), np.full(len(names), np.inf), 0)
+        return Fit([], float(np.linalg.norm(rows)), np.full(len(names), np.inf), 0)
     sd = np.sqrt(np.diag(np.linalg.inv(J.T @ J)))[: len(names)]
-    return Fit(names, float(np.linalg.norm(left)), sd, float(np.abs(change[: len(names)] / sd).max()))
+    begun = np.array([scale if part.free else 0.0 for part in rig.parts if part.name in names])
+    moved = np.abs((theta[: len(names)] + begun) / sd)
+    return Fit(names, float(np.linalg.norm(rows)), sd, float(moved.max()))
 
 
 def left_over(case: Case, data: Data, values: dict[str, float], calibration: list[Any]) -> Array:
