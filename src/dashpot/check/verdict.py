@@ -12,7 +12,7 @@ from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.check.explain.effect import Phrase
 from dashpot.check.residuals import Residuals, discrepancies, residuals_of
 from dashpot.data.periods import driven_lines
-from dashpot.data.spectrum import Spectrum, WholeRecord
+from dashpot.data.spectrum import LinesInTime, Spectrum, WholeRecord
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Assessment, Discrepancy, Finding, Judgement, Misfit
 from dashpot.estimate.inference.diagnostics import MODES_UNSEEN, dead_channels, of_one_sign
@@ -41,8 +41,7 @@ from dashpot.notices import Notice
 
 
 LIMITED = "limited_channel"
-LEVELS = (0.3, 0.5, 0.7, 0.85)  # of the largest motion, beyond which a channel may read less
-SIDES = np.array([1.0, -1.0])  # of the motion
+LEVELS = np.linspace(0.3, 0.96, 16)  # of the largest motion, beyond which a channel may read less
 IMPROBABLE = 1e-6  # p-value of a form by chance
 
 
@@ -50,50 +49,62 @@ def limited_channels(left: Residuals, spectrum: Spectrum, motions: Bools) -> lis
     """Motions (channels,) that end in some whole record, by the fit to all channels, with where they do."""
     notices: dict[str, Notice] = {}
     for number in spectrum.records:
-        at = spectrum.in_time(number)
+        at, record = spectrum.in_time(number), spectrum.stretches[number]
+        assert isinstance(record, WholeRecord)
         for c in np.flatnonzero(motions):
             y, p = left.measured[at.lines, c], left.predicted[at.lines, c]
             if not np.all(np.isfinite(y) & np.isfinite(p)):
                 continue
-            end = clipped_at(at.history_of(y), at.history_of(p), 2 * len(at.lines))
-            if end is not None:
+            clipped = clipped_beyond(at, record.samples, y, p)
+            if clipped is not None:
                 name = left.channels[c]
-                text = f"{name} saturates at about {end:.3g} {left.units[c]}"
+                text = f"{name} saturates at about {clipped[0]:.3g} {left.units[c]}"
                 notices.setdefault(name, Notice(LIMITED, text, (name,)))
     return list(notices.values())
 
 
-def clipped_at(shown: Real, should: Real, independent: int) -> float | None:
-    """Where a channel ends, if what it shows (samples,) bends away from what it should, whatever the time.
+def clipped_beyond(
+    at: LinesInTime, samples: int, measured: Complex, predicted: Complex
+) -> tuple[float, Complex] | None:
+    """Where a channel ends, if what it shows bends away from what it should, and what it loses there.
 
-    independent: how many of the samples are.  None where it does not bend, or where that explains too little.
+    All amplitudes are (lines of `at`,).
+
+    What the record's `samples` lose beyond a level, on either side, is sharper than its lines show.  None where that
+    explains too little.
     """
+    recorded = replace(at, samples=max(samples, at.samples))
+    expected = recorded.history_of(predicted)
     # 0.02 of a record at either end, where what its ends leave in its lines is least well known
-    ends = int(0.02 * len(should))
-    shown, should = shown[ends : len(shown) - ends], should[ends : len(should) - ends]
+    ends = int(0.02 * at.samples)
+    inner = slice(ends, at.samples - ends)
+    shown, should = at.history_of(measured)[inner], at.history_of(predicted)[inner]
     largest = float(np.quantile(np.abs(should), 0.999))  # quantile of the motion that counts as the largest
     if largest == 0:
         return None
-    p = should / largest
-    beyond = [np.maximum(side * p - level, 0.0) for side in SIDES for level in LEVELS]
-    straight = np.stack([np.ones(len(p)), p], axis=1)
-    whole = np.column_stack([straight, *beyond])
+    straight = np.stack([np.ones(len(should)), should / largest], axis=1)
     rest = _left(straight, shown)[1]
-    values, bent = _left(whole, shown)
-    freedom = independent - whole.shape[1]
+    freedom = 2 * len(at.lines) - straight.shape[1] - 3
+    found = []
+    for level in LEVELS:
+        over = np.stack(
+            [np.minimum(level * largest - expected, 0.0), np.maximum(-level * largest - expected, 0.0)]
+        )
+        lost = recorded.amplitudes(over.T)
+        values, bent = _left(np.concatenate([straight, at.history_of(lost)[inner]], axis=1), shown)
+        found.append((bent, level, values, lost))
+    bent, level, values, lost = min(found, key=lambda each: each[0])
     # 0.4: share of what a straight line leaves that bending must explain
     if not 0 < bent < (1 - 0.4) * rest or freedom < 1:
         return None
-    if not fdtrc(len(beyond), freedom, (rest - bent) / len(beyond) / (bent / freedom)) < IMPROBABLE:
+    if not fdtrc(3, freedom, (rest - bent) / 3 / (bent / freedom)) < IMPROBABLE:
         return None
-    offset, slope = values[:2]
-    bends = values[2:].reshape(len(SIDES), len(LEVELS))
-    slopes = slope + SIDES * np.sum(bends, axis=1)  # beyond the last level
-    k = int(np.argmin(np.abs(slopes)))
-    # 0.6 of the slope in the middle: what a channel near its limit shows at most
-    if not abs(slopes[k]) < 0.6 * abs(slope):
+    # 0.4 of the slope in the middle that is lost beyond: what a channel near its limit shows at most
+    (offset, slope), sides = values[:2], values[2:]
+    side = int(np.argmax(sides * np.sign(slope)))
+    if not sides[side] * largest * np.sign(slope) > 0.4 * abs(slope):
         return None
-    return float(abs(offset + SIDES[k] * slope + bends[k] @ (1 - np.array(LEVELS))))
+    return float(abs(offset + (1, -1)[side] * slope * level)), lost @ sides
 
 
 def _left(columns: Real, y: Real) -> tuple[Real, float]:
@@ -330,7 +341,7 @@ def assess(
     relative = _relative_verdict(left, motions)
     limits = [share.within for share in shares.values() if share is not None]
     # What changes in the course of a record, and channels that end, as what may be wrong; no remedy is tried
-    kinds = [*(("channel", notice) for notice in ended), *(("time", notice) for notice in in_time)]
+    kinds = [*(("saturation", notice) for notice in ended), *(("time", notice) for notice in in_time)]
     said = [(kind, notice.of, remedy_in_words(notice)) for kind, notice in kinds]
     findings = tuple(Finding(kind, of, phrase.text, phrase.change, None) for kind, of, phrase in said)
     return Assessment(

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from scipy import fft
-from scipy.special import chdtrc, fdtrc, gammaln
+from scipy.special import betaincinv, chdtrc, fdtrc, gammaln
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
 from dashpot.channel import Channel
@@ -484,9 +484,38 @@ def line_noise(parts: Sequence[RecordLines], low: float, high: float) -> list[Co
         noise = _windows(ordered, grid[::stride], half, -(-half // stride))[2]
         for part in group:
             f = part.frequency_hz[(part.frequency_hz >= low) & (part.frequency_hz <= high)]
-            at = np.rint((f * first.duration_s - 1 - grid[0]) / stride).astype(np.int64)
-            found[id(part)] = noise[np.clip(at, 0, len(noise) - 1)]
+            found[id(part)] = noise[_nearest(first.frequency_hz[grid[::stride]], f)]
     return [found[id(part)] for part in parts]
+
+
+def shares_left(parts: Sequence[RecordLines], chance: float) -> list[Real]:
+    """What share of the outputs of each record can be noise, (lines, ny): what local models leave, of one response.
+
+    Of noise alone they leave about its power, and more than is counted here with a probability of 1 − chance.  Windows
+    are compared with what they hold themselves, however narrow the band of the noise.  Raises DataError if a record is
+    too short.
+    """
+    ordered = sorted(parts, key=lambda part: -part.duration_s)
+    first, half = ordered[0], _smallest_half(ordered)
+    nu, ny = first.inputs.shape[1], first.outputs.shape[1]
+    grid = np.arange(0, len(first.frequency_hz), max(1, half // 3))  # windows that share most of their data
+    shares = []
+    for k in range(0, len(grid), chunk := _at_once(ordered, half)):
+        r, U, Y, owner = _window_rows(ordered, grid[k : k + chunk], half)
+        noise = _fitted(r, U, Y, owner, nu, ny)[2]
+        power = np.maximum(np.mean(np.abs(Y) ** 2, axis=1), np.finfo(float).tiny)
+        shares.append(np.diagonal(noise, axis1=1, axis2=2).real / power)
+    rows = r.shape[1]
+    free = rows - 3 * (nu + len(parts)) - 2
+    share = np.concatenate(shares) * (free / rows) / betaincinv(free, rows - free, chance)
+    nearest = (_nearest(first.frequency_hz[grid], part.frequency_hz) for part in parts)
+    return [np.minimum(share[at], 1.0) for at in nearest]
+
+
+def _at_once(parts: Sequence[RecordLines], half: int) -> int:
+    """How many windows are regressed together: 64 MB of regressors."""
+    rows = sum(_lines_of(part, parts[0], half) for part in parts)
+    return max(1, 4_000_000 // (rows * (3 * (parts[0].inputs.shape[1] + len(parts)) + 2)))
 
 
 def _smallest_half(parts: Sequence[RecordLines]) -> int:
@@ -547,8 +576,7 @@ def _windows(
     2·half + 1 lines; of those `beside` of the grid's lines apart each has its own half."""
     first = parts[0]
     nu, ny = first.inputs.shape[1], first.outputs.shape[1]
-    numbers = sum(_lines_of(part, first, half) for part in parts) * (3 * (nu + len(parts)) + 2)
-    chunk = max(1, 4_000_000 // numbers)  # 64 MB of regressors at a time
+    chunk = _at_once(parts, half)
     found = [
         _fitted(*_window_rows(parts, grid[k : k + chunk], half), nu, ny) for k in range(0, len(grid), chunk)
     ]
@@ -602,8 +630,7 @@ def _window_rows(parts: Sequence[RecordLines], grid: Ints, width: int) -> tuple[
     places, inputs, outputs, owner = [], [], [], []
     for number, part in enumerate(parts):
         own = _lines_of(part, first, width)
-        nearest = np.rint(f * part.duration_s).astype(np.int64) - 1
-        start = np.clip(nearest - own // 2, 0, len(part.frequency_hz) - own)
+        start = np.clip(_nearest(part.frequency_hz, f) - own // 2, 0, len(part.frequency_hz) - own)
         at = start[:, None] + np.arange(own)
         places.append((part.frequency_hz[at] - f[:, None]) * first.duration_s / width)
         inputs.append(part.inputs[at])
@@ -662,14 +689,20 @@ def _fitted(
     return H, np.einsum("licr,ljdr->licjd", S, np.conj(S)), noise
 
 
+def _nearest(ordered: Real, values: Real) -> Ints:
+    """Which of ordered values is nearest to each."""
+    return np.searchsorted((ordered[1:] + ordered[:-1]) / 2, values).astype(np.int64)
+
+
 def _least_squares(A: Complex, y: Complex) -> tuple[Complex, Complex]:
     """Solutions of A x = y, (lines, columns, …), and the pseudo-inverses of A (lines, rows, columns)."""
-    size = np.maximum(np.linalg.norm(A, axis=1, keepdims=True), 1e-300)
+    size = np.linalg.norm(A, axis=1, keepdims=True)
+    size = np.where(size > 0, size, 1.0)
     Q, R = np.linalg.qr(A / size)
     weak = np.abs(np.diagonal(R, axis1=1, axis2=2)) < 1e-10  # of a column's part that the others do not have
     R = R + (weak * 1e-10)[:, :, None] * np.eye(R.shape[1])
     inverse = np.linalg.solve(R, np.conj(np.swapaxes(Q, 1, 2))) / np.swapaxes(size, 1, 2)
-    return inverse @ y, inverse
+    return inverse @ y, inverse.astype(np.complex128)
 
 
 # Files of responses.

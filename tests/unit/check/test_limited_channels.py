@@ -37,8 +37,8 @@ def test_a_single_channel_that_ends_is_no_fit_and_is_named(shape: Callable[[Real
     assert assessment.verdict == "does not fit"
     assert "limited_channel" in [reason.code for reason in assessment.reasons]
     first = assessment.findings[0]
-    assert (first.kind, first.of) == ("channel", ("x1_dis",))
-    assert "saturated?" in first.text
+    assert (first.kind, first.of) == ("saturation", ("x1_dis",))
+    assert first.odds > 0.9
 
 
 def test_a_channel_that_does_not_end_is_left_alone() -> None:

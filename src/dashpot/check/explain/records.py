@@ -28,13 +28,13 @@ from dashpot.check.explain.problem import (
     fitted_from_starts,
 )
 from dashpot.check.explain.steady_lines import steady_lines, working_noise
-from dashpot.check.verdict import clipped_at, remedy_in_words
+from dashpot.check.verdict import clipped_beyond, remedy_in_words
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import DashpotError
 from dashpot.estimate.inference.time_course import Kind, TimeChange, change_notice, time_changes
 from dashpot.estimate.likelihood.descent import loudest
 from dashpot.estimate.likelihood.objective import RecordFit, record_fit
-from dashpot.estimate.likelihood.record_noise import RESIDUAL
+from dashpot.estimate.likelihood.record_noise import RESIDUAL, residuals_of_records
 from dashpot.estimate.preparation import prepare
 from dashpot.model.network import Model
 from dashpot.model.observation import calibrated_transfer, channel_unit, observation_model
@@ -92,6 +92,9 @@ def channels_in_time(
     chosen: the lines of the baseline's problem.  predicted: what a fit makes of a channel, (lines,) of `whole`; None
     where that cannot be told.
     """
+    as_fitted = (
+        baseline.as_is.expected if isinstance(whole, TimeProblem) else _as_fitted(whole, baseline.as_is.psi)
+    )
     for c, (channel, fit) in enumerate(zip(baseline.problem.channels, baseline.without, strict=True)):
         if baseline.inputs[c] or not np.isfinite(fit.chi2):
             continue
@@ -99,8 +102,10 @@ def channels_in_time(
         kind, phrase = _shown(whole, c, by_others)
         yield Effect(kind, (channel.name,), as_is, phrase, found=fit)
         share = 1 / np.count_nonzero(~baseline.inputs)
-        beside = (by_others, predicted(c, baseline.as_is))
-        yield from _stepping(whole, chosen, c, [each for each in beside if each is not None], share)
+        fits = (by_others, predicted(c, baseline.as_is), as_fitted[:, c])
+        beside = [each for each in fits if each is not None]
+        yield from _stepping(whole, chosen, c, beside, share)
+        yield from _clipping(whole, chosen, c, beside, share)
 
 
 def _shown(whole: LineProblem | TimeProblem, c: int, predicted: Complex | None) -> tuple[str, Phrase]:
@@ -112,11 +117,12 @@ def _shown(whole: LineProblem | TimeProblem, c: int, predicted: Complex | None) 
     spectrum, y = whole.spectrum, whole.y[:, c]
     unit = channel_unit(whole.model, spectrum.channels[c])
     for number in spectrum.records:
-        at = spectrum.in_time(number)
+        at, record = spectrum.in_time(number), spectrum.stretches[number]
+        assert isinstance(record, WholeRecord)
         shown, should = at.history(y), at.history(predicted)
-        end = clipped_at(shown, should, 2 * len(at.lines))
-        if end is not None:
-            return "saturation", limited(name, end, unit)
+        clipped = clipped_beyond(at, record.samples, y[at.lines], predicted[at.lines])
+        if clipped is not None:
+            return "saturation", limited(name, clipped[0], unit)
         gain = float(shown @ should / (should @ should)) if np.any(should) else 0.0
         zero = _wander(shown - gain * should, at.duration_s, unit)
         if zero is not None:
@@ -135,6 +141,12 @@ def _shown(whole: LineProblem | TimeProblem, c: int, predicted: Complex | None) 
     return "time", _step_in_words(spectrum, named[0], named[0].size)
 
 
+def _as_fitted(whole: LineProblem, psi: Real) -> Complex:
+    """What the rig makes of all channels by all of them, with what their ends add, (lines, channels)."""
+    residual, _ = residuals_of_records(whole.view, whole.arranged(), psi[None], whole.sign[None])
+    return whole.y - residual
+
+
 def _by_all_others(whole: LineProblem, c: int, fit: FittedProblem) -> Complex | None:
     """What the rig of a fit makes of channel c by all other channels, (lines,); None where that cannot be told."""
     without = whole.without(np.broadcast_to(np.arange(len(whole.channels)) == c, whole.kept.shape))
@@ -147,6 +159,26 @@ def _by_all_others(whole: LineProblem, c: int, fit: FittedProblem) -> Complex | 
     if not np.all(np.isfinite(predicted)):
         return None
     return predicted + _of_its_ends(replace(whole.data.spectrum, amplitudes=whole.y), c, predicted)
+
+
+def _clipping(
+    whole: LineProblem | TimeProblem, chosen: Ints, c: int, predicted: Sequence[Complex], share: float
+) -> Iterator[Effect]:
+    """Channel c with what it loses beyond some level put back, by what each fit makes of it."""
+    spectrum, channel = whole.spectrum, whole.spectrum.channels[c]
+    for should in predicted:
+        lost, limits = np.zeros(whole.y.shape, dtype=np.complex128), []
+        for number in spectrum.records:
+            at, record = spectrum.in_time(number), spectrum.stretches[number]
+            assert isinstance(record, WholeRecord)
+            found = clipped_beyond(at, record.samples, whole.y[at.lines, c], should[at.lines])
+            if found is not None:
+                limits.append(found[0])
+                lost[at.lines, c] = found[1]
+        if limits:
+            words = limited(channel.name, limits[0], channel_unit(whole.model, channel))
+            act = partial(_without_part, lost[chosen])
+            yield Effect("saturation", (channel.name,), act, words, (limits[0],), more=3, share=share)
 
 
 # A clock or a gain of one channel that steps: from some time on the channel shows what it should earlier or later, or
@@ -306,7 +338,7 @@ def tones(baseline: Baseline) -> Iterator[Effect]:
                 text = f"a force of {frequency:.4g} Hz acts at {of}, which no channel measures"
                 words = Phrase(text, f"stop it, measure it, or {near}")
                 kind, share = "input", (1 - HEARD) / len(points)
-            yield Effect(kind, (of,), partial(_without_tone, tone), words, more=3, share=share)
+            yield Effect(kind, (of,), partial(_without_part, tone), words, more=3, share=share)
 
 
 def _loudest_tone(
@@ -357,8 +389,9 @@ def _sines(record: WholeRecord, omega: Real, orders: Real) -> Complex:
     return np.stack([up + down, (up - down) / 1j], axis=-1)
 
 
-def _without_tone(tone: Complex, problem: LineProblem, _: float) -> LineProblem:
-    return problem.with_amplitudes(np.where(problem.kept, problem.y - tone, 0.0))
+def _without_part(part: Complex, problem: LineProblem | TimeProblem, _: float) -> FitProblem:
+    """Without a part of the amplitudes, (lines, channels)."""
+    return problem.with_amplitudes(np.where(problem.kept, problem.y - part, 0.0))
 
 
 def _of_its_ends(spectrum: Spectrum, c: int, predicted: Complex) -> Complex:

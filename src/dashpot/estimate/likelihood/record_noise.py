@@ -8,13 +8,15 @@ tell its size.
 
 from __future__ import annotations
 
+import contextlib
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtri
 
-from dashpot.arrays import Bools, Complex, Real, diagonal_matrices, hermitian
+from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices, hermitian
 from dashpot.data.conditioning.whole_record import FLOOR
 from dashpot.data.noise import HALF_WINDOW, equal_variances, most_noise, smoothed
 from dashpot.data.spectrum import Spectrum, WholeRecord, flattened, in_chunks, taken_as_measured
@@ -27,6 +29,7 @@ from dashpot.estimate.likelihood.objective import bounds, estimated_inputs, inpu
 from dashpot.estimate.likelihood.record_sums import record_residuals
 from dashpot.estimate.method import Method
 from dashpot.estimate.preparation import Prepared, states_if_seen
+from dashpot.free.response import RecordLines, shares_left
 from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.model.observation import (
@@ -193,6 +196,7 @@ def without_moved(power: Real, moved: Real, smooth: Callable[[Real], Real]) -> R
 RESIDUAL = "residual"
 PIECE = 10_000  # lines at a time
 STEPS = 30  # of each descent: the next round goes on from its end, and a search to the end follows them
+BY_CHANCE = 1e-3  # that a local model leaves less of noise than is counted
 FIRST = 1e-2  # of a channel's size: its noise before the first fit, where nothing else is known
 UNEXPLAINED_MOST = 0.5  # of the power of the channels: of a motion without input this is no free decay
 
@@ -246,9 +250,6 @@ def noise_from_residuals(
     inputs = InputNoise.of(view, spectrum, sought, V)
     floor = np.diagonal(V[0], axis1=-2, axis2=-1).real.copy()  # which does not hold V
     changes = sought[:, None] & (outputs | inputs.sought)
-    # Noise is part of what was measured: where residuals are larger, the fit is at fault, and is not to count less.
-    measured = np.nan_to_num(np.abs(spectrum.amplitudes[0])) ** 2
-    most = ROOM * _smoothed(spectrum, measured, sought, outputs)[0]
     begun: LocalMinima | None = None
     psi, sign = np.zeros((1, 0)), np.ones((1, len(spectrum.channels)))
     used, dof = 0.0, np.array(spectrum.dof)
@@ -279,7 +280,7 @@ def noise_from_residuals(
         variance, dof = _smoothed(spectrum, power / left, sought, outputs, left)
         of_inputs = np.maximum(inputs.level / spectrum.samples[:, None], floor)
         before = np.diagonal(V[0], axis1=-2, axis2=-1).real.copy()
-        variance = np.where(changes, np.where(outputs, np.minimum(variance, most), of_inputs), before)
+        variance = np.where(changes, np.where(outputs, variance, of_inputs), before)
         V = diagonal_matrices(variance)[None]
         if np.all(np.abs(variance - before) <= 6e-3 * variance):  # 0.3 % of each standard deviation
             break
@@ -301,6 +302,7 @@ def _own_power(
     With what the fitted inputs have taken out of the residual put back, and what errors of exact ones move taken out.
     """
     view, spectrum, data = likelihood.view, likelihood.data.spectrum, likelihood.exact
+    residual = residual * np.sqrt(_share_of_noise(view, spectrum, sought, residual))
     power = np.abs(residual) ** 2
     if data.q is not None and not np.any(inputs.sought):
         return power, inputs
@@ -398,6 +400,35 @@ def residuals_of_records(
     white, rank = record_residuals(data.record_pieces, psi, sign)
     weight = np.sqrt(np.diagonal(data.W[0], axis1=-2, axis2=-1).real)
     return white[0] / np.where(weight > 0, weight, 1.0), int(rank[0])
+
+
+def _share_of_noise(view: ObservationModel, spectrum: Spectrum, sought: Bools, residual: Complex) -> Real:
+    """What part of the residuals' power (lines, channels) can be noise: what local models of the residual leave of it.
+
+    What a linear rig lacks follows the inputs from line to line, as a smooth response to them; noise does not.
+    """
+    share = np.ones(residual.shape)
+    amplitudes = np.nan_to_num(spectrum.amplitudes[0])
+    groups = defaultdict[tuple[int, bytes], list[tuple[Ints, RecordLines]]](list)
+    for number in spectrum.records:
+        its = np.flatnonzero((spectrum.stretch == number) & sought)
+        if not len(its):
+            continue
+        its = its[np.argsort(spectrum.frequency_hz[its])]
+        record, size = spectrum.stretches[number], int(spectrum.samples[its[0]])
+        assert isinstance(record, WholeRecord)
+        there = ~view.inputs_alone & np.any(residual[its] != 0, axis=0)
+        shown, left = amplitudes[its][:, view.inputs_alone], residual[its][:, there]
+        lines = RecordLines(
+            spectrum.frequency_hz[its], shown * size**0.5, left * size**0.5, record.duration_s, size
+        )
+        groups[int(spectrum.experiment[its[0]]), there.tobytes()].append((its, lines))
+    for (_, there), some in groups.items():
+        with contextlib.suppress(DataError):  # too short for local models
+            shares = shares_left([lines for _, lines in some], BY_CHANCE)
+            for (its, _), part in zip(some, shares, strict=True):
+                share[np.ix_(its, np.frombuffer(there, dtype=bool))] = part
+    return share
 
 
 def _first(spectrum: Spectrum, sought: Bools, outputs: Bools) -> Complex:

@@ -43,6 +43,25 @@ def test_white_noise_is_found_by_its_size() -> None:
     assert size[0, 4] < 0.02 * test.size[4]  # the base has none; its spectrum ends somewhere
 
 
+@pytest.mark.parametrize("noisy_base", [False, True])
+def test_what_a_wrong_rig_leaves_is_no_noise(noisy_base: bool) -> None:
+    """A spring 5 % off: of all that it leaves, little more counts as noise than there is."""
+    test = swept()
+    sd = 0.005 * test.size * np.array([1, 1, 1, 1, noisy_base])
+    record = test.noisy(np.random.default_rng(5), sd)
+    true = test.theta[test.model.unknown_names.index("k1")]
+    stated = tuple(
+        replace(element, value=1.05 * true) if element.name == "k1" else element
+        for element in test.model.elements
+    )
+    wrong = replace(test.model, elements=stated)
+    found, _ = with_record_noise(wrong, whole_record(record), MaximumLikelihood())
+    variance = np.diagonal(found.covariance, axis1=1, axis2=2).real * len(record.time) / 4
+    size = np.sqrt(np.mean(variance, axis=0))
+    assert np.all(size[:4] > 0.9 * sd[:4])
+    assert np.all(size[:4] < 2.0 * sd[:4])
+
+
 def test_coloured_noise_is_followed() -> None:
     test = swept()
     rng = np.random.default_rng(3)
