@@ -55,3 +55,15 @@ def test_a_parameter_that_changes_within_the_band_is_found_and_counted() -> None
     covariance, degrees = calm.widened(noise[:1], many[:1], calm.disagree)
     np.testing.assert_array_equal(covariance, noise[:1])
     np.testing.assert_array_equal(degrees, many[:1])
+
+
+def test_an_unknown_of_which_nothing_is_known_is_no_disagreement() -> None:
+    """As one that a reversed sensor has let run away: it was an internal error."""
+    found, _ = stability(3, 0.0)
+
+    def beside(matrix: Real) -> Real:
+        return np.pad(matrix, [(0, 0)] * (matrix.ndim - 2) + [(0, 1), (0, 1)])
+
+    scores = np.pad(found.scores, [(0, 0), (0, 0), (0, 1)])
+    with_nothing = BandStability(beside(found.information), scores, beside(found.total))
+    np.testing.assert_allclose(with_nothing.p, found.p)
