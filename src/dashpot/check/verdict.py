@@ -25,7 +25,7 @@ from dashpot.estimate.inference.time_course import (
     TIME_CHANGES,
     UNEVEN,
 )
-from dashpot.estimate.likelihood.record_noise import RESIDUAL
+from dashpot.estimate.likelihood.record_noise import RESIDUAL, noise_alone
 from dashpot.estimate.nonlinear.objective import nonlinear_part
 from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import Estimate
@@ -309,9 +309,13 @@ def assess(
     within: the share of the motion of every channel within which the rig is to describe it; None: what suits the noise.
     """
     left = residuals_of(model, spectrum, estimate)
+    motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
+    alone = noise_alone(spectrum, ~motions, np.nan_to_num(left.measured - left.predicted))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        louder = np.where(alone > 0, np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real / alone, 1.0)
+    left = replace(left, normalised=left.normalised * np.sqrt(louder))
     tones = mains_hum(left, spectrum)
     quiet = replace(left, normalised=np.where(tones, np.nan, left.normalised))
-    motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
     in_time = [notice for notice in estimate.warnings if notice.code in TIME_CHANGES]
     ended = limited_channels(left, spectrum, motions)
     # Whether the noise is known from more than these residuals, so that their size says whether they are noise

@@ -619,8 +619,8 @@ def _promised(baseline: Baseline, effect: Effect) -> tuple[float, ...]:
         taken = scaled_inverse(information) @ np.column_stack([cross, gradient])
         bend = (before - 2 * at_null + after) / (2 * step**2) - cross @ taken[:, 0]
         move = ((before - after) / (4 * step) - cross @ taken[:, 1]) / bend
-        if bend > 0 and np.isfinite(move):
-            return (effect.size_at(null + float(move), effect.null),)
+        size = effect.size_at(null + float(move), effect.null) if bend > 0 and np.isfinite(move) else 0.0
+        return (size,) if size and np.isfinite(size) else ()  # a promise may be beyond all numbers
     return ()
 
 

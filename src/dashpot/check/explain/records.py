@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real
+from dashpot.arrays import Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Quantity
 from dashpot.check.explain.channels import DISAGREES, limited
 from dashpot.check.explain.dwells import held_words
@@ -34,7 +34,7 @@ from dashpot.errors import DashpotError
 from dashpot.estimate.inference.time_course import Kind, TimeChange, change_notice, time_changes
 from dashpot.estimate.likelihood.descent import loudest
 from dashpot.estimate.likelihood.objective import RecordFit, record_fit
-from dashpot.estimate.likelihood.record_noise import RESIDUAL, residuals_of_records
+from dashpot.estimate.likelihood.record_noise import RESIDUAL, noise_alone, residuals_of_records
 from dashpot.estimate.preparation import prepare
 from dashpot.model.network import Model
 from dashpot.model.observation import calibrated_transfer, channel_unit, observation_model
@@ -62,12 +62,15 @@ def explained_records(
 
     None if they cannot be sought.
 
-    Noise that was read from the residuals of this very rig is taken to be as low as where it is lowest.
+    Noise that was read from the residuals of this very rig is taken to be as low as where it is lowest, and without
+    what free local models explain.
     """
     quiet = spectrum
     if RESIDUAL in spectrum.noise:
-        variance = working_noise(spectrum)[:, :, None] * np.eye(len(spectrum.channels))
-        quiet = replace(spectrum, covariance=variance.astype(np.complex128))
+        weighed = LineProblem(prepare(model, spectrum, states=False), sign, (psi,), False)
+        residual = weighed.y - _as_fitted(weighed, psi)
+        alone = noise_alone(spectrum, weighed.view.inputs_alone, residual)
+        quiet = replace(spectrum, covariance=diagonal_matrices(np.minimum(working_noise(spectrum), alone)))
     chosen = np.arange(quiet.lines)
     if quiet.lines > MOST_LINES:
         noise = np.maximum(working_noise(quiet), 1e-300)

@@ -302,7 +302,6 @@ def _own_power(
     With what the fitted inputs have taken out of the residual put back, and what errors of exact ones move taken out.
     """
     view, spectrum, data = likelihood.view, likelihood.data.spectrum, likelihood.exact
-    residual = residual * np.sqrt(_share_of_noise(view, spectrum, sought, residual))
     power = np.abs(residual) ** 2
     if data.q is not None and not np.any(inputs.sought):
         return power, inputs
@@ -402,35 +401,6 @@ def residuals_of_records(
     return white[0] / np.where(weight > 0, weight, 1.0), int(rank[0])
 
 
-def _share_of_noise(view: ObservationModel, spectrum: Spectrum, sought: Bools, residual: Complex) -> Real:
-    """What part of the residuals' power (lines, channels) can be noise: what local models of the residual leave of it.
-
-    What a linear rig lacks follows the inputs from line to line, as a smooth response to them; noise does not.
-    """
-    share = np.ones(residual.shape)
-    amplitudes = np.nan_to_num(spectrum.amplitudes[0])
-    groups = defaultdict[tuple[int, bytes], list[tuple[Ints, RecordLines]]](list)
-    for number in spectrum.records:
-        its = np.flatnonzero((spectrum.stretch == number) & sought)
-        if not len(its):
-            continue
-        its = its[np.argsort(spectrum.frequency_hz[its])]
-        record, size = spectrum.stretches[number], int(spectrum.samples[its[0]])
-        assert isinstance(record, WholeRecord)
-        there = ~view.inputs_alone & np.any(residual[its] != 0, axis=0)
-        shown, left = amplitudes[its][:, view.inputs_alone], residual[its][:, there]
-        lines = RecordLines(
-            spectrum.frequency_hz[its], shown * size**0.5, left * size**0.5, record.duration_s, size
-        )
-        groups[int(spectrum.experiment[its[0]]), there.tobytes()].append((its, lines))
-    for (_, there), some in groups.items():
-        with contextlib.suppress(DataError):  # too short for local models
-            shares = shares_left([lines for _, lines in some], BY_CHANCE)
-            for (its, _), part in zip(some, shares, strict=True):
-                share[np.ix_(its, np.frombuffer(there, dtype=bool))] = part
-    return share
-
-
 def _first(spectrum: Spectrum, sought: Bools, outputs: Bools) -> Complex:
     """Noise before the first fit, (1, lines, channels, channels): as the records show it where nothing moves."""
     variance = np.diagonal(spectrum.covariance[0], axis1=-2, axis2=-1).real
@@ -521,3 +491,43 @@ def _course(power: Real, told: bool = True) -> tuple[Real, Real]:
         if equal_variances(of_groups, 2.0 * width) < 0.01:
             return smoothed(power), np.full(len(power), 2.0 * width)
     return np.full(len(power), np.mean(power)), np.full(len(power), 2.0 * len(power))
+
+
+def noise_alone(spectrum: Spectrum, inputs: Bools, residual: Complex) -> Real:
+    """Variances (lines, channels) of the noise, without what follows the inputs (channels,) where residuals tell it.
+
+    What a linear rig lacks is a smooth response to the inputs, from line to line; noise is not.
+    """
+    variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
+    sought = np.array([kind == RESIDUAL for kind in spectrum.noise])
+    if not np.any(sought):
+        return variance
+    repeat = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=spectrum.covariance[None])
+    power = np.abs(residual) ** 2 * _share_of_noise(repeat, sought, inputs, residual)
+    alone = _smoothed(repeat, power, sought, ~inputs)[0]
+    return np.where(sought[:, None] & ~inputs, np.minimum(alone, variance), variance)
+
+
+def _share_of_noise(spectrum: Spectrum, sought: Bools, inputs: Bools, residual: Complex) -> Real:
+    """Of one repeat, what part of the residuals' power (lines, channels) can be noise: what local models leave."""
+    share, amplitudes = np.ones(residual.shape), np.nan_to_num(spectrum.amplitudes[0])
+    groups = defaultdict[tuple[int, bytes], list[tuple[Ints, RecordLines]]](list)
+    for number in spectrum.records:
+        its = np.flatnonzero((spectrum.stretch == number) & sought)
+        if not len(its):
+            continue
+        its = its[np.argsort(spectrum.frequency_hz[its])]
+        record, size = spectrum.stretches[number], int(spectrum.samples[its[0]])
+        assert isinstance(record, WholeRecord)
+        there = ~inputs & np.any(residual[its] != 0, axis=0)
+        shown, left = amplitudes[its][:, inputs], residual[its][:, there]
+        lines = RecordLines(
+            spectrum.frequency_hz[its], shown * size**0.5, left * size**0.5, record.duration_s, size
+        )
+        groups[int(spectrum.experiment[its[0]]), there.tobytes()].append((its, lines))
+    for (_, there), some in groups.items():
+        with contextlib.suppress(DataError):  # too short for local models
+            shares = shares_left([lines for _, lines in some], BY_CHANCE)
+            for (its, _), part in zip(some, shares, strict=True):
+                share[np.ix_(its, np.frombuffer(there, dtype=bool))] = part
+    return share
