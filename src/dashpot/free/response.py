@@ -387,6 +387,7 @@ SPARE = (
     8  # complex degrees of freedom that a window leaves for the noise: with its neighbours' some 30 real ones
 )
 MOST_LINES = 20_000  # of the result
+MOST_WINDOWS = 4_000  # that are looked through for what is no noise
 
 
 @dataclass(frozen=True)
@@ -498,7 +499,8 @@ def shares_left(parts: Sequence[RecordLines], chance: float) -> list[Real]:
     ordered = sorted(parts, key=lambda part: -part.duration_s)
     first, half = ordered[0], _smallest_half(ordered)
     nu, ny = first.inputs.shape[1], first.outputs.shape[1]
-    grid = np.arange(0, len(first.frequency_hz), max(1, half // 3))  # windows that share most of their data
+    lines = len(first.frequency_hz)
+    grid = np.arange(0, lines, max(half, lines // MOST_WINDOWS))
     shares = []
     for k in range(0, len(grid), chunk := _at_once(ordered, half)):
         r, U, Y, owner = _window_rows(ordered, grid[k : k + chunk], half)
