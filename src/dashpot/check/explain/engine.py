@@ -766,8 +766,9 @@ def _of_unknowns(effect: Effect, fit: FittedProblem, scale: float) -> tuple[floa
 
 def _inverse(information: Real) -> Real:
     """Of information (M, M) in whatever units, 0 along what it knows nothing of."""
-    unit = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    return np.linalg.pinv(information / np.outer(unit, unit), rcond=1e-14) / np.outer(unit, unit)
+    diagonal = np.diag(information)
+    unit = np.sqrt(np.where(diagonal > np.finfo(float).tiny, diagonal, np.inf))
+    return np.linalg.pinv(information / unit / unit[:, None], rcond=1e-14) / unit / unit[:, None]
 
 
 def log_possible(fit: FittedProblem, but: str = "") -> float:
