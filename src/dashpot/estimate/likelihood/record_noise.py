@@ -503,9 +503,14 @@ def noise_alone(spectrum: Spectrum, inputs: Bools, residual: Complex) -> Real:
     if not np.any(sought):
         return variance
     repeat = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=spectrum.covariance[None])
-    power = np.abs(residual) ** 2 * _share_of_noise(repeat, sought, inputs, residual)
-    alone = _smoothed(repeat, power, sought, ~inputs)[0]
-    return np.where(sought[:, None] & ~inputs, np.minimum(alone, variance), variance)
+    share = _share_of_noise(repeat, sought, inputs, residual)
+    if np.all(share == 1):
+        return variance
+    power = np.abs(residual) ** 2
+    alone, all_left = (_smoothed(repeat, each, sought, ~inputs)[0] for each in (power * share, power))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        part = np.where(all_left > 0, np.minimum(alone / all_left, 1.0), 1.0)
+    return np.where(sought[:, None] & ~inputs, variance * part, variance)
 
 
 def _share_of_noise(spectrum: Spectrum, sought: Bools, inputs: Bools, residual: Complex) -> Real:
