@@ -250,6 +250,9 @@ def noise_from_residuals(
     inputs = InputNoise.of(view, spectrum, sought, V)
     floor = np.diagonal(V[0], axis1=-2, axis2=-1).real.copy()  # which does not hold V
     changes = sought[:, None] & (outputs | inputs.sought)
+    # Noise is part of what was measured: where residuals are larger, the fit is at fault, and is not to count less.
+    measured = np.nan_to_num(np.abs(spectrum.amplitudes[0])) ** 2
+    most = ROOM * _smoothed(spectrum, measured, sought, outputs)[0]
     begun: LocalMinima | None = None
     psi, sign = np.zeros((1, 0)), np.ones((1, len(spectrum.channels)))
     used, dof = 0.0, np.array(spectrum.dof)
@@ -280,7 +283,7 @@ def noise_from_residuals(
         variance, dof = _smoothed(spectrum, power / left, sought, outputs, left)
         of_inputs = np.maximum(inputs.level / spectrum.samples[:, None], floor)
         before = np.diagonal(V[0], axis1=-2, axis2=-1).real.copy()
-        variance = np.where(changes, np.where(outputs, variance, of_inputs), before)
+        variance = np.where(changes, np.where(outputs, np.minimum(variance, most), of_inputs), before)
         V = diagonal_matrices(variance)[None]
         if np.all(np.abs(variance - before) <= 6e-3 * variance):  # 0.3 % of each standard deviation
             break
