@@ -10,10 +10,10 @@ import numpy as np
 
 from dashpot.arrays import Real
 from dashpot.channel import Channel
-from dashpot.data.conditioning.clock import span_of
+from dashpot.data.conditioning.clock import within_times
 from dashpot.data.conditioning.drive_frequency import OWN, refine_frequency
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
-from dashpot.data.conditioning.lines import Treated, driven_parts, evened_and_marked, lines_of, treated
+from dashpot.data.conditioning.lines import Treated, driven_parts, evened_and_marked, settled_lines, treated
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -415,7 +415,7 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
         cure = "give it; a record without one needs sensors on one clock"
         raise DataError("the drive frequency is not known", source, cure)
     parts, settings, notes = treated(OF_SENSORS, joint.parts, settings)
-    each = [lines_of(part, settings, settings.wanted, rounding_steps([part]))[0] for part in parts]
+    each = [settled_lines(part, settings, settings.wanted, rounding_steps([part]))[0] for part in parts]
     X = np.concatenate([one.amplitudes for one in each], axis=-1)
     V, first = np.zeros((*X.shape, X.shape[-1]), dtype=np.complex128), 0
     for part, one, clock in zip(parts, each, joint.clocks, strict=True):
@@ -442,7 +442,7 @@ def _driven_together(parts: Sequence[Record], settings: Conditioning) -> Treated
     driven, settings, notes = driven_parts(parts, settings)
     start, end = max(part.time[0] for part in driven), min(part.time[-1] for part in driven)
     if any(len(part.time) < len(of.time) for part, of in zip(driven, parts, strict=True)):
-        driven = [span_of(part, start, end) for part in driven]
+        driven = [within_times(part, start, end) for part in driven]
     return driven, settings, notes
 
 

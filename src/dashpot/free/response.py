@@ -22,7 +22,7 @@ from dashpot.data.conditioning.clock import even_step
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.conditioning.unmeasured import SHORTEST
-from dashpot.data.conditioning.whole_record import at_rest, require_motion, without_gaps
+from dashpot.data.conditioning.whole_record import at_rest, refuse_rest, without_gaps
 from dashpot.data.noise import moderated, smoothed, with_local_noise
 from dashpot.data.periods import averaged_periods
 from dashpot.data.readers import Reading
@@ -200,7 +200,7 @@ def parted(reading: Reading, inputs: Sequence[str], outputs: Sequence[str]) -> P
             pieces, said = without_gaps(record, split=True)
             whole, told = [*whole, *pieces], [*told, *said]
             continue
-        require_motion(record, len(inputs))
+        refuse_rest(record, len(inputs))
         spectra.append(repeated[0])
         shares = zip(outputs, repeated[1][len(inputs) :].tolist(), strict=True)
         distortion = distortion or {name: (even, odd) for name, (even, odd) in shares}
@@ -411,7 +411,7 @@ def record_lines(record: Record, nu: int) -> RecordLines:
     """The lines of a record.  Raises DataError for uneven stamps, and outputs that do not move."""
     if record.values.ndim != 2:
         raise DataError("repeats of a record cannot be combined", record.source, "give one at a time")
-    require_motion(record, nu)
+    refuse_rest(record, nu)
     step, samples = even_step(record), len(record.time)
     lines = (samples - 1) // 2
     frequency = np.arange(1, lines + 1) / (samples * step)
@@ -501,8 +501,8 @@ def shares_left(parts: Sequence[RecordLines], chance: float) -> list[Real]:
     nu, ny = first.inputs.shape[1], first.outputs.shape[1]
     lines = len(first.frequency_hz)
     grid = np.arange(0, lines, max(half, lines // MOST_WINDOWS))
-    shares = []
-    for k in range(0, len(grid), chunk := _at_once(ordered, half)):
+    shares, chunk = [], _at_once(ordered, half)
+    for k in range(0, len(grid), chunk):
         r, U, Y, owner = _window_rows(ordered, grid[k : k + chunk], half)
         noise = _fitted(r, U, Y, owner, nu, ny)[2]
         power = np.maximum(np.mean(np.abs(Y) ** 2, axis=1), np.finfo(float).tiny)

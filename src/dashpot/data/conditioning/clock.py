@@ -115,7 +115,7 @@ def _simplest(time: Real, index: Real, step: float, rounding: float) -> float:
     return step
 
 
-def rows_of(record: Record, first: int, last: int) -> Record:
+def _rows(record: Record, first: int, last: int) -> Record:
     """The samples from one to before another.  Raises DataError where fewer than two are left."""
     if last - first < 2:
         text = (
@@ -127,10 +127,10 @@ def rows_of(record: Record, first: int, last: int) -> Record:
 
 def cut(record: Record, start: float, end: float) -> Record:
     """The samples of a record between two shares of its length.  Raises DataError where fewer than two are left."""
-    return rows_of(record, round(start * len(record.time)), round(end * len(record.time)))
+    return _rows(record, round(start * len(record.time)), round(end * len(record.time)))
 
 
-def span_of(record: Record, start: float, end: float) -> Record:
+def within_times(record: Record, start: float, end: float) -> Record:
     """The samples of a record from one time to another, s.  Raises DataError where fewer than two are left."""
     first, last = np.searchsorted(record.time, start), np.searchsorted(record.time, end, side="right")
-    return rows_of(record, int(first), int(last))
+    return _rows(record, int(first), int(last))

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from dashpot.arrays import Bools, Ints, Real, diagonal_matrices
-from dashpot.data.conditioning.clock import span_of, with_even_stamps
+from dashpot.data.conditioning.clock import with_even_stamps, within_times
 from dashpot.data.conditioning.drive_frequency import (
     at_drive_frequencies,
     driven_at,
@@ -311,7 +311,7 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
         require_stated(beyond_half_rate, settings.wanted)
     if settings.settle not in ("auto", "none"):
         return (
-            [span_of(record, record.time[0] + float(settings.settle), np.inf) for record in dwells],
+            [within_times(record, record.time[0] + float(settings.settle), np.inf) for record in dwells],
             settings,
             [],
         )
@@ -393,7 +393,7 @@ def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Con
     if settings.orders == "auto" and not settings.moments:
         driven, notes = driven_orders(dwells, settings)
     each, told, other = zip(
-        *(lines_of(record, settings, of, steps) for record, of in zip(dwells, driven, strict=True)),
+        *(settled_lines(record, settings, of, steps) for record, of in zip(dwells, driven, strict=True)),
         strict=True,
     )
     notes.insert(0, account_of_dwells(given, each, settings))
@@ -426,7 +426,7 @@ def _why_whole(dwells: Sequence[Record], settings: Conditioning, found: Sequence
     return " or ".join(dict.fromkeys(reasons)) or None
 
 
-def lines_of(
+def settled_lines(
     record: Record, settings: Conditioning, orders: tuple[int, ...], steps: Real
 ) -> tuple[Spectrum, Real, Notice | None]:
     """The lines of one record, whose channels are rounded to `steps` (channels,), the share of each amplitude's

@@ -156,7 +156,7 @@ def whole_record(
     record, remaining = _aligned(record, step)
     samples = len(record.time)
     duration = samples * step
-    require_motion(record)
+    refuse_rest(record)
     first, last = _lines_of(record.source, band_hz, samples, step)
     record, known = with_likely(record)
     X, floor, folded = _amplitudes(record, first, last, stated=band_hz is not None)
@@ -383,7 +383,7 @@ def at_rest(values: Real) -> Bools:
     return np.asarray(np.ptp(values, axis=0) <= ROUNDING * np.max(np.abs(values), axis=0))
 
 
-def require_motion(record: Record, inputs: int = 0) -> None:
+def refuse_rest(record: Record, inputs: int = 0) -> None:
     """Raises DataError where a channel stays at one value; the first `inputs` may."""
     for c in np.flatnonzero(at_rest(record.values[:, inputs:])).tolist():
         raise DataError(

@@ -36,7 +36,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from dashpot.channel import RESERVED_NAMES, Channel
 from dashpot.data.clocks import ClockedRecords, Sensor, aligned_sensors, joined_sensors
-from dashpot.data.conditioning.clock import span_of
+from dashpot.data.conditioning.clock import within_times
 from dashpot.data.conditioning.settings import Treatments
 from dashpot.data.noise import moderated
 from dashpot.data.periods import average_periods, one_period, samples_of_period
@@ -463,10 +463,10 @@ def read_group(
         found = replace(found, notes=notes)
     if entry.window_s is not None:
         joint = (
-            replace(each, parts=tuple(span_of(part, *entry.window_s) for part in each.parts))
+            replace(each, parts=tuple(within_times(part, *entry.window_s) for part in each.parts))
             for each in found.joint
         )
-        records = tuple(span_of(record, *entry.window_s) for record in found.records)
+        records = tuple(within_times(record, *entry.window_s) for record in found.records)
         found = replace(found, records=records, joint=tuple(joint))
     return found if entry.lines is None else _averaged(found, line_numbers(entry.lines, group.place), group)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dashpot.data.conditioning.clock import span_of
+from dashpot.data.conditioning.clock import within_times
 from dashpot.data.conditioning.drive_frequency import refine_frequency
 from dashpot.data.conditioning.harmonic_fit import fit_harmonics
 from dashpot.data.conditioning.lines import spectrum
@@ -63,7 +63,7 @@ def test_settled_record_is_left_alone():
 def test_a_stated_time_is_dropped():
     t = 5 + np.arange(1000) / 100
     record = Record((X1,), t, wave(t, 2.0, [1.0]), 2.0)
-    assert span_of(record, 7.5, np.inf).time[0] == pytest.approx(7.5)
+    assert within_times(record, 7.5, np.inf).time[0] == pytest.approx(7.5)
     lines, whole = spectrum([record], settle=2.5), spectrum([record])
     assert lines.samples[0] == 750
     assert whole.samples[0] == 1000
