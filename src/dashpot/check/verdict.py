@@ -12,7 +12,7 @@ from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.check.explain.effect import Phrase
 from dashpot.check.residuals import Residuals, discrepancies, residuals_of
 from dashpot.data.periods import driven_lines
-from dashpot.data.spectrum import LinesInTime, Spectrum, WholeRecord
+from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Assessment, Discrepancy, Finding, Judgement, Misfit
 from dashpot.estimate.inference.diagnostics import MODES_UNSEEN, dead_channels, of_one_sign
@@ -25,7 +25,7 @@ from dashpot.estimate.inference.time_course import (
     TIME_CHANGES,
     UNEVEN,
 )
-from dashpot.estimate.likelihood.record_noise import RESIDUAL, noise_alone
+from dashpot.estimate.likelihood.record_noise import RESIDUAL, share_without_misfit
 from dashpot.estimate.nonlinear.objective import nonlinear_part
 from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import Estimate
@@ -49,13 +49,12 @@ def limited_channels(left: Residuals, spectrum: Spectrum, motions: Bools) -> lis
     """Motions (channels,) that end in some whole record, by the fit to all channels, with where they do."""
     notices: dict[str, Notice] = {}
     for number in spectrum.records:
-        at, record = spectrum.in_time(number), spectrum.stretches[number]
-        assert isinstance(record, WholeRecord)
+        its = spectrum.stretch == number
         for c in np.flatnonzero(motions):
-            y, p = left.measured[at.lines, c], left.predicted[at.lines, c]
-            if not np.all(np.isfinite(y) & np.isfinite(p)):
+            y, p = left.measured[:, c], left.predicted[:, c]
+            if not np.all(np.isfinite(y[its]) & np.isfinite(p[its])):
                 continue
-            clipped = clipped_beyond(at, record.samples, y, p)
+            clipped = clipped_beyond(spectrum, number, y, p)
             if clipped is not None:
                 name = left.channels[c]
                 text = f"{name} saturates at about {clipped[0]:.3g} {left.units[c]}"
@@ -64,21 +63,21 @@ def limited_channels(left: Residuals, spectrum: Spectrum, motions: Bools) -> lis
 
 
 def clipped_beyond(
-    at: LinesInTime, samples: int, measured: Complex, predicted: Complex
+    spectrum: Spectrum, number: int, measured: Complex, predicted: Complex
 ) -> tuple[float, Complex] | None:
-    """Where a channel ends, if what it shows bends away from what it should, and what it loses there.
+    """Where a channel ends in one of the records, if what it shows bends away from what it should, and what it loses.
 
-    All amplitudes are (lines of `at`,).
-
-    What the record's `samples` lose beyond a level, on either side, is sharper than its lines show.  None where that
-    explains too little.
+    All amplitudes are (lines,), and what it loses is 0 at those of other records.  What its samples lose beyond a
+    level, on either side, is sharper than its lines show.  None where that explains too little.
     """
-    recorded = replace(at, samples=max(samples, at.samples))
-    expected = recorded.history_of(predicted)
+    at, record = spectrum.in_time(number), spectrum.stretches[number]
+    assert isinstance(record, WholeRecord)
+    recorded = replace(at, samples=max(record.samples, at.samples))
+    expected = recorded.history(predicted)
     # 0.02 of a record at either end, where what its ends leave in its lines is least well known
     ends = int(0.02 * at.samples)
     inner = slice(ends, at.samples - ends)
-    shown, should = at.history_of(measured)[inner], at.history_of(predicted)[inner]
+    shown, should = at.history(measured)[inner], at.history(predicted)[inner]
     largest = float(np.quantile(np.abs(should), 0.999))  # quantile of the motion that counts as the largest
     if largest == 0:
         return None
@@ -104,7 +103,9 @@ def clipped_beyond(
     side = int(np.argmax(sides * np.sign(slope)))
     if not sides[side] * largest * np.sign(slope) > 0.4 * abs(slope):
         return None
-    return float(abs(offset + (1, -1)[side] * slope * level)), lost @ sides
+    put_back = np.zeros(spectrum.lines, dtype=np.complex128)
+    put_back[at.lines] = lost @ sides
+    return float(abs(offset + (1, -1)[side] * slope * level)), put_back
 
 
 def _left(columns: Real, y: Real) -> tuple[Real, float]:
@@ -310,10 +311,8 @@ def assess(
     """
     left = residuals_of(model, spectrum, estimate)
     motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
-    alone = noise_alone(spectrum, ~motions, np.nan_to_num(left.measured - left.predicted))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        louder = np.where(alone > 0, np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real / alone, 1.0)
-    left = replace(left, normalised=left.normalised * np.sqrt(louder))
+    share = share_without_misfit(spectrum, ~motions, np.nan_to_num(left.measured - left.predicted))
+    left = replace(left, normalised=left.normalised / np.sqrt(share))
     tones = mains_hum(left, spectrum)
     quiet = replace(left, normalised=np.where(tones, np.nan, left.normalised))
     in_time = [notice for notice in estimate.warnings if notice.code in TIME_CHANGES]

@@ -34,7 +34,7 @@ from dashpot.errors import DashpotError
 from dashpot.estimate.inference.time_course import Kind, TimeChange, change_notice, time_changes
 from dashpot.estimate.likelihood.descent import loudest
 from dashpot.estimate.likelihood.objective import RecordFit, record_fit
-from dashpot.estimate.likelihood.record_noise import RESIDUAL, noise_alone, residuals_of_records
+from dashpot.estimate.likelihood.record_noise import RESIDUAL, residuals_of_records, share_without_misfit
 from dashpot.estimate.preparation import prepare
 from dashpot.model.network import Model
 from dashpot.model.observation import calibrated_transfer, channel_unit, observation_model
@@ -47,6 +47,7 @@ STEPS, SUDDEN = 4, 0.7  # pieces that must make up this share of all that the ze
 LASTING = ("gain", "clock")  # changes that one channel alone can have, and that last
 
 Predicted = Callable[[int, FittedProblem], Complex | None]
+Clipped = tuple[float, Complex] | None  # where a channel ends in a record, and what it loses; None: nowhere
 
 
 def explained_records(
@@ -69,8 +70,9 @@ def explained_records(
     if RESIDUAL in spectrum.noise:
         weighed = LineProblem(prepare(model, spectrum, states=False), sign, (psi,), False)
         residual = weighed.y - _as_fitted(weighed, psi)
-        alone = noise_alone(spectrum, weighed.view.inputs_alone, residual)
-        quiet = replace(spectrum, covariance=diagonal_matrices(np.minimum(working_noise(spectrum), alone)))
+        share = share_without_misfit(spectrum, weighed.view.inputs_alone, residual)
+        variance = np.minimum(working_noise(spectrum), weighed.variance * share)
+        quiet = replace(spectrum, covariance=diagonal_matrices(variance))
     chosen = np.arange(quiet.lines)
     if quiet.lines > MOST_LINES:
         noise = np.maximum(working_noise(quiet), 1e-300)
@@ -102,30 +104,37 @@ def channels_in_time(
         if baseline.inputs[c] or not np.isfinite(fit.chi2):
             continue
         by_others = predicted(c, fit)
-        kind, phrase = _shown(whole, c, by_others)
-        yield Effect(kind, (channel.name,), as_is, phrase, found=fit)
-        share = 1 / np.count_nonzero(~baseline.inputs)
         fits = (by_others, predicted(c, baseline.as_is), as_fitted[:, c])
         beside = [each for each in fits if each is not None]
+        ends = [
+            [clipped_beyond(whole.spectrum, k, whole.y[:, c], each) for k in whole.spectrum.records]
+            for each in beside
+        ]
+        kind, phrase = _shown(whole, c, by_others, ends[0])
+        yield Effect(kind, (channel.name,), as_is, phrase, found=fit)
+        share = 1 / np.count_nonzero(~baseline.inputs)
         yield from _stepping(whole, chosen, c, beside, share)
-        yield from _clipping(whole, chosen, c, beside, share)
+        yield from _clipping(whole, chosen, c, ends, share)
 
 
-def _shown(whole: LineProblem | TimeProblem, c: int, predicted: Complex | None) -> tuple[str, Phrase]:
-    """The kind of error of channel c, against what all others make of it, in words."""
+def _shown(
+    whole: LineProblem | TimeProblem,
+    c: int,
+    predicted: Complex | None,
+    ends: Sequence[Clipped],
+) -> tuple[str, Phrase]:
+    """The kind of error of channel c, against what all others make of it, in words; ends: where it clips, by record."""
     name = whole.channels[c].name
     plain = "channel", Phrase(f"{name} {DISAGREES}", f"leave {name} out, or check its sensor and mounting")
     if predicted is None:
         return plain
     spectrum, y = whole.spectrum, whole.y[:, c]
     unit = channel_unit(whole.model, spectrum.channels[c])
-    for number in spectrum.records:
-        at, record = spectrum.in_time(number), spectrum.stretches[number]
-        assert isinstance(record, WholeRecord)
-        shown, should = at.history(y), at.history(predicted)
-        clipped = clipped_beyond(at, record.samples, y[at.lines], predicted[at.lines])
+    for number, clipped in zip(spectrum.records, ends, strict=True):
         if clipped is not None:
             return "saturation", limited(name, clipped[0], unit)
+        at = spectrum.in_time(number)
+        shown, should = at.history(y), at.history(predicted)
         gain = float(shown @ should / (should @ should)) if np.any(should) else 0.0
         zero = _wander(shown - gain * should, at.duration_s, unit)
         if zero is not None:
@@ -165,23 +174,17 @@ def _by_all_others(whole: LineProblem, c: int, fit: FittedProblem) -> Complex | 
 
 
 def _clipping(
-    whole: LineProblem | TimeProblem, chosen: Ints, c: int, predicted: Sequence[Complex], share: float
+    whole: LineProblem | TimeProblem, chosen: Ints, c: int, ends: Sequence[Sequence[Clipped]], share: float
 ) -> Iterator[Effect]:
-    """Channel c with what it loses beyond some level put back, by what each fit makes of it."""
-    spectrum, channel = whole.spectrum, whole.spectrum.channels[c]
-    for should in predicted:
-        lost, limits = np.zeros(whole.y.shape, dtype=np.complex128), []
-        for number in spectrum.records:
-            at, record = spectrum.in_time(number), spectrum.stretches[number]
-            assert isinstance(record, WholeRecord)
-            found = clipped_beyond(at, record.samples, whole.y[at.lines, c], should[at.lines])
-            if found is not None:
-                limits.append(found[0])
-                lost[at.lines, c] = found[1]
-        if limits:
-            words = limited(channel.name, limits[0], channel_unit(whole.model, channel))
+    """Channel c with what it loses beyond some level put back, by each fit that says where it ends in each record."""
+    channel = whole.spectrum.channels[c]
+    for by_record in ends:
+        if clipped := [each for each in by_record if each is not None]:
+            limit, lost = clipped[0][0], np.zeros(whole.y.shape, dtype=np.complex128)
+            lost[:, c] = sum(each[1] for each in clipped)
+            words = limited(channel.name, limit, channel_unit(whole.model, channel))
             act = partial(_without_part, lost[chosen])
-            yield Effect("saturation", (channel.name,), act, words, (limits[0],), more=3, share=share)
+            yield Effect("saturation", (channel.name,), act, words, (limit,), more=3, share=share)
 
 
 # A clock or a gain of one channel that steps: from some time on the channel shows what it should earlier or later, or

@@ -496,24 +496,22 @@ def _course(power: Real, told: bool = True) -> tuple[Real, Real]:
     return np.full(len(power), np.mean(power)), np.full(len(power), 2.0 * len(power))
 
 
-def noise_alone(spectrum: Spectrum, inputs: Bools, residual: Complex) -> Real:
-    """Variances (lines, channels) of the noise, without what follows the inputs (channels,) where residuals tell it.
+def share_without_misfit(spectrum: Spectrum, inputs: Bools, residual: Complex) -> Real:
+    """What share of the variances (lines, channels) is noise; less than 1 where residuals tell it and hold misfit.
 
-    What a linear rig lacks is a smooth response to the inputs, from line to line; noise is not.
+    What a linear rig lacks is a smooth response to the inputs (channels,), from line to line; noise is not.
     """
-    variance = np.diagonal(spectrum.covariance, axis1=-2, axis2=-1).real
-    sought = np.array([kind == RESIDUAL for kind in spectrum.noise])
+    sought, all_noise = np.array([kind == RESIDUAL for kind in spectrum.noise]), np.ones(residual.shape)
     if not np.any(sought):
-        return variance
+        return all_noise
     repeat = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=spectrum.covariance[None])
     share = _share_of_noise(repeat, sought, inputs, residual)
     if np.all(share == 1):
-        return variance
+        return all_noise
     power = np.abs(residual) ** 2
-    alone, all_left = (_smoothed(repeat, each, sought, ~inputs)[0] for each in (power * share, power))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        part = np.where(all_left > 0, np.minimum(alone / all_left, 1.0), 1.0)
-    return np.where(sought[:, None] & ~inputs, variance * part, variance)
+    alone, left = (_smoothed(repeat, each, sought, ~inputs)[0] for each in (power * share, power))
+    known = sought[:, None] & ~inputs & (left > 0)
+    return np.where(known, np.minimum(alone / np.where(left > 0, left, 1.0), 1.0), 1.0)
 
 
 def _share_of_noise(spectrum: Spectrum, sought: Bools, inputs: Bools, residual: Complex) -> Real:

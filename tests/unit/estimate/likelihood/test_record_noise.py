@@ -14,7 +14,7 @@ from dashpot.data.record import Record
 from dashpot.errors import UsageError
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
-from dashpot.estimate.likelihood.record_noise import noise_alone, with_record_noise
+from dashpot.estimate.likelihood.record_noise import share_without_misfit, with_record_noise
 from dashpot.model.elements import Kind
 from tests.record_draws import CASES
 from tests.whole_rigs import WholeTest, chain, record_of
@@ -59,7 +59,8 @@ def test_what_a_wrong_rig_leaves_is_no_noise() -> None:
         known, method = with_record_noise(rig, record, MaximumLikelihood())
         left = residuals_of(rig, known, identify(rig, known, method))
         inputs = np.array([channel.name == "u" for channel in record.channels])
-        alone = noise_alone(known, inputs, left.measured - left.predicted)
+        share = share_without_misfit(known, inputs, left.measured - left.predicted)
+        alone = np.diagonal(known.covariance, axis1=1, axis2=2).real * share
         size = np.sqrt(np.mean(alone * known.samples[:, None] / 4, axis=0))[:4]
         assert np.all(size > 0.9 * sd[:4])
         assert np.all(size < most * sd[:4])
