@@ -37,6 +37,6 @@ def test_a_reaction_is_the_sum_of_its_parts() -> None:
 
 @pytest.mark.long
 def test_intervals_cover_with_unknown_noise() -> None:
-    """3000 tests: the coverage is known to 0.4 % (one sd).  Taken for an input, F gave 78, 84 and 98 %."""
-    _, coverage = identified(REACTION, 3000, 21)
-    assert np.max(np.abs(coverage - 0.95)) < 0.012
+    """8000 tests: the coverage is known to 0.24 % (one sd).  Taken for an input, F gave 78, 84 and 98 %."""
+    _, coverage = identified(REACTION, 8000, 21)
+    assert np.max(np.abs(coverage - 0.95)) < 0.01

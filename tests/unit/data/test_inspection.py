@@ -126,7 +126,7 @@ def test_channels_of_data_without_a_rig(tmp_path: Path) -> None:
 
 def test_what_cannot_be_read_is_said(tmp_path):
     (tmp_path / "a.csv").write_bytes(b"\x00\x01\x02\x03")
-    with pytest.raises(DataError, match="format"):
+    with pytest.raises(DataError, match="its format is unknown"):
         inspect_file(tmp_path / "a.csv")
 
 

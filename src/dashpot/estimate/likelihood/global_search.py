@@ -322,9 +322,8 @@ def _by_equation(data: Prepared) -> Real:
     if states is None or data.model.differs or not isinstance(first, WholeRecord):
         return none
     order = first.orders(spectrum.frequency_hz[lines])
-    samples = min(
-        first.samples, 4 * (int(np.max(order)) + 1)
-    )  # windows of as many should last for some cycles
+    # No more samples than the lines ask for: windows of as many should last for some cycles
+    samples = min(first.samples, 4 * (int(np.max(order)) + 1))
     try:
         rig = decay_start(data.model, states, LinesInTime(lines, order, first.duration_s, samples))
     except (DashpotError, ValueError, np.linalg.LinAlgError):  # no number
