@@ -73,18 +73,21 @@ class Bench:
         shift: bool = False,
     ) -> Record:
         """Forces and accelerations, or displacements (`shift`), with noise of that share of each output's rms."""
-        n, inputs = len(self.damping), forces.shape[1]
-        A = np.block(
-            [
-                [np.zeros((n, n)), np.eye(n)],
-                [-np.diag(self.omega**2), -np.diag(2 * np.array(self.damping) * self.omega)],
-            ]
-        )
-        B = np.vstack([np.zeros((n, inputs)), self.shapes[:inputs].T])
-        C = np.hstack([self.shapes[: self.points], np.zeros((self.points, n))])
-        C, D = (C, np.zeros((self.points, inputs))) if shift else (C @ A @ A, C @ A @ B)
-        Ad, Bd, Cd, Dd, step = signal.cont2discrete((A, B, C, D), 1 / (RATE * FINER), method="foh")
-        _, y, _ = signal.dlsim((Ad, Bd, Cd, Dd, step), forces, x0=start)
+        inputs, time = forces.shape[1], np.arange(len(forces)) / (RATE * FINER)
+        motion = []
+        for k, (w, zeta) in enumerate(zip(self.omega, self.damping, strict=True)):
+            A, B = np.array([[0, 1], [-w * w, -2 * zeta * w]]), np.array([[0.0], [1.0]])
+            C, D = (np.eye(1, 2), [[0]]) if shift else (A[1:], [[1]])
+            exact = signal.cont2discrete((A, B, C, D), 1 / (RATE * FINER), method="foh")[:4]
+            (b,), a = signal.ss2tf(*exact)
+            q = signal.lfilter(b, a, forces @ self.shapes[:inputs, k])
+            if start is not None:
+                rate = w * (-zeta + 1j * np.sqrt(1 - zeta**2))
+                place, speed = start[k], start[len(self.damping) + k]
+                free = (place + 1j * (rate.real * place - speed) / rate.imag) * np.exp(rate * time)
+                q = q + (free * rate ** (0 if shift else 2)).real
+            motion.append(q)
+        y = np.column_stack(motion) @ self.shapes[: self.points].T
         y = y[::FINER]
         y = y + noise * np.std(y, axis=0) * rng.standard_normal(y.shape)
         kind, letter = (Quantity.DISPLACEMENT, "x") if shift else (Quantity.ACCELERATION, "a")
