@@ -3,7 +3,9 @@
 The forces are computed here, from the laws' formulas on a grid sixteen times as fine as the samples.
 """
 
+import math
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -62,17 +64,17 @@ def rated(rate: Callable[[float, float], float], v: Real) -> Real:
 
 def bouc_wen(d: Real, v: Real, p: dict[str, float]) -> Real:
     gamma, delta = p["q.gamma"], p["q.delta"]
-    return rated(lambda z, v: v - (gamma * abs(v) * np.sign(z) + delta * v) * abs(z), v)
+    return rated(lambda z, v: v - gamma * abs(v) * z - delta * v * abs(z), v)
 
 
 def bristle(p: dict[str, float]) -> Callable[[float, float], float]:
     slip, ratio, vs = p["q.slip"], p["q.ratio"], p["q.vs"]
-    return lambda z, v: v - abs(v) * z / (slip * (1 + (ratio - 1) * np.exp(-((v / vs) ** 2))))
+    return lambda z, v: v - abs(v) * z / (slip * (1 + (ratio - 1) * math.exp(-((v / vs) ** 2))))
 
 
 def lugre(d: Real, v: Real, p: dict[str, float]) -> Real:
     z = rated(bristle(p), v)
-    return z + p["q.tau"] * np.array([bristle(p)(*each) for each in zip(z, v, strict=True)])
+    return z + p["q.tau"] * np.array(list(map(bristle(p), z.tolist(), v.tolist())))
 
 
 def stribeck(d: Real, v: Real, p: dict[str, float]) -> Real:
@@ -132,25 +134,33 @@ def stand(law: str) -> tuple[dashpot.Rig, dict[str, float]]:
     return dashpot.parse_rig(rig), truth | {"c": 100.0} | ({} if law == "bilinear" else {"k": 2e4})
 
 
-def record(
-    law: str, truth: dict[str, float], u: Callable[[Real], Real], seconds: float, rng: np.random.Generator
-):
-    """Columns of a record, or of a dwell without what comes before its last second's worth of periods."""
+def motion(
+    law: str, truth: dict[str, float], u: Callable[[Real], Real], seconds: float
+) -> tuple[Real, Real, Real]:
+    """Instants of the samples, u and its force there."""
     time = np.arange(int(seconds * RATE) * FINE) / (RATE * FINE)
     d = u(time)
     v = (u(time + 1e-6) - u(time - 1e-6)) / 2e-6
     force = truth.get("k", 0.0) * d + truth["c"] * v + truth["q"] * LAWS[law][0](d, v, truth)
-    F = force[::FINE]
-    noisy = F + FORCE_NOISE * np.sqrt(np.mean(F**2)) * rng.standard_normal(len(F))
-    return {"time_s": time[::FINE], "u": 1e3 * d[::FINE], "F": noisy}
+    return time[::FINE], d[::FINE], force[::FINE]
+
+
+def noisy(time: Real, d: Real, F: Real, rng: np.random.Generator) -> dict[str, Real]:
+    noise = FORCE_NOISE * np.sqrt(np.mean(F**2)) * rng.standard_normal(len(F))
+    return {"time_s": time, "u": 1e3 * d, "F": F + noise}
+
+
+@cache
+def dwell(law: str, truth: tuple[tuple[str, float], ...], amplitude: float, frequency: float):
+    turn = 2 * np.pi * frequency
+    return motion(law, dict(truth), lambda t: amplitude * np.sin(turn * t), 1.5)
 
 
 def dwells(law: str, truth: dict[str, float], rng: np.random.Generator):
     made = []
     for amplitude in (0.5e-3, 1e-3, 2e-3):
         for frequency in (2.0, 5.0, 10.0):
-            turn = 2 * np.pi * frequency
-            columns = record(law, truth, lambda t, a=amplitude, w=turn: a * np.sin(w * t), 1.5, rng)
+            columns = noisy(*dwell(law, tuple(truth.items()), amplitude, frequency), rng)
             settled = columns["time_s"] >= 0.5
             made.append({name: values[settled] for name, values in columns.items()})
             made[-1]["frequency_hz"] = np.full(int(np.sum(settled)), frequency)
@@ -165,7 +175,7 @@ def wide(law: str, truth: dict[str, float], rng: np.random.Generator):
             4e-4 * np.sin(2 * np.pi * f * t + p) / np.sqrt(f) for f, p in zip(tones, phases, strict=True)
         )
 
-    return record(law, truth, u, 4.0, rng)
+    return noisy(*motion(law, truth, u, 4.0), rng)
 
 
 def standardised(law: str, kind: str, seed: int) -> Real:
