@@ -6,6 +6,7 @@ The forces are computed here, from the laws' formulas on a grid sixteen times as
 import math
 from collections.abc import Callable
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -36,21 +37,18 @@ SPRING = 'k = { between = ["u", "ground"] }\n'
 Force = Callable[[Real, Real, dict[str, float]], Real]
 
 
-def stop(d: Real, width: float) -> Real:
-    z, states, before = 0.0, [], d[0]
-    for now in d.tolist():
-        z = min(max(z + now - before, -width), width)
-        before = now
-        states.append(z)
-    return np.array(states)
+def stop(d: Real, width: float, z: float = 0.0) -> Real:
+    """The elongation d, held within the width by sliding: between two turns it is cut once."""
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(d)))) + 1
+    states = np.empty(len(d))
+    for begin, end in pairwise([0, *turns.tolist(), len(d) - 1]):
+        states[begin : end + 1] = np.clip(z + d[begin : end + 1] - d[begin], -width, width)
+        z = states[end]
+    return states
 
 
 def play(d: Real, width: float) -> Real:
-    z, states = 0.0, []
-    for now in d.tolist():
-        z = min(max(z, now - width), now + width)
-        states.append(z)
-    return np.array(states)
+    return d - stop(d, width, float(np.clip(d[0], -width, width)))
 
 
 def rated(rate: Callable[[float, float], float], v: Real) -> Real:

@@ -88,8 +88,9 @@ def shaking(rng: np.random.Generator, t: Real) -> Real:
     """Random motion up to 20 Hz of unit power while the sensors are together."""
     count = 300
     f, X = rng.uniform(0.3, 20.0, count), rng.normal(size=count) + 1j * rng.normal(size=count)
-    moved = sum(np.real(x * np.exp(2j * np.pi * each * t)) for x, each in zip(X, f, strict=True))
-    return np.where(t < TOGETHER, moved / np.sqrt(count), 0.0)
+    shaken, moved = t < TOGETHER, np.zeros(len(t))
+    moved[shaken] = np.real(np.exp(2j * np.pi * t[shaken, None] * f) @ X) / np.sqrt(count)
+    return moved
 
 
 def draw(folder: Path, chain: Chain, rng: np.random.Generator, loud: float, noise: float) -> Path:

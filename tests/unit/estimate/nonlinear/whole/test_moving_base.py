@@ -4,6 +4,7 @@ The base starts anywhere and at any velocity, and its sensor adds a constant.
 """
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -63,14 +64,12 @@ def rig(
     return Model(("x1", "x2"), (Input("u"),), tuple(elements)), truth
 
 
-def recorded(
-    shown: str, law: str = "cubic", *, samples: int = 600, seed: int = 0, grounded: bool = False,
-    start: tuple[float, float] | None = (0.01, 0.03), bias: float = 0.2, velocity: bool = False,
-    noise: float = 0.0, base_noise: float = 0.0, draw: int = 0,
-) -> Record:  # fmt: skip
-    """Channels "x1 x2 …" of the motion by SciPy, and the base's sensor; start: base and rig move so; None: as tones."""
-    rng, draws = np.random.default_rng(seed), np.random.default_rng(draw)
-    time = np.arange(samples) / RATE
+@cache
+def moved(
+    law: str, samples: int, seed: int, grounded: bool, start: tuple[float, float] | None, velocity: bool
+) -> tuple[Real, dict[str, Real], Real]:
+    """Instants, columns of the motion by SciPy, and what the base's sensor ought to show."""
+    rng, time = np.random.default_rng(seed), np.arange(samples) / RATE
     omega, phase = 2 * np.pi * rng.uniform(1, 15, 30), rng.uniform(0, 6.3, 30)
     angle = omega * time[:, None] + phase
     if velocity:
@@ -95,12 +94,22 @@ def recorded(
     u = u0 + v0 * time + place(time)
     a = np.array([rates(t, state)[2:] for t, state in zip(time, s.T, strict=True)]).T
     columns = {"x1": s[0], "x2": s[1], "r1": s[0] - u, "r2": s[1] - u, "a1": a[0], "a2": a[1]}
+    return time, columns, rate(time) if velocity else bend(time)
+
+
+def recorded(
+    shown: str, law: str = "cubic", *, samples: int = 600, seed: int = 0, grounded: bool = False,
+    start: tuple[float, float] | None = (0.01, 0.03), bias: float = 0.2, velocity: bool = False,
+    noise: float = 0.0, base_noise: float = 0.0, draw: int = 0,
+) -> Record:  # fmt: skip
+    """Channels "x1 x2 …" and the base's sensor; start: base and rig move so; None: as tones."""
+    time, columns, base_shown = moved(law, samples, seed, grounded, start, velocity)
     names = shown.split()
-    values = np.column_stack([*(columns[name] for name in names), rate(time) if velocity else bend(time)])
+    values = np.column_stack([*(columns[name] for name in names), base_shown])
     sd = np.array([*[noise] * len(names), base_noise]) * np.std(values, axis=0)
     values[:, -1] += bias
     base = Channel("u", {"u": 1.0}, Quantity.VELOCITY if velocity else Quantity.ACCELERATION)
-    noisy = values + sd * draws.standard_normal(values.shape)
+    noisy = values + sd * np.random.default_rng(draw).standard_normal(values.shape)
     return Record((*(CHANNELS[name] for name in names), base), time, noisy)
 
 
