@@ -171,6 +171,7 @@ def _require_within_limits(
     assert found.loss >= -1e-6
 
 
+@pytest.mark.long
 def test_robust_beats_nominal_robust() -> None:
     """±30 % in everything: the worst case is better, as another search with more draws finds it.
 

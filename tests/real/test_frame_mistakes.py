@@ -14,7 +14,8 @@ from tests.real.recordings import EXAMPLES
 EXAMPLE = EXAMPLES / "02_shake_table"
 
 
-@pytest.mark.parametrize("rig_file", ["rig.toml", pytest.param("rig_bending.toml", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("rig_file", ["rig.toml", "rig_bending.toml"])
 def test_the_late_sensor_is_named_first(rig_file: str) -> None:
     """The clock of x3 is 1.77 ms late by free vibration; the chain is wrong by eleven times the noise beside that."""
     rig = read_rig(EXAMPLE / rig_file)

@@ -79,6 +79,7 @@ def test_amplitudes_at_the_shakers_limits_come_true() -> None:
     assert np.std(values, axis=0) == pytest.approx(found.predicted.relative, rel=0.04)
 
 
+@pytest.mark.long
 def test_next_best_dwells_against_a_uniform_sweep() -> None:
     """From a poor first test to 1 % of all eight parameters: about half the samples.
 

@@ -45,7 +45,7 @@ def modal_test(rig: Rig, points: int, rng: np.random.Generator) -> ModalData | N
 
 @pytest.mark.parametrize(
     ("n", "points"),
-    [(3, 3), (3, 2), pytest.param(4, 3, marks=pytest.mark.long)],
+    [(3, 3), *(pytest.param(*each, marks=pytest.mark.long) for each in ((3, 2), (4, 3)))],
     ids=["all-of-3", "2-of-3", "3-of-4"],
 )
 def test_parameters_and_intervals_without_guesses(n: int, points: int) -> None:

@@ -63,6 +63,7 @@ def test_data_of_all_give_one_estimate(measured: Command) -> None:
     assert plan.code == 0, plan.err
 
 
+@pytest.mark.long
 def test_a_mistake_in_one_of_them_is_mended_in_its_section(measured: Command) -> None:
     text = Path("added.csv").read_text().splitlines()
     head, rows = text[0], [row.split(",") for row in text[1:]]

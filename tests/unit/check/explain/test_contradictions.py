@@ -47,7 +47,7 @@ def in_two(f: Real, y: Complex) -> Complex:
     [
         (filtered, "filter", lambda f, y: 0.7 * np.max(f)),
         pytest.param(coupled, "filter", lambda f, y: 0.5 * np.min(f), marks=pytest.mark.long),
-        (limited, "saturation", lambda f, y: 0.4 * np.max(np.abs(y))),
+        pytest.param(limited, "saturation", lambda f, y: 0.4 * np.max(np.abs(y)), marks=pytest.mark.long),
         (in_two, "gain", lambda f, y: 1.25),
     ],
 )

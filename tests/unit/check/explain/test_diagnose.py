@@ -84,6 +84,7 @@ def test_no_listed_cause_is_certain_that_leaves_a_good_part_of_the_misfit() -> N
     assert all(each.odds < 0.9 for each in findings if each.explains < 0.95 and each.kind != "unexplained")
 
 
+@pytest.mark.long
 def test_a_missing_damper_is_found_though_the_fit_without_it_has_a_negative_mass():
     """From there every damper leads to another minimum than that of the true rig, and the wrong one is the lowest."""
     thrown = rigs.plain_rig(np.random.default_rng(0), 4)
@@ -127,7 +128,13 @@ def test_the_change_mends_the_fit():
     assert "sign = -1" in finding.change
 
 
-@pytest.mark.parametrize("mistake", ["another derivative", "g for m/s²", "sign of the input"])
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        "another derivative",
+        *(pytest.param(x, marks=pytest.mark.long) for x in ("g for m/s²", "sign of the input")),
+    ],
+)
 def test_the_change_of_a_channel_mends_the_fit_as_it_is_written(mistake):
     """A velocity for a displacement had been named rightly, with "gain = -1" as the line to write."""
     rng = np.random.default_rng(4)
@@ -212,6 +219,7 @@ def seen_at_three_of_four(rng: np.random.Generator) -> tuple[Model, Spectrum]:
     return rig.model, rigs.noisy(rig, seen, rigs.covariance(rig, seen, 0.01, inputs=0.01), rng)
 
 
+@pytest.mark.long
 def test_phases_the_other_way_are_named_where_not_all_motion_is_seen():
     """From the rig of the phases as they are nothing leads to the right one."""
     rng = np.random.default_rng(19)
@@ -407,6 +415,7 @@ def test_of_two_signs_that_fit_alike_the_one_with_a_rig_that_can_be_built_leads(
         assert (first.kind, first.of) == ("sign", ("theta_l",))
 
 
+@pytest.mark.long
 def test_the_verdict_of_a_record_tells_the_story_of_its_causes() -> None:
     """A missing damper under a sweep reads as a gain that changes: it once led, with a remedy of its own."""
     model, theta = chain(2, 0.03, base=True, seed=2)

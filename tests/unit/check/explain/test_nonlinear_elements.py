@@ -132,6 +132,7 @@ def test_harmonics_that_are_mostly_noise_do_not_silence_the_channels_that_show_t
     assert words in first.text
 
 
+@pytest.mark.long
 def test_beside_one_wrong_dwell_no_candidate_is_sought_that_the_equation_of_motion_does_not_show(monkeypatch):
     """The first mode's dwell is flipped, where a nonlinear element would show as well; six fits took 6 s."""
     fits = []

@@ -79,6 +79,7 @@ def test_an_identification_ends_at_once_with_the_line_to_write() -> None:
     assert "sign = -1.0" in cause.cure
 
 
+@pytest.mark.long
 def test_a_channel_that_is_wrong_in_one_of_several_records_is_named_with_that_record() -> None:
     """Turned when the sensor was mounted again: only the first record was looked at."""
     model, _, data = record("cubic", SEEN, noise=0.01)

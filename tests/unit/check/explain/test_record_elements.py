@@ -107,6 +107,7 @@ def test_the_element_that_a_whole_record_calls_for_is_named_first(name: str) -> 
     assert words in named[short]
 
 
+@pytest.mark.long
 def test_friction_below_zero_is_damping_that_grows_with_speed_and_the_line_says_so() -> None:
     """Less damping at low speeds than at high ones had been written as a Coulomb damper with a negative guess."""
     findings = nonlinear(fitted(recorded(lambda d, v: 4 * v - 0.1 * np.tanh(v / 0.004), noise=0.003)))
@@ -177,6 +178,7 @@ def frame(folder: Path, old: str, new: str) -> Rig:
     return read_rig(folder / "rig.toml")
 
 
+@pytest.mark.long
 def test_a_wrong_mass_is_named_first_though_no_noise_is_known(quake: Path) -> None:
     """It was "x1 reads 0.743 × as much after 11.24 s": lines without transients left too much of the misfit."""
     rows = (quake / "quake.csv").read_text(encoding="utf-8").splitlines(keepends=True)
