@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import dashpot
-from dashpot.arrays import Real
+from dashpot.arrays import Bools, Real
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the stands of the tests
 from tests.recovery import test_damper_stands as stands
@@ -291,20 +291,19 @@ def main() -> None:
     kinds = [
         kind for kind in kinds if not given.only or any(kind.startswith(o) for o in given.only.split(";"))
     ]
-    found: dict[str, list[Real | None]] = {kind: [] for kind in kinds}
+    found: dict[str, list[Found | None]] = {kind: [] for kind in kinds}
     spent = dict.fromkeys(kinds, 0.0)
     begun = time.process_time()
     for drawn in draws(kinds, given.seed):
         if time.process_time() - begun > given.seconds:
             break
         start = time.process_time()
-        z, why = _standardised(drawn)
+        one, why = _found(drawn)
         spent[drawn.kind] += time.process_time() - start
-        found[drawn.kind].append(z)
+        found[drawn.kind].append(one)
         if given.verbose:
-            worst = "" if z is None else f"{np.max(np.abs(z)):.1f}"
-            lost = "lost " if z is None or np.max(np.abs(z)) > 6 else ""
-            print(f"{drawn.kind} {drawn.rig.model.n} {lost}{worst} {why}", flush=True)
+            worst = "" if one is None else f"{np.max(np.abs(one.z)):.1f}"
+            print(f"{drawn.kind} {drawn.rig.model.n} {'lost ' * _lost(one)}{worst} {why}", flush=True)
     print("| kind | draws | lost | held, % | rms of error/sd | s each |")
     print("|---|---|---|---|---|---|")
     for kind in kinds:
@@ -313,27 +312,47 @@ def main() -> None:
         mine = [kind for kind in kinds if kind.startswith(place)]
         if mine:
             _told(
-                f"{place}, all", [z for kind in mine for z in found[kind]], sum(spent[kind] for kind in mine)
+                f"{place}, all",
+                [one for kind in mine for one in found[kind]],
+                sum(spent[kind] for kind in mine),
             )
 
 
-def _standardised(drawn: Drawn) -> tuple[Real | None, str]:
-    """(estimate − truth)/sd of every unknown; None where there is no converged estimate, and why."""
+@dataclass(frozen=True)
+class Found:
+    """(estimate − truth)/sd of every unknown, and whether its 95 % interval holds the truth, (unknowns,) each."""
+
+    z: Real
+    held: Bools
+
+
+def _found(drawn: Drawn) -> tuple[Found | None, str]:
+    """None where there is no converged estimate, and why."""
     try:
         estimate = drawn.rig.identify(drawn.data, judge=False)
     except dashpot.DashpotError as error:
         return None, str(error)
     if not bool(estimate.converged):
         return None, "not converged"
-    return np.array([(estimate[n].value - value) / estimate[n].sd for n, value in drawn.truth.items()]), ""
+    pairs = [(estimate[name], value) for name, value in drawn.truth.items()]
+    z = [(one.value - value) / one.sd for one, value in pairs]
+    held = [one.interval95[0] <= value <= one.interval95[1] for one, value in pairs]
+    return Found(np.array(z), np.array(held)), ""
 
 
-def _told(kind: str, found: list[Real | None], seconds: float) -> None:
-    there = [z for z in found if z is not None]
-    lost = sum(z is None or bool(np.max(np.abs(z)) > 6) for z in found)
-    z = np.concatenate(there) if there else np.array([np.nan])
-    held, rms = 100 * np.mean(np.abs(z) < 1.96), np.sqrt(np.mean(np.minimum(np.abs(z), 6) ** 2))
-    print(f"| {kind} | {len(found)} | {lost} | {held:.1f} | {rms:.2f} | {seconds / max(len(found), 1):.1f} |")
+def _lost(one: Found | None) -> bool:
+    """Whether there is no estimate, or one that its interval does not help, beyond 6 standard deviations."""
+    return one is None or bool(np.any((np.abs(one.z) > 6) & ~one.held))
+
+
+def _told(kind: str, found: list[Found | None], seconds: float) -> None:
+    lost = sum(_lost(one) for one in found)
+    shares = np.array([np.mean(one.held) for one in found if one is not None])
+    z = np.concatenate([one.z for one in found if one is not None] or [np.array([np.nan])])
+    held, rms = 100 * np.mean(shares), np.sqrt(np.mean(np.minimum(np.abs(z), 6) ** 2))
+    spread = 100 * np.std(shares) / np.sqrt(max(len(shares), 1))
+    told = f"| {kind} | {len(found)} | {lost} | {held:.1f} ± {spread:.1f} | {rms:.2f} |"
+    print(f"{told} {seconds / max(len(found), 1):.1f} |")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ finds and leaves out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -607,16 +607,8 @@ class RecordProblem:
         self, psi: Real, limits: tuple[Real, Real] | None = None, limit: int = 60, tolerance: float = 1e-4
     ) -> OptimizeResult:
         """The least misfit from ψ (M,) on, within the `limits` or the `bounds` there, (M,) each."""
-        lower, upper = self.bounds(psi) if limits is None else limits
-        return minimise(
-            lambda x, _: self.quadratic(x),
-            psi[None],
-            limit=limit,
-            tolerance=tolerance,
-            lower=lower,
-            upper=upper,
-            patience=limit,
-        )
+        limits = self.bounds(psi) if limits is None else limits
+        return descended(self.model, self.quadratic, psi, limits, limit, tolerance)
 
     def linearised(self, k: int, psi: Real) -> LinearisedRecord | None:
         """A record around ψ (M,), its inputs at their likeliest values there; None if no motion follows.
@@ -651,8 +643,44 @@ class RecordProblem:
 def bounds_near(model: Model, theta: Real) -> tuple[Real, Real]:
     """Of θ (unknowns,); lengths and speeds inside laws stay above 0, where laws would divide by them."""
     lower, upper = bounds_of(model.unknowns)
-    lengths = np.any(model.constants_map[0][must_be_positive(model)] > 0, axis=0)
-    return np.where(lengths, np.maximum(lower, 1e-6 * np.abs(theta)), lower), upper
+    return np.where(_lengths(model), np.maximum(lower, 1e-6 * np.abs(theta)), lower), upper
+
+
+def _lengths(model: Model) -> Bools:
+    """Which θ are lengths and speeds inside laws, (unknowns,)."""
+    return np.any(model.constants_map[0][must_be_positive(model)] > 0, axis=0)
+
+
+def descended(
+    model: Model,
+    evaluate: Callable[[Real], QuadraticModel],
+    psi: Real,
+    limits: tuple[Real, Real],
+    limit: int,
+    tolerance: float,
+) -> OptimizeResult:
+    """The least cost from ψ (M,) on, which begins with θ, within limits (M,) each, in `limit` iterations.
+
+    Lengths and speeds inside laws come down tenfold at a time: a step straight to 0 ends where the cost no longer
+    depends on them.
+    """
+    lower, upper = limits
+    lengths, iterations = np.zeros(len(psi), dtype=bool), 0
+    lengths[: len(model.unknowns)] = _lengths(model)
+    while True:
+        low = np.where(lengths, np.maximum(lower, 0.1 * psi), lower)
+        end = minimise(
+            lambda x, _: evaluate(x),
+            psi[None],
+            limit=limit - iterations,
+            tolerance=tolerance,
+            lower=low,
+            upper=upper,
+            patience=limit,
+        )
+        psi, iterations = end.x[0], iterations + int(end.iterations[0])
+        if iterations >= limit or not np.any((psi <= low) & (low > lower)):
+            return replace(end, iterations=np.array([iterations]))
 
 
 def begun_problem(

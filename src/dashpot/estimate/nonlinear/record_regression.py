@@ -20,14 +20,14 @@ from dashpot.data.noise import white_floor, without_leakage
 from dashpot.data.spectrum import LinesInTime
 from dashpot.errors import DataError
 from dashpot.estimate.inference.diagnostics import require_traces
-from dashpot.estimate.nonlinear.record_problem import bounds_near, known_inputs
+from dashpot.estimate.nonlinear.record_problem import bounds_near, descended, known_inputs
 from dashpot.estimate.nonlinear.records import RecordData, RecordedMotion, recorded_motion
 from dashpot.estimate.nonlinear.regression import require_finite_laws
 from dashpot.estimate.nonlinear.search import KEPT, constants_to_try, theta_of
 from dashpot.estimate.preparation import States
 from dashpot.model.network import Model
 from dashpot.model.nonlinear.alternating import operated_states, rated_states
-from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
+from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel
 from dashpot.numerics.small_systems import solve_scaled
 
 FAR = 10.0  # times the largest elongation: states that go there do not settle
@@ -167,7 +167,8 @@ class WeakEquations:
     windows, elements): weak unit forces of the linear elements; right (pieces, windows, equations): of f; noise
     (elements + equations, the same): covariance of white noise in a sample of the elongations and of f.
     products (3, 3, windows, windows): of the windows and their derivatives.  free: which θ are parameters.
-    whitener (equations · windows, the same): what makes the noise of the equations of a piece white.
+    whitener (equations · windows, the same): what makes the noise of the equations of a piece white; error likewise:
+    covariance of what they are off by beside that noise.
     """
 
     form: WeakForm
@@ -178,6 +179,7 @@ class WeakEquations:
     products: Real
     free: Bools
     whitener: Real
+    error: Real | float = 0.0
 
     def fitted(self, constants: Real) -> tuple[Real, float]:
         """(unknown parameters and constant forces, squared residual) of least squares at inner constants (G,).
@@ -208,6 +210,11 @@ class WeakEquations:
         unit = self._unit(model.inner_constants(theta))
         return replace(self, whitener=self._whitener_at(model.parameters(theta), unit))
 
+    def erring(self, share: float) -> WeakEquations:
+        """The same with an error of the equations themselves, whose variance is a share of what they are weighed by."""
+        root = np.linalg.inv(self.whitener)
+        return replace(self, error=share * root @ root.T)
+
     def with_noisy_columns(self, psi: Real) -> OptimizeResult:
         """The likeliest θ and constant forces, ψ (unknowns + forces,), from a start: the motion's noise is in A too.
 
@@ -219,15 +226,8 @@ class WeakEquations:
         stated = model.prior_precision > 0
         lower, upper = np.where(stated, model.prior_mean, lower), np.where(stated, model.prior_mean, upper)
         open_ = np.full(len(psi) - len(lower), np.inf)
-        return minimise(
-            lambda x, _: self._quadratic(x[0]),
-            psi[None],
-            limit=60,
-            tolerance=0.01,
-            lower=np.append(lower, -open_),
-            upper=np.append(upper, open_),
-            patience=60,
-        )
+        limits = np.append(lower, -open_), np.append(upper, open_)
+        return descended(model, lambda x: self._quadratic(x[0]), psi, limits, 60, 0.01)
 
     def _quadratic(self, psi: Real) -> QuadraticModel:
         model, form = self.form.model, self.form
@@ -294,7 +294,7 @@ class WeakEquations:
         size = len(carried[0]) * len(self.products[0, 0])
         C = np.einsum("klij,klwv->iwjv", between, self.products).reshape(size, size)
         rounding = EXACT * np.mean(np.diagonal(C)) * np.eye(size)
-        whitener: Real = np.linalg.inv(np.linalg.cholesky(C + rounding))
+        whitener: Real = np.linalg.inv(np.linalg.cholesky(C + self.error + rounding))
         return whitener
 
     def _constant_forces(self) -> Real:
@@ -439,7 +439,7 @@ def _equations(model: Model, record: RecordData, open_names: Sequence[str]) -> W
 def _valleys(equations: WeakEquations) -> list[Real]:
     """Unknowns (unknowns,) of the least residual in each valley near the best of a grid, the deepest first.
 
-    Noise in the columns fills valleys of least squares and moves them; what leaves twice the least or more is none.
+    Noise in the columns fills valleys of least squares and moves them; 1.5 times the least is none.
     """
     model, grid = equations.form.model, equations.form.constants_to_try()
 
@@ -452,8 +452,11 @@ def _valleys(equations: WeakEquations) -> list[Real]:
 
         found = []
         for constants in sorted(grid, key=residual)[:KEPT]:
-            p, free = equations.fitted(constants)[0], int(np.sum(equations.free))
-            end = equations.with_noisy_columns(np.append(theta_of(model, constants, p[:free]), p[free:]))
+            (p, left), free = equations.fitted(constants), int(np.sum(equations.free))
+            psi = np.append(theta_of(model, constants, p[:free]), p[free:])
+            # What constants of the grid leave is no noise of the motion, which would follow it into large parameters.
+            psi = equations.erring(left / equations.right.size).with_noisy_columns(psi).x[0]
+            end = equations.with_noisy_columns(psi)
             found.append((end.x[0][: len(model.unknowns)], float(end.cost[0])))
         return found
 
@@ -465,6 +468,6 @@ def _valleys(equations: WeakEquations) -> list[Real]:
     valleys: list[Real] = []
     for k in np.argsort(left, kind="stable"):
         apart = all(np.any(np.abs(ends[k][0] - other) > 0.1 * np.abs(other)) for other in valleys)
-        if not valleys or (apart and left[k] < 2 * np.min(left) and len(valleys) < KEPT):
+        if not valleys or (apart and left[k] < 1.5 * np.min(left) and len(valleys) < KEPT):
             valleys.append(ends[k][0])
     return valleys

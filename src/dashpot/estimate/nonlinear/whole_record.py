@@ -19,7 +19,13 @@ from dashpot.data.noise import Still, smoothed
 from dashpot.data.record import Record
 from dashpot.errors import ConvergenceError, DataError, UsageError
 from dashpot.estimate.inference.diagnostics import held as of_bounds
-from dashpot.estimate.inference.diagnostics import require_determined, require_traces, unseen_laws
+from dashpot.estimate.inference.diagnostics import (
+    of_one_sign,
+    require_determined,
+    require_traces,
+    unseen_laws,
+)
+from dashpot.estimate.likelihood.global_search import DOUBT, rival_notice
 from dashpot.estimate.likelihood.record_noise import counted_as_exact
 from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.nonlinear.input_levels import (
@@ -171,6 +177,7 @@ class FittedRecords:
     """Where the search over whole records ended: ψ (M,) of the problem, θ after each round, bounds.
 
     noise: of the inputs, None where they show none or are `held` at what was measured, whose errors defy reckoning.
+    rivals: other minima, ψ (M,) and by how much χ² is higher there.
     """
 
     problem: RecordProblem
@@ -181,6 +188,7 @@ class FittedRecords:
     limits: tuple[Real, Real]
     noise: InputSizes | None = None
     held: bool = False
+    rivals: tuple[tuple[Real, float], ...] = ()
 
     def estimate(self) -> Estimate:
         """Values with intervals that count the colour of the residuals.  Raises DataError and IdentifiabilityError."""
@@ -217,6 +225,8 @@ class FittedRecords:
             )
             warnings.append(Notice("exact_inputs", text, tuple(source.name for source in model.inputs)))
         warnings += of_bounds(names, values, bounds)
+        others = [(end[:inner], rise) for end, rise in self.rivals]
+        warnings += rival_notice(unknowns, values, np.sqrt(np.diagonal(covariance)), others, 1.0)
         if problem.pieces > 1:
             cut = "the response is too sensitive to its initial state for one simulation"
             warnings.append(Notice(CUT_RECORD, f"{cut}: the record was split into {problem.pieces} segments"))
@@ -343,6 +353,7 @@ def _input_notes(problem: RecordProblem, noise: InputSizes) -> list[Notice]:
     return notices
 
 
+ROUGH = 10.0  # times the doubt between minima: what a rough search may still be above its own
 FIRST_NOISE = 0.01  # of a channel's rms: its noise before anything is known
 EXACT = 1e-6  # of a channel's rms: residuals below it count no less
 HALVINGS = 6  # of the integration's steps, at most
@@ -390,7 +401,7 @@ def fit_records(
             "the records have different channels", cure="identify records with the same channels together"
         )
     data = data if exact_inputs else steadied(model, data)
-    problem, psi = _begun(model, data)
+    problem, psi, others = _of_valleys(model, data)
     at_rest = None if still is None else noise_of_channels(model, records[0], still)
     if not exact_inputs:
         # Where noise of bases carries the rig far from where it was, the true inputs are unknown from the first.
@@ -402,6 +413,7 @@ def fit_records(
             if ended.noise is not None:
                 return _refined(ended)
     ended = _with_exact_inputs(problem, psi, progress)
+    ended = replace(ended, rivals=tuple(_risen(ended, other) for other in others))
     if ended.converged and not exact_inputs:
         ended = _with_true_inputs(ended, data, at_rest)
     return _refined(ended)
@@ -457,35 +469,60 @@ def _with_true_inputs(
 # Starts
 
 
-def _begun(
-    model: Model,
-    records: tuple[RecordData, ...],
-    values: Real | None = None,
-    free: RecordConstants | None = None,
-) -> tuple[RecordProblem, Real]:
-    """The problem and where its search starts: at θ (unknowns,), or where the motion itself suggests.
-
-    free: which constants of the records are unknown; those that can be found where it is not given.
-    """
-    thetas = valley_starts(model, records) if values is None else [values]
-    sd = np.sqrt(np.mean(np.concatenate([record.outputs for record in records]) ** 2, axis=0))
-    sd = np.where(sd > 0, FIRST_NOISE * sd, 1.0)
-    gains = [1.0 if gain.nominal is None else gain.nominal for gain in records[0].gains]
-    begun = list[tuple[RecordProblem, Real]]()
+def _of_valleys(model: Model, records: tuple[RecordData, ...]) -> tuple[RecordProblem, Real, list[Real]]:
+    """The problem, ψ (M,) where its search starts, and other ψ that fit almost as well, roughly."""
+    thetas, begun = valley_starts(model, records), list[tuple[RecordProblem, Real]]()
     for theta in thetas:
         try:
-            problem, own = begun_problem(model, records, theta, sd, free)
+            begun.append(_begun(model, records, theta))
         except ConvergenceError:  # too fast a rig to integrate
             if theta is thetas[-1] and not begun:
                 raise
-            continue
-        offsets = np.zeros(len(problem.constants.offsets))
-        begun.append((problem, np.concatenate([theta, gains, offsets, own])))
     if len(begun) == 1:
-        return begun[0]
-    ends = [problem.descend(psi, limit=12, tolerance=0.1) for problem, psi in begun]  # roughly
-    best = int(np.argmin([end.cost[0] for end in ends]))
-    return begun[best][0], ends[best].x[0]
+        return *begun[0], []
+    ends = list[tuple[float, RecordProblem, OptimizeResult]]()
+    for problem, psi in begun:
+        # The states at the start first: what they are off by would else draw the laws with it.
+        lower, upper = problem.bounds(psi)
+        inner = np.arange(len(psi)) < problem.inner
+        psi = problem.descend(psi, (np.where(inner, psi, lower), np.where(inner, psi, upper)), 3, 0.1).x[0]
+        end = problem.descend(psi, limit=12, tolerance=0.1)
+        ends.append((float(end.cost[0]), problem, end))
+    # Of χ², whose scale the least misfit tells
+    doubt = min(cost for cost, _, _ in ends) * DOUBT / total_samples(records)
+    near = [each for each in ends if each[0] <= min(cost for cost, _, _ in ends) + ROUGH * doubt]
+    positive = np.flatnonzero(of_one_sign(model))
+    ranked = list[tuple[float, RecordProblem, Real]]()
+    for cost, problem, end in near:
+        if len(near) > 1 and not end.converged[0]:
+            end = problem.descend(end.x[0], tolerance=0.1)
+            cost = float(end.cost[0])
+        # What cannot be built is not taken for what can where they fit alike.
+        cost += doubt if np.any(end.x[0, positive] < 0) else 0.0
+        ranked.append((cost, problem, end.x[0]))
+    ranked.sort(key=lambda each: each[0])
+    least, problem, psi = ranked[0]
+    return problem, psi, [other for cost, _, other in ranked[1:] if cost <= least + 2 * doubt]
+
+
+def _risen(fitted: FittedRecords, psi: Real) -> tuple[Real, float]:
+    """Another minimum, ψ (M,) where the search from ψ ends, and how much higher χ² is there."""
+    problem = fitted.problem.afresh()
+    end = problem.descend(psi, fitted.limits, tolerance=0.1)
+    return end.x[0], float(end.cost[0]) - float(problem.quadratic(fitted.psi[None]).cost[0])
+
+
+def _begun(
+    model: Model, records: tuple[RecordData, ...], theta: Real, free: RecordConstants | None = None
+) -> tuple[RecordProblem, Real]:
+    """The problem and where its search starts, at θ (unknowns,).
+
+    free: which constants of the records are unknown; those that can be found where it is not given.
+    """
+    sd = np.sqrt(np.mean(np.concatenate([record.outputs for record in records]) ** 2, axis=0))
+    problem, own = begun_problem(model, records, theta, np.where(sd > 0, FIRST_NOISE * sd, 1.0), free)
+    gains = [1.0 if gain.nominal is None else gain.nominal for gain in records[0].gains]
+    return problem, np.concatenate([theta, gains, np.zeros(len(problem.constants.offsets)), own])
 
 
 def _idle(element: Element, values: Mapping[str, float]) -> Element:
