@@ -23,7 +23,7 @@ from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.explain.effect import with_likely_causes
 from dashpot.check.explain.examine import diagnose as diagnosis
 from dashpot.check.explain.examine import examined
-from dashpot.check.explain.in_time import examined_records, with_causes
+from dashpot.check.explain.in_time import examined_records
 from dashpot.check.explain.record_channels import require_sound_channels
 from dashpot.check.identifiability import Structure, nonlinear_structure, structure
 from dashpot.data import readers
@@ -40,12 +40,14 @@ from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ConvergenceError, DashpotError, DataError, IdentifiabilityError, UsageError
 from dashpot.estimate import comparison as comparisons
+from dashpot.estimate.assessment import Finding
 from dashpot.estimate.automatic import identify_with_noise
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.identify import amplitudes_for
 from dashpot.estimate.inference.uncertainty import linear_modes
 from dashpot.estimate.method import Method
 from dashpot.estimate.modal import identify_modal
+from dashpot.estimate.nonlinear.search import linear_rig
 from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.registry import method as named_method
 from dashpot.estimate.registry import method_class, methods_for
@@ -167,6 +169,9 @@ def identify(
         if not judged or spectrum.batch:
             raise
         explained = with_likely_causes(error, diagnosis(model, spectrum, seed=seed)[:1])
+        if explained is error and isinstance(error, IdentifiabilityError):
+            how = {"frequency_hz": frequency_hz, "conditioning": conditioning, "seed": seed}
+            explained = _without_laws(error, model, data, **how)
         if explained is error:  # which must not be its own cause
             raise
         raise explained from error
@@ -188,16 +193,28 @@ def _in_time(
     marked = [marked_whole(record) for record in records]
     records, notes = [each for parts, _ in marked for each in parts], [n for _, told in marked for n in told]
     require_sound_channels(model, records)
-    fitted = fit_records(model, records, method, still=still, progress=progress)
     try:
+        fitted = fit_records(model, records, method, still=still, progress=progress)
         estimate = fitted.estimate()
         estimate = replace(estimate, notes=(*estimate.notes, *notes))
     except IdentifiabilityError as error:
-        explained = with_causes(error, model, records) if judged else error
+        explained = _without_laws(error, model, records) if judged else error
         if explained is error:
             raise
         raise explained from error
     return examined_records(model, records, estimate, fitted, within) if judged else estimate
+
+
+def _without_laws(error: IdentifiabilityError, model: Model, data: Data, **how: Any) -> IdentifiabilityError:
+    """The error, with what is the matter with the rig without its nonlinear elements, as they leave no trace."""
+    if not len(model.nonlinear):
+        return error
+    try:
+        assessment = identify(linear_rig(model), data, judge=True, **how).assessment
+        causes = () if assessment is None else assessment.findings
+    except DashpotError as other:
+        causes = tuple(each for each in other.causes if isinstance(each, Finding))
+    return error if causes[:1] and causes[0].kind == "unexplained" else with_likely_causes(error, causes)
 
 
 @one_blas_thread()

@@ -83,7 +83,10 @@ def _diagnosed(
     if backwards or model.n > LARGEST:
         return backwards, None
     if len(model.nonlinear):
-        return _beside_laws(model, spectrum, estimate, np.inf)
+        try:
+            return _beside_laws(model, spectrum, estimate, np.inf)
+        except DashpotError:  # laws may leave no trace
+            return (), None
     found = explained(model, spectrum, estimate, seed=seed)
     return ((), None) if found is None else (found.findings(), found)
 

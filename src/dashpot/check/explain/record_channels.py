@@ -81,8 +81,8 @@ def _left(problem: FitProblem) -> float:
     """Share of the known forces that the equation of motion leaves; ∞ where there is no regression."""
     assert isinstance(problem, LineProblem)
     data = problem.data
-    states = states_if_seen(data.view, data.spectrum, data.covariance)
     try:
+        states = states_if_seen(data.view, data.spectrum, data.covariance)
         return np.inf if states is None else harmonics_left(replace(data, states=states))
     except DashpotError:
         return np.inf

@@ -17,11 +17,13 @@ from dashpot.channel import Channel
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.noise import noise_at_rest
 from dashpot.data.record import Record
+from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.assessment import Finding, applied
 from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
+from dashpot.model.nonlinear.force_law import Constant, force_law
 from dashpot.model.rigfile import Rig, read_rig
 
 Law = Callable[[float, float], float]
@@ -114,6 +116,17 @@ def test_friction_below_zero_is_damping_that_grows_with_speed_and_the_line_says_
     assert "damping that grows with speed" in findings[0].text
     assert all(finding.number is not None and finding.number > 0 for finding in findings)
     assert "coulomb" not in findings[0].change
+
+
+@pytest.mark.parametrize("missing", [True, pytest.param(False, marks=pytest.mark.long)])
+def test_the_refusal_of_a_gap_that_never_closes_names_a_missing_damper(missing: bool) -> None:
+    rig, gap = shaken(), force_law("gap", [Constant("gap", 0.1)])
+    stop = replace(between("q", Kind.SPRING, "x", "ground"), force_law=gap)
+    kept = rig.elements[:2] if missing else rig.elements
+    with pytest.raises(IdentifiabilityError, match="no information on q") as refused:
+        identify(replace(rig, elements=(*kept, stop)), [recorded(None, noise=0.003)], judge=True)
+    causes = [(each.kind, set(each.of)) for each in refused.value.causes]
+    assert causes[:1] == [("element", {"x", "u"})] * missing
 
 
 def test_the_remedy_makes_the_record_fit() -> None:
