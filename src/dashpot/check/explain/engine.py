@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from math import log
 
 import numpy as np
@@ -27,6 +28,7 @@ from dashpot.check.explain.problem import (
     FitProblem,
     FittedProblem,
     LineProblem,
+    TimeProblem,
     fitted,
     fitted_each,
     fitted_from_starts,
@@ -373,36 +375,57 @@ IN_TIME = (
 )  # fmt: skip
 STILL_FALLS = 0.9  # of χ², that a round leaves at the most where another is worth it
 INTEGRATED = 5  # effects on records in time that are fitted in full
+AFAR = 3  # of those to which no slopes lead, that are integrated
 
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
-def explain_in_time(baseline: Baseline, of_records: Kinds) -> Explanation:
-    """As `explain`, of a record whose motion is integrated: each effect by one step from fits that are there (Rao's
-    score test for what is no unknown as well), the likeliest of them followed to their ends."""
+def explain_in_time(baseline: Baseline, of_records: Kinds, instead: Kinds) -> Explanation:
+    """As `explain`, of a record whose motion is integrated: each effect by the slopes of motions that are known (Rao's
+    score test), the likeliest of them followed to their ends.
+
+    Where none explains nearly all, so are effects to which no slopes lead, and those that may be the matter `instead`.
+    """
     kinds = tuple((prior, kind) for prior, kind in KINDS if kind in IN_TIME)
     tried = _tried(baseline, (*kinds, *of_records), glanced, glanced)
-    tried.sort(key=lambda each: -each.roughly)
+    known = [each for each in tried if np.isfinite(each.fit.chi2)]
+    best = _likeliest_followed(baseline, known)
+    if all(each.fit.reduced > (1 - NEARLY_ALL) * baseline.as_is.reduced for each in best):
+        unknown = [each for each in tried if each.effect.found is None and not np.isfinite(each.fit.chi2)]
+        unknown.sort(key=lambda each: -each.prior * each.effect.share)
+        others = [(each.prior, partial(_alone, each.effect)) for each in unknown[:AFAR]]
+        far = partial(glanced, far=True)
+        best += _likeliest_followed(baseline, _tried(baseline, (*others, *instead), far, far))
+    _closely(baseline.problem, best, glanced)
+    _follow(baseline, best)
+    return _weighed_all(baseline, best)
+
+
+def _alone(effect: Effect, _: Baseline) -> Iterator[Effect]:
+    yield effect
+
+
+def _likeliest_followed(baseline: Baseline, tried: Sequence[Trial]) -> list[Trial]:
+    """The best form of each of the likeliest effects, fitted in full."""
+    tried = sorted(tried, key=lambda each: -each.roughly)
     forms = {each.effect.subject: each for each in reversed(tried)}
     best = [each for each in tried if forms[each.effect.subject] is each][:INTEGRATED]
     _follow(baseline, best)
     # The way of the likeliest may be long: from where its size is found to be, it goes on.
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS if best else 0):
         likeliest = max(best, key=lambda each: each.roughly)
         before = likeliest.fit.chi2
         _closely(baseline.problem, [likeliest], glanced)
         _follow(baseline, [likeliest])
         if not likeliest.fit.chi2 < STILL_FALLS * before:
             break
-    _closely(baseline.problem, best, glanced)
-    _follow(baseline, best)
-    return _weighed_all(baseline, best)
+    return best
 
 
 def _follow(baseline: Baseline, trials: Sequence[Trial]) -> None:
     """Fit records in time completely, starting from their trials."""
     for each in trials:
         if each.effect.found is None:
-            begun = each.fit.problem.from_starts((each.fit.psi, *each.fit.problem.starts))
+            begun = each.fit.problem.from_starts((*each.fit.problem.starts[:1], each.fit.psi))
             each.fit = _on_the_same_data(baseline, fitted_from_starts(begun))
 
 
@@ -577,7 +600,7 @@ def _tried(
                 best[id(effect)] = Trial(effect, prior, effect.values[0], effect.found)
                 continue
             there = begun.get(effect.subject) if begun and effect.unknown else None
-            for size in (*effect.values, *_promised(baseline, effect)):
+            for size in _sizes(baseline, effect):
                 with suppress(DashpotError):  # a rig or channels that cannot be
                     supposed = effect.act(baseline.problem, size)
                     if there is not None and len(there) == len(supposed.starts[0]):
@@ -594,6 +617,13 @@ def _tried(
         if so_far is None or end.roughly > so_far.fit.roughly:
             best[id(effect)] = Trial(effect, prior, size, end)
     return [each for each in best.values() if _is_such(each)]
+
+
+def _sizes(baseline: Baseline, effect: Effect) -> tuple[float, ...]:
+    """Sizes at which an effect is tried; in time the slopes along an unknown lead from its first to the others."""
+    if effect.unknown and isinstance(baseline.problem, TimeProblem):
+        return effect.values[:1]
+    return (*effect.values, *_promised(baseline, effect))
 
 
 def _promised(baseline: Baseline, effect: Effect) -> tuple[float, ...]:

@@ -19,7 +19,7 @@ from scipy.special import stdtr
 
 from dashpot.arrays import Real
 from dashpot.check.element_evidence import record_candidates, with_nothing
-from dashpot.check.explain.effect import Baseline, Effect, plainly, with_likely_causes
+from dashpot.check.explain.effect import Baseline, Effect, Effects, plainly
 from dashpot.check.explain.engine import LARGEST, NEARLY_ALL, OF_LAWS, Explanation, explain_in_time
 from dashpot.check.explain.laws import (
     CERTAIN,
@@ -37,7 +37,7 @@ from dashpot.check.explain.score import APART, PARTS, steadiness, sums_of_parts
 from dashpot.check.verdict import powerless, rejected, settled_by_size, unphysical, worst_of
 from dashpot.data.noise import smoothed
 from dashpot.data.record import Record
-from dashpot.errors import DashpotError, DataError, IdentifiabilityError
+from dashpot.errors import DashpotError, DataError
 from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
 from dashpot.estimate.nonlinear.input_levels import all_linearised, cleared, drawn_noise
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
@@ -111,13 +111,22 @@ def assess_records(
         with suppress(DataError):  # no motion can be followed
             trails = [followed_record(model, estimate, record) for record in records]
         certain = elements_called_for(model, trails) if trails and converged else []
-    in_place = [] if certain or converged else _without_laws(model, records)
-    against += [_reason(model, each) for each in (*certain, *in_place)[:1]]
+    against += [_reason(model, each) for each in certain[:1]]
     doubts = [] if against else powerless(estimate)
-    found = None
+    found, in_place = None, list[ScoredElement]()
     if against or not converged or (doubts and not uncertain):
-        found = _explained(model, records, trails, estimate, [*certain, *in_place], bool(against))
-    if found is not None and doubts and _settled(found):
+
+        def without_laws(baseline: Baseline) -> Iterator[Effect]:
+            in_place.extend([] if certain or converged else _without_laws(model, records))
+            return _elements(in_place, baseline)
+
+        kinds = (OF_LAWS, partial(_elements, certain)), (OF_LAWS, without_laws)
+        found = _explained(model, records, trails, estimate, kinds, bool(against) or not converged)
+    if found is None and not (certain or converged):
+        in_place = _without_laws(model, records)
+    against += [_reason(model, each) for each in in_place[:1]]
+    doubts = [] if against else doubts
+    if found is not None and not against and _settled(found):
         text = f"{100 * found.causes[0].explains:.0f} % of the unexplained motion has one cause"
         against, doubts = [Notice("one_cause", text, found.causes[0].effect.of)], []
     findings = found.findings() if found is not None and (against or not converged) else ()
@@ -128,11 +137,6 @@ def assess_records(
     motions = [motion.compared() for motion in trails]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(verdict, (*against, *doubts), _relative(motions), _worst(motions), findings)
-
-
-def with_causes(error: IdentifiabilityError, model: Model, records: Sequence[Record]) -> IdentifiabilityError:
-    """The error of a fit whose laws leave no trace, with the element that the records call for in their place."""
-    return with_likely_causes(error, _findings(model, _without_laws(model, records)))
 
 
 def _findings(model: Model, called_for: Sequence[ScoredElement]) -> tuple[Finding, ...]:
@@ -168,10 +172,13 @@ def _explained(
     records: Sequence[Record],
     trails: Sequence[FollowedRecord],
     estimate: Estimate,
-    called_for: Sequence[ScoredElement],
+    laws: tuple[tuple[float, Effects], tuple[float, Effects]],
     against: bool,
 ) -> Explanation | None:
-    """What may be otherwise, by the part of a record of which most is left over; None where that cannot be asked."""
+    """What may be otherwise, by the part of a record of which most is left over; None where that cannot be asked.
+
+    laws: nonlinear elements beside the rig's own, and in their place.
+    """
     if model.n > LARGEST or not np.all(np.isfinite(estimate.values)):
         return None
     try:
@@ -181,8 +188,7 @@ def _explained(
         chosen = np.arange(len(baseline.problem.y))
         assert isinstance(baseline.problem, TimeProblem)
         of_channel = partial(channels_in_time, baseline.problem, chosen, lambda c, fit: fit.expected[:, c])
-        laws = partial(_elements, called_for)
-        return explain_in_time(baseline, ((CHANGED_CHANNEL, of_channel), (OF_LAWS, laws)))
+        return explain_in_time(baseline, ((CHANGED_CHANNEL, of_channel), laws[0]), laws[1:])
     except (DashpotError, np.linalg.LinAlgError):
         return None
 

@@ -55,6 +55,7 @@ LIMIT = 2.0  # nepers and radians beyond which a residual of logarithms counts n
 FAINTEST = 1e-6  # relative noise of channels that have none
 NEAR_INPUTS = 1.0  # of an input's size: changes of it that are taken to first order at a first look
 LATEST = 0.1  # of a record, within which a late channel is late by a part of it
+FINER = 8  # times as many steps, with which a motion is not integrated to be looked at: it is far too fast
 SLOWER = 3  # times as many iterations are done where a motion is integrated for each
 DERIVATIVES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 
@@ -554,10 +555,11 @@ class ModalProblem:
 class Integrated:
     """A motion that was integrated: what the channels show of it (samples, channels), and slopes along ψ, SI units.
 
-    model, body, psi  of which it is; slopes None where no motion follows
+    model, names, body, psi  of which it is; slopes None where no motion follows
     """
 
     model: Model
+    names: tuple[str, ...]
     body: RecordProblem
     psi: Real
     inputs: Real
@@ -565,15 +567,29 @@ class Integrated:
     slopes: Real | None
 
     @staticmethod
-    def of(model: Model, body: RecordProblem, psi: Real) -> Integrated:
-        """The motion at ψ (M,)."""
+    def of(
+        model: Model, names: tuple[str, ...], body: RecordProblem, psi: Real, far: bool = True
+    ) -> Integrated:
+        """The motion at ψ (M,); far: from sample to sample where the last one does not lead to it."""
         data = body.records[0]
         residual, slopes = body.residual(0, psi)
-        if slopes is None:
+        if slopes is None and far and body.trail.motions:
             body.trail.motions.clear()
             residual, slopes = body.residual(0, psi)
         slopes = None if slopes is None else slopes * body.sd[:, None]
-        return Integrated(model, body, psi, data.inputs, data.outputs - residual * body.sd, slopes)
+        return Integrated(model, names, body, psi, data.inputs, data.outputs - residual * body.sd, slopes)
+
+    def of_smaller(self, problem: TimeProblem, psi: Real) -> Integrated | None:
+        """The same of a rig without elements that do nothing here, at ψ (M,); None where that is another motion."""
+        if self.slopes is None or not set(problem.names) <= set(self.names):
+            return None
+        columns = [self.names.index(name) for name in problem.names]
+        rigs = ((self.model, self.psi), (problem.model, psi))
+        parts, laws = zip(*(_parts_at(model, x[: len(model.unknowns)]) for model, x in rigs), strict=True)
+        if not np.array_equal(self.psi[columns], psi) or parts[0] != parts[1] or laws[0] != laws[1]:
+            return None
+        slopes = self.slopes[..., columns]
+        return Integrated(problem.model, problem.names, problem.body, psi, self.inputs, self.outputs, slopes)
 
     def leads_to(self, inputs: Real) -> bool:
         """Whether this tells the motion by other inputs (samples, q) well enough for a first look."""
@@ -852,16 +868,27 @@ class TimeProblem:
         """Whether an element more may leave a trace: it moves against what is known by a rate only."""
         return element.law.power == 2 or not self.body.records[0].bases.hide(self.model, element)
 
+    @property
+    def _as_shown(self) -> object:
+        """What the channels show, and how fast: motions of which differ."""
+        shown = (self.channels[c] for c in self._shown)
+        return tuple((each.quantity, tuple(each.of.items())) for each in shown), self.step_s
+
     def there(self, psi: Real) -> list[Integrated]:
         """What was integrated of this rig at ψ (M,), by whatever inputs."""
-        channels = tuple((self.channels[c].quantity, tuple(self.channels[c].of.items())) for c in self._shown)
-        return self.seen.setdefault((id(self.model), channels, self.step_s, psi.tobytes()), [])
+        alike = self.seen.setdefault(self._as_shown, [])
+        found = [each for each in alike if each.model is self.model and np.array_equal(each.psi, psi)]
+        if not found:
+            larger = (each.of_smaller(self, psi) for each in alike if len(each.names) > len(psi))
+            found = [each for each in larger if each is not None]
+            alike += found
+        return found
 
-    def moved(self, psi: Real, near: bool = False) -> tuple[Real, Real] | None:
+    def moved(self, psi: Real, near: bool = False, far: bool = True) -> tuple[Real, Real] | None:
         """What a motion at ψ (M,) leaves of the samples, in standard deviations (samples, channels), with its slopes.
 
         (samples, channels, M); None where no motion follows.  near: to first order beside one of other inputs, where
-        there is one.
+        there is one; far: integrated also where no motion that is known leads to it.
         """
         body = self.body
         data, there = body.records[0], self.there(psi)
@@ -871,9 +898,12 @@ class TimeProblem:
             if at is None and there:
                 return None
         if at is None:
+            if self.began and max(body.substeps) > FINER * max(self.began[0].substeps):
+                return None
             self._led()
-            at = Integrated.of(self.model, body, psi)
-            there.append(at)
+            at = Integrated.of(self.model, self.names, body, psi, far)
+            if at.slopes is not None or far:
+                self.seen[self._as_shown].append(at)
             if not self.began and at.slopes is not None:
                 self.began.append(body)
         if at.slopes is None:
@@ -881,11 +911,14 @@ class TimeProblem:
         shown, by = at.driven_by(data.inputs)
         return data.judged(data.outputs - shown) / body.sd, by / body.sd[:, None]
 
-    def glanced(self) -> tuple[Real, float]:
-        """Where one step of Gauss and Newton leads from the best of the starts, ψ (M,), and χ² as it promises there."""
+    def glanced(self, far: bool) -> tuple[Real, float]:
+        """Where one step of Gauss and Newton leads from the best of the starts, ψ (M,), and χ² as it promises there.
+
+        far: as of `moved`.
+        """
         best, least = self.starts[0], np.inf
         for k, psi in enumerate(self.starts):
-            at = self.moved(psi, near=True) if k == 0 or self.there(psi) else None
+            at = self.moved(psi, True, far) if k == 0 or self.there(psi) else None
             if at is None:
                 continue
             r, J = at[0].ravel(), at[1].reshape(-1, len(psi))
@@ -903,7 +936,9 @@ class TimeProblem:
 
     def descended(self, limit: int) -> tuple[Real, float]:
         """Where the best of the starts leads, ψ (M,) and χ², in `limit` // SLOWER iterations at most."""
-        best, least = min(((psi, self._chi2(psi)) for psi in self.starts), key=lambda each: each[1])
+        best, least = min(((psi, self._chi2(psi, False)) for psi in self.starts), key=lambda each: each[1])
+        if not np.isfinite(least):
+            best, least = min(((psi, self._chi2(psi)) for psi in self.starts), key=lambda each: each[1])
         if limit and np.isfinite(least):
             body = replace(self.body, trail=Trail(self.body.motions()))
             end = body.descend(best, limit=limit // SLOWER, tolerance=ROUGHLY).x[0]
@@ -912,8 +947,8 @@ class TimeProblem:
                 best, least = end, cost
         return best, least
 
-    def _chi2(self, psi: Real) -> float:
-        at = self.moved(psi)
+    def _chi2(self, psi: Real, far: bool = True) -> float:
+        at = self.moved(psi, far=far)
         return np.inf if at is None else float(np.sum(at[0] ** 2))
 
     @property
@@ -969,6 +1004,16 @@ class TimeProblem:
 
 
 FitProblem = LineProblem | ModalProblem | TimeProblem  # what they have alike is what the engine asks
+
+
+def _parts_at(model: Model, theta: Real) -> tuple[dict[str, tuple[float, object]], list[float]]:
+    """Of a rig at θ (unknowns,): its elements that do something, by name, and the constants of its laws."""
+    parts = dict[str, tuple[float, object]]()
+    for each, value in zip(model.elements, model.parameters(theta).tolist(), strict=True):
+        if value or each.force_law is not None:
+            parts[each.name] = value, each.along
+    constants: list[float] = model.inner_constants(theta).tolist()
+    return parts, constants
 
 
 def _blocks(model: Model, psi: Real, frequency_hz: Real, experiment: Ints) -> Ints:
@@ -1078,14 +1123,17 @@ def judged(problems: Sequence[FitProblem]) -> list[FittedProblem]:
     return _fits(problems, _ended([each.from_starts(each.starts[:1]) for each in problems], 0))
 
 
-def glanced(problems: Sequence[FitProblem]) -> list[FittedProblem]:
-    """Each record as one step of Gauss and Newton from the best of its starts promises; without end where none can."""
+def glanced(problems: Sequence[FitProblem], far: bool = False) -> list[FittedProblem]:
+    """Each record as one step of Gauss and Newton from the best of its starts promises; without end where none can.
+
+    far: integrated also where no motion that is known leads to it.
+    """
     fits = []
     for each in problems:
         assert isinstance(each, TimeProblem)
         psi, chi2, dof = each.starts[0], np.inf, 0
         with suppress(DashpotError, np.linalg.LinAlgError):
-            psi, chi2 = each.glanced()
+            psi, chi2 = each.glanced(far)
             dof = each.dof
         fits.append(FittedProblem(each, psi, chi2, dof))
     return fits
