@@ -328,7 +328,6 @@ def _leaves_more_than_noise(fit: FittedProblem) -> bool:
 
 
 ON_RECORDS = (rigs.element, rigs.value, rigs.hysteretic)  # kinds that are tried on the records themselves
-IN_FULL = 4  # effects on whole records beside the best of each kind that few lines call for
 HINT = 0.3  # of what the best unknown gain or delay explains, which another must explain to be looked at
 NEAR = 0.2  # nepers within which a gain is taken for a usual ratio
 CALIBRATIONS = {"gain": (channels.sign, channels.unit, channels.gain), "delay": (channels.delay,)}
@@ -356,18 +355,25 @@ def explain_records(
     tried.sort(key=lambda each: -each.roughly)
     baseline = begun_at(problem, silent, True)
     as_is = baseline.as_is
-    in_full: list[Trial] = []
-    for effect, prior, size, starts in _chosen(baseline, tried):
-        try:
-            supposed = effect.act(baseline.problem, size)
-        except DashpotError:
-            continue
-        begun = [psi for psi in (*starts, as_is.psi) if len(psi) == len(supposed.starts[0])]
-        (fit,) = fitted([supposed.from_starts(begun or supposed.starts)])
-        in_full.append(Trial(effect, prior, size, _on_the_same_data(baseline, fit)))
+    chosen: list[tuple[Effect, float, float, LineProblem]] = []
+    for effect, prior, of_lines, starts in _chosen(baseline, tried):
+        for size in (of_lines, *_promised(baseline, effect)):
+            with suppress(DashpotError):  # a rig or channels that cannot be, or too little left to fit
+                supposed = effect.act(problem, size)
+                assert isinstance(supposed, LineProblem)
+                supposed.arranged()
+                begun = [psi for psi in (*starts, as_is.psi) if len(psi) == len(supposed.starts[0])]
+                chosen.append((effect, prior, size, supposed.from_starts(begun or supposed.starts)))
+    in_full: dict[int, Trial] = {}
+    for (effect, prior, size, _), fit in zip(chosen, fitted([each[3] for each in chosen]), strict=True):
+        end = _on_the_same_data(baseline, fit)
+        if id(effect) not in in_full or end.roughly > in_full[id(effect)].fit.roughly:
+            in_full[id(effect)] = Trial(effect, prior, size, end)
     again = tuple((prior, kind) for prior, kind in KINDS if kind in ON_RECORDS)
     led_to = {each.effect.subject: each.fit.psi for each in reversed(tried)}
-    return _weighed_all(baseline, [*in_full, *_tried(baseline, (*again, *of_records), begun=led_to)], fitted)
+    return _weighed_all(
+        baseline, [*in_full.values(), *_tried(baseline, (*again, *of_records), begun=led_to)], fitted
+    )
 
 
 IN_TIME = (
@@ -432,18 +438,12 @@ def _follow(baseline: Baseline, trials: Sequence[Trial]) -> None:
 def _chosen(
     baseline: Baseline, tried: Sequence[Trial]
 ) -> Iterator[tuple[Effect, float, float, tuple[Real, ...]]]:
-    """Effects on whole records that are worth a fit with the transients of their ends, with starts of it.
+    """Effects on whole records that are looked at with the transients of their ends, with sizes and starts.
 
-    Gains and delays by the records themselves, each as an unknown of its own; all else by the lines without transients
-    (`tried`, the best first): the best of each kind, and a few more.
+    Gains and delays by the records themselves, each as an unknown of its own; all else as the lines without transients
+    have it (`tried`).
     """
-    problem = baseline.lines
-    again = {kind.__name__ for kind in ON_RECORDS}
-    of_lines = [
-        each
-        for each in tried
-        if each.effect.found is None and not (each.effect.unknown and each.effect.kind in again)
-    ]
+    problem, again = baseline.lines, {kind.__name__ for kind in ON_RECORDS}
     opened = [
         (channel.name, word, *_calibrated(baseline, c, word))
         for c, channel in enumerate(problem.channels)
@@ -466,14 +466,9 @@ def _chosen(
                 yield effect, prior, size, (psi,)
             elif near:
                 yield effect, prior, min(near, key=lambda each: abs(log(each / size))), (psi,)
-    # Ends, which the lines do without, make forms of one channel's mistake alike that these tell apart.
-    likeliest: dict[tuple[str, ...], float] = {}
-    for each in of_lines:
-        likeliest[each.effect.of] = max(each.fit.roughly, likeliest.get(each.effect.of, -np.inf))
-    of_lines = [each for each in of_lines if each.fit.roughly > likeliest[each.effect.of] - TOGETHER]
-    best = {each.effect.kind: each for each in reversed(of_lines)}
-    for each in {id(each.effect): each for each in (*best.values(), *of_lines[:IN_FULL])}.values():
-        yield each.effect, each.prior, each.size, (each.fit.psi,)
+    for each in tried:
+        if each.effect.found is None and not (each.effect.unknown and each.effect.kind in again):
+            yield each.effect, each.prior, each.size, (each.fit.psi,)
 
 
 def _calibrated(baseline: Baseline, c: int, word: str) -> tuple[FittedProblem, float, Real]:
@@ -648,8 +643,10 @@ def _promised(baseline: Baseline, effect: Effect) -> tuple[float, ...]:
         cross = (low - high) / (2 * step)
         taken = scaled_inverse(information) @ np.column_stack([cross, gradient])
         bend = (before - 2 * at_null + after) / (2 * step**2) - cross @ taken[:, 0]
-        move = ((before - after) / (4 * step) - cross @ taken[:, 1]) / bend
-        size = effect.size_at(null + float(move), effect.null) if bend > 0 and np.isfinite(move) else 0.0
+        fall = (before - after) / (4 * step) - float(cross @ taken[:, 1])
+        # Where χ² falls ever faster, on that side as far as sizes usually are.
+        move = fall / bend if bend > 0 else np.sign(fall) * effect.width
+        size = effect.size_at(null + float(move), effect.null) if np.isfinite(move) and move else 0.0
         return (size,) if size and np.isfinite(size) else ()  # a promise may be beyond all numbers
     return ()
 

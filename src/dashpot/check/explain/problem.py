@@ -19,7 +19,7 @@ from dashpot.check.residuals import blocks_of
 from dashpot.data.conditioning.unmeasured import with_likely
 from dashpot.data.modal_data import ModalData
 from dashpot.data.record import Record
-from dashpot.data.spectrum import SettledDwell, Spectrum, Unmeasured, WholeRecord, history_of_lines
+from dashpot.data.spectrum import Spectrum, Unmeasured, WholeRecord, history_of_lines
 from dashpot.errors import DashpotError, ModelError
 from dashpot.estimate.likelihood.descent import Stage
 from dashpot.estimate.likelihood.global_search import SOFTNESS, candidates, through
@@ -270,9 +270,9 @@ class LineProblem:
         """With all frequencies times a factor."""
         spectrum = self.data.spectrum
         stretches = tuple(
-            replace(each, fundamental_hz=rate * each.fundamental_hz)
-            if isinstance(each, SettledDwell) and each.fundamental_hz is not None
-            else each
+            replace(each, duration_s=each.duration_s / rate)
+            if isinstance(each, WholeRecord)
+            else replace(each, fundamental_hz=each.fundamental_hz and rate * each.fundamental_hz)
             for each in spectrum.stretches
         )
         other = replace(spectrum, stretches=stretches, frequency_hz=rate * spectrum.frequency_hz)

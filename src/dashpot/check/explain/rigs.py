@@ -93,7 +93,7 @@ def element(baseline: Baseline) -> Iterator[Effect]:
 
 
 def hysteretic(baseline: Baseline) -> Iterator[Effect]:
-    """Hysteretic damping beside a spring."""
+    """Hysteretic damping beside a spring, or in the place of a damper of a stated value."""
     model = baseline.problem.model
     joined = {frozenset(each.along) for each in model.elements if each.kind is Kind.SPRING}
     candidates = [
@@ -102,6 +102,28 @@ def hysteretic(baseline: Baseline) -> Iterator[Effect]:
         if each.kind is Kind.HYSTERETIC and frozenset(each.along) in joined
     ]
     yield from _added(baseline, "hysteretic", candidates)
+    middle = (
+        2 * np.pi * float(np.exp(np.mean(np.log(baseline.problem.frequency_hz))))
+    )  # where both dissipate alike
+    for damper in stated_values(model):
+        for each in candidates if damper.kind is Kind.DAMPER else ():
+            if each.along == damper.along:
+                assert damper.guess is not None
+                alike = damper.guess * middle
+                taken = replace(damper, value=0.0, guess=None), each
+                yield Effect(
+                    "hysteretic", points_of(each, model), partial(_in_place, *taken),
+                    partial(_rather_hysteretic, model, taken), (alike,), ELEMENT_WIDTH * alike,
+                    unknown=each.name, share=1 / len(candidates),
+                )  # fmt: skip
+
+
+def _rather_hysteretic(model: Model, taken: tuple[Element, Element], value: float) -> Phrase:
+    viscous, element = taken
+    size = f"{rounded(value, '.3g')} {element.unit(model.angles)}"
+    text = f"the damping of {viscous.name} is hysteretic ({size}), not viscous"
+    lines = "; ".join(f"{element_section(each)} {element_line(each)}" for each in taken)
+    return Phrase(text, lines, (), taken)
 
 
 def _added(baseline: Baseline, kind: str, candidates: list[Element]) -> Iterator[Effect]:
@@ -128,6 +150,10 @@ def _typical(model: Model, psi: Real, kind: Kind) -> float:
 
 def _with(element: Element, problem: FitProblem, start: float) -> FitProblem:
     return problem.of_rig(replaced(problem.model, replace(element, guess=start)))
+
+
+def _in_place(none: Element, element: Element, problem: FitProblem, start: float) -> FitProblem:
+    return problem.of_rig(replaced(problem.model, none, replace(element, guess=start)))
 
 
 def missing_in_words(model: Model, element: Element, value: float) -> Phrase:

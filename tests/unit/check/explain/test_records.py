@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import butter, cont2discrete, dlsim, lfilter
 
 import dashpot
+from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
 from dashpot.check.explain.steady_lines import working_noise
 from dashpot.data.record import Record
@@ -168,6 +169,47 @@ def test_a_low_pass_filter_far_above_the_motion_is_no_delay_and_no_held_input() 
     first = estimate.assessment.findings[0]
     assert (first.kind, first.of) == ("filter", ("x1_dis",))
     assert first.number == pytest.approx(corner_hz, rel=0.2)
+
+
+def random_motion_of_three(seed: int) -> tuple[Model, Real, Record]:
+    """Three masses on a shaken base, all springs and dampers unknown, their true values, and 0.5 % noise."""
+    model, truth = chain(3, 0.03, base=True, seed=seed)
+    record = record_of(model, truth, "random", decay_times=5, seed=2).record
+    noise = np.random.default_rng(5).normal(size=record.values.shape) * [1, 1, 1, 0]
+    return model, truth, replace(record, values=record.values + 0.005 * np.std(record.values, axis=0) * noise)
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+@pytest.mark.long
+def test_a_channel_that_passes_no_slow_motion_is_not_taken_for_a_late_one(seed: int) -> None:
+    """The lines without the loads of the record's ends fit a delay as well."""
+    model, _, record = random_motion_of_three(seed)
+    values, step = np.array(record.values), float(record.time[1] - record.time[0])
+    corner_hz = 0.5 / (record.time[-1] - record.time[0])
+    values[:, 1] = lfilter(*butter(1, 2 * step * corner_hz, "high"), values[:, 1])
+    estimate = dashpot.identify(model, replace(record, values=values), diagnose=True)
+    first = estimate.assessment.findings[0]
+    assert (first.kind, first.of) == ("filter", ("x2_dis",))
+    assert first.number == pytest.approx(corner_hz, rel=0.2)
+
+
+@pytest.mark.parametrize(("seed", "rate"), [(3, 1.011), (3, 0.992), (5, 1.011)])
+@pytest.mark.long
+def test_a_time_base_that_is_off_by_one_per_cent_is_named_where_one_mass_is_seen(
+    seed: int, rate: float
+) -> None:
+    """What two of the springs are is known."""
+    model, truth, record = random_motion_of_three(seed)
+    own = {unknown.name: float(value) for unknown, value in zip(model.unknowns, truth, strict=True)}
+    known = [
+        replace(each, value=own[each.name]) if each.name in ("k1", "k3") else each for each in model.elements
+    ]
+    seen = Record([record.channels[k] for k in (1, 3)], record.time * rate, record.values[:, [1, 3]])
+    first = dashpot.identify(replace(model, elements=tuple(known)), seen, diagnose=True).assessment.findings[
+        0
+    ]
+    assert (first.kind, first.of) == ("frequency", ())
+    assert first.number == pytest.approx(rate, abs=0.002)
 
 
 def test_a_small_gain_is_named_where_noise_is_most_of_what_is_left(
