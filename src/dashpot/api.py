@@ -22,7 +22,7 @@ from dashpot.channel import RUNS, Channel, Quantity, kind_of
 from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.explain.effect import with_likely_causes
 from dashpot.check.explain.examine import diagnose as diagnosis
-from dashpot.check.explain.examine import examined
+from dashpot.check.explain.examine import examined, in_place_of_laws
 from dashpot.check.explain.in_time import examined_records
 from dashpot.check.explain.record_channels import require_sound_channels
 from dashpot.check.identifiability import Structure, nonlinear_structure, structure
@@ -214,7 +214,9 @@ def _without_laws(error: IdentifiabilityError, model: Model, data: Data, **how: 
         causes = () if assessment is None else assessment.findings
     except DashpotError as other:
         causes = tuple(each for each in other.causes if isinstance(each, Finding))
-    return error if causes[:1] and causes[0].kind == "unexplained" else with_likely_causes(error, causes)
+    if causes[:1] and causes[0].kind == "unexplained":
+        return error
+    return with_likely_causes(error, in_place_of_laws(model, causes))
 
 
 @one_blas_thread()
