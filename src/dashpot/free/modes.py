@@ -336,42 +336,50 @@ class _Fit:
         return max(1, self.data - self.unknowns)
 
 
-def _bases(one: _Set, poles: Complex) -> tuple[Complex, Complex]:
-    """1/(s − λ) of responses and 1/(1 − e^{(λ − s)Δ}) of the ends of records, (lines, 2 poles): conjugates come last.
+def _bases(one: _Set, poles: Complex, slope: bool = False) -> tuple[Complex, Complex]:
+    """(lines, poles) 1/(s − λ) of responses and 1/(1 − e^{(λ − s)Δ}) of the ends of records, or their slopes in λ.
 
     The second is exact for what a sampled record of finite length shows of a decay.
     """
-    both = np.concatenate([poles, np.conj(poles)])
-    plain: Complex = 1 / (one.s[:, None] - both)
+    s = one.s[:, None]
+    plain: Complex = 1 / (s - poles) ** (2 if slope else 1)
     if not one.step:
         return plain, plain[:, :0]
     delta = one.unit * one.step
-    return plain, np.asarray(delta / (1 - np.exp(-delta * one.s)[:, None] * np.exp(delta * both)))
+    turn = np.exp((poles - s) * delta)
+    if slope:
+        return plain, np.asarray(delta**2 * turn / (1 - turn) ** 2)
+    return plain, np.asarray(delta / (1 - turn))
+
+
+def _pairs(one: _Set, poles: Complex, slope: bool = False) -> tuple[Complex, Complex]:
+    """The same with conjugate poles, per real and imaginary part of the residue: (lines, poles, 2)."""
+    upper, lower = _bases(one, poles, slope), _bases(one, np.conj(poles), slope)
+    plain, ends = (np.stack([a + b, 1j * (a - b)], axis=-1) for a, b in zip(upper, lower, strict=True))
+    return plain, ends
 
 
 def _design(sets: Sequence[_Set], poles: Complex, powers: Sequence[int]) -> list[Complex]:
-    """Columns (lines, …) of each set: of each input the residues and the powers, of each record its own ends.
-
-    A residue has two: its real part takes the sum of the bases of a pole and its conjugate, the imaginary one j times
-    their difference.
-    """
-    m, nu = len(poles), sets[0].inputs.shape[1]
-    per_input, per_end = 2 * m + len(powers), 2 * m + ENDS
+    """Columns (lines, …) of each set: of each input the residues and the powers, of each record its own ends."""
     records = sum(1 for one in sets if one.step)
-    designs, own = [], nu * per_input
+    designs, number = [], 0
     for one in sets:
-        X = np.zeros((len(one.s), nu * per_input + records * per_end), dtype=np.complex128)
-        plain, ends = _bases(one, poles)
-        s, factors = one.s[:, None], one.inputs.T[:, :, None]
-        blocks = [(c * per_input, u * plain, u * s ** np.array(powers, float)) for c, u in enumerate(factors)]
-        if one.step:
-            blocks.append((own, ends, s ** np.arange(ENDS)))
-            own += per_end
-        for at, basis, others in blocks:
-            X[:, at : at + 2 * m : 2] = basis[:, :m] + basis[:, m:]
-            X[:, at + 1 : at + 2 * m : 2] = 1j * (basis[:, :m] - basis[:, m:])
-            X[:, at + 2 * m : at + 2 * m + others.shape[1]] = others
-        designs.append(X)
+        plain, ends = _pairs(one, poles)
+        lines = len(one.s)
+        s = one.s[:, None]
+        of_input = np.concatenate([plain.reshape(lines, -1), s ** np.array(powers, dtype=float)], axis=1)
+        blocks = [one.inputs[:, c, None] * of_input for c in range(one.inputs.shape[1])]
+        for record in range(records):
+            own = (
+                np.concatenate([ends.reshape(lines, -1), s ** np.arange(ENDS)], axis=1)
+                if one.step
+                else of_input
+            )
+            blocks.append(own if one.step and record == number else np.zeros_like(own))
+        number += bool(one.step)
+        designs.append(
+            np.concatenate(blocks, axis=1) if blocks else np.zeros((lines, 0), dtype=np.complex128)
+        )
     return designs
 
 
@@ -395,20 +403,20 @@ def _sums(sets: Sequence[_Set], X: Sequence[Complex]) -> Real:
 def _slopes(sets: Sequence[_Set], poles: Complex, coefficients: Real, powers: int) -> list[Complex]:
     """How the outputs of each set move with Re λ and Im λ of each pole, (lines, q, 2m)."""
     m, q, nu = len(poles), len(coefficients), sets[0].inputs.shape[1]
-    slopes, per_input = [], 2 * m + powers
-    own = nu * per_input
+    slopes, number = [], 0
+    per_input = 2 * m + powers
     for one in sets:
-        plain, ends = _bases(one, poles)
-        blocks = [(c * per_input, u[:, None] * plain**2) for c, u in enumerate(one.inputs.T)]
-        if one.step:
-            blocks.append((own, ends * (ends - one.unit * one.step)))
-            own += 2 * m + ENDS
+        plain, ends = _pairs(one, poles, slope=True)
         J = np.zeros((len(one.s), q, m, 2), dtype=np.complex128)
-        for at, basis in blocks:
-            R = coefficients[:, at : at + 2 * m : 2] + 1j * coefficients[:, at + 1 : at + 2 * m : 2]
-            upper, lower = R * basis[:, None, :m], np.conj(R) * basis[:, None, m:]
-            J[..., 0] += upper + lower
-            J[..., 1] += 1j * (upper - lower)
+        blocks = [(plain * one.inputs[:, c, None, None], c * per_input) for c in range(nu)]
+        if one.step:
+            blocks.append((ends, nu * per_input + number * (2 * m + ENDS)))
+            number += 1
+        for basis, at in blocks:
+            R = coefficients[:, at : at + 2 * m].reshape(q, m, 2)
+            # d/dσ of Re R (a + b) + Im R j(a − b); d/dω is j times the residue's
+            J[..., 0] += np.einsum("lmk,qmk->lqm", basis, R)
+            J[..., 1] += np.einsum("lmk,qmk->lqm", basis, np.stack([-R[..., 1], R[..., 0]], axis=-1))
         slopes.append(J.reshape(len(one.s), q, 2 * m))
     return slopes
 
@@ -423,7 +431,7 @@ def _solved(
     X = [A / size for A in X]
     N = _sums(sets, X)
     weighed = [(one.precision @ one.outputs[..., None])[..., 0] for one in sets]
-    rhs = np.sum([_products(A, w) for A, w in zip(X, weighed, strict=True)], axis=0).T.ravel()
+    rhs = np.sum([(np.conj(A.T) @ w).real for A, w in zip(X, weighed, strict=True)], axis=0).T.ravel()
     scale = np.sqrt(np.maximum(np.diagonal(N), 1e-300))
     N = N / np.outer(scale, scale) + 1e-13 * np.eye(len(N))
     inverse = np.linalg.inv(N) / np.outer(scale, scale)
@@ -433,14 +441,19 @@ def _solved(
         float(np.vdot(e, (one.precision @ e[..., None])[..., 0]).real)
         for one, e in zip(sets, residuals, strict=True)
     )
-    pp, lp, gradient = np.zeros((2 * m, 2 * m)), np.zeros((count, q * 2 * m)), np.zeros(2 * m)
-    for one, A, e, J in zip(sets, X, residuals, _slopes(sets, poles, theta / size, len(powers)), strict=True):
-        W = one.precision @ J
-        lp += _products(A, W.reshape(len(W), q * 2 * m))
-        flat = (e.size, 2 * m)
-        pp += _products(J.reshape(flat), W.reshape(flat))
-        gradient += _products(W.reshape(flat), e.reshape(-1, 1))[:, 0]
-    lp = np.swapaxes(lp.reshape(count, q, 2 * m), 0, 1).reshape(q * count, 2 * m)
+    slopes = _slopes(sets, poles, theta / size, len(powers))
+    weighed_J = [one.precision @ J for one, J in zip(sets, slopes, strict=True)]
+    pp = sum(
+        np.einsum("lip,lir->pr", np.conj(J), W, optimize=True).real
+        for J, W in zip(slopes, weighed_J, strict=True)
+    )
+    lp = sum(
+        np.einsum("la,lip->iap", np.conj(A), W, optimize=True).real for A, W in zip(X, weighed_J, strict=True)
+    ).reshape(q * count, 2 * m)
+    gradient = sum(
+        np.einsum("lip,li->p", np.conj(W), e, optimize=True).real
+        for W, e in zip(weighed_J, residuals, strict=True)
+    )
     tied = inverse @ lp
     S = pp - lp.T @ tied
     data = 2 * q * sum(len(one.s) for one in sets)
@@ -597,12 +610,6 @@ def _gains(sets: Sequence[_Set], fit: _Fit, candidates: Complex) -> Real:
 
 
 TOGETHER = 20  # candidates: memory of a few records
-
-
-def _products(A: Complex, B: Complex) -> Real:
-    """Re AᴴB of columns A and B."""
-    real: Real = _stacked([A]).T @ _stacked([B])
-    return real
 
 
 def _stacked(parts: Sequence[Complex]) -> Real:
