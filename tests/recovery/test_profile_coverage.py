@@ -1,6 +1,6 @@
 """Coverage where normal intervals fail: one line near resonance whose noise is as large as what it shows.
 
-400 draws: the share of intervals that hold the truth has a standard error of 1.1 points at 95 %.
+600 draws: the share of intervals that hold the truth has a standard error of 0.9 points at 95 %.
 """
 
 from dataclasses import replace
@@ -14,7 +14,7 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from tests.networks import network
 from tests.rigs import Rig, amplitudes, channels, noisy
 
-DRAWS = 400
+DRAWS = 600
 
 
 @pytest.mark.long
@@ -46,6 +46,6 @@ def test_profile_intervals_hold_the_truth_where_normal_ones_do_not(
         found.append(profile(model, draw, name, estimate=estimate))
     truth = rig.theta[estimate.names.index(name)]
     holds = np.mean([each.lower <= truth <= each.upper for each in found])
-    assert 0.917 <= holds <= 0.983, holds
+    assert 0.923 <= holds <= 0.977, holds
     assert np.mean([each.normal_lower <= truth <= each.normal_upper for each in found]) < normal
     assert np.mean([each.misleads for each in found]) > 0.85

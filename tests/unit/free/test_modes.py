@@ -196,7 +196,7 @@ def test_free_decays() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("case", ["random", "close", "damping", "decays"])
+@pytest.mark.parametrize("case", ["random", "close", "damping", "decays", "responses"])
 def test_coverage(case: str) -> None:
     """40 draws: coverage of 93 to 97 %, bias a fifth of the sd, each to three standard errors."""
     f, zeta, shapes = [], [], []
@@ -207,7 +207,10 @@ def test_coverage(case: str) -> None:
             found = dashpot.modes(decays(TWO, rng, 1, 8.0, 0.02), [], "x0,x1")
         else:
             test = bench.record(bench.noise(rng, 60.0 if case == "close" else 20.0, 1), rng, 0.03)
-            found = dashpot.modes(test, "u0", [f"a{i}" for i in range(bench.points)])
+            outputs = [f"a{i}" for i in range(bench.points)]
+            found = dashpot.modes(
+                dashpot.frf(test, "u0", outputs) if case == "responses" else test, "u0", outputs
+            )
         one, two, three = errors(found, bench)
         f += one.tolist()
         zeta += two.tolist()
