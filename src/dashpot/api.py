@@ -22,8 +22,9 @@ from dashpot.channel import RUNS, Channel, Quantity, kind_of
 from dashpot.check.deficiencies import require_identifiable
 from dashpot.check.explain.effect import with_likely_causes
 from dashpot.check.explain.examine import diagnose as diagnosis
-from dashpot.check.explain.examine import examined, in_place_of_laws
+from dashpot.check.explain.examine import examined
 from dashpot.check.explain.in_time import examined_records
+from dashpot.check.explain.laws import in_place_of_laws
 from dashpot.check.explain.record_channels import require_sound_channels
 from dashpot.check.identifiability import Structure, nonlinear_structure, structure
 from dashpot.data import readers
@@ -216,7 +217,9 @@ def _without_laws(error: IdentifiabilityError, model: Model, data: Data, **how: 
         causes = tuple(each for each in other.causes if isinstance(each, Finding))
     if causes[:1] and causes[0].kind == "unexplained":
         return error
-    return with_likely_causes(error, in_place_of_laws(model, causes))
+    # Laws among them were found with the rig's own left out; all else is the matter beside these as well.
+    told = (in_place_of_laws(model, each) if each.kind == "nonlinear" else each for each in causes)
+    return with_likely_causes(error, tuple(told))
 
 
 @one_blas_thread()

@@ -113,6 +113,7 @@ EXCESSES = np.concatenate([[1.0], np.geomspace(1.05, 1e24, 120)])
 
 Fitter = Callable[[Sequence[FitProblem]], list[FittedProblem]]
 Kinds = Sequence[tuple[float, Effects]]
+Supposition = tuple[Effect, float, float, FitProblem]  # an effect, its prior, a size, the problem with it
 
 
 @dataclass
@@ -355,25 +356,19 @@ def explain_records(
     tried.sort(key=lambda each: -each.roughly)
     baseline = begun_at(problem, silent, True)
     as_is = baseline.as_is
-    chosen: list[tuple[Effect, float, float, LineProblem]] = []
+    chosen: list[Supposition] = []
     for effect, prior, of_lines, starts in _chosen(baseline, tried):
         for size in (of_lines, *_promised(baseline, effect)):
             with suppress(DashpotError):  # a rig or channels that cannot be, or too little left to fit
                 supposed = effect.act(problem, size)
                 assert isinstance(supposed, LineProblem)
-                supposed.arranged()
+                supposed.arranged()  # raises where it cannot be fitted
                 begun = [psi for psi in (*starts, as_is.psi) if len(psi) == len(supposed.starts[0])]
                 chosen.append((effect, prior, size, supposed.from_starts(begun or supposed.starts)))
-    in_full: dict[int, Trial] = {}
-    for (effect, prior, size, _), fit in zip(chosen, fitted([each[3] for each in chosen]), strict=True):
-        end = _on_the_same_data(baseline, fit)
-        if id(effect) not in in_full or end.roughly > in_full[id(effect)].fit.roughly:
-            in_full[id(effect)] = Trial(effect, prior, size, end)
+    in_full = _at_best_sizes(baseline, chosen, fitted([each[3] for each in chosen]))
     again = tuple((prior, kind) for prior, kind in KINDS if kind in ON_RECORDS)
     led_to = {each.effect.subject: each.fit.psi for each in reversed(tried)}
-    return _weighed_all(
-        baseline, [*in_full.values(), *_tried(baseline, (*again, *of_records), begun=led_to)], fitted
-    )
+    return _weighed_all(baseline, [*in_full, *_tried(baseline, (*again, *of_records), begun=led_to)], fitted)
 
 
 IN_TIME = (
@@ -585,14 +580,14 @@ def _tried(
     of_rigs  fits those that are another rig
     begun    ψ (M,) of effects by kind and what they are of, one more start of those that are another rig
     """
-    suppositions: list[tuple[Effect, float, float, FitProblem]] = []
-    best: dict[int, Trial] = {}
+    suppositions: list[Supposition] = []
+    found: list[Trial] = []
     for prior, kind in kinds:
         for effect in kind(baseline):
             if effect.kind not in OF_SILENT and not baseline.silent.keys().isdisjoint(effect.of):
                 continue  # of what measured nothing no gain and no sign can be told
             if effect.found is not None:
-                best[id(effect)] = Trial(effect, prior, effect.values[0], effect.found)
+                found.append(Trial(effect, prior, effect.values[0], effect.found))
                 continue
             there = begun.get(effect.subject) if begun and effect.unknown else None
             for size in _sizes(baseline, effect):
@@ -606,12 +601,19 @@ def _tried(
     count = sum(bool(each[0].unknown) for each in suppositions)
     problems = [each[3] for each in suppositions]
     fits = [*of_rigs(problems[:count]), *fit(problems[count:])]
-    for (effect, prior, size, _), fitted_end in zip(suppositions, fits, strict=True):
-        end = _on_the_same_data(baseline, fitted_end)
-        so_far = best.get(id(effect))
-        if so_far is None or end.roughly > so_far.fit.roughly:
+    return [each for each in (*found, *_at_best_sizes(baseline, suppositions, fits)) if _is_such(each)]
+
+
+def _at_best_sizes(
+    baseline: Baseline, suppositions: Sequence[Supposition], fits: Sequence[FittedProblem]
+) -> list[Trial]:
+    """Each effect at the size of which the fit is the likeliest."""
+    best: dict[int, Trial] = {}
+    for (effect, prior, size, _), fit in zip(suppositions, fits, strict=True):
+        end = _on_the_same_data(baseline, fit)
+        if id(effect) not in best or end.roughly > best[id(effect)].fit.roughly:
             best[id(effect)] = Trial(effect, prior, size, end)
-    return [each for each in best.values() if _is_such(each)]
+    return list(best.values())
 
 
 def _sizes(baseline: Baseline, effect: Effect) -> tuple[float, ...]:

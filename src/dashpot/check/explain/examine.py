@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 
@@ -26,7 +25,7 @@ from dashpot.check.explain.laws import (
     ScoredElement,
     called_for,
     called_for_in_records,
-    laws_in_words,
+    in_place_of_laws,
 )
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.record_channels import mistakes_by_equation
@@ -294,18 +293,12 @@ def _in_place_of_laws(model: Model, spectrum: Spectrum, misfit: float, seed: int
         found = diagnose(linear, spectrum, identify(linear, spectrum, "ml"), seed=seed)
     except DashpotError:
         return ()
-    most = (1 - NEARLY_ALL) * misfit
-    laws = (each for each in found if each.kind == "nonlinear")
-    return in_place_of_laws(
-        model, (each for each in laws if each.remaining is not None and each.remaining < most)
-    )
-
-
-def in_place_of_laws(model: Model, causes: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Causes that were found for a rig without its own laws: nonlinear elements are in the place of these."""
-    instead = f", in place of {laws_in_words(model)}"
     return tuple(
-        replace(each, text=each.text + instead) if each.kind == "nonlinear" else each for each in causes
+        in_place_of_laws(model, each)
+        for each in found
+        if each.kind == "nonlinear"
+        and each.remaining is not None
+        and each.remaining < (1 - NEARLY_ALL) * misfit
     )
 
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import combinations
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -26,6 +26,7 @@ from dashpot.check.explain.score import APART, score_tests, steadiness
 from dashpot.data.noise import smoothed
 from dashpot.data.spectrum import LinesInTime, Spectrum, WholeRecord
 from dashpot.errors import DashpotError
+from dashpot.estimate.assessment import Finding
 from dashpot.estimate.inference.time_course import UNEVEN
 from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import RecordFit, measured, predict, record_fit
@@ -137,10 +138,12 @@ class ScoredElement:
             words = partial(missing_in_words, model, self.element)
             return Effect("element", of, as_is, words, size, found=self.fit, more=1)
         words = partial(law_in_words, model, self.element)
-        words = partial(in_place_of_laws, model, words) if self.in_place else words
+        words = partial(_in_place_of_laws, model, words) if self.in_place else words
         share, more = 1 / (len(LAWS) * max(len(moving_pairs(model)), 1)), 1 + len(law.constants)
         return Effect("nonlinear", of, as_is, words, size, found=self.fit, more=more, share=share)
 
+
+Said = TypeVar("Said", Phrase, Finding)
 
 # The largest elongation (m) and rate (m/s) between two points.
 Motions = Mapping[tuple[str, str], tuple[float, float]]
@@ -603,10 +606,13 @@ def laws_in_words(model: Model) -> str:
     return joined(model.elements[int(index)].name for index in model.nonlinear)
 
 
-def in_place_of_laws(model: Model, words: Callable[[float], Phrase], size: float) -> Phrase:
+def in_place_of_laws(model: Model, said: Said) -> Said:
     """What is said of a cause that was found with the rig's nonlinear elements left out: it stands in their place."""
-    phrase = words(size)
-    return replace(phrase, text=f"{phrase.text}, in place of {laws_in_words(model)}")
+    return replace(said, text=f"{said.text}, in place of {laws_in_words(model)}")
+
+
+def _in_place_of_laws(model: Model, words: Callable[[float], Phrase], size: float) -> Phrase:
+    return in_place_of_laws(model, words(size))
 
 
 def free_name(model: Model, element: Element) -> str:

@@ -102,28 +102,26 @@ def hysteretic(baseline: Baseline) -> Iterator[Effect]:
         if each.kind is Kind.HYSTERETIC and frozenset(each.along) in joined
     ]
     yield from _added(baseline, "hysteretic", candidates)
-    middle = (
-        2 * np.pi * float(np.exp(np.mean(np.log(baseline.problem.frequency_hz))))
-    )  # where both dissipate alike
-    for damper in stated_values(model):
-        for each in candidates if damper.kind is Kind.DAMPER else ():
-            if each.along == damper.along:
-                assert damper.guess is not None
-                alike = damper.guess * middle
-                taken = replace(damper, value=0.0, guess=None), each
-                yield Effect(
-                    "hysteretic", points_of(each, model), partial(_in_place, *taken),
-                    partial(_rather_hysteretic, model, taken), (alike,), ELEMENT_WIDTH * alike,
-                    unknown=each.name, share=1 / len(candidates),
-                )  # fmt: skip
+    middle_hz = float(np.exp(np.mean(np.log(baseline.problem.frequency_hz))))
+    dampers = (each for each in stated_values(model) if each.kind is Kind.DAMPER)
+    pairs = [(damper, each) for damper in dampers for each in candidates if each.along == damper.along]
+    for viscous, candidate in pairs:
+        assert viscous.guess is not None
+        size = viscous.guess * 2 * np.pi * middle_hz  # dissipates as much there
+        damper = replace(viscous, value=0.0, guess=None)
+        yield Effect(
+            "hysteretic", points_of(candidate, model), partial(_with, candidate, instead=(damper,)),
+            partial(_rather_hysteretic, model, damper, candidate), (size,), ELEMENT_WIDTH * size,
+            unknown=candidate.name, share=1 / len(candidates),
+        )  # fmt: skip
 
 
-def _rather_hysteretic(model: Model, taken: tuple[Element, Element], value: float) -> Phrase:
-    viscous, element = taken
+def _rather_hysteretic(model: Model, damper: Element, element: Element, value: float) -> Phrase:
+    """damper: as it would be, of no damping."""
     size = f"{rounded(value, '.3g')} {element.unit(model.angles)}"
-    text = f"the damping of {viscous.name} is hysteretic ({size}), not viscous"
-    lines = "; ".join(f"{element_section(each)} {element_line(each)}" for each in taken)
-    return Phrase(text, lines, (), taken)
+    text = f"the damping of {damper.name} is hysteretic ({size}), not viscous"
+    lines = "; ".join(f"{element_section(each)} {element_line(each)}" for each in (damper, element))
+    return Phrase(text, lines, (), (damper, element))
 
 
 def _added(baseline: Baseline, kind: str, candidates: list[Element]) -> Iterator[Effect]:
@@ -148,12 +146,11 @@ def _typical(model: Model, psi: Real, kind: Kind) -> float:
     return float(np.exp(np.mean(np.log(like or springs or [1.0]))))
 
 
-def _with(element: Element, problem: FitProblem, start: float) -> FitProblem:
-    return problem.of_rig(replaced(problem.model, replace(element, guess=start)))
-
-
-def _in_place(none: Element, element: Element, problem: FitProblem, start: float) -> FitProblem:
-    return problem.of_rig(replaced(problem.model, none, replace(element, guess=start)))
+def _with(
+    element: Element, problem: FitProblem, start: float, instead: tuple[Element, ...] = ()
+) -> FitProblem:
+    """instead: what elements of the rig are then."""
+    return problem.of_rig(replaced(problem.model, *instead, replace(element, guess=start)))
 
 
 def missing_in_words(model: Model, element: Element, value: float) -> Phrase:

@@ -608,7 +608,7 @@ class RecordProblem:
     ) -> OptimizeResult:
         """The least misfit from ψ (M,) on, within the `limits` or the `bounds` there, (M,) each."""
         limits = self.bounds(psi) if limits is None else limits
-        return descended(self.model, self.quadratic, psi, limits, limit, tolerance)
+        return least_cost(self.model, self.quadratic, psi, limits, limit, tolerance)
 
     def linearised(self, k: int, psi: Real) -> LinearisedRecord | None:
         """A record around ψ (M,), its inputs at their likeliest values there; None if no motion follows.
@@ -651,7 +651,7 @@ def _lengths(model: Model) -> Bools:
     return np.any(model.constants_map[0][must_be_positive(model)] > 0, axis=0)
 
 
-def descended(
+def least_cost(
     model: Model,
     evaluate: Callable[[Real], QuadraticModel],
     psi: Real,

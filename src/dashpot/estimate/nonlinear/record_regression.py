@@ -20,7 +20,7 @@ from dashpot.data.noise import white_floor, without_leakage
 from dashpot.data.spectrum import LinesInTime
 from dashpot.errors import DataError
 from dashpot.estimate.inference.diagnostics import require_traces
-from dashpot.estimate.nonlinear.record_problem import bounds_near, descended, known_inputs
+from dashpot.estimate.nonlinear.record_problem import bounds_near, known_inputs, least_cost
 from dashpot.estimate.nonlinear.records import RecordData, RecordedMotion, recorded_motion
 from dashpot.estimate.nonlinear.regression import require_finite_laws
 from dashpot.estimate.nonlinear.search import KEPT, constants_to_try, theta_of
@@ -227,7 +227,7 @@ class WeakEquations:
         lower, upper = np.where(stated, model.prior_mean, lower), np.where(stated, model.prior_mean, upper)
         open_ = np.full(len(psi) - len(lower), np.inf)
         limits = np.append(lower, -open_), np.append(upper, open_)
-        return descended(model, lambda x: self._quadratic(x[0]), psi, limits, 60, 0.01)
+        return least_cost(model, lambda x: self._quadratic(x[0]), psi, limits, 60, 0.01)
 
     def _quadratic(self, psi: Real) -> QuadraticModel:
         model, form = self.form.model, self.form
