@@ -28,8 +28,10 @@ from dashpot.estimate.likelihood.objective import (
 from dashpot.estimate.preparation import prepare
 from dashpot.estimate.registry import AUTOMATIC  # those that end in the minimum of χ²
 from dashpot.estimate.result import MISFIT, Estimate
+from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel
+from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
 from dashpot.numerics.small_systems import scaled_inverse
 
@@ -428,7 +430,8 @@ MOST_AMPLITUDES = 3000  # with more, profiles take longer than anyone waits
 def with_profile_intervals(model: Model, spectrum: Spectrum, estimate: Estimate) -> Estimate:
     """The estimate with the profile's 95 % interval of each unknown along which χ² is no parabola (no batch axes).
 
-    It is unchanged where that takes long, where intervals count a misfit, and where bounds hold unknowns.
+    It is unchanged where that takes long, where intervals count a misfit, and where bounds hold unknowns.  A warning
+    names the unknowns to which χ² sets no limit: the best fit may be anywhere along a valley.
     """
     # Whether profiles are worth their time, and mean what they say
     plain = all(isinstance(stretch, SettledDwell) for stretch in spectrum.stretches)
@@ -453,7 +456,11 @@ def with_profile_intervals(model: Model, spectrum: Spectrum, estimate: Estimate)
         )
     except DashpotError:
         return estimate  # nothing is said of the surface of such a rig
-    return replace(estimate, profiles={estimate.names[j]: curve for j, curve in curves.items()})
+    profiles = {estimate.names[j]: curve for j, curve in curves.items()}
+    endless = tuple(name for name, (points, _) in profiles.items() if not np.all(np.isfinite(points)))
+    text = f"the data set no limit to {joined(endless)} on one side: ± is that of the nearest values only"
+    warnings = (*estimate.warnings, *([Notice("open_interval", text, endless)] if endless else []))
+    return replace(estimate, profiles=profiles, warnings=warnings)
 
 
 def bent_unknowns(model: Model, spectrum: Spectrum, estimate: Estimate) -> Bools:

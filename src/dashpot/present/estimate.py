@@ -175,9 +175,7 @@ def profiles_in_words(estimate: Estimate) -> str:
     if not names:
         return ""
     verb = "Profile interval" if len(names) == 1 else "Profile intervals"
-    open_ended = [name for name in names if not all(map(math.isfinite, estimate.profiles[name][0]))]
-    limit = f" The interval of {joined(open_ended)} is open on one side." if open_ended else ""
-    return f"{verb}: {joined(names)} (the interval is asymmetric, so ± misleads).{limit}"
+    return f"{verb}: {joined(names)} (the interval is asymmetric, so ± misleads)."
 
 
 def warnings_in_words(

@@ -189,7 +189,7 @@ class _Point:
 class _Walk:
     """One way along the valley from `begin`, to where χ² lies `rise` above it; straight on unless `turning`.
 
-    Steps and how far is looked, ten of them, are in sizes of the unknowns.
+    Steps are in sizes of the unknowns where they have led, for one may begin next to 0.
     """
 
     def __init__(self, evaluate: Evaluate, begin: _Point, side: float, rise: float, turning: bool) -> None:
@@ -206,8 +206,7 @@ class _Walk:
         """The walk gone until χ² has risen, or as far as is looked."""
         walk = _Walk(evaluate, begin, side, rise, turning)
         for _ in range(80):  # at most
-            far = np.any(np.abs(walk.point.psi - begin.psi) > 10.0 * begin.size)
-            if walk.risen or far or not walk.stepped():
+            if walk.risen or not walk.stepped():
                 break
         return walk
 
