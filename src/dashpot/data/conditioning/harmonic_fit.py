@@ -181,7 +181,7 @@ def _common_step(codes: Real, largest: float) -> float:
     Euclid's algorithm on the smallest distances, with the rounding of floating point as its zero.
     """
     apart = np.diff(codes)
-    apart = apart[apart > 1e-12 * largest]
+    # A converter has one number for each code: a sine that was computed, at few phases, comes back by its last digits.
     if len(apart) < 2 or np.min(apart) < FINEST * largest:
         return 0.0
     step = float(np.min(apart))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dashpot.data.conditioning.harmonic_fit import rounding_steps
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.record import Record
 from dashpot.errors import DataError
@@ -44,6 +45,16 @@ def test_a_channel_on_one_code_is_not_exact() -> None:
     assert np.ptp(records[1].values[:, 0]) == 0
     lines = spectrum(records, refine="none", transients="none")
     assert lines.covariance[1, 0, 0].real >= 4 * STEP**2 / 12 / 320
+
+
+def test_a_sine_that_was_computed_at_few_phases_is_no_converter() -> None:
+    """Its values of a phase are apart by their last digits: 0.5 and 0.5000000000000001, where a converter has one."""
+    t = np.arange(60) / 24.0
+    values = wave(t, 4.0, [1.0, 1.0]) + 1e-3 * np.random.default_rng(2).normal(size=(60, 2)) * [0, 1]
+    assert len(np.unique(values[:, 0])) > len(np.unique(np.round(values[:, 0], 12)))
+    np.testing.assert_array_equal(rounding_steps([Record((X1, U), t, values, 4.0)]), 0.0)
+    codes = np.round(values / 0.5) * 0.5
+    np.testing.assert_allclose(rounding_steps([Record((X1, U), t, codes, 4.0)]), 0.5)
 
 
 def test_noise_that_dithers_is_left_as_the_residual_shows_it() -> None:
