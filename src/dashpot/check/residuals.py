@@ -20,6 +20,7 @@ from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.record import calibration, real_factor
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Discrepancy, Misfit
+from dashpot.estimate.likelihood.boundary_loads import with_means_of_unmeasured
 from dashpot.estimate.likelihood.objective import (
     FLOOR,
     measured,
@@ -225,7 +226,8 @@ def projection(
             at_ends = shown_by_ends(data.record_pieces, psi[None], sign[None])
         elif data.ends is not None:
             at_ends = predict(view, data, psi[None], sign[None]).at_ends
-        transients = transients if at_ends is None else at_ends[0]
+        if at_ends is not None:  # of which errors of samples that are not measured are off from their means
+            transients = at_ends[0] - np.where(seen, with_means_of_unmeasured(spectrum) - y, 0.0)
     noise = np.where(seen[:, :, None] & seen[:, None, :], V, 0.0)
     variance = np.diagonal(noise, axis1=-2, axis2=-1).real
     noisy, size = variance > 0, np.max(np.abs(np.nan_to_num(y)), axis=0, initial=0.0)

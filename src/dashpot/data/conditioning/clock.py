@@ -61,8 +61,8 @@ def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
     """The record on an even clock where its stamps are even times rounded to some digit, else as it is.
 
     Steps of 10 and 20 ms are what 64 samples a second look like in stamps of 10 ms: taken at their word, they are
-    noise of the time.  So are stamps of six significant figures, once they are long.  A note says so where the digit
-    is coarse.
+    noise of the time.  So are stamps of six significant figures, once they are long.  Where steps are 10 ms but for one
+    of 20, a sample is missing.  A note says so where the digit is coarse.
     """
     time = record.time
     if len(time) < FEWEST_OF_A_DWELL:
@@ -78,6 +78,9 @@ def with_even_stamps(record: Record) -> tuple[Record, Notice | None]:
     digit = fits[0]
     middle = float(np.mean(time))
     step = _simplest(time - middle, index, step, (1 + 1e-6) * digit)
+    steps = np.diff(time)
+    if np.min(steps) > (1 - ROUNDED) * step and np.max(steps) > GAP * step:  # rounding shortens steps as well
+        return record, None
     even: Real = np.asarray(middle + step * index, dtype=np.float64)
     text = f"time stamps are rounded to {digit:.3g} s; evenly spaced samples, {step:.6g} s apart, are used"
     return replace(record, time=even), record.notice("stamps_rounded", text) if coarse else None

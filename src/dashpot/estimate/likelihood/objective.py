@@ -244,9 +244,9 @@ class RecordFit:
     motion   (K, lines, r + s + n) inputs q̂ and loads
     r        (K, lines, channels) what they leave of the data
     G        (K, lines, channels, r + s); half: its W G (Gᴴ W G)⁻¹ where the inputs are estimated, else None
-    columns  (K, lines, channels, 2 n + polynomials) of the ends
-    free     (K, lines, channels, 2 n + polynomials + k): what the inputs leave of them, and of samples not measured
-    loads    (K, lines, 2 n + polynomials) coefficients of the columns
+    columns  (K, lines, channels, 2 n + polynomials + k) of the ends, and of k samples that are not measured
+    free     of the same shape: what the inputs leave of them
+    loads    (K, lines, 2 n + polynomials + k) coefficients of the columns
     """
 
     rig: Transfer | ReducedTransfer
@@ -299,13 +299,12 @@ def record_fit(view: ObservationModel, data: Measured, psi: Real, sign: Real) ->
     found = of_ends.coefficients(root @ residual[..., None])[..., 0]
     white = of_ends.coefficients(root @ residual[..., None], white=True)[..., 0]
     residual = residual - np.einsum("...cz,...z->...c", free, white)
-    loads = found[..., : ends.count]
-    load = loads[..., :n] + ends.s[:, None] * loads[..., n : 2 * n]
-    q = driven + np.einsum("lqp,...lp->...lq", ends.by_input, loads[..., 2 * n :])
+    load = found[..., :n] + ends.s[:, None] * found[..., n : 2 * n]
+    q = driven + np.einsum("lqp,...lp->...lq", ends.by_input, found[..., 2 * n : ends.count])
     if half is not None:
         q = q - np.einsum("...cq,...cz,...z->...q", np.conj(half), every, found)
     motion = np.concatenate([q, load], axis=-1)
-    return RecordFit(rig, motion, residual, root, G, half, columns, free, loads, of_ends, folded)
+    return RecordFit(rig, motion, residual, root, G, half, every, free, found, of_ends, folded)
 
 
 def _inputs(G: Complex, data: Measured) -> tuple[Complex, Complex | None]:

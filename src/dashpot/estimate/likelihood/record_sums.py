@@ -213,8 +213,8 @@ def ends_fitted(pieces: RecordPieces, psi: Real, sign: Real) -> EndsFitted:
 
 
 def shown_by_ends(pieces: RecordPieces, psi: Real, sign: Real) -> Complex:
-    """Loads and polynomials as they fit best at ψ (K, M) with signs (K, channels), in the channels: (K, lines,
-    channels), 0 at settled lines.
+    """Loads, polynomials and errors of samples that are not measured, as they fit best at ψ (K, M) with signs
+    (K, channels), in the channels: (K, lines, channels), 0 at settled lines.
 
     What `objective.predict` calls `at_ends`; for rigs that are `small`.  Some lines at a time.
     """
@@ -245,6 +245,9 @@ def shown_by_ends(pieces: RecordPieces, psi: Real, sign: Real) -> Complex:
             if folded is not None and ends.loads[record]:
                 shown += np.einsum("kcjl,kj->klc", folded.at(record, s), of_record[:, : 2 * n])
             out[:, at] = shown
+        of = ends.unmeasured[record]
+        errors = fit.z[:, record, pieces.count - ends.missing :][:, : len(of.channel)]
+        out[:, lines] += np.einsum("lcz,kz->klc", of.in_channels(out.shape[2]), errors)
     return out
 
 

@@ -71,14 +71,17 @@ def test_a_record_is_used_whole(dashpot: Command, rig: str) -> None:
     assert said in " ".join(Path("e.html").read_text(encoding="utf-8").split())
 
 
-@pytest.mark.long
-def test_several_records_and_one_with_a_gap(dashpot: Command, rig: str) -> None:
+@pytest.mark.parametrize(
+    ("missing", "gap"), [(50, "50 samples missing before 9.5 s"), (1, "1 sample missing before 9.01 s")]
+)
+def test_several_records_and_one_with_a_gap(dashpot: Command, rig: str, missing: int, gap: str) -> None:
     recorded("a.csv", seed=2)
-    recorded("b.csv", seed=3, seconds=20, skip=slice(900, 950))
+    recorded("b.csv", seed=3, seconds=20, skip=slice(900, 900 + missing))
     done = dashpot("identify", rig, "a.csv", "b.csv", "--json", "e.json", "--band", "0.3:20")
     assert done.code == 0
-    assert any("50 samples missing before 9.5 s" in line for line in done.err)
+    assert any(gap in line for line in done.err)
     assert any("2 continuous records" in line for line in done.err)
+    assert json.loads(Path("e.json").read_text(encoding="utf-8"))["fit"]["verdict"] == "fits"
     assert away() < 3.7
 
 

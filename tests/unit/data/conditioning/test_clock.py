@@ -59,6 +59,8 @@ def test_jitter_and_gaps_are_left_alone() -> None:
     kept = np.delete(np.arange(640), np.arange(100, 140))
     gap = Record((X1, U), stamped(0.01).time[kept], fine.values[kept], F)
     assert with_even_stamps(gap)[0] is gap
+    one = Record((X1, U), np.delete(0.01 * np.arange(641), 300), fine.values, F)
+    assert with_even_stamps(one)[0] is one  # steps of 10 ms, and one of 20: no clock of 99.85 Hz
 
 
 @pytest.mark.parametrize("start", [0.0, 0.25, 1.7e9])

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from dashpot.arrays import Real
+from dashpot.check.residuals import residuals
 from dashpot.data.conditioning.whole_record import whole_record
 from dashpot.data.record import MISSING, Record
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.estimate.likelihood.boundary_loads import with_means_of_unmeasured
 from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, per_line, predict
-from dashpot.estimate.likelihood.record_sums import record_residuals
+from dashpot.estimate.likelihood.record_sums import record_residuals, shown_by_ends
 from dashpot.estimate.preparation import Prepared, prepare
 from dashpot.model.observation import calibrated_transfer
 from tests.whole_rigs import WholeTest, chain, record_of
@@ -122,6 +123,16 @@ def test_the_cost_is_that_of_one_gaussian_and_its_slope_belongs_to_it(kind: str)
     white, rank = record_residuals(exact.record_pieces, psi, signs)
     assert 2 * np.sum(np.abs(white) ** 2) == pytest.approx(at.cost[0], rel=1e-8)
     assert rank[0] == slow.columns == nuisance_columns(data.view, exact, psi, signs)
+    assert slow.at_ends is not None
+    shown = shown_by_ends(exact.record_pieces, psi, signs)
+    assert np.max(np.abs(shown - slow.at_ends)) < 1e-6 * np.max(np.abs(shown))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_residuals_allow_for_samples_that_are_not_measured(known: bool) -> None:
+    """Each channel is as far from what is predicted as its noise, its gaps included: they had been 28 times as far."""
+    test, spectrum = with_gaps(noisy_base=True, known=known)
+    assert residuals(test.model, test.theta, spectrum).rms() == pytest.approx(1, abs=0.15)
 
 
 def test_what_stands_for_a_missing_sample_does_not_matter() -> None:
