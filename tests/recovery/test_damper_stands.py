@@ -140,7 +140,7 @@ def motion(
     d = u(time)
     v = (u(time + 1e-6) - u(time - 1e-6)) / 2e-6
     force = truth.get("k", 0.0) * d + truth["c"] * v + truth["q"] * LAWS[law][0](d, v, truth)
-    return time[::FINE], d[::FINE], force[::FINE]
+    return time[::FINE].copy(), d[::FINE].copy(), force[::FINE].copy()  # of which dwells are kept
 
 
 def noisy(time: Real, d: Real, F: Real, rng: np.random.Generator) -> dict[str, Real]:
