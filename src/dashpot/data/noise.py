@@ -42,12 +42,14 @@ def sizes_of_parts(power: Real, parts: Real, left: Real | float, sizes: Real, st
     restricted likelihood where `left` is what a fit has left of each (Zhou et al. 2019, Journal of Computational and
     Graphical Statistics 28).
     """
+    largest = sizes.max()
     for _ in range(steps):
         variance = parts @ sizes
         shown, expected = (power / variance**2) @ parts, (left / variance) @ parts
         ratio = np.sqrt(shown / expected)
-        sizes = np.maximum(sizes * ratio, 1e-9 * np.max(sizes))  # of the larger part of a channel's noise
-        if np.all((np.abs(ratio - 1) < 1e-4) | (sizes <= 1e-6 * np.max(sizes))):
+        sizes = np.maximum(sizes * ratio, 1e-9 * largest)  # of the larger part of a channel's noise
+        largest = sizes.max()
+        if ((np.abs(ratio - 1) < 1e-4) | (sizes <= 1e-6 * largest)).all():
             break
     return sizes
 
