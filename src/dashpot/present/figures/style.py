@@ -14,12 +14,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backend_bases import get_registered_canvas_class
 from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter, StrMethodFormatter
 from PIL import Image
 
 from dashpot.errors import DataError
@@ -165,6 +166,8 @@ def _saved(figure: Figure, kind: str, **settings: Any) -> bytes:
         # Texts are names and words, in which $ is a letter; only the ticks of logarithmic axes are math. Of a
         # name that would leave no room for the axes, the beginning is shown.
         for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+            if isinstance(axis.get_major_formatter(), ScalarFormatter | StrMethodFormatter):
+                continue  # numbers, of which all ticks would be made to be looked at
             labels = [label.get_text() for label in axis.get_ticklabels()]
             if any(map(_TOO_LONG.search, labels)):  # which the axis would write anew
                 axis.set_ticks(axis.get_ticklocs(), [_shortened(label) for label in labels])
@@ -174,7 +177,15 @@ def _saved(figure: Figure, kind: str, **settings: Any) -> bytes:
                 text.set_text(_shortened(text.get_text()))
             if "$" in text.get_text() and not text.get_text().startswith("$\\mathdefault{"):
                 text.set_parse_math(False)
+        layout, dpi = figure.get_layout_engine(), figure.dpi
+        if layout is not None:  # `savefig` would draw all once more for it
+            get_registered_canvas_class(kind)(figure)
+            figure.set_dpi(settings.get("dpi", dpi))
+            layout.execute(figure)
+            figure.set_layout_engine("none")
         figure.savefig(out, format=kind, metadata=dict.fromkeys(_UNSAID[kind]), **settings)
+        figure.set_layout_engine(layout or "none")
+        figure.set_dpi(dpi)
     return out.getvalue()
 
 
