@@ -268,7 +268,10 @@ def main() -> None:
     except (Ended, KeyboardInterrupt) as asked:  # in the moments before the run and after it
         leave_signals()
         code = _stopped(asked)
-    if not _is_own_process():
+    # Whether this process was started for the command, by its script or `python -m`, not by a program that goes on
+    started = sys.modules["__main__"]
+    spec, file = getattr(started, "__spec__", None), getattr(started, "__file__", None) or ""
+    if not (spec.name == "dashpot.__main__" if spec is not None else Path(file).stem == "dashpot"):
         sys.exit(code)
     # All is unwound and told.  Were the interpreter taken down now, threads of libraries that still work (those that
     # read ahead) might ask for it once more: they would be ended within C++, and the process with them, by SIGABRT.
@@ -277,11 +280,3 @@ def main() -> None:
         with suppress(OSError, ValueError):
             stream.flush()
     os._exit(code)
-
-
-def _is_own_process() -> bool:
-    """Whether this process was started for the command, by its script or `python -m`, and not by a program that goes
-    on after it."""
-    started = sys.modules["__main__"]
-    spec, file = getattr(started, "__spec__", None), getattr(started, "__file__", None) or ""
-    return spec.name == "dashpot.__main__" if spec is not None else Path(file).stem == "dashpot"

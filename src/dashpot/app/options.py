@@ -426,7 +426,24 @@ class GroupedCommand(click.Command):
                 params.append(each)
                 taken.update(each.opts)
         if self.usual:
-            params.append(_help_all())
+
+            def show(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
+                if wanted and not ctx.resilient_parsing:
+                    ctx.meta[EVERYTHING] = True
+                    click.echo(ctx.get_help(), color=ctx.color)
+                    ctx.exit()
+
+            help_text = "Show all options and exit."
+            params.append(
+                click.Option(
+                    ["--help-all"],
+                    is_flag=True,
+                    is_eager=True,
+                    expose_value=False,
+                    callback=show,
+                    help=help_text,
+                )
+            )
         name = function.__module__.rpartition(".")[2]
         super().__init__(name, callback=self.called, params=params, help=function.__doc__)
 
@@ -486,21 +503,6 @@ class GroupedCommand(click.Command):
                     else:
                         lines[-1] = f"{lines[-1]} {part}".strip()
                 formatter.write(indent + f" \\\n{indent}    ".join(lines) + "\n")
-
-
-def _help_all() -> click.Option:
-    """--help-all: the help with all options."""
-
-    def show(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
-        if wanted and not ctx.resilient_parsing:
-            ctx.meta[EVERYTHING] = True
-            click.echo(ctx.get_help(), color=ctx.color)
-            ctx.exit()
-
-    help_text = "Show all options and exit."
-    return click.Option(
-        ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=show, help=help_text
-    )
 
 
 def _complete(option: GroupedOption, ctx: click.Context, word: str, following: str) -> str:

@@ -258,7 +258,15 @@ def cluster_mapping(address: str, processes: int | None = None) -> Iterator[Map]
                     "start one: dask scheduler, and workers: dask worker ADDRESS --nworkers auto --nthreads 1"
                 )
                 raise UsageError(f"the Dask scheduler does not answer ({cause})", address, cure) from None
-            _require_alike(client.run(numbers_rest_on), address)
+            workers = client.run(numbers_rest_on)
+            if not workers:
+                cure = "start some: dask worker ADDRESS --nthreads 1"
+                raise UsageError("the scheduler has no workers", address, cure)
+            for worker, has in workers.items():
+                for name, value in numbers_rest_on().items():
+                    if has.get(name) != value:
+                        what = f"the worker {worker} has {name} {has.get(name)}, here it is {value}"
+                        raise UsageError(what, address, "install the same versions on all machines")
         try:
             yield Cluster(client).map
         except distributed.KilledWorker as error:
@@ -294,18 +302,6 @@ def numbers_rest_on() -> dict[str, str]:
         own = "none"
     libraries = {"NumPy": version("numpy"), "SciPy": version("scipy")}
     return {"dashpot": own, **libraries, "machine": platform.machine()}
-
-
-def _require_alike(workers: dict[str, dict[str, str]], address: str) -> None:
-    """Raises UsageError if there are no workers, or some would compute other numbers."""
-    if not workers:
-        cure = "start some: dask worker ADDRESS --nthreads 1"
-        raise UsageError("the scheduler has no workers", address, cure)
-    for worker, has in workers.items():
-        for name, value in numbers_rest_on().items():
-            if has.get(name) != value:
-                what = f"the worker {worker} has {name} {has.get(name)}, here it is {value}"
-                raise UsageError(what, address, "install the same versions on all machines")
 
 
 Report = Callable[[int, int], None]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real, freeze
+from dashpot.arrays import Real, freeze
 from dashpot.channel import Channel
 from dashpot.check.identifiability import structure
 from dashpot.check.profile import Profile, Surface, chi2_surface, profile
@@ -165,7 +165,16 @@ def _combinations(
             continue
         relative = (vectors[:, k] / sd / size * np.where(base.psi < 0, -1, 1))[members]
         peak = relative[np.argmax(np.abs(relative))]
-        best, narrowing = _best(covariance, members)
+        # The unknown whose value would narrow the intervals most, and the mean remaining factor of the others
+        variance = np.diagonal(covariance)
+        best, narrowing = int(members[0]), np.inf
+        for i in members:
+            left = variance[members] - covariance[members, i] ** 2 / variance[i]
+            factor = np.sqrt(np.maximum(left, 0.0) / variance[members])
+            others = factor[members != i]
+            mean = float(np.mean(others)) if len(others) else 0.0
+            if mean < narrowing:
+                best, narrowing = int(i), mean
         along = float(abs(peak) / np.sqrt(values[k]) * np.mean(spread[members]))
         combinations.append(
             Combination(
@@ -174,20 +183,6 @@ def _combinations(
             )
         )  # fmt: skip
     return tuple(combinations)
-
-
-def _best(covariance: Real, members: Ints) -> tuple[int, float]:
-    """(the unknown whose value would narrow the intervals of `members` most, mean remaining factor of the others)."""
-    variance = np.diagonal(covariance)
-    best, least = int(members[0]), np.inf
-    for i in members:
-        left = variance[members] - covariance[members, i] ** 2 / variance[i]
-        factor = np.sqrt(np.maximum(left, 0.0) / variance[members])
-        others = factor[members != i]
-        mean = float(np.mean(others)) if len(others) else 0.0
-        if mean < least:
-            best, least = int(i), mean
-    return best, least
 
 
 def shares_by_band(found: Collinearity, frequency_hz: Real, most: int = 120) -> tuple[Real, Real]:

@@ -132,7 +132,15 @@ def structure(
     rng = random_generator(seed)
     view = view_of(model, channels)
     names = view.names
-    draws = _draws(model, channels, _lines_enough(model, channels, len(names), rng), rng)
+    # Random rigs of the highest rank found: one where that is full, else DRAWS
+    enough = _lines_enough(model, channels, len(names), rng)
+    draws, ranks = list[Draw](), list[int]()
+    for _ in range(DRAWS):
+        draws.append(exact(model, channels, enough, rng))
+        ranks.append(field.rank(draws[-1].rows))
+        if ranks[0] == len(draws[0].psi):
+            break
+    draws = [draw for draw, rank in zip(draws, ranks, strict=True) if rank == max(ranks)]
     rank = field.rank(draws[0].rows)
     psi, rate = nominal(model, channels)
     dependent = _prior_dependent(model, channels, rng) if rank == len(names) else ()
@@ -211,19 +219,6 @@ def _lines_enough(
             return lines
         before, count = rank, 2 * count
     return most
-
-
-def _draws(
-    model: Model, channels: Sequence[Channel], lines: LinePattern, rng: np.random.Generator
-) -> list[Draw]:
-    """Random rigs of the highest rank found: one where that is full, else DRAWS."""
-    draws, ranks = list[Draw](), list[int]()
-    for _ in range(DRAWS):
-        draws.append(exact(model, channels, lines, rng))
-        ranks.append(field.rank(draws[-1].rows))
-        if ranks[0] == len(draws[0].psi):
-            break
-    return [draw for draw, rank in zip(draws, ranks, strict=True) if rank == max(ranks)]
 
 
 def _prior_dependent(model: Model, channels: Sequence[Channel], rng: np.random.Generator) -> tuple[str, ...]:

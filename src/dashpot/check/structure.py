@@ -657,7 +657,26 @@ class Deficient:
             return Deficiency(sort, names, relative * scale, np.zeros((0, len(columns))))
         # Sums have the physical constants, ratios the relative ones, reciprocals δ(1/θ) = −c.
         constants = relative[:, columns] * scale[columns] ** (1.0 - power)
-        return Deficiency(sort, names, relative * scale, _complement(constants))
+        # Combinations that do not change along any of the vectors, in echelon form.
+        size = np.max(np.abs(constants), axis=0)
+        scaled = constants / size
+        Vh = np.linalg.svd(scaled)[2]
+        rows = Vh[np.linalg.matrix_rank(scaled, 1e-6) :] / size
+        for column in range(rows.shape[1]):
+            done = column if column < len(rows) else len(rows)
+            if done == len(rows):
+                break
+            chosen = done + int(np.argmax(np.abs(rows[done:, column])))
+            if abs(rows[chosen, column]) * size[column] < 1e-6:
+                continue
+            rows[[done, chosen]] = rows[[chosen, done]]
+            rows[done] /= rows[done, column]
+            others = np.arange(len(rows)) != done
+            rows[others] -= rows[others, column][:, None] * rows[done]
+        small = np.abs(rows * size) < 1e-6 * np.max(
+            np.abs(rows * size), axis=1, initial=1e-300, keepdims=True
+        )
+        return Deficiency(sort, names, relative * scale, np.where(small, 0.0, rows))
 
     def _sensors(self, found: Sequence[Deficiency]) -> list[tuple[Channel, ...]]:
         """For each deficiency, single further sensors that show all its directions; calibrations are not mended so."""
@@ -708,24 +727,3 @@ def _blocks(vectors: Iterable[Ints]) -> list[list[Ints]]:
                 apart.append((other, vectors_of_other))
         blocks = [*apart, (support, members)]
     return [members for _, members in blocks]
-
-
-def _complement(vectors: Real) -> Real:
-    """Combinations that do not change along any of the vectors, in echelon form."""
-    size = np.max(np.abs(vectors), axis=0)
-    scaled = vectors / size
-    Vh = np.linalg.svd(scaled)[2]
-    rows = Vh[np.linalg.matrix_rank(scaled, 1e-6) :] / size
-    for column in range(rows.shape[1]):
-        done = column if column < len(rows) else len(rows)
-        if done == len(rows):
-            break
-        chosen = done + int(np.argmax(np.abs(rows[done:, column])))
-        if abs(rows[chosen, column]) * size[column] < 1e-6:
-            continue
-        rows[[done, chosen]] = rows[[chosen, done]]
-        rows[done] /= rows[done, column]
-        others = np.arange(len(rows)) != done
-        rows[others] -= rows[others, column][:, None] * rows[done]
-    small = np.abs(rows * size) < 1e-6 * np.max(np.abs(rows * size), axis=1, initial=1e-300, keepdims=True)
-    return np.where(small, 0.0, rows)

@@ -103,7 +103,15 @@ def estimated_clock(reference: Sensor, sensor: Sensor, source: str) -> Clock:
                 source,
                 TOGETHER,
             )
-        clock = _corrected(clock, lags, variances, centres)
+        w = 1 / variances
+        x = centres - clock.middle
+        A = np.stack([np.ones_like(x), x], axis=-1) * np.sqrt(w)[:, None]
+        line, _, _, _ = np.linalg.lstsq(A, lags * np.sqrt(w), rcond=None)
+        scatter = float(np.sum((lags * np.sqrt(w) - A @ line) ** 2)) / max(1, len(lags) - 2)
+        V = np.linalg.inv(A.T @ A) * max(1.0, scatter)
+        sd = np.sqrt(np.diagonal(V))
+        offset, drift = clock.offset + float(line[0]), clock.drift + float(line[1])
+        clock = Clock(offset, drift, float(sd[0]), float(sd[1]), clock.middle, float(V[0, 1]))
     spread = _spread_over_bands(reference, sensor, clock, step)
     if spread is None:
         raise DataError(
@@ -167,19 +175,6 @@ def _lags_of_bands(reference: Sensor, sensor: Sensor, clock: Clock, step: float)
         variance = max(1 - coherence, 1e-12) / (2 * coherence * looks)
         found.append((float(np.angle(total)) / omega, variance / omega**2))
     return found
-
-
-def _corrected(clock: Clock, lags: Real, variances: Real, centres: Real) -> Clock:
-    """The clock with a weighted straight line through the lags added; sd from variances or scatter, the larger."""
-    w = 1 / variances
-    x = centres - clock.middle
-    A = np.stack([np.ones_like(x), x], axis=-1) * np.sqrt(w)[:, None]
-    line, _, _, _ = np.linalg.lstsq(A, lags * np.sqrt(w), rcond=None)
-    scatter = float(np.sum((lags * np.sqrt(w) - A @ line) ** 2)) / max(1, len(lags) - 2)
-    V = np.linalg.inv(A.T @ A) * max(1.0, scatter)
-    sd = np.sqrt(np.diagonal(V))
-    offset, drift = clock.offset + float(line[0]), clock.drift + float(line[1])
-    return Clock(offset, drift, float(sd[0]), float(sd[1]), clock.middle, float(V[0, 1]))
 
 
 def _coarse_lag(reference: Sensor, sensor: Sensor, step: float) -> tuple[float, float]:

@@ -224,7 +224,28 @@ def _part(columns: Columns) -> InspectedPart:
                 others.append(columns.header[i])
             continue
         samples = max(samples, len(values))
-        inspected.append(_column(name, columns.unit(i), values, stretches))
+        unit = columns.unit(i)
+        good = values[np.isfinite(values)]
+        plain, _ = bare(name)
+        steps = np.diff(np.unique(good[:MOST_SAMPLES]))
+        bands, level = _content(values, stretches)
+        inspected.append(
+            InspectedColumn(
+                plain,
+                unit,
+                guessed_quantity(plain, unit),
+                float(np.mean(good)),
+                float(np.std(good)),
+                float(np.min(good)),
+                float(np.max(good)),
+                len(values) - len(good),
+                samples_at_limit(good),
+                float(np.min(steps)) if len(steps) else np.nan,
+                bands,
+                level,
+                _decay(values, stretches),
+            )
+        )
     known = tuple(np.unique(driven[np.isfinite(driven)]).tolist()[:1000])
     return InspectedPart(
         columns.source,
@@ -278,28 +299,6 @@ def _stretch(time: Real, begin: int, end: int) -> _Stretch:
     longest = (float(time[at]), float(time[at + 1])) if gaps else None
     uneven = float(np.max(np.abs(regular - mean))) / mean
     return _Stretch(begin, end, 1 / mean, uneven, gaps, longest, float(time[end - 1] - time[begin]))
-
-
-def _column(name: str, unit: str | None, values: Real, stretches: Sequence[_Stretch]) -> InspectedColumn:
-    good = values[np.isfinite(values)]
-    plain, _ = bare(name)
-    steps = np.diff(np.unique(good[:MOST_SAMPLES]))
-    bands, level = _content(values, stretches)
-    return InspectedColumn(
-        plain,
-        unit,
-        guessed_quantity(plain, unit),
-        float(np.mean(good)),
-        float(np.std(good)),
-        float(np.min(good)),
-        float(np.max(good)),
-        len(values) - len(good),
-        samples_at_limit(good),
-        float(np.min(steps)) if len(steps) else np.nan,
-        bands,
-        level,
-        _decay(values, stretches),
-    )
 
 
 def _decay(values: Real, stretches: Sequence[_Stretch]) -> float:

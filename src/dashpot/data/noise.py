@@ -327,7 +327,24 @@ def moderated(spectrum: Spectrum, told: Real | None = None, *, kind: str = "whit
     if not np.any(short) or np.sum(chosen) < FEWEST_LINES_MODERATED or np.any(np.isnan(spectrum.amplitudes)):
         return spectrum
     lines = spectrum.select(np.flatnonzero(chosen).tolist())
-    prior, d0 = _prior(lines, 1.0 if told is None else told[chosen])
+    V = lines.covariance.reshape(-1, *lines.covariance.shape[-3:])
+    count = lines.samples[:, None] * (1.0 if told is None else told[chosen])
+    variance = np.diagonal(V, axis1=-2, axis2=-1).real
+    level = variance * count / 4
+    power = np.abs(lines.amplitudes).reshape(-1, *lines.amplitudes.shape[-2:]) ** 2
+    usable = np.all((variance > 0) & (power > 0), axis=(0, 1))
+    d0, fitted = _scatter(level, power, lines.dof, usable)
+    if np.isfinite(d0):
+        fitted = fitted + float(digamma(d0 / 2) - np.log(d0 / 2))
+    d0 = min(d0, (len(lines.dof) - 2) * float(np.mean(lines.dof)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s0 = np.where(usable, np.exp(fitted) * 4 / count, variance)
+        correlation = V / np.sqrt(variance[..., :, None] * variance[..., None, :])
+    share = lines.dof / np.sum(lines.dof)
+    R = np.sum(np.nan_to_num(correlation) * share[:, None, None], axis=-3, keepdims=True)
+    sd = np.sqrt(s0)
+    V0: Complex = R * sd[..., :, None] * sd[..., None, :]
+    prior = V0.reshape(lines.covariance.shape)
     nu = lines.dof
     channels = len(spectrum.channels)
     total = nu + d0
@@ -348,28 +365,6 @@ def moderated(spectrum: Spectrum, told: Real | None = None, *, kind: str = "whit
     )
     note = Notice("noise_moderated", text)
     return replace(spectrum, covariance=covariance, dof=dof, notes=(*spectrum.notes, note))
-
-
-def _prior(lines: Spectrum, told: Real | float) -> tuple[Complex, float]:
-    """V₀ (..., lines, channels, channels) and d₀."""
-    V = lines.covariance.reshape(-1, *lines.covariance.shape[-3:])
-    count = lines.samples[:, None] * told
-    variance = np.diagonal(V, axis1=-2, axis2=-1).real
-    level = variance * count / 4
-    power = np.abs(lines.amplitudes).reshape(-1, *lines.amplitudes.shape[-2:]) ** 2
-    usable = np.all((variance > 0) & (power > 0), axis=(0, 1))
-    d0, fitted = _scatter(level, power, lines.dof, usable)
-    if np.isfinite(d0):
-        fitted = fitted + float(digamma(d0 / 2) - np.log(d0 / 2))
-    d0 = min(d0, (len(lines.dof) - 2) * float(np.mean(lines.dof)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s0 = np.where(usable, np.exp(fitted) * 4 / count, variance)
-        correlation = V / np.sqrt(variance[..., :, None] * variance[..., None, :])
-    share = lines.dof / np.sum(lines.dof)
-    R = np.sum(np.nan_to_num(correlation) * share[:, None, None], axis=-3, keepdims=True)
-    sd = np.sqrt(s0)
-    prior: Complex = R * sd[..., :, None] * sd[..., None, :]
-    return prior.reshape(lines.covariance.shape), d0
 
 
 def _scatter(level: Real, power: Real, nu: Real, usable: Bools) -> tuple[float, Real]:

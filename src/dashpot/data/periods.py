@@ -227,7 +227,19 @@ def average_periods(
     X = np.mean(fit.amplitudes, axis=0)
     away = fit.amplitudes - X
     V = np.einsum("plc,pld->lcd", away, np.conj(away)) / (count * (count - 1))
-    notes = (*_notes(record.source, period_s, skip, X, away), *notes)
+    told = []
+    if skip:
+        left_out = "period is" if skip == 1 else f"{skip} periods are"
+        told.append(
+            Notice("periods_skipped", f"{record.source}: the first {left_out} left out", (record.source,))
+        )
+    variance = np.diagonal(V, axis1=-2, axis2=-1).real
+    if np.median(np.abs(X) ** 2 / np.maximum(variance, 1e-300)) < 4:  # chance alone makes it 1
+        text = (
+            f"{record.source}: successive periods of {period_s:g} s differ strongly. Is the record periodic?"
+        )
+        told.append(Notice("periods_differ", text, (record.source,)))
+    notes = (*told, *notes)
     return _lines(record, period_s, wanted, X, V, count * each, 2.0 * (count - 1), notes)
 
 
@@ -253,20 +265,6 @@ def _lines(
         np.full(lines, record.experiment),
         notes=notes,
     )
-
-
-def _notes(source: str, period_s: float, skip: int, mean: Complex, away: Complex) -> tuple[Notice, ...]:
-    """What is left out, and whether periods agree: mean (lines, channels), away (periods, lines, channels) from it."""
-    notes = []
-    if skip:
-        left_out = "period is" if skip == 1 else f"{skip} periods are"
-        notes.append(Notice("periods_skipped", f"{source}: the first {left_out} left out", (source,)))
-    count = len(away)
-    variance = np.sum(np.abs(away) ** 2, axis=0) / (count * (count - 1))
-    if np.median(np.abs(mean) ** 2 / np.maximum(variance, 1e-300)) < 4:  # chance alone makes it 1
-        text = f"{source}: successive periods of {period_s:g} s differ strongly. Is the record periodic?"
-        notes.append(Notice("periods_differ", text, (source,)))
-    return tuple(notes)
 
 
 # Continuous records of a periodic drive: their period is found, and their periods are averaged.
@@ -299,7 +297,15 @@ def averaged_periods(record: Record, inputs: int = 0) -> tuple[Spectrum, Real] |
     skip = unsettled_periods(X[:, 1:])
     if still_settling(X[skip:, 1:]):
         return None
-    there = _repeating(X[skip:, 1:], DISTORTED if inputs else ROUNDING)
+    # Which lines repeat. Their noise is their own scatter, or that of the lines beside where it is larger: of few
+    # periods it may be small by chance.
+    moving = X[skip:, 1:]
+    periods, mean, beside = len(moving), np.mean(moving, axis=0), 2 * NEIGHBOURS + 1
+    scatter = np.var(moving, axis=0, ddof=1) / periods
+    noise = np.maximum(scatter, uniform_filter1d(scatter, beside, axis=0, mode="nearest"))
+    p = fdtrc(2, 2 * (periods - 1) * beside, np.minimum(np.abs(mean) ** 2 / np.maximum(noise, 1e-300), 1e12))
+    loud = np.abs(mean) > (DISTORTED if inputs else ROUNDING) * np.max(np.abs(mean), axis=0)
+    there = np.asarray((p < LEVEL / p.size) & loud)
     lines = np.flatnonzero(np.any(there[:, :inputs], axis=1) if inputs else np.all(there, axis=1)) + 1
     # lines in every channel: fewer are a sine, a decay or their harmonics
     dwell = record.frequency_hz is not None and _is_dwell(X[skip:, 1:], lines.tolist())
@@ -391,17 +397,3 @@ def still_settling(X: Complex) -> bool:
     )
     chi2 = np.sum(np.stack([away.real, away.imag]) ** 2 / np.maximum(variance, 1e-300), axis=0)
     return 2 * int(np.count_nonzero(chdtrc(2, chi2) < LEVEL / X.shape[-1])) >= X.shape[-1]
-
-
-def _repeating(X: Complex, least: float) -> Bools:
-    """(lines, channels): which of (periods, lines, channels) repeat, above `least` of a channel's largest line.
-
-    Their noise is their own scatter, or that of the lines beside where it is larger: of few periods it may be small by
-    chance.
-    """
-    count, mean, beside = len(X), np.mean(X, axis=0), 2 * NEIGHBOURS + 1
-    scatter = np.var(X, axis=0, ddof=1) / count
-    noise = np.maximum(scatter, uniform_filter1d(scatter, beside, axis=0, mode="nearest"))
-    p = fdtrc(2, 2 * (count - 1) * beside, np.minimum(np.abs(mean) ** 2 / np.maximum(noise, 1e-300), 1e12))
-    loud = np.abs(mean) > least * np.max(np.abs(mean), axis=0)
-    return np.asarray((p < LEVEL / p.size) & loud)

@@ -208,7 +208,14 @@ class Bench:
         """The information of releases whose largest deflection is `size`, m or rad."""
         p, starts = self.model.parameters(self.theta), [shape * size for shape in self.held]
         view = observation_model(self.model, self.channels, np.ones(1))
-        each_sd = _noise(self.model, p, self.channels, view, starts, self.rate)
+        machine, nothing = integrator(self.model, p, 1 / self.rate), np.zeros((max(int(self.rate), 64), 0))
+        motions = [
+            machine.motion(nothing, np.concatenate([start, np.zeros(self.model.n)])) for start in starts
+        ]
+        largest = np.array([np.max(np.abs(channel_samples(view, p, motion)), axis=0) for motion in motions])
+        moves = largest > 1e-9 * np.max(largest, axis=0)  # rounding
+        sd = noise_sd(self.channels, (largest * moves).astype(np.complex128))
+        each_sd = np.where(sd > 0, sd, np.inf)
         infos = [
             _information(self.model, self.theta, view, start, sd, self.rate, self.ends)
             for start, sd in zip(starts, each_sd, strict=True)
@@ -324,27 +331,6 @@ def _with_noise(channels: Sequence[Channel], notes: list[str]) -> list[Channel]:
         which = "no channel" if len(silent) == len(channels) else f"{', '.join(silent)} nowhere"
         notes.append(f"{which} states its noise: 1 % of the largest value is assumed")
     return [replace(c, relative_noise=0.01) if c.name in silent else c for c in channels]
-
-
-def _noise(
-    model: Model,
-    p: Real,
-    channels: Sequence[Channel],
-    view: ObservationModel,
-    starts: Sequence[Real],
-    rate: float,
-) -> Real:
-    """Standard deviation of a sample of each channel after each release, (releases, channels), SI units.
-
-    A relative part is of the channel's largest value; inf where a channel without another stays still: that tells
-    nothing.
-    """
-    machine, nothing = integrator(model, p, 1 / rate), np.zeros((max(int(rate), 64), 0))
-    motions = [machine.motion(nothing, np.concatenate([start, np.zeros(model.n)])) for start in starts]
-    largest = np.array([np.max(np.abs(channel_samples(view, p, motion)), axis=0) for motion in motions])
-    moves = largest > 1e-9 * np.max(largest, axis=0)  # rounding
-    sd = noise_sd(channels, (largest * moves).astype(np.complex128))
-    return np.where(sd > 0, sd, np.inf)
 
 
 def _information(

@@ -256,7 +256,18 @@ def drive_at_limits(
         use_of = np.where(moved, *(np.where(each > 0, each, 1.0)[:, None] for each in sizes))
         return np.asarray(unit / use_of * (1 - 1e-12))
     if len(model.nonlinear):
-        use = _used_directly(model, limits, omega, unit)
+        r = len(model.displacement_inputs)
+        of_motion = [name for name in limits.given if name != "force"]
+        if (r < unit.shape[1] and of_motion) or (r and limits.force is not None):
+            wrong, right = (of_motion[0], "force") if r < unit.shape[1] and of_motion else ("force", "stroke")
+            raise UsageError(
+                f"the limit of {wrong} does not apply to a nonlinear rig, where {wrong} is not proportional to the "
+                "drive",
+                cure=f"state the largest {right}, or the drive amplitude",
+            )
+        motion, force = unit.copy(), unit.copy()
+        motion[:, r:], force[:, :r] = 0.0, 0.0
+        use = limits.use(omega, motion, force)
     else:
         use = np.zeros(len(omega))
         step = max(1, CHUNK // max(1, len(omega) * len(model.elements) * model.n))
@@ -270,22 +281,6 @@ def drive_at_limits(
             cure="give its stroke too",
         )
     return unit * (1 / use * (1 - 1e-12))[:, None]
-
-
-def _used_directly(model: Model, limits: ShakerLimits, omega: Real, unit: Complex) -> Real:
-    """What a unit drive uses of the limits that hold for the inputs themselves, (lines,), of a nonlinear rig."""
-    r = len(model.displacement_inputs)
-    moved = [name for name in limits.given if name != "force"]
-    if (r < unit.shape[1] and moved) or (r and limits.force is not None):
-        wrong, right = (moved[0], "force") if r < unit.shape[1] and moved else ("force", "stroke")
-        raise UsageError(
-            f"the limit of {wrong} does not apply to a nonlinear rig, where {wrong} is not proportional to the "
-            "drive",
-            cure=f"state the largest {right}, or the drive amplitude",
-        )
-    motion, force = unit.copy(), unit.copy()
-    motion[:, r:], force[:, :r] = 0.0, 0.0
-    return limits.use(omega, motion, force)
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,48 @@ def estimate_by_plan(
         parts.append(_identified(model, part, method))
         if progress is not None:
             progress(min(len(parts) * size, repeats), repeats)
-    return _estimate(model, method, parts, spectrum.batch, flat)
+
+    def join(piece: Callable[[Inference], Any]) -> Any:
+        return piece(parts[0]) if len(parts) == 1 else np.concatenate([piece(part) for part in parts])
+
+    some = parts[0]
+    theta, covariance = join(lambda part: part.solution.theta), join(lambda part: part.uncertainty.covariance)
+    chi2, p = join(lambda part: part.uncertainty.chi2), join(lambda part: part.uncertainty.p)
+    fit = Fit(chi2.reshape(spectrum.batch), some.dof, p.reshape(spectrum.batch), flat.noise_known)
+    held, m = some.solution.bounds, len(model.unknowns)
+    if held is not None:
+        free = [part.solution.bounds.free for part in parts if part.solution.bounds is not None]
+        held = replace(held, free=np.concatenate(free))
+    warnings = dict.fromkeys(notice for part in parts for notice in part.solution.warnings)
+    bands = [part.uncertainty.bands for part in parts if part.uncertainty.bands is not None]
+    basis = SENSOR_NOISE if fit.known_noise else RESIDUALS
+    if fit.rejected.any() or any(np.any(each.disagree) for each in bands):
+        basis = MISFIT
+    shown = notices(model, flat, None if spectrum.batch else parts[0], fit)
+    return estimate_of(
+        model,
+        method.name,
+        some.unknowns,
+        theta,
+        covariance,
+        spectrum.batch,
+        noise=join(lambda part: part.uncertainty.noise),
+        bound=join(lambda part: part.uncertainty.bound),
+        dof=join(lambda part: part.uncertainty.dof),
+        fit=fit,
+        basis=basis,
+        converged=join(lambda part: part.solution.converged),
+        iterations=join(lambda part: part.solution.iterations),
+        history=some.solution.history,
+        bounds=held,
+        modes=None if spectrum.batch else linear_modes(model, theta[0, :m], covariance[0, :m, :m]),
+        signs={
+            name: np.concatenate([part.solution.signs[name] for part in parts])
+            for name in some.solution.signs
+        },
+        warnings=(*warnings, *shown),
+        notes=flat.notes,
+    )
 
 
 def suited_method(name: str | None, model: Model, spectrum: Spectrum, *, seed: int, positive: bool) -> Method:
@@ -210,54 +251,6 @@ def _identified(model: Model, spectrum: Spectrum, method: Method) -> Inference:
     solution = part.solution
     warnings = (*solution.warnings, *time_change_notices(data, solution), *modes_unseen(data, solution))
     return replace(part, solution=replace(solution, warnings=warnings))
-
-
-def _estimate(
-    model: Model, method: Method, parts: list[Inference], batch: tuple[int, ...], spectrum: Spectrum
-) -> Estimate:
-    """The Estimate of all chunks together."""
-
-    def join(piece: Callable[[Inference], Any]) -> Any:
-        return piece(parts[0]) if len(parts) == 1 else np.concatenate([piece(part) for part in parts])
-
-    some = parts[0]
-    theta, covariance = join(lambda part: part.solution.theta), join(lambda part: part.uncertainty.covariance)
-    chi2, p = join(lambda part: part.uncertainty.chi2), join(lambda part: part.uncertainty.p)
-    fit = Fit(chi2.reshape(batch), some.dof, p.reshape(batch), spectrum.noise_known)
-    held, m = some.solution.bounds, len(model.unknowns)
-    if held is not None:
-        free = [part.solution.bounds.free for part in parts if part.solution.bounds is not None]
-        held = replace(held, free=np.concatenate(free))
-    warnings = dict.fromkeys(notice for part in parts for notice in part.solution.warnings)
-    bands = [part.uncertainty.bands for part in parts if part.uncertainty.bands is not None]
-    basis = SENSOR_NOISE if fit.known_noise else RESIDUALS
-    if fit.rejected.any() or any(np.any(each.disagree) for each in bands):
-        basis = MISFIT
-    shown = notices(model, spectrum, None if batch else parts[0], fit)
-    return estimate_of(
-        model,
-        method.name,
-        some.unknowns,
-        theta,
-        covariance,
-        batch,
-        noise=join(lambda part: part.uncertainty.noise),
-        bound=join(lambda part: part.uncertainty.bound),
-        dof=join(lambda part: part.uncertainty.dof),
-        fit=fit,
-        basis=basis,
-        converged=join(lambda part: part.solution.converged),
-        iterations=join(lambda part: part.solution.iterations),
-        history=some.solution.history,
-        bounds=held,
-        modes=None if batch else linear_modes(model, theta[0, :m], covariance[0, :m, :m]),
-        signs={
-            name: np.concatenate([part.solution.signs[name] for part in parts])
-            for name in some.solution.signs
-        },
-        warnings=(*warnings, *shown),
-        notes=spectrum.notes,
-    )
 
 
 # What stands beside an estimate, in the order in which it is told.

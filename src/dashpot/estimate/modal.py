@@ -508,7 +508,13 @@ def deepest_minima(
             ends = _ends(problem, drawn)
             reached = _one_of(model, ends)
         else:
-            reached = _deepest(problem, drawn, astray)
+            many = len(drawn)
+            short = problem.search(np.tile(drawn, (len(astray), 1)), np.repeat(astray, many), 25, rough=True)
+            cost = np.where(np.isfinite(short.cost), short.cost, np.inf).reshape(len(astray), many)
+            best = np.argmin(cost, axis=1)
+            reached = problem.search(
+                short.x.reshape(len(astray), many, -1)[np.arange(len(astray)), best], astray, 100
+            )
         minima = reached if minima is None else minima.improved(astray, reached)
     if minima is None:
         raise UsageError(
@@ -556,15 +562,6 @@ def _ends(problem: ModeProblem, drawn: Real) -> OptimizeResult:
     if not len(deepest):
         return ends
     return ends.improved(deepest, problem.search(ends.x[deepest], np.zeros_like(deepest), 100))
-
-
-def _deepest(problem: ModeProblem, drawn: Real, rows: Ints) -> OptimizeResult:
-    """For each of the rows, all starts for a few steps, which tell the valleys apart; the deepest to its end."""
-    starts = len(drawn)
-    short = problem.search(np.tile(drawn, (len(rows), 1)), np.repeat(rows, starts), 25, rough=True)
-    cost = np.where(np.isfinite(short.cost), short.cost, np.inf).reshape(len(rows), starts)
-    best = np.argmin(cost, axis=1)
-    return problem.search(short.x.reshape(len(rows), starts, -1)[np.arange(len(rows)), best], rows, 100)
 
 
 def _one_of(model: Model, ends: OptimizeResult) -> OptimizeResult:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from dashpot.arrays import Ints, Real
+from dashpot.arrays import Real
 from dashpot.data.readers import Reading, read
 from dashpot.data.readers.amplitudes import amplitude_columns
 from dashpot.data.readers.arrays import array_columns
@@ -84,7 +84,20 @@ def identify_block(task: FleetTask) -> Columns:
         spectrum = stacked_cuts([cuts[k] for k in alike])
         for some, estimate in identify_each(task.rig.model, spectrum, task.treatment.method, **how):
             if isinstance(estimate, Estimate):
-                _enter(columns, places[some], estimate, some)
+                rows = places[some]
+                if estimate.values.ndim == 1:
+                    some = np.zeros(1, dtype=np.int64)
+                converged, iterations, chi2, p = (
+                    np.atleast_1d(each)[some]
+                    for each in (estimate.converged, estimate.iterations, estimate.fit.chi2, estimate.fit.p)
+                )
+                columns["status"][rows] = np.where(converged, "converged", "not converged")
+                columns["iterations"][rows], columns["dof"][rows] = iterations, estimate.fit.dof
+                columns["chi2"][rows], columns["p"][rows] = chi2, p
+                wide = (estimate.values, estimate.sd, *estimate.interval())
+                for kind, numbers in zip(WIDE, wide, strict=True):
+                    for name, column in zip(estimate.names, np.atleast_2d(numbers)[some].T, strict=True):
+                        columns[f"{name}:{kind}"][rows] = column
             else:
                 failed(0, alike[some[0]], estimate)
     return columns
@@ -102,23 +115,6 @@ def reason_of(error: Exception, source: str) -> str:
 def estimated_names(rig: Rig) -> tuple[str, ...]:
     """Names of all that may be estimated: the unknowns of the rig, gains and delays."""
     return (*rig.model.unknown_names, *calibration_names(rig.channels))
-
-
-def _enter(columns: Columns, rows: Ints, estimate: Estimate, some: Ints) -> None:
-    """Write some estimates of a batch, or a single one, into their rows."""
-    if estimate.values.ndim == 1:
-        some = np.zeros(1, dtype=np.int64)
-    converged, iterations, chi2, p = (
-        np.atleast_1d(each)[some]
-        for each in (estimate.converged, estimate.iterations, estimate.fit.chi2, estimate.fit.p)
-    )
-    columns["status"][rows] = np.where(converged, "converged", "not converged")
-    columns["iterations"][rows], columns["dof"][rows] = iterations, estimate.fit.dof
-    columns["chi2"][rows], columns["p"][rows] = chi2, p
-    wide = (estimate.values, estimate.sd, *estimate.interval())
-    for kind, numbers in zip(WIDE, wide, strict=True):
-        for name, column in zip(estimate.names, np.atleast_2d(numbers)[some].T, strict=True):
-            columns[f"{name}:{kind}"][rows] = column
 
 
 # The amplitudes of a block's data sets: tables of many rigs read at once, and those measured alike as one batch.

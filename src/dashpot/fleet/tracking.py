@@ -33,7 +33,6 @@ from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import MISFIT, Estimate
 from dashpot.io.json_document import data_frame, to_json
 from dashpot.io.words import counted
-from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
 from dashpot.model.rigfile import Rig
 from dashpot.notices import Notice
@@ -347,7 +346,13 @@ class Tracker:
             if not _alike(before, estimate.free_values, information):
                 self._since, before = len(self._kept), None
         if before is not None and not np.any(np.isfinite(model.bounds)):
-            values, information = _at(known, model, before[0], sign, estimate)
+            # By its score at what was known before, which its own noise has no part in
+            data = prepare(model, known, states=False)
+            around = Likelihood.of(data, MaximumLikelihood().effort).model_at(before[0][None], sign)
+            precision, mean = _priors(estimate)
+            information = around.symmetric[0] - np.diag(precision)
+            score = around.gradient[0] - precision * (mean - before[0])
+            values, information = before[0] + _solve(information, score), information
         return _Window.of(record, estimate, values, information)
 
     def _before(self) -> tuple[Real, Real] | None:
@@ -407,19 +412,6 @@ def _alone(estimate: Estimate) -> tuple[Real, Real]:
     information = total - np.diag(precision)
     right = total @ estimate.free_values - precision * mean
     return (_solve(information, right) if np.any(precision) else estimate.free_values), information
-
-
-def _at(spectrum: Spectrum, model: Model, psi: Real, sign: Real, estimate: Estimate) -> tuple[Real, Real]:
-    """Values and information of a window by its score at ψ, which its own noise has no part in.
-
-    Information at a window's own estimate is larger where noise makes the estimate so, and would bias what is averaged.
-    """
-    data = prepare(model, spectrum, states=False)
-    around = Likelihood.of(data, MaximumLikelihood().effort).model_at(psi[None], sign)
-    precision, mean = _priors(estimate)
-    information = around.symmetric[0] - np.diag(precision)
-    score = around.gradient[0] - precision * (mean - psi)
-    return psi + _solve(information, score), information
 
 
 def _alike(before: tuple[Real, Real], values: Real, information: Real) -> bool:

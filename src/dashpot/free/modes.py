@@ -561,24 +561,6 @@ def _least_squares_poles(sets: Sequence[_Set]) -> Stabilisation:
     )
 
 
-def _candidates(sets: Sequence[_Set], stabilisation: Stabilisation) -> Complex:
-    """Poles that are tried, in the sets' unit: those of least-squares fits in the band, and some all along it."""
-    f = np.unique(np.concatenate([one.frequency_hz for one in sets]))
-    low, high = float(f[0]), float(f[-1])
-    inside = (stabilisation.frequency_hz > low) & (stabilisation.frequency_hz < high)
-    inside &= stabilisation.damping_ratio < HIGHEST_DAMPING
-    order = stabilisation.order[inside]
-    keep = order >= np.max(order, initial=0) - 12  # the highest orders, which have all the modes
-    hz, zeta = stabilisation.frequency_hz[inside][keep], stabilisation.damping_ratio[inside][keep]
-    # Between them every hundredth of the band, as sharp as the lines allow to see and as broad as usual modes
-    grid = np.linspace(low, high, 100)
-    spacing = float(np.median(np.diff(f))) if len(f) > 1 else 0.0
-    sharp = np.clip(spacing / np.maximum(grid, 1e-300), 1e-3, 0.05)
-    hz = np.concatenate([hz, grid, grid])
-    zeta = np.concatenate([zeta, sharp, np.full(100, 0.02)])
-    return 2 * np.pi * hz * (-zeta + 1j * np.sqrt(1 - zeta**2)) / sets[0].unit
-
-
 def _gains(sets: Sequence[_Set], fit: _Fit, candidates: Complex) -> Real:
     """By how much χ² falls with each candidate beside the present poles, (k,), to rank them.
 
@@ -623,7 +605,20 @@ def _by_evidence(sets: list[_Set], most: int) -> tuple[_Fit, Stabilisation, tupl
     Where the fit leaves more than the noise, that is what a further pole has to beat.
     """
     stabilisation = _least_squares_poles(sets)
-    candidates = _candidates(sets, stabilisation)
+    f = np.unique(np.concatenate([one.frequency_hz for one in sets]))
+    low, high = float(f[0]), float(f[-1])
+    inside = (stabilisation.frequency_hz > low) & (stabilisation.frequency_hz < high)
+    inside &= stabilisation.damping_ratio < HIGHEST_DAMPING
+    order = stabilisation.order[inside]
+    keep = order >= np.max(order, initial=0) - 12  # the highest orders, which have all the modes
+    hz, zeta = stabilisation.frequency_hz[inside][keep], stabilisation.damping_ratio[inside][keep]
+    # Between them every hundredth of the band, as sharp as the lines allow to see and as broad as usual modes
+    grid = np.linspace(low, high, 100)
+    spacing = float(np.median(np.diff(f))) if len(f) > 1 else 0.0
+    sharp = np.clip(spacing / np.maximum(grid, 1e-300), 1e-3, 0.05)
+    hz = np.concatenate([hz, grid, grid])
+    zeta = np.concatenate([zeta, sharp, np.full(100, 0.02)])
+    candidates = 2 * np.pi * hz * (-zeta + 1j * np.sqrt(1 - zeta**2)) / sets[0].unit
     known = sets[0].known
     fit = _refined(sets, np.zeros(0, dtype=np.complex128), RESIDUAL_POWERS[0])
     while len(fit.poles) < most:

@@ -460,7 +460,21 @@ def local_response(
         "local",
         records=tuple(parts),
     )
-    return _where_it_shows(found, stated=band_hz is not None)
+    # From the first to the last line at which an output moves with an input. Of noise alone |H|² is its variance in
+    # the mean; four times that, in the mean of a few windows, is no chance.
+    variance = np.diagonal(found.covariance, axis1=1, axis2=2).real
+    shows = np.abs(found.values.reshape(variance.shape)) ** 2 / np.maximum(variance, 1e-300)
+    there = np.flatnonzero(np.max(_mean_beside(shows, 2 * int(np.median(found.apart))), axis=1) > 4)
+    if not len(there):
+        f = found.frequency_hz
+        inputs, outputs = (joined(c.name for c in some) for some in (found.inputs, found.outputs))
+        what = (
+            f"from {f[0]:.4g} to {f[-1]:.4g} Hz {outputs} does not respond to {inputs}: no excitation there"
+        )
+        raise DataError(
+            what, cure="choose another band, drive the rig harder, or check which channels are inputs"
+        )
+    return found if band_hz is not None else found.chosen(np.arange(there[0], there[-1] + 1))
 
 
 def line_noise(parts: Sequence[RecordLines], low: float, high: float) -> list[Complex]:
@@ -540,26 +554,6 @@ def _smallest_half(parts: Sequence[RecordLines]) -> int:
 def _lines_of(part: RecordLines, first: RecordLines, half: int) -> int:
     """How many lines of a record a window has that has 2·half + 1 of the longest."""
     return 2 * max(3, round(half * part.duration_s / first.duration_s)) + 1
-
-
-def _where_it_shows(found: MeasuredResponse, stated: bool) -> MeasuredResponse:
-    """From the first to the last line at which an output moves with an input, or as it is.  Raises DataError if none.
-
-    Of noise alone |H|² is its variance in the mean; four times that, in the mean of a few windows, is no chance.
-    """
-    variance = np.diagonal(found.covariance, axis1=1, axis2=2).real
-    shows = np.abs(found.values.reshape(variance.shape)) ** 2 / np.maximum(variance, 1e-300)
-    there = np.flatnonzero(np.max(_mean_beside(shows, 2 * int(np.median(found.apart))), axis=1) > 4)
-    if not len(there):
-        f = found.frequency_hz
-        inputs, outputs = (joined(c.name for c in some) for some in (found.inputs, found.outputs))
-        what = (
-            f"from {f[0]:.4g} to {f[-1]:.4g} Hz {outputs} does not respond to {inputs}: no excitation there"
-        )
-        raise DataError(
-            what, cure="choose another band, drive the rig harder, or check which channels are inputs"
-        )
-    return found if stated else found.chosen(np.arange(there[0], there[-1] + 1))
 
 
 def _mean_beside(values: Real, half: int) -> Real:

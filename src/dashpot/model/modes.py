@@ -68,26 +68,10 @@ def _in_order(parts: Matrices) -> tuple[Complex, Complex]:
     stiffness = np.hypot(parts.K, parts.H) if parts.H.any() else parts.K
     inertia, damping, stiff = (float(np.abs(matrix).max()) for matrix in (parts.M, parts.C, stiffness))
     rate = _typical_rate(inertia, damping, stiff)
-    poles, shapes = _upper_half(parts, (inertia, damping, stiff), rate)
-    poles = poles * rate
-    if not (parts.C.any() or parts.H.any()):  # λ² is real: what rounding leaves beside it is no damping
-        poles = np.where(np.abs(poles.imag) >= np.abs(poles.real), 1j * poles.imag, poles.real)
-    order = np.lexsort((poles.imag, np.round(np.abs(poles), 9)))
-    poles, shapes = poles[order], shapes[order]
-    largest = shapes[np.arange(len(shapes)), np.abs(shapes).argmax(axis=-1), None]
-    shapes = shapes / np.where(largest == 0, 1.0, largest)
-    return poles, shapes
-
-
-def _upper_half(parts: Matrices, sizes: tuple[float, float, float], rate: float) -> tuple[Complex, Complex]:
-    """Eigenvalues with Im ≥ 0 of one rig in units of its typical `rate`, (modes,), and shapes (modes, n).
-
-    Time is scaled to make stiffness and inertia alike in size: the pencil's rank decisions depend on it.
-    """
     n = parts.M.shape[-1]
     K = parts.K + 1j * parts.H if parts.H.any() else parts.K
-    inertia, damping, stiffness = sizes
-    scale = stiffness + rate * damping + rate**2 * inertia
+    # Time is scaled to make stiffness and inertia alike in size: the pencil's rank decisions depend on it.
+    scale = stiff + rate * damping + rate**2 * inertia
     if scale == 0:
         raise ModelError(
             "the rig has no modes: all its parameters are zero", cure="give it mass and stiffness"
@@ -103,7 +87,14 @@ def _upper_half(parts: Matrices, sizes: tuple[float, float, float], rate: float)
         poles, size = np.where(tiny, 0.0, poles), np.where(tiny, 0.0, size)
     keep: Bools = finite & (poles.imag >= -1e-9 * size)
     poles, size, shapes = poles[keep], size[keep], vectors[:n, keep].T
-    return np.where(np.abs(poles.imag) <= 1e-9 * size, poles.real + 0j, poles), shapes
+    poles = rate * np.where(np.abs(poles.imag) <= 1e-9 * size, poles.real + 0j, poles).astype(np.complex128)
+    if not (parts.C.any() or parts.H.any()):  # λ² is real: what rounding leaves beside it is no damping
+        poles = np.where(np.abs(poles.imag) >= np.abs(poles.real), 1j * poles.imag, poles.real)
+    order = np.lexsort((poles.imag, np.round(np.abs(poles), 9)))
+    poles, shapes = poles[order], shapes[order]
+    largest = shapes[np.arange(len(shapes)), np.abs(shapes).argmax(axis=-1), None]
+    shapes = shapes / np.where(largest == 0, 1.0, largest)
+    return poles, shapes
 
 
 def _pencil(A: Complex | Real, M: Real) -> tuple[Complex, Complex, Bools]:

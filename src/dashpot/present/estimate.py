@@ -497,7 +497,11 @@ def motion_in_words(assessment: Assessment) -> str:
     sentences = (
         [f"Measured and predicted motion differ by {joined(parts)}{_noise(assessment)}."] if parts else []
     )
-    sentences += _described(assessment)
+    missed = _bound_missed(
+        assessment
+    )  # beyond noise, where more of it is known than the bound in the verdict
+    if missed and not missed.startswith("at most"):
+        sentences.append(f"Apart from noise, the model misses {missed}.")
     return " ".join(sentences)
 
 
@@ -528,16 +532,6 @@ def page_verdict(estimate: Estimate) -> Verdict:
     if not is_tested(estimate.fit):
         return "open"
     return "bad" if bool(estimate.fit.rejected) else "good"
-
-
-def _described(assessment: Assessment) -> list[str]:
-    """What of the motion the rig misses beyond noise, where more of it is known than the bound in the verdict."""
-    missed = _bound_missed(assessment)
-    return (
-        [f"Apart from noise, the model misses {missed}."]
-        if missed and not missed.startswith("at most")
-        else []
-    )
 
 
 def _bound_missed(assessment: Assessment) -> str:

@@ -131,7 +131,17 @@ def track_document(track: Track, level: float = 0.95) -> Document:
     for change in track.changes:
         size, spread = value_and_sd(change.size, change.sd)
         chance = f"≤ {probability(change.p)}"
-        rows.append((change.name, change.kind, *_when(change), size, spread, _relative(change), chance))
+        rows.append(
+            (
+                change.name,
+                change.kind,
+                *_when(change),
+                size,
+                spread,
+                f"{'−' if change.relative < 0 else '+'}{short(abs(100 * change.relative))}",
+                chance,
+            )
+        )
     heads = ["parameter", "kind", "at s>", "95 % interval", "change>", "±>", "change, %>", "p>"]
     reach = float(ndtri((1 + level) / 2))
     values = []
@@ -185,7 +195,3 @@ def _when(change: TrackedChange) -> tuple[str, str]:
         return "", ""
     early, late = (plain(time) for time in change.time95_s)
     return plain(change.time_s), f"{early} … {late}"
-
-
-def _relative(change: TrackedChange) -> str:
-    return f"{'−' if change.relative < 0 else '+'}{short(abs(100 * change.relative))}"

@@ -103,6 +103,12 @@ def reproduction_report(
             for row in reproduction.corrections
         )
     )
+    error = reproduction.findings.coverage.standard_error
+    steps = (
+        "On data of your own, take the optimally weighted form: dashpot identify RIG DATA --method oiv.",
+    )
+    more = f"{reproduction.draws:,} draws give a share of 95 % to ± {error:.1f} points: take --draws 1000 to judge it."
+    # standard error in points with which nobody needs more draws
     return page_html(
         Document(
             "Yamane (1989), reproduced",
@@ -123,7 +129,7 @@ def reproduction_report(
             f"{among.inside} of the paper's {among.total} printed errors are such as its methods give on its rig.",
             _statements(reproduction),
             drawing=true_rig_picture(rig.model, theta, rig.channels),
-            steps=_steps(reproduction),
+            steps=steps if error <= 1.0 else (*steps, more),
             provenance=provenance,
         )
     )
@@ -483,14 +489,3 @@ def _statements(reproduction: Reproduction) -> tuple[str, ...]:
         ),
         f"95 % intervals hold the true value in {joined(ranges)} of the draws.",
     )
-
-
-def _steps(reproduction: Reproduction) -> tuple[str, ...]:
-    """What to do with it."""
-    error = reproduction.findings.coverage.standard_error
-    steps = (
-        "On data of your own, take the optimally weighted form: dashpot identify RIG DATA --method oiv.",
-    )
-    more = f"{reproduction.draws:,} draws give a share of 95 % to ± {error:.1f} points: take --draws 1000 to judge it."
-    # standard error in points with which nobody needs more draws
-    return steps if error <= 1.0 else (*steps, more)

@@ -33,22 +33,18 @@ def curves_document(curves: Sequence[MotionCurve], by_amplitude: bool) -> Docume
         elif np.all(curve.stable):
             parts.append("stable throughout")
         else:
-            parts.append(f"unstable {_runs(x, curve.stable)} {unit}")
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], ~curve.stable, [False]]).astype(int)))
+            unstable = ", ".join(
+                f"{min(x[a], x[b - 1]):.4g} to {max(x[a], x[b - 1]):.4g}"
+                for a, b in zip(edges[::2], edges[1::2], strict=True)
+            )
+            parts.append(f"unstable {unstable} {unit}")
         if curve.missing > 1e-3:  # less is not worth saying
             parts.append(
                 f"{curve.orders} harmonics leave out up to {100 * curve.missing:.2g} % of the motion"
             )
         texts.append("; ".join(part for part in parts if part))
     return Document("", (section("", *texts),))
-
-
-def _runs(x: Real, stable: Bools) -> str:
-    """Where the unstable runs begin and end."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~stable, [False]]).astype(int)))
-    return ", ".join(
-        f"{min(x[a], x[b - 1]):.4g} to {max(x[a], x[b - 1]):.4g}"
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
-    )
 
 
 @dataclass(frozen=True)

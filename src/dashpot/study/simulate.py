@@ -77,7 +77,25 @@ def driven_record(
         values = _nonlinear(view, theta, drive.source, step, measured_inputs(model, drive))
     else:
         p = model.parameters(theta)
-        inputs = measured_inputs(model, _as_moved(model, drive, step)).values
+        from scipy.interpolate import CubicSpline
+
+        sensors, values = list(drive.channels), np.array(drive.values)
+        moved = [
+            c
+            for c, channel in enumerate(sensors)
+            if measures_input(model, channel) and channel.quantity is not Quantity.FORCE
+        ]
+        shown = {
+            point for c in moved if sensors[c].quantity is Quantity.DISPLACEMENT for point in sensors[c].of
+        }
+        time = step * np.arange(len(values))
+        for c in moved:
+            times = {Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}.get(sensors[c].quantity, 0)
+            if times and not set(sensors[c].of) <= shown:
+                rates = values[:, c] - np.mean(values[:, c])
+                values[:, c] = CubicSpline(time, rates).antiderivative(times)(time)
+                sensors[c] = replace(sensors[c], quantity=Quantity.DISPLACEMENT)
+        inputs = measured_inputs(model, replace(drive, channels=tuple(sensors), values=values)).values
         values = channel_samples(view, p, integrator(model, p, step).motion(inputs))
     given = {(tuple(c.of.items()), c.quantity): number for number, c in enumerate(drive.channels)}
     for c, channel in enumerate(channels):
@@ -101,20 +119,6 @@ def released_record(
     spaced, s; theta (unknowns,), SI units.  Raises UsageError for an unknown coordinate, and as `driven_record`.
     """
     channels, p = tuple(channels), model.parameters(theta)
-    start = np.append(_hung(model, p, held), np.zeros(model.n))
-    step = float(time[-1] - time[0]) / (len(time) - 1)
-    view = observation_model(model, channels, np.ones(1))
-    count = model.D.shape[1] + model.S.shape[1]
-    at_rest = ShownInputs(np.zeros((len(time), count)), (0,) * count)
-    if len(model.nonlinear):
-        values = _nonlinear(view, theta, "simulation", step, at_rest, start)
-    else:
-        values = channel_samples(view, p, integrator(model, p, step).motion(at_rest.values, start))
-    return _recorded(channels, time, values, rng)
-
-
-def _hung(model: Model, p: Real, held: Mapping[str, float]) -> Real:
-    """Static displacements of all coordinates, (n,), of which some are held; what nothing holds stays at 0."""
     for name in held:
         if name not in model.coordinates:
             raise UsageError(
@@ -125,7 +129,16 @@ def _hung(model: Model, p: Real, held: Mapping[str, float]) -> Real:
     x = np.array([held.get(name, 0.0) for name in model.coordinates])
     free = np.array([name not in held for name in model.coordinates])
     x[free] = -np.linalg.lstsq(K[np.ix_(free, free)], K[np.ix_(free, ~free)] @ x[~free], rcond=1e-12)[0]
-    return x
+    start = np.append(x, np.zeros(model.n))
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    view = observation_model(model, channels, np.ones(1))
+    count = model.D.shape[1] + model.S.shape[1]
+    at_rest = ShownInputs(np.zeros((len(time), count)), (0,) * count)
+    if len(model.nonlinear):
+        values = _nonlinear(view, theta, "simulation", step, at_rest, start)
+    else:
+        values = channel_samples(view, p, integrator(model, p, step).motion(at_rest.values, start))
+    return _recorded(channels, time, values, rng)
 
 
 def _recorded(channels: tuple[Channel, ...], time: Real, values: Real, rng: np.random.Generator) -> Record:
@@ -167,29 +180,6 @@ def _factors(
 def _delays(channels: Sequence[Channel]) -> Real:
     """Known delays of the channels, (channels,) s, else 0."""
     return np.array([0.0 if channel.delay is None else channel.delay for channel in channels])
-
-
-def _as_moved(model: Model, drive: Record, step: float) -> Record:
-    """The record with inputs as displacements where no sensor shows them as such, from rest, their mean taken out."""
-    from scipy.interpolate import CubicSpline
-
-    channels, values = list(drive.channels), np.array(drive.values)
-    moved = [
-        c
-        for c, channel in enumerate(channels)
-        if measures_input(model, channel) and channel.quantity is not Quantity.FORCE
-    ]
-    shown = {
-        point for c in moved if channels[c].quantity is Quantity.DISPLACEMENT for point in channels[c].of
-    }
-    time = step * np.arange(len(values))
-    for c in moved:
-        times = {Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}.get(channels[c].quantity, 0)
-        if times and not set(channels[c].of) <= shown:
-            rates = values[:, c] - np.mean(values[:, c])
-            values[:, c] = CubicSpline(time, rates).antiderivative(times)(time)
-            channels[c] = replace(channels[c], quantity=Quantity.DISPLACEMENT)
-    return replace(drive, channels=tuple(channels), values=values)
 
 
 def _later(values: Real, steps: Real) -> Real:

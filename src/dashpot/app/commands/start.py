@@ -100,7 +100,14 @@ def command(
     seen = replace(seen, columns=tuple(columns))
     drive = drive or ("base" if base else "force" if at else None)
     drive = drive or (seen.drive if seen.sure else ask("What drives it", seen.drive, DRIVEN))
-    chain = first_rig(seen, _title(paths), cast(Any, drive), known, at, base)
+    chain = first_rig(
+        seen,
+        f"Rig of {os.path.basename(paths[0])}" if len(paths) == 1 else "My rig",
+        cast(Any, drive),
+        known,
+        at,
+        base,
+    )
     if chain.lacks_scale and (first := ask("Mass of x1, if it was weighed", UNKNOWN, WEIGHED)) != UNKNOWN:
         chain = replace(chain, known=first)
     if chain.at == PLACEHOLDER:
@@ -109,7 +116,12 @@ def command(
     data = list(files)
     if not seen.timed and not any(map(is_manifest, files)):
         rate = rate or ask("Sampling rate, Hz", PLACEHOLDER, opt.FREQUENCY.or_words(PLACEHOLDER))
-        write_text(manifest, _manifest(paths, Path(manifest), rate))
+        number = quoted(rate) if isinstance(rate, str) else f"{rate!r}"
+        entries = (
+            f"[[files]]\nname = {quoted(os.path.relpath(path, Path(manifest).parent))}\nrate_hz = {number}\n"
+            for path in paths
+        )
+        write_text(manifest, "\n".join(entries))
         stated = (
             "where the sampling rate has to be written" if rate == PLACEHOLDER else "with the sampling rate"
         )
@@ -128,20 +140,6 @@ def command(
             "the file if it is wrong."
         )
     _tell(out, picture, text, data)
-
-
-def _title(paths: Sequence[Path]) -> str:
-    return f"Rig of {os.path.basename(paths[0])}" if len(paths) == 1 else "My rig"
-
-
-def _manifest(paths: Sequence[Path], at: Path, rate: float | str) -> str:
-    """A manifest of files whose samples have no times."""
-    number = quoted(rate) if isinstance(rate, str) else f"{rate!r}"
-    entries = (
-        f"[[files]]\nname = {quoted(os.path.relpath(path, at.parent))}\nrate_hz = {number}\n"
-        for path in paths
-    )
-    return "\n".join(entries)
 
 
 def _tell(out: str, picture: str, text: str, data: Sequence[str]) -> None:

@@ -69,7 +69,14 @@ def carry_out(call: Call, tell: Tell) -> None:
             work(call, told)
     except Exception as error:
         lines, code = account(error)
-        told({"failed": {"problems": _problems(error, lines), "code": code}})
+        import re
+
+        found = error.problems if isinstance(error, DashpotError) else [Problem(line) for line in lines]
+        said = []
+        for problem in found[:20]:
+            place = re.match(r"(.*\.toml):(\d+)(?::|$)", problem.where or "")
+            said.append({"text": str(problem), "line": None if place is None else int(place[2])})
+        told({"failed": {"problems": said, "code": code}})
     else:
         told({"done": True})
     finally:
@@ -90,18 +97,6 @@ def _readable(folder: str, others: Sequence[str]) -> Callable[[str], bool]:
         return within(place, own) or shared
 
     return readable
-
-
-def _problems(error: Exception, lines: Sequence[str]) -> list[dict[str, Any]]:
-    """Each problem with its text, and the line of the rig file that it names."""
-    import re
-
-    found = error.problems if isinstance(error, DashpotError) else [Problem(line) for line in lines]
-    said = []
-    for problem in found[:20]:
-        place = re.match(r"(.*\.toml):(\d+)(?::|$)", problem.where or "")
-        said.append({"text": str(problem), "line": None if place is None else int(place[2])})
-    return said
 
 
 def _command(*arguments: str) -> None:
@@ -222,7 +217,18 @@ def _edit(call: Call, tell: Tell) -> None:
                 entries[name][key] = _typed(value)
     changed = edited_table(text, before, after)
     if new != name:
-        changed = _renamed(changed, section, name, new)
+        import re
+
+        from dashpot.io.toml_document import Lines, toml_key
+        from dashpot.io.words import quoted
+
+        line = Lines(changed).of((section, name))
+        assert line is not None
+        lines = changed.splitlines(keepends=True)
+        key = re.compile(rf"(?<![\w-])(?:{re.escape(name)}|{re.escape(quoted(name))})(?=\s*[=.\]])")
+        lines[line - 1] = key.sub(lambda _: toml_key(new), lines[line - 1], count=1)
+        named = rf"\b(same_as|same_gain_as|of)(\s*=\s*){re.escape(quoted(name))}"
+        changed = re.sub(named, lambda match: f"{match[1]}{match[2]}{quoted(new)}", "".join(lines))
     parse_rig(changed, call["rig"])
     tell({"result": {"text": changed}})
 
@@ -236,22 +242,6 @@ def _typed(value: Any) -> Any:
                 return read(plain)
         return plain
     return value
-
-
-def _renamed(text: str, section: str, name: str, new: str) -> str:
-    """The text with an entry, and what names it (same_as, a load cell's `of`), renamed."""
-    import re
-
-    from dashpot.io.toml_document import Lines, toml_key
-    from dashpot.io.words import quoted
-
-    line = Lines(text).of((section, name))
-    assert line is not None
-    lines = text.splitlines(keepends=True)
-    key = re.compile(rf"(?<![\w-])(?:{re.escape(name)}|{re.escape(quoted(name))})(?=\s*[=.\]])")
-    lines[line - 1] = key.sub(lambda _: toml_key(new), lines[line - 1], count=1)
-    named = rf"\b(same_as|same_gain_as|of)(\s*=\s*){re.escape(quoted(name))}"
-    return re.sub(named, lambda match: f"{match[1]}{match[2]}{quoted(new)}", "".join(lines))
 
 
 # Data: what is in them, and how they match the rig.

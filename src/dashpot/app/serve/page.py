@@ -283,9 +283,9 @@ class Page:
                 self._button("Download rig", partial(self._download, session.state["rig"]), "flat dense")
         for entry in session.state["data"]:
             with ui.element("div").classes("file"):
-                _html(
-                    f"<span>{html.escape(entry['name'])} <span class='soft'>{_size(entry['size'])}</span></span>"
-                )
+                bytes_ = entry["size"]
+                size = f"{bytes_ / 1e6:.3g} MB" if bytes_ >= 1e6 else f"{bytes_ / 1e3:.3g} kB"
+                _html(f"<span>{html.escape(entry['name'])} <span class='soft'>{size}</span></span>")
                 rest = ui.checkbox("at rest", value=bool(entry.get("rest")))
                 rest.on_value_change(
                     lambda event, path=entry["path"]: self._later(session.set_rest, path, bool(event.value))
@@ -836,7 +836,3 @@ def _alarms(live: Mapping[str, Any]) -> tuple[tuple[str, Sequence[str]], ...]:
         ("Rows that cannot be read", damaged),
         ("Repeat now", live.get("bad", ())),
     )
-
-
-def _size(bytes_: int) -> str:
-    return f"{bytes_ / 1e6:.3g} MB" if bytes_ >= 1e6 else f"{bytes_ / 1e3:.3g} kB"

@@ -61,7 +61,33 @@ def read_famos(file: DataFile) -> Iterator[ArrayColumns]:
     Digital channels, which hold switches, are passed over.  Raises DataError for what is damaged or cut off.
     """
     data = file.contents
-    groups, blocks = _read(data, file.name)
+    groups: list[_Group] = []
+    blocks: dict[int, tuple[int, int]] = {}
+    position = 0
+    while position < len(data):
+        match = _KEY.match(data, position)
+        if match is None:
+            raise DataError(
+                f"no key begins at byte {position + 1}", file.name, "the file is damaged; copy it again"
+            )
+        begin = match.end()
+        end = begin + int(match[3])
+        if data[end : end + 1] != b";":
+            what = "cut off" if end >= len(data) else "damaged"
+            raise DataError(f"the file is {what} at byte {position + 1}", file.name, "copy it again")
+        try:
+            if match[1] == SAMPLES:
+                mark = data.find(b",", begin, min(end, begin + 20))
+                blocks[int(data[begin : max(mark, begin)])] = (mark + 1, end)
+            else:
+                _note(match[1], data[begin:end], groups)
+        except (ValueError, IndexError):
+            key = match[1].decode()
+            raise DataError(
+                f"key {key} at byte {position + 1} is damaged", file.name, "copy it again"
+            ) from None
+        following = data.find(b"|", end)
+        position = len(data) if following < 0 else following
     together: dict[tuple[int, float, float], dict[str, Any]] = {}
     units: dict[str, str | None] = {}
     for number, group in enumerate(groups, start=1):
@@ -79,36 +105,6 @@ def read_famos(file: DataFile) -> Iterator[ArrayColumns]:
     for (rows, step, start), columns in together.items():
         time = {TIME: steps(start, step, rows)} if step > 0 else {}
         yield array_columns(file.name, {**time, **columns}, units)
-
-
-def _read(data: Content, source: str) -> tuple[list[_Group], dict[int, tuple[int, int]]]:
-    """The channels, and where each block of samples begins and ends.  Raises DataError, with the place."""
-    groups: list[_Group] = []
-    blocks: dict[int, tuple[int, int]] = {}
-    position = 0
-    while position < len(data):
-        match = _KEY.match(data, position)
-        if match is None:
-            raise DataError(
-                f"no key begins at byte {position + 1}", source, "the file is damaged; copy it again"
-            )
-        start, size = match.end(), int(match[3])
-        end = start + size
-        if data[end : end + 1] != b";":
-            what = "cut off" if end >= len(data) else "damaged"
-            raise DataError(f"the file is {what} at byte {position + 1}", source, "copy it again")
-        try:
-            if match[1] == SAMPLES:
-                mark = data.find(b",", start, min(end, start + 20))
-                blocks[int(data[start : max(mark, start)])] = (mark + 1, end)
-            else:
-                _note(match[1], data[start:end], groups)
-        except (ValueError, IndexError):
-            key = match[1].decode()
-            raise DataError(f"key {key} at byte {position + 1} is damaged", source, "copy it again") from None
-        following = data.find(b"|", end)
-        position = len(data) if following < 0 else following
-    return groups, blocks
 
 
 def _note(key: bytes, content: bytes, groups: list[_Group]) -> None:

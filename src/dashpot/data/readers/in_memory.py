@@ -192,7 +192,13 @@ def _variables(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | 
     if module == "polars" and frame:
         return {name: data[name].to_numpy() for name in data.columns}, {}
     if all(hasattr(data, name) for name in ("u", "y", "sampling_time")):
-        return _benchmark(data), {}
+        # Input_output_data of the package nonlinear_benchmarks
+        step = data.sampling_time
+        variables = {} if step is None else {TIME: np.arange(len(data.y)) * float(step)}
+        for name in ("u", "y"):
+            signals = np.asarray(getattr(data, name)).reshape(len(data.y), -1).T
+            variables |= {f"{name}{i}" if len(signals) > 1 else name: y for i, y in enumerate(signals, 1)}
+        return variables, {}
     if isinstance(data, Mapping):
         return {str(name): values for name, values in data.items()}, {}
     if isinstance(data, np.ndarray) and data.dtype.names:
@@ -202,16 +208,6 @@ def _variables(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | 
         source,
         "give a mapping of names to arrays, a data frame, an xarray Dataset or a structured array",
     )
-
-
-def _benchmark(data: Any) -> dict[str, Any]:
-    """Columns of an Input_output_data of the package nonlinear_benchmarks: u and y, of several u1, u2 and y1, y2."""
-    columns: dict[str, Any] = {}
-    for name in ("u", "y"):
-        signals = np.asarray(getattr(data, name)).reshape(len(data.y), -1).T
-        columns |= {name if len(signals) == 1 else f"{name}{i}": each for i, each in enumerate(signals, 1)}
-    step = data.sampling_time
-    return columns if step is None else {TIME: np.arange(len(data.y)) * float(step), **columns}
 
 
 def _naive(series: Any) -> Any:

@@ -25,7 +25,36 @@ def read_mdf(file: DataFile, asammdf: Any) -> Iterator[ArrayColumns]:
         groups = [group.channel_group for group in mdf.groups]
         file.check_unpacked(sum(group.cycles_nr * getattr(group, "samples_byte_nr", 0) for group in groups))
         for number, group in enumerate(mdf.groups):
-            columns, units = _group(mdf, number, group)
+            columns: dict[str, Any] = {}
+            units: dict[str, str | None] = {}
+            master = mdf.masters_db.get(number)
+            for channel in group.channels:
+                end = getattr(channel, "byte_offset", 0) + getattr(channel, "bit_count", 0) // 8
+                if end > getattr(group.channel_group, "samples_byte_nr", end):
+                    raise ValueError(
+                        f"channel {channel.name} lies outside its record"
+                    )  # where asammdf would read on
+            rows = group.channel_group.cycles_nr
+            # Samples that are marked as invalid are left out, channel by channel: how many remain, only reading tells.
+            streamed = (
+                rows >= LONG
+                and master is not None
+                and not getattr(group.channel_group, "invalidation_bytes_nr", 0)
+            )
+            for index, channel in enumerate(group.channels):
+                if index == master:
+                    continue
+                signal = mdf.get(group=number, index=index, record_count=1 if streamed else None)
+                samples: Any = np.asarray(signal.samples)
+                if samples.ndim == 1 and samples.dtype.kind in "fiub" and len(samples):
+                    times: Any = np.asarray(signal.timestamps)
+                    if streamed:
+                        times, samples = (
+                            Streamed(rows, partial(_pieces, mdf, number, at)) for at in (master, index)
+                        )
+                    columns.setdefault(TIME, times)
+                    columns[channel.name] = samples
+                    units[channel.name] = signal.unit or None
             if columns:
                 place = f"{file.name} (group {number + 1})" if len(groups) > 1 else file.name
                 yield array_columns(place, columns, units)
@@ -55,37 +84,6 @@ def _links(content: bytes | mmap.mmap, position: int) -> tuple[int, ...]:
     count = int.from_bytes(content[position + 16 : position + 24], "little")
     at = [position + 24 + 8 * k for k in range(min(count, 2))]
     return tuple(int.from_bytes(content[k : k + 8], "little") for k in at if k + 8 <= len(content))
-
-
-def _group(content: Any, number: int, group: Any) -> tuple[dict[str, Any], dict[str, str | None]]:
-    """Samples and units of a group; nothing where there are none."""
-    columns: dict[str, Any] = {}
-    units: dict[str, str | None] = {}
-    master = content.masters_db.get(number)
-    for channel in group.channels:
-        end = getattr(channel, "byte_offset", 0) + getattr(channel, "bit_count", 0) // 8
-        if end > getattr(group.channel_group, "samples_byte_nr", end):
-            raise ValueError(f"channel {channel.name} lies outside its record")  # where asammdf would read on
-    rows = group.channel_group.cycles_nr
-    # Samples that are marked as invalid are left out, channel by channel: how many remain, only reading tells.
-    streamed = (
-        rows >= LONG and master is not None and not getattr(group.channel_group, "invalidation_bytes_nr", 0)
-    )
-    for index, channel in enumerate(group.channels):
-        if index == master:
-            continue
-        signal = content.get(group=number, index=index, record_count=1 if streamed else None)
-        samples: Any = np.asarray(signal.samples)
-        if samples.ndim == 1 and samples.dtype.kind in "fiub" and len(samples):
-            times: Any = np.asarray(signal.timestamps)
-            if streamed:
-                times, samples = (
-                    Streamed(rows, partial(_pieces, content, number, at)) for at in (master, index)
-                )
-            columns.setdefault(TIME, times)
-            columns[channel.name] = samples
-            units[channel.name] = signal.unit or None
-    return columns, units
 
 
 def _pieces(content: Any, number: int, index: int) -> Iterator[Any]:

@@ -90,7 +90,14 @@ def read_records(
     for i, start in enumerate(starts):
         driven = frequency_hz if frequency is None else float(frequency[start])
         records[i] = replace(records[i], frequency_hz=driven, experiment=int(experiments[start]))
-        notes += _clipped(records[i])
+        for channel, values in zip(records[i].channels, records[i].values.T, strict=True):
+            count = samples_at_limit(values)
+            if count:
+                text = (
+                    f"{records[i].source}: {channel.name} is at its limit in {count} of {len(values)} samples; if it "
+                    "is clipped, widen the range or reduce the drive"
+                )
+                notes.append(Notice("clipped", text, (channel.name,)))
     return records, notes
 
 
@@ -192,20 +199,6 @@ def _blocks(
         starts.append(i)
         latest = i
     return sorted(starts)
-
-
-def _clipped(record: Record) -> list[Notice]:
-    """Channels that rest at their limit."""
-    notes: list[Notice] = []
-    for channel, values in zip(record.channels, record.values.T, strict=True):
-        count = samples_at_limit(values)
-        if count:
-            text = (
-                f"{record.source}: {channel.name} is at its limit in {count} of {len(values)} samples; if it is "
-                "clipped, widen the range or reduce the drive"
-            )
-            notes.append(Notice("clipped", text, (channel.name,)))
-    return notes
 
 
 def write_records(

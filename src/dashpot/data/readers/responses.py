@@ -104,7 +104,23 @@ def read_response(columns: Columns, channels: Sequence[Channel]) -> tuple[Respon
     places = _places(columns)
     assert places is not None
     frequency_at, first, second, polar = places
-    pair = _pair(columns.source, channels)
+    stem = Path(columns.source).name.lower()
+    at = []
+    for channel in channels:
+        match = re.search(rf"(?<![a-z0-9]){re.escape(channel.name.lower())}(?![a-z0-9])", stem)
+        if match:
+            at.append((match.start(), channel))
+    named = [channel for _, channel in sorted(at, key=lambda place: place[0])]
+    forces = [channel for channel in channels if channel.quantity is Quantity.FORCE]
+    if len(named) == 1:
+        others = [c for c in (forces if named[0] not in forces else channels) if c not in named]
+        named += others if len(others) == 1 else []
+    elif not named and len(channels) == 2 and len(forces) == 1:
+        named = [next(c for c in channels if c not in forces), *forces]
+    if len(named) != 2:
+        what = f"cannot tell which response this is, of {listed([c.name for c in channels])}"
+        raise DataError(what, columns.source, "name the file after output and input, such as H_a1_f.csv")
+    pair = named[0].name, named[1].name
     names = [bare(name)[0].strip().lower() for name in columns.header]
     more = {i: names[i] for i in range(len(names)) if names[i] in (*_COHERENCE, *_AVERAGES)}
     values = columns.numbers([frequency_at, first, second, *more])
@@ -126,27 +142,6 @@ def read_response(columns: Columns, channels: Sequence[Channel]) -> tuple[Respon
         variance, said = _by_coherence(columns, coherence[0], values, H, averages, pair)
         notes += said
     return Response(pair, columns.source, frequency, H, variance), notes
-
-
-def _pair(source: str, channels: Sequence[Channel]) -> tuple[str, str]:
-    """Output and input of the response in a file of this name.  Raises DataError if that says neither."""
-    stem = Path(source).name.lower()
-    places = []
-    for channel in channels:
-        match = re.search(rf"(?<![a-z0-9]){re.escape(channel.name.lower())}(?![a-z0-9])", stem)
-        if match:
-            places.append((match.start(), channel))
-    named = [channel for _, channel in sorted(places, key=lambda place: place[0])]
-    forces = [channel for channel in channels if channel.quantity is Quantity.FORCE]
-    if len(named) == 1:
-        others = [c for c in (forces if named[0] not in forces else channels) if c not in named]
-        named += others if len(others) == 1 else []
-    elif not named and len(channels) == 2 and len(forces) == 1:
-        named = [next(c for c in channels if c not in forces), *forces]
-    if len(named) != 2:
-        what = f"cannot tell which response this is, of {listed([c.name for c in channels])}"
-        raise DataError(what, source, "name the file after output and input, such as H_a1_f.csv")
-    return named[0].name, named[1].name
 
 
 # Tables of frequency response functions as CSV: `frequency_hz`, then `OUT/IN_re`, `OUT/IN_im`, optionally

@@ -254,7 +254,15 @@ def read_function(stream: UffStream, start: DatasetStart) -> NodalFunction:
         kind = int(line[0:5])
         response = NodePoint(_words(line, 30, 41), int(line[41:51]), int(line[51:55]))
         reference = NodePoint(_words(line, 55, 66), int(line[66:76] or b"0"), int(line[76:80] or b"0"))
-        shape = _shape(lines[6], ids[4])
+        line = lines[6]
+        data_type, count, spacing = int(line[0:10]), int(line[10:20]), int(line[20:30])
+        if data_type not in (2, 4, 5, 6):
+            raise ValueError
+        begin, step = float(line[30:43] or b"0"), float(line[43:56] or b"0")
+        words = ids[4].split()
+        if words[:1] == [EXACT] and len(words) == 3:
+            begin, step = float(words[1]), float(words[2])
+        shape = _Shape(data_type in (4, 6), data_type in (5, 6), spacing == 1, count, begin, step)
         kinds = [int(line[:10]) for line in lines[7:]]
         z_value = float(lines[6][56:69] or b"0")
     except (ValueError, IndexError):
@@ -302,17 +310,6 @@ def _words(line: bytes, start: int, end: int) -> str:
 def _text_of(line: bytes) -> str:
     """The units label of an axis."""
     return _words(line, 46, 67)
-
-
-def _shape(line: bytes, exact: str) -> _Shape:
-    data_type, count, spacing = int(line[0:10]), int(line[10:20]), int(line[20:30])
-    if data_type not in (2, 4, 5, 6):
-        raise ValueError
-    start, step = float(line[30:43] or b"0"), float(line[43:56] or b"0")
-    words = exact.split()
-    if words[:1] == [EXACT] and len(words) == 3:
-        start, step = float(words[1]), float(words[2])
-    return _Shape(data_type in (4, 6), data_type in (5, 6), spacing == 1, count, start, step)
 
 
 def _require_finite(abscissa: Real, place: str) -> None:

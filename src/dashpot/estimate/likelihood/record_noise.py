@@ -505,35 +505,29 @@ def share_without_misfit(spectrum: Spectrum, inputs: Bools, residual: Complex) -
     if not np.any(sought):
         return all_noise
     repeat = replace(spectrum, amplitudes=spectrum.amplitudes[None], covariance=spectrum.covariance[None])
-    share = _share_of_noise(repeat, sought, inputs, residual)
-    if np.all(share == 1):
-        return all_noise
-    power = np.abs(residual) ** 2
-    alone, left = (_smoothed(repeat, each, sought, ~inputs)[0] for each in (power * share, power))
-    known = sought[:, None] & ~inputs & (left > 0)
-    return np.where(known, np.minimum(alone / np.where(left > 0, left, 1.0), 1.0), 1.0)
-
-
-def _share_of_noise(spectrum: Spectrum, sought: Bools, inputs: Bools, residual: Complex) -> Real:
-    """Of one repeat, what part of the residuals' power (lines, channels) can be noise: what local models leave."""
-    share, amplitudes = np.ones(residual.shape), np.nan_to_num(spectrum.amplitudes[0])
+    share, amplitudes = np.ones(residual.shape), np.nan_to_num(repeat.amplitudes[0])
     groups = defaultdict[tuple[int, bytes], list[tuple[Ints, RecordLines]]](list)
-    for number in spectrum.records:
-        its = np.flatnonzero((spectrum.stretch == number) & sought)
+    for number in repeat.records:
+        its = np.flatnonzero((repeat.stretch == number) & sought)
         if not len(its):
             continue
-        its = its[np.argsort(spectrum.frequency_hz[its])]
-        record, size = spectrum.stretches[number], int(spectrum.samples[its[0]])
+        its = its[np.argsort(repeat.frequency_hz[its])]
+        record, size = repeat.stretches[number], int(repeat.samples[its[0]])
         assert isinstance(record, WholeRecord)
         there = ~inputs & np.any(residual[its] != 0, axis=0)
         shown, left = amplitudes[its][:, inputs], residual[its][:, there]
         lines = RecordLines(
-            spectrum.frequency_hz[its], shown * size**0.5, left * size**0.5, record.duration_s, size
+            repeat.frequency_hz[its], shown * size**0.5, left * size**0.5, record.duration_s, size
         )
-        groups[int(spectrum.experiment[its[0]]), there.tobytes()].append((its, lines))
+        groups[int(repeat.experiment[its[0]]), there.tobytes()].append((its, lines))
     for (_, there), some in groups.items():
         with contextlib.suppress(DataError):  # too short for local models
             shares = shares_left([lines for _, lines in some], BY_CHANCE)
             for (its, _), part in zip(some, shares, strict=True):
                 share[np.ix_(its, np.frombuffer(there, dtype=bool))] = part
-    return share
+    if np.all(share == 1):
+        return all_noise
+    power = np.abs(residual) ** 2
+    alone, whole = (_smoothed(repeat, each, sought, ~inputs)[0] for each in (power * share, power))
+    known = sought[:, None] & ~inputs & (whole > 0)
+    return np.where(known, np.minimum(alone / np.where(whole > 0, whole, 1.0), 1.0), 1.0)

@@ -113,7 +113,37 @@ def _no_transient(
     """
 
     def beside_fit(psi: Real, sign: Real) -> float:
-        steady = prepare(model, _beyond_steady_motion(model, known, psi, sign), states=False)
+        amplitudes, stretches = np.array(known.amplitudes), list(known.stretches)
+        for number, value in enumerate(known.stretches):
+            if not isinstance(value, WholeRecord) or value.drive_hz is None:
+                continue
+            lines = np.flatnonzero(known.stretch == number)
+            # The lines of a cosine and of a sine at the drive's frequency, (lines, 2)
+            phase = 2 * np.pi * value.drive_hz * value.step_s * np.arange(value.samples)
+            both_waves = np.fft.rfft(np.stack([np.cos(phase), np.sin(phase)], axis=1), axis=0)
+            waves: Complex = both_waves[value.orders(known.frequency_hz[lines])] * (2 / value.samples)
+            shown_lines = known.amplitudes[lines]
+            sides = np.concatenate([shown_lines.real, shown_lines.imag])
+            there = np.all(np.isfinite(sides), axis=0)
+            both = np.concatenate([waves.real, waves.imag])
+            shown = np.linalg.lstsq(both, np.where(there, sides, 0.0), rcond=None)[0]
+            # The steady motion (channels,) that the rig makes of the inputs in what the channels have shown
+            dwell = replace(
+                known.select(lines[:1]),
+                frequency_hz=np.array([value.drive_hz]),
+                amplitudes=np.where(there, shown[0] - 1j * shown[1], np.nan)[None],
+                stretch=np.zeros(0, dtype=np.int64),
+                stretches=(SettledDwell(),),
+            )
+            data = prepare(model, dwell, states=False)
+            inputs = predict(data.view, measured(data), psi, sign).q
+            steady = calibrated_transfer(data.view, psi, sign).amplitudes(inputs)[0, 0]
+            amplitudes[lines] -= waves @ np.stack([steady.real, -steady.imag])
+            # A slope aliases like the ends of a record do.
+            stretches[number] = replace(value, loads=False, polynomial=value.polynomial if value.ramp else 0)
+        steady = prepare(
+            model, replace(known, amplitudes=amplitudes, stretches=tuple(stretches)), states=False
+        )
         return fit.beside(_Fit.at(steady, psi, sign))
 
     p = beside_fit(*_solved(_from(method, fit), prepare(model, as_settled, states=False)))
@@ -175,36 +205,3 @@ def _solved(method: MaximumLikelihood, data: Prepared) -> tuple[Real, Real]:
     """ψ and the channels' signs at the maximum of the likelihood, (1, …) each."""
     solution = method.solve(data)
     return solution.theta, data.spectrum.signs(solution.signs)
-
-
-def _beyond_steady_motion(model: Model, whole: Spectrum, psi: Real, sign: Real) -> Spectrum:
-    """What is left of the lines of dwells when their steady motion at ψ is taken away: no loads."""
-    amplitudes, stretches = np.array(whole.amplitudes), list(whole.stretches)
-    for number, value in enumerate(whole.stretches):
-        if not isinstance(value, WholeRecord) or value.drive_hz is None:
-            continue
-        lines = np.flatnonzero(whole.stretch == number)
-        # The lines of a cosine and of a sine at the drive's frequency, (lines, 2)
-        phase = 2 * np.pi * value.drive_hz * value.step_s * np.arange(value.samples)
-        both_waves = np.fft.rfft(np.stack([np.cos(phase), np.sin(phase)], axis=1), axis=0)
-        waves: Complex = both_waves[value.orders(whole.frequency_hz[lines])] * (2 / value.samples)
-        shown_lines = whole.amplitudes[lines]
-        sides = np.concatenate([shown_lines.real, shown_lines.imag])
-        there = np.all(np.isfinite(sides), axis=0)
-        both = np.concatenate([waves.real, waves.imag])
-        shown = np.linalg.lstsq(both, np.where(there, sides, 0.0), rcond=None)[0]
-        # The steady motion (channels,) that the rig makes of the inputs in what the channels have shown
-        dwell = replace(
-            whole.select(lines[:1]),
-            frequency_hz=np.array([value.drive_hz]),
-            amplitudes=np.where(there, shown[0] - 1j * shown[1], np.nan)[None],
-            stretch=np.zeros(0, dtype=np.int64),
-            stretches=(SettledDwell(),),
-        )
-        data = prepare(model, dwell, states=False)
-        inputs = predict(data.view, measured(data), psi, sign).q
-        steady = calibrated_transfer(data.view, psi, sign).amplitudes(inputs)[0, 0]
-        amplitudes[lines] -= waves @ np.stack([steady.real, -steady.imag])
-        # A slope aliases like the ends of a record do.
-        stretches[number] = replace(value, loads=False, polynomial=value.polynomial if value.ramp else 0)
-    return replace(whole, amplitudes=amplitudes, stretches=tuple(stretches))

@@ -430,9 +430,27 @@ def backbone(model: Model, theta: Real, mode: int, largest: float, *, orders: in
     The elongation is that of the nonlinear spring that moves most in the mode.  Ends earlier where the curve cannot be
     followed.  Raises UsageError if the rig has no nonlinear spring that keeps energy, or no such mode.
     """
+    from scipy.linalg import eigh
+
     free = _undamped(model, theta)
     p, constants = free.p0[None], free.constants_map[1][None]
-    omega, shape = _mode(free, p[0], constants[0], mode)
+    parts = matrices(free, p[0])
+    zero = np.zeros((1, len(free.nonlinear), 3))
+    tangent = alternate(free, constants, np.ones(1), zero, 32).slope[0, :, 1, 1]
+    Bn = free.B[free.nonlinear]
+    K = parts.K + Bn.T @ ((p[0][free.nonlinear] * tangent)[:, None] * Bn)
+    if np.linalg.matrix_rank(parts.M) < free.n or not 0 <= mode < free.n:
+        raise UsageError(
+            f"there is no mode {mode + 1}", cure=f"it has {free.n}; every coordinate needs a mass"
+        )
+    squares, shapes = eigh(K, parts.M)
+    shape: Real = shapes[:, mode]
+    if squares[mode] <= 0 or not np.any(np.abs(Bn @ shape) > 1e-9 * np.max(np.abs(shape))):
+        raise UsageError(
+            f"mode {mode + 1} does not oscillate, or does not involve a nonlinear spring",
+            cure="choose another mode",
+        )
+    omega = float(np.sqrt(squares[mode]))
     delta = free.B[free.nonlinear] @ shape
     row = int(np.argmax(np.abs(delta)))
     solver = _FreeMotion(free, p, constants, orders, row)
@@ -477,29 +495,6 @@ def _undamped(model: Model, theta: Real) -> Model:
             cure="leave out --backbone",
         )
     return replace(model, elements=tuple(elements))
-
-
-def _mode(model: Model, p: Real, constants: Real, mode: int) -> tuple[float, Real]:
-    """(ω, shape (n,)) of a mode of small motions."""
-    from scipy.linalg import eigh
-
-    parts = matrices(model, p)
-    zero = np.zeros((1, len(model.nonlinear), 3))
-    tangent = alternate(model, constants[None], np.ones(1), zero, 32).slope[0, :, 1, 1]
-    Bn = model.B[model.nonlinear]
-    K = parts.K + Bn.T @ ((p[model.nonlinear] * tangent)[:, None] * Bn)
-    if np.linalg.matrix_rank(parts.M) < model.n or not 0 <= mode < model.n:
-        raise UsageError(
-            f"there is no mode {mode + 1}", cure=f"it has {model.n}; every coordinate needs a mass"
-        )
-    squares, shapes = eigh(K, parts.M)
-    shape: Real = shapes[:, mode]
-    if squares[mode] <= 0 or not np.any(np.abs(Bn @ shape) > 1e-9 * np.max(np.abs(shape))):
-        raise UsageError(
-            f"mode {mode + 1} does not oscillate, or does not involve a nonlinear spring",
-            cure="choose another mode",
-        )
-    return float(np.sqrt(squares[mode])), shape
 
 
 class _FreeMotion:

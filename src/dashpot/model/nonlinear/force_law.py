@@ -240,7 +240,22 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
     # The names that are constants, in order, each once
     wanted = [name for name in dict.fromkeys(names) if name not in ({"d", "v", "z"} if state else {"d", "v"})]
     given = {constant.name: constant for constant in constants}
-    _require_named(text, wanted, list(given), complete=usual is None)
+    complete = usual is None
+    missing = [name for name in wanted if name not in given]
+    meant = get_close_matches(text.strip().lower(), {**SPRING_LAWS, **DAMPER_LAWS}, 1)
+    if complete and missing and meant:
+        raise ModelError(f"{text!r} is not a law", cure=f'write law = "{meant[0]}"')
+    if complete and missing:
+        raise ModelError(
+            f"the law {text!r} names {', '.join(missing)}",
+            cure=f'give {missing[0]} beside the law, as a number or "unknown"; d is the elongation, v its rate',
+        )
+    excess = [name for name in given if name not in wanted]
+    if excess:
+        raise ModelError(
+            f"the law {text!r} has no constant {', '.join(excess)}",
+            cure=f"its constants are {', '.join(wanted)}" if wanted else "it has none: remove it",
+        )
     if not state and not {"d", "v"} & set(expression.names):
         raise ModelError(
             f"the law {text!r} depends on neither d nor v", cure='write one that does, such as "d**3"'
@@ -260,25 +275,6 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
     if not state:
         _require_steady(law)
     return law
-
-
-def _require_named(text: str, wanted: Sequence[str], given: Sequence[str], *, complete: bool) -> None:
-    """Raises ModelError if constants are given that the law lacks or, if `complete`, where one is not given."""
-    missing = [name for name in wanted if name not in given]
-    meant = get_close_matches(text.strip().lower(), {**SPRING_LAWS, **DAMPER_LAWS}, 1)
-    if complete and missing and meant:
-        raise ModelError(f"{text!r} is not a law", cure=f'write law = "{meant[0]}"')
-    if complete and missing:
-        raise ModelError(
-            f"the law {text!r} names {', '.join(missing)}",
-            cure=f'give {missing[0]} beside the law, as a number or "unknown"; d is the elongation, v its rate',
-        )
-    excess = [name for name in given if name not in wanted]
-    if excess:
-        raise ModelError(
-            f"the law {text!r} has no constant {', '.join(excess)}",
-            cure=f"its constants are {', '.join(wanted)}" if wanted else "it has none: remove it",
-        )
 
 
 def _require_steady(law: ForceLaw) -> None:

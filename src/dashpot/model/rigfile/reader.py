@@ -273,7 +273,21 @@ def elements_of(reading: RigReading, tables: Mapping[str, Mapping[str, Any]]) ->
                 names = (*reading.elements, *channels)
                 cure = f"{did_you_mean(key, names)}there are {listed(names)}"
                 reading.report.add(place, f"{written(key)} is neither an element nor a channel", cure)
-        own += _followers(reading, own[before:], experiment)
+        other = {element.stands_for for element in own[before:] if element.stands_for is not None}
+        found: list[Element] = []
+        more = True
+        while more:
+            tied = [e for e in reading.elements.values() if e.same_as in other and e.name not in other]
+            found += [
+                replace(
+                    e, name=f"{e.name}@{experiment}", only=experiment, stands_for=e.name,
+                    same_as=f"{e.same_as}@{experiment}",
+                )
+                for e in tied
+            ]  # fmt: skip
+            other |= {e.name for e in tied}
+            more = bool(tied)
+        own += found
     if own and any(element.force_law is not None for element in (*reading.elements.values(), *own)):
         cure = "identify the runs separately, with a rig file each"
         reading.report.add(
@@ -368,25 +382,6 @@ def _added(reading: RigReading, place: Place, raw: object, experiment: str) -> l
         return []
     found = (read_element(reading, (*place, name), entry) for name, entry in raw.items())
     return [replace(element, only=experiment) for element in found if element is not None]
-
-
-def _followers(reading: RigReading, changed: Sequence[Element], experiment: str) -> list[Element]:
-    """What is tied to elements that differ, and does not differ itself."""
-    other = {element.stands_for for element in changed if element.stands_for is not None}
-    found: list[Element] = []
-    more = True
-    while more:
-        tied = [e for e in reading.elements.values() if e.same_as in other and e.name not in other]
-        found += [
-            replace(
-                e, name=f"{e.name}@{experiment}", only=experiment, stands_for=e.name,
-                same_as=f"{e.same_as}@{experiment}",
-            )
-            for e in tied
-        ]  # fmt: skip
-        other |= {e.name for e in tied}
-        more = bool(tied)
-    return found
 
 
 # Channels recorded in counts, or in shares of the full scale, of a converter whose full scale is known.

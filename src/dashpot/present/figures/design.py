@@ -14,7 +14,7 @@ from matplotlib.transforms import Bbox
 
 from dashpot.arrays import Complex, Real
 from dashpot.design.advise import Answer, phase_deg
-from dashpot.design.plan import Plan, plan_curves
+from dashpot.design.plan import plan_curves
 from dashpot.io.words import counted
 from dashpot.present.figures.style import (
     COLOURS,
@@ -48,22 +48,6 @@ def planned_test_figure(answer: Answer) -> Figure:
     title += "" if plan.time_s is None else f", {short(plan.time_s, 3)} s"
     p = plan.predicted
     bars = [j for j in range(len(p.names)) if p.values[j] != 0]  # a delay of 0 has no relative error
-    return plan_figure(
-        title,
-        curves.frequency_hz,
-        labelled,
-        np.array([d.frequency_hz for d in plan.dwells]),
-        np.array([d.time_s if timed else d.samples for d in plan.dwells], dtype=float),
-        "s" if timed else "samples",
-        p.names,
-        curves.gain,
-        [p.names[j] for j in bars],
-        _bars(answer, plan, bars),
-    )
-
-
-def _bars(answer: Answer, plan: Plan, bars: list[int]) -> list[Bars]:
-    """Relative standard deviations of the tests that are compared, of the parameters `bars`."""
     p = plan.predicted
     tests = [Bars("this test", 100 * p.relative[bars])]
     if answer.estimate is not None:
@@ -75,7 +59,18 @@ def _bars(answer: Answer, plan: Plan, bars: list[int]) -> list[Bars]:
         tests.append(Bars("other test, as many samples", 100 * other.relative[bars]))
         if iv is not None and len(iv.names) == len(p.names):
             tests.append(Bars("other test by the paper's iv", 100 * iv.relative[bars]))
-    return tests
+    return plan_figure(
+        title,
+        curves.frequency_hz,
+        labelled,
+        np.array([d.frequency_hz for d in plan.dwells]),
+        np.array([d.time_s if timed else d.samples for d in plan.dwells], dtype=float),
+        "s" if timed else "samples",
+        p.names,
+        curves.gain,
+        [p.names[j] for j in bars],
+        tests,
+    )
 
 
 def drive_names(inputs: Sequence[str], drives: Complex) -> list[str]:
