@@ -174,7 +174,14 @@ def _parallel(names: tuple[str, ...], model: Model) -> tuple[str, str]:
     if not tied & set(names) and all(_alike(first, e.along) for e in elements):
         together = "both" if len(elements) == 2 else "all"
         verb = "move with" if elements[0].kind is Kind.MASS and len(first) == 1 else "join"
-        return f"{together} {verb} {_place(first)}", ", or attach one elsewhere"
+        ends = list(first)
+        if len(ends) == 1:
+            place = f"{ends[0]} to ground"
+        elif len(ends) == 2 and abs(sum(first.values())) < 1e-12:
+            place = f"{ends[0]} to {ends[1]}"
+        else:
+            place = "the same points"
+        return f"{together} {verb} {place}", ", or attach one elsewhere"
     return "together they act as one element", ", or attach one elsewhere"
 
 
@@ -300,15 +307,6 @@ def _alike(first: Mapping[str, float], second: Mapping[str, float]) -> bool:
         return False
     ratios = [second[point] / first[point] for point in first]
     return bool(np.allclose(ratios, ratios[0]))
-
-
-def _place(along: Mapping[str, float]) -> str:
-    ends = list(along)
-    if len(ends) == 1:
-        return f"{ends[0]} to ground"
-    if len(ends) == 2 and abs(sum(along.values())) < 1e-12:
-        return f"{ends[0]} to {ends[1]}"
-    return "the same points"
 
 
 def _named(names: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ gives the numbers of a direction whose unknowns the exact one has found.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -338,7 +338,15 @@ def _channels(
     B = np.zeros((len(model.elements), model.n), dtype=np.int64)
     D, S = (np.zeros((rows, len(model.inputs)), dtype=np.int64) for rows in (len(B), model.n))
     for e, element in enumerate(model.elements):
-        along = _proportions(element.along)
+        along = {}
+        if element.along:
+            # Factors modulo PRIME; their ratios count to twelve digits, for rounding must not tell levers apart.
+            first = min(element.along)
+            lead = field.residue(element.along[first])
+            along = {
+                point: lead * field.residue(float(f"{factor / element.along[first]:.12g}")) % PRIME
+                for point, factor in element.along.items()
+            }
         B[e] = [along.get(point, 0) for point in model.coordinates]
         D[e, :moving] = [along.get(point, 0) for point in model.displacement_inputs]
     for i, k in np.argwhere(model.S):
@@ -432,18 +440,6 @@ def _to_the_power(s: Ints, power: int) -> Ints:
     for _ in range(power):
         result = result * s % PRIME
     return result
-
-
-def _proportions(along: Mapping[str, float]) -> dict[str, int]:
-    """Factors modulo PRIME; their ratios count to twelve digits, for rounding must not tell levers apart."""
-    if not along:
-        return {}
-    first = min(along)
-    lead = field.residue(along[first])
-    return {
-        point: lead * field.residue(float(f"{factor / along[first]:.12g}")) % PRIME
-        for point, factor in along.items()
-    }
 
 
 # The same in floating point

@@ -207,7 +207,17 @@ def _part(columns: Columns) -> InspectedPart:
     edges = [0, *(np.flatnonzero(new) + 1).tolist(), len(time)]
     ends = [(begin, end) for begin, end in pairwise(edges) if end > begin + 1]
     # stretches that are looked at: more are no recording
-    stretches = [_stretch(time, begin, end) for begin, end in ends[:10_000]]
+    stretches = []
+    for begin, end in ends[:10_000]:
+        steps = np.diff(time[begin:end])
+        regular = steps[steps <= GAP * float(np.median(steps))]  # others are gaps
+        mean, gaps = float(np.mean(regular)), len(steps) - len(regular)
+        at = begin + int(np.argmax(steps))
+        longest = (float(time[at]), float(time[at + 1])) if gaps else None
+        uneven = float(np.max(np.abs(regular - mean))) / mean
+        stretches.append(
+            _Stretch(begin, end, 1 / mean, uneven, gaps, longest, float(time[end - 1] - time[begin]))
+        )
     rates = [stretch.rate_hz for stretch in stretches]
     inspected: list[InspectedColumn] = []
     others, samples = [], len(time)
@@ -289,16 +299,6 @@ class _Stretch:
     gaps: int
     longest_gap: tuple[float, float] | None
     duration_s: float
-
-
-def _stretch(time: Real, begin: int, end: int) -> _Stretch:
-    steps = np.diff(time[begin:end])
-    regular = steps[steps <= GAP * float(np.median(steps))]  # others are gaps
-    mean, gaps = float(np.mean(regular)), len(steps) - len(regular)
-    at = begin + int(np.argmax(steps))
-    longest = (float(time[at]), float(time[at + 1])) if gaps else None
-    uneven = float(np.max(np.abs(regular - mean))) / mean
-    return _Stretch(begin, end, 1 / mean, uneven, gaps, longest, float(time[end - 1] - time[begin]))
 
 
 def _decay(values: Real, stretches: Sequence[_Stretch]) -> float:

@@ -218,7 +218,13 @@ def shortest(
     counted, amount, best = budget.samples is not None, budget.amount, None
     low, high = 0.0, math.inf  # the largest amount that was too little, the smallest that sufficed
     for _ in range(40):
-        trial = _plan_if_any(setup, criterion, budget.of(min(amount, ENOUGH)), grid)
+        tried = budget.of(min(amount, ENOUGH))
+        try:
+            trial = plan(setup, criterion, tried, grid)
+        except UsageError:  # too little for a test
+            if tried.settle == 0 and tried.min_dwell == 0 and tried.amount > 1e6:
+                raise
+            trial = None
         reached = math.inf if trial is None else trial.predicted.figure
         if trial is not None and reached <= figure:
             best = trial if best is None or _cost(trial) <= _cost(best) else best
@@ -243,16 +249,6 @@ def shortest(
     if best is None:
         raise UsageError("no test in this band reaches the target", cure="ask for less precision")
     return best
-
-
-def _plan_if_any(setup: TestSetup, criterion: Criterion, budget: Budget, grid: FrequencyGrid) -> Plan | None:
-    """The best test of that budget; None if it is too small for one."""
-    try:
-        return plan(setup, criterion, budget, grid)
-    except UsageError:
-        if budget.settle == 0 and budget.min_dwell == 0 and budget.amount > 1e6:
-            raise
-        return None
 
 
 def _cost(trial: Plan) -> float:

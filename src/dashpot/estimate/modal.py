@@ -505,7 +505,12 @@ def deepest_minima(
         if not attempt or about is not model:
             drawn = np.concatenate([like_parts(about, data, problem)[None], drawn])
         if lonely:
-            ends = _ends(problem, drawn)
+            ends = problem.search(drawn, np.zeros(len(drawn), dtype=np.int64), 25, rough=True)
+            on_the_way = np.flatnonzero(~ends.converged & np.isfinite(ends.cost))
+            # Ten of those that have not settled after a few steps
+            deepest = on_the_way[np.argsort(ends.cost[on_the_way])[:10]]
+            if len(deepest):
+                ends = ends.improved(deepest, problem.search(ends.x[deepest], np.zeros_like(deepest), 100))
             reached = _one_of(model, ends)
         else:
             many = len(drawn)
@@ -551,17 +556,6 @@ def rigs_with(model: Model, data: ModalData, *, seed: int = 0) -> Real:
         return minima.x
     near = np.flatnonzero(ends.cost <= minima.cost[0] + COMPETING)
     return np.concatenate([minima.x, ends.x[near[np.argsort(ends.cost[near])]]])
-
-
-def _ends(problem: ModeProblem, drawn: Real) -> OptimizeResult:
-    """Where all starts of the one repeat end; the deepest of those that are still on their way are followed."""
-    ends = problem.search(drawn, np.zeros(len(drawn), dtype=np.int64), 25, rough=True)
-    on_the_way = np.flatnonzero(~ends.converged & np.isfinite(ends.cost))
-    # Ten of those that have not settled after a few steps
-    deepest = on_the_way[np.argsort(ends.cost[on_the_way])[:10]]
-    if not len(deepest):
-        return ends
-    return ends.improved(deepest, problem.search(ends.x[deepest], np.zeros_like(deepest), 100))
 
 
 def _one_of(model: Model, ends: OptimizeResult) -> OptimizeResult:
@@ -699,10 +693,22 @@ def _estimate(
                 cure=f"{with_values(blind)}, measure more modes, or more points of their shapes",
             )
         require_determined(model.unknown_names, theta[0], covariance[0])
+        rivals: tuple[Notice, ...] = ()
+        if ends is not None:  # other ends fit nearly as well: frequencies alone have several rigs
+            sd = np.sqrt(np.diagonal(covariance[0]))
+            best = minima.x[0]
+            near = ends.converged & (ends.cost <= minima.cost[0] + DOUBT)
+            if np.all(best >= 0):
+                near &= np.all(ends.x >= 0, axis=-1)
+            others = [
+                (ends.x[k], float(ends.cost[k] - minima.cost[0])) for k in np.argsort(ends.cost) if near[k]
+            ]
+            cure = "measure shapes at more points, state a value, or give an initial guess of every unknown"
+            rivals = rival_notice(model.unknowns, best, sd, others, 1.0, cure)
         warnings = (
             *wrong_signs(model, theta[0], widened[0]),
             *held(model.unknown_names, theta[0], bounds),
-            *(() if ends is None else _rivals(model, minima, ends, np.sqrt(np.diagonal(covariance[0])))),
+            *rivals,
         )
     return estimate_of(
         model,
@@ -739,14 +745,3 @@ def _mode_values(problem: ModeProblem, theta: Real, covariance: Real) -> ModeVal
     lifted = lifted / lifted[np.arange(len(at)), np.argmax(np.abs(lifted), axis=1), None]
     none = np.zeros((len(at), 0), dtype=np.complex128)
     return with_uncertainty(Modes(values[at], lifted, none), slope[0], covariance)
-
-
-def _rivals(model: Model, minima: OptimizeResult, ends: OptimizeResult, sd: Real) -> tuple[Notice, ...]:
-    """A warning where other ends fit nearly as well: frequencies alone have several rigs."""
-    best = minima.x[0]
-    near = ends.converged & (ends.cost <= minima.cost[0] + DOUBT)
-    if np.all(best >= 0):
-        near &= np.all(ends.x >= 0, axis=-1)
-    others = [(ends.x[k], float(ends.cost[k] - minima.cost[0])) for k in np.argsort(ends.cost) if near[k]]
-    cure = "measure shapes at more points, state a value, or give an initial guess of every unknown"
-    return rival_notice(model.unknowns, best, sd, others, 1.0, cure)

@@ -735,6 +735,14 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         if name in estimate.profiles:
             at, roots = estimate.profiles[name]
             entries[name]["profile"] = {"values": list(at), "roots": list(roots)}
+    statements: dict[str, Any] = {}
+    if estimate.stated:
+        pulls = dict(zip(estimate.names, estimate.pulls.tolist(), strict=True))
+        statements = {
+            "stated": [list(statement) for statement in estimate.stated],
+            "pulls": {name: pulls[name] for name, _, _ in estimate.stated},
+            "impacts": [asdict(cost) for cost in estimate.costs],
+        }
     return {
         "dashpot": FORMAT,
         "model": estimate.model,
@@ -748,7 +756,7 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         "noise_covariance": _covariance_rows(estimate.noise_covariance),
         "intervals_count": estimate.basis,
         "tied": [list(tie) for tie in estimate.tied],
-        **_statements(estimate),
+        **statements,
         "signs": {name: float(sign) for name, sign in estimate.signs.items()},
         "modes": []
         if estimate.modes is None
@@ -793,18 +801,6 @@ def _sets_of_values(estimate: Estimate) -> dict[str, Any]:
         "other_minima": [
             {"odds": odds, "values": dict(zip(estimate.names, values, strict=True))} for odds, values in sets
         ]
-    }
-
-
-def _statements(estimate: Estimate) -> dict[str, Any]:
-    """What became of what was stated with an sd, and what its uncertainty costs; nothing where nothing was."""
-    if not estimate.stated:
-        return {}
-    pulls = dict(zip(estimate.names, estimate.pulls.tolist(), strict=True))
-    return {
-        "stated": [list(statement) for statement in estimate.stated],
-        "pulls": {name: pulls[name] for name, _, _ in estimate.stated},
-        "impacts": [asdict(cost) for cost in estimate.costs],
     }
 
 

@@ -188,12 +188,23 @@ def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) 
     ]
     doubts = [] if against else [*_common_doubts(assessed), *unstable_by_chance(together.estimate)]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
+    findings: tuple[Finding, ...] = ()
+    if (
+        against
+    ):  # causes that parts name, those named by most first, and of these those that are named earlier
+        named: dict[tuple[str, tuple[str, ...]], list[tuple[int, Finding]]] = {}
+        for one in assessed:
+            for place, finding in enumerate(one.findings):
+                named.setdefault((finding.kind, finding.of), []).append((place, finding))
+        each_first = [(len(alike), min(alike, key=lambda entry: entry[0])) for alike in named.values()]
+        ordered = sorted(each_first, key=lambda entry: (-entry[0], entry[1][0]))
+        findings = tuple(finding for _, (_, finding) in ordered)
     assessment = Assessment(
         verdict,
         (*against, *doubts),
         _over_parts([each.relative_residual for each in assessed]),
         worst_of(misfit for each in assessed for misfit in each.worst),
-        _findings(assessed) if against else (),
+        findings,
         _over_parts([each.relative_noise for each in assessed]),
     )
     count = counted(len(together.away), "part")
@@ -256,17 +267,6 @@ def _over_parts(shares: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """The rms over the parts of a share of each channel's motion; of channels that all parts have."""
     names = [name for name in shares[0] if all(name in each for each in shares)] if shares else []
     return {name: float(np.sqrt(np.mean([each[name] ** 2 for each in shares]))) for name in names}
-
-
-def _findings(assessed: Sequence[Assessment]) -> tuple[Finding, ...]:
-    """Causes that parts name, those named by most first, and of these those that are named earlier."""
-    named: dict[tuple[str, tuple[str, ...]], list[tuple[int, Finding]]] = {}
-    for each in assessed:
-        for place, finding in enumerate(each.findings):
-            named.setdefault((finding.kind, finding.of), []).append((place, finding))
-    each_first = [(len(alike), min(alike, key=lambda entry: entry[0])) for alike in named.values()]
-    ordered = sorted(each_first, key=lambda entry: (-entry[0], entry[1][0]))
-    return tuple(finding for _, (_, finding) in ordered)
 
 
 MOST_LINES = 250_000  # of a part: some 2 kB each are held while it is identified

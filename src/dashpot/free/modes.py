@@ -22,7 +22,6 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.modal_data import ModalData, of_eigenvalues
 from dashpot.data.noise import smoothed
 from dashpot.data.readers import Reading
-from dashpot.data.record import Record
 from dashpot.errors import DataError
 from dashpot.free import MOST_MODES
 from dashpot.free.response import (
@@ -191,7 +190,13 @@ def measured_modes(
     if isinstance(data, Parted) and data.records:
         channels, notes = data.records[0].channels, data.notes
         inputs_of, outputs_of = channels[: data.inputs], channels[data.inputs :]
-        sets = _of_records(data.records, data.inputs, band_hz)
+        if data.inputs and band_hz is None:
+            sets = _of_response(local_response(data.records, data.inputs, every_line=False))
+        else:
+            parts = [record_lines(record, data.inputs) for record in data.records]
+            sets = _of_lines(
+                parts, *(band_hz or (0.0, 0.9 * float(min(part.frequency_hz[-1] for part in parts))))
+            )
     else:
         found = response_of(data, band_hz) if isinstance(data, Parted) else data
         inputs_of, outputs_of, notes, sets = found.inputs, found.outputs, found.notes, _of_response(found)
@@ -282,14 +287,6 @@ def _of_response(found: MeasuredResponse) -> list[_Set]:
     ones = np.ones((len(values), 1), dtype=np.complex128)
     unit = 2 * np.pi * float(np.max(one.frequency_hz))
     return [_Set(one.frequency_hz, ones, values, noise, 0.0, unit, known)]
-
-
-def _of_records(records: Sequence[Record], nu: int, band_hz: Band | None) -> list[_Set]:
-    """Lines of records in the band: by default where they respond."""
-    if nu and band_hz is None:
-        return _of_response(local_response(records, nu, every_line=False))
-    parts = [record_lines(record, nu) for record in records]
-    return _of_lines(parts, *(band_hz or (0.0, 0.9 * float(min(part.frequency_hz[-1] for part in parts)))))
 
 
 def _of_lines(parts: Sequence[RecordLines], low: float, high: float) -> list[_Set]:

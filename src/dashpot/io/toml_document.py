@@ -273,7 +273,15 @@ def read_toml(path: str | os.PathLike[str], error: type[DashpotError], wanted: W
     except (OSError, ValueError) as cause:
         reason = cause.strerror if isinstance(cause, OSError) and cause.strerror else str(cause)
         raise error(f"the file cannot be read: {reason}", name, "check its name and rights") from None
-    return parse_toml(_decoded(raw, name, error), name, error, wanted)
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise error("the file is UTF-16", name, "save it as UTF-8")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as cause:
+        line = raw.count(b"\n", 0, cause.start) + 1
+        what = f"byte {raw[cause.start]:#04x} is not UTF-8"
+        raise error(what, f"{name}:{line}", "save the file as UTF-8") from None
+    return parse_toml(text, name, error, wanted)
 
 
 _PART = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
@@ -340,17 +348,6 @@ def dotted(place: Place) -> str:
 def toml_key(name: str) -> str:
     """A key as TOML writes it: bare where it may be."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else quoted(name)
-
-
-def _decoded(raw: bytes, path: str, error: type[DashpotError]) -> str:
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise error("the file is UTF-16", path, "save it as UTF-8")
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as cause:
-        line = raw.count(b"\n", 0, cause.start) + 1
-        what = f"byte {raw[cause.start]:#04x} is not UTF-8"
-        raise error(what, f"{path}:{line}", "save the file as UTF-8") from None
 
 
 def _unix(text: str) -> str:

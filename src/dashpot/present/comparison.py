@@ -105,7 +105,12 @@ def comparison_columns(comparison: Comparison, level: float = 0.95) -> list[Tabl
     heads = [*heads, *comparison.estimates]
     texts = [heads, *(_column(comparison, name, level) for name in comparison.names)]
     if comparison.truth:
-        errors = flush([_worst(comparison, estimate) for estimate in comparison.estimates.values()])
+        worst = []
+        for estimate in comparison.estimates.values():
+            pairs = [(estimate[name].value - true, true) for name, true in comparison.truth.items()]
+            error, true = max(pairs, key=lambda pair: abs(pair[0] / pair[1]) if pair[1] else 0.0)
+            worst.append(percent(error, true))
+        errors = flush(worst)
         texts.append(["worst", "error %", *[""] * (len(heads) - 2 - len(errors)), *errors])
     return [TableColumn(cells[0], tuple(cells[1:])) for cells in texts]
 
@@ -138,12 +143,6 @@ def _missed(estimate: Estimate, name: str, truth: float | None, level: float) ->
     low, high = estimate.interval(level)
     j = estimate.names.index(name)
     return truth < float(low[j]) or truth > float(high[j])
-
-
-def _worst(comparison: Comparison, estimate: Estimate) -> str:
-    pairs = [(estimate[name].value - true, true) for name, true in comparison.truth.items()]
-    error, true = max(pairs, key=lambda pair: abs(pair[0] / pair[1]) if pair[1] else 0.0)
-    return percent(error, true)
 
 
 def comparison_remarks(comparison: Comparison, level: float = 0.95) -> list[str]:

@@ -494,9 +494,16 @@ def _of_motion(assessment: Assessment) -> str:
 def motion_in_words(assessment: Assessment) -> str:
     """How far measured and predicted amplitudes differ, and what of it is noise."""
     parts = [f"{short(100 * part, 2)} % at {name}" for name, part in assessment.relative_residual.items()]
-    sentences = (
-        [f"Measured and predicted motion differ by {joined(parts)}{_noise(assessment)}."] if parts else []
-    )
+    noise, alone = assessment.relative_noise.values(), ""
+    if noise:
+        low, high = (f"{short(100 * size, 2)} %" for size in (min(noise), max(noise)))
+        shares = [f"{short(100 * size, 2)} %" for size in noise]
+        alike = low if low == high else f"{low.removesuffix(' %')} to {high}"
+        # figures within a quarter of each other are a range
+        alone = (
+            f"; noise alone would account for {alike if max(noise) <= 1.25 * min(noise) else joined(shares)}"
+        )
+    sentences = [f"Measured and predicted motion differ by {joined(parts)}{alone}."] if parts else []
     missed = _bound_missed(
         assessment
     )  # beyond noise, where more of it is known than the bound in the verdict
@@ -543,18 +550,6 @@ def _bound_missed(assessment: Assessment) -> str:
     most = f"{value}, and at most {bound}" if share.lower95 > 0 else f"at most {bound}"
     where = f" at {name}" if len(shares) > 1 else ""
     return f"{most} (95 % bound) of the motion{where}"
-
-
-def _noise(assessment: Assessment) -> str:
-    """What of the difference is noise: a figure for each channel, in their order, or a range where they are alike."""
-    noise = assessment.relative_noise.values()
-    if not noise:
-        return ""
-    low, high = (f"{short(100 * size, 2)} %" for size in (min(noise), max(noise)))
-    parts = [f"{short(100 * size, 2)} %" for size in noise]
-    alike = low if low == high else f"{low.removesuffix(' %')} to {high}"
-    # figures within a quarter of each other are a range
-    return f"; noise alone would account for {alike if max(noise) <= 1.25 * min(noise) else joined(parts)}"
 
 
 def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:

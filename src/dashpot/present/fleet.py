@@ -131,11 +131,16 @@ def track_document(track: Track, level: float = 0.95) -> Document:
     for change in track.changes:
         size, spread = value_and_sd(change.size, change.sd)
         chance = f"≤ {probability(change.p)}"
+        if change.kind == "gradual":
+            when = "", ""
+        else:
+            early, late = (plain(time) for time in change.time95_s)
+            when = plain(change.time_s), f"{early} … {late}"
         rows.append(
             (
                 change.name,
                 change.kind,
-                *_when(change),
+                *when,
                 size,
                 spread,
                 f"{'−' if change.relative < 0 else '+'}{short(abs(100 * change.relative))}",
@@ -188,10 +193,3 @@ def change_line(change: TrackedChange) -> str:
     odds = "" if certain else f", odds {short(change.odds, 2)}:1 against gradually"
     told = f"{when}; p ≤ {probability(change.p)}{odds}"
     return f"{change.name} {verb} by {size} ± {sd} % at {plain(change.time_s)} s ({told})"
-
-
-def _when(change: TrackedChange) -> tuple[str, str]:
-    if change.kind == "gradual":
-        return "", ""
-    early, late = (plain(time) for time in change.time95_s)
-    return plain(change.time_s), f"{early} … {late}"

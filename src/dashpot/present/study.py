@@ -267,7 +267,16 @@ def _curves(group: FactorGroup) -> dict[str, Figure]:
         x, label = 100 * x, "noise level ρ, %"
     logarithmic = group.factor != "noise" and float(np.max(x)) > 4 * float(np.min(x))
     shown = range(min(len(group.parameters), 6))  # parameters drawn in one figure
-    bands = [_bands(group, j) for j in shown]
+    bands = []
+    ends = [LEVELS.index(level) for level in (0.025, 0.975)]
+    for j in shown:
+        panel = []
+        for k, (method, summaries) in enumerate(group.summaries.items()):
+            mean = np.array([s.mean[j] for s in summaries], dtype=float)
+            low, high = np.array([s.quantiles[ends, j] for s in summaries], dtype=float).T
+            dashed = k == len(group.summaries) - 1 > 0
+            panel.append(draw.Band(method, method_colour(method, k), mean, low, high, dashed))
+        bands.append(panel)
     methods = [
         draw.Accuracy(
             method,
@@ -279,6 +288,18 @@ def _curves(group: FactorGroup) -> dict[str, Figure]:
         for k, (method, summaries) in enumerate(group.summaries.items())
     ]
     bound = np.array([summary.rms_bound for summary in next(iter(group.summaries.values()))])
+    limits = []  # room for all bands; one far wider than the others is cut off at thrice the second widest
+    for panel in bands:
+        edges = [(float(np.nanmin(band.low)), float(np.nanmax(band.high))) for band in panel]
+        widths = sorted((high - low for low, high in edges), reverse=True)
+        kept = [
+            (low, high)
+            for low, high in edges
+            if len(widths) < 2 or high - low <= 3 * widths[1] or widths[1] == 0
+        ] or edges
+        low, high = min(pair[0] for pair in kept), max(pair[1] for pair in kept)
+        room = 0.05 * (high - low) if high > low else 1.0
+        limits.append((low - room, high + room))
     return {
         "errors": draw.band_panels(
             [group.parameters[j] for j in shown],
@@ -286,36 +307,12 @@ def _curves(group: FactorGroup) -> dict[str, Figure]:
             bands,
             x_label=label,
             logarithmic=logarithmic,
-            limits=[_limits(panel) for panel in bands],
+            limits=limits,
         ),
         "accuracy": draw.accuracy_panels(
             x, methods, bound, label, logarithmic=logarithmic or group.factor == "noise"
         ),
     }
-
-
-def _bands(group: FactorGroup, parameter: int) -> list[draw.Band]:
-    """Mean and middle 95 % of the errors of one parameter, for each method; the last of several is dashed."""
-    ends = [LEVELS.index(level) for level in (0.025, 0.975)]
-    bands = []
-    for k, (method, summaries) in enumerate(group.summaries.items()):
-        mean = np.array([s.mean[parameter] for s in summaries], dtype=float)
-        low, high = np.array([s.quantiles[ends, parameter] for s in summaries], dtype=float).T
-        dashed = k == len(group.summaries) - 1 > 0
-        bands.append(draw.Band(method, method_colour(method, k), mean, low, high, dashed))
-    return bands
-
-
-def _limits(bands: Sequence[draw.Band]) -> tuple[float, float]:
-    """Room for all bands; one that is far wider than the others is cut off at thrice the second widest."""
-    edges = [(float(np.nanmin(band.low)), float(np.nanmax(band.high))) for band in bands]
-    widths = sorted((high - low for low, high in edges), reverse=True)
-    kept = [
-        (low, high) for low, high in edges if len(widths) < 2 or high - low <= 3 * widths[1] or widths[1] == 0
-    ] or edges
-    low, high = min(pair[0] for pair in kept), max(pair[1] for pair in kept)
-    room = 0.05 * (high - low) if high > low else 1.0
-    return low - room, high + room
 
 
 def _bars(group: FactorGroup, title: str) -> Figure:

@@ -138,9 +138,18 @@ def prediction_in_words(predictions: Sequence[RecordPrediction], findings: tuple
     if within:
         return f"Predicted to within the noise of the sensors: the largest difference is {missed}."
     if is_poor(predictions):
-        return f"Poorly predicted: measured and predicted differ by {missed}." + (
-            "" if findings else _factors(predictions)
-        )
+        factors = ""
+        if not findings:
+            of_channel: dict[str, str] = {}
+            for part in predictions:
+                for name, fit, factor, rescaled in zip(
+                    part.channels, part.fit, *part.rescaled(), strict=True
+                ):
+                    if fit < POOR and rescaled > 0.8:  # from this FIT on a factor is what a channel is off by
+                        of_channel[name] = f"{name} is {short(float(factor), 2)} times its prediction"
+            if of_channel:
+                factors = f" {joined(list(of_channel.values()))}: another unit, gain or sign, or another rig?"
+        return f"Poorly predicted: measured and predicted differ by {missed}." + factors
     if within is None:
         return (
             f"The largest difference between measured and predicted is {missed}; it cannot be tested, because "
@@ -156,18 +165,6 @@ def prediction_in_words(predictions: Sequence[RecordPrediction], findings: tuple
 def mistakes_in_words(findings: tuple[Finding, ...]) -> list[str]:
     """What may be wrong with the data, the most probable first, each with what to change."""
     return diagnosis_in_words(tuple(replace(finding, remaining=None) for finding in findings))
-
-
-def _factors(predictions: Sequence[RecordPrediction]) -> str:
-    """Which channels are what is predicted of them but for a factor; "" where none is."""
-    of_channel: dict[str, str] = {}
-    for part in predictions:
-        for name, fit, factor, rescaled in zip(part.channels, part.fit, *part.rescaled(), strict=True):
-            if fit < POOR and rescaled > 0.8:  # from this FIT on a factor is what a channel is off by
-                of_channel[name] = f"{name} is {short(float(factor), 2)} times its prediction"
-    if not of_channel:
-        return ""
-    return f" {joined(list(of_channel.values()))}: another unit, gain or sign, or another rig?"
 
 
 def is_poor(predictions: Sequence[RecordPrediction]) -> bool:

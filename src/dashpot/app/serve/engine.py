@@ -284,7 +284,13 @@ def _inspect(call: Call, tell: Tell) -> None:
                 parts.append({"text": part_in_words(part, found.source), "columns": rows, "notes": notes})
             files.append({"name": os.path.basename(found.source), "format": found.format, "parts": parts})
     result: dict[str, Any] = {"files": files, "channels": [], "plots": [], "notes": [], "problems": []}
-    rig = _parsed(call)
+    from dashpot.errors import ModelError
+    from dashpot.model.rigfile import parse_rig
+
+    try:
+        rig = parse_rig(call["text"], call["rig"]) if call.get("text") else None
+    except ModelError:
+        rig = None
     if rig is not None:
         for channel in rig.channels:
             there = channel.column in columns
@@ -298,17 +304,6 @@ def _inspect(call: Call, tell: Tell) -> None:
     except DashpotError as error:
         result["problems"] = [str(problem) for problem in error.problems[:20]]
     tell({"result": result})
-
-
-def _parsed(call: Call) -> Rig | None:
-    """The rig of a call; None if there is none, or it cannot be read yet."""
-    from dashpot.errors import ModelError
-    from dashpot.model.rigfile import parse_rig
-
-    try:
-        return parse_rig(call["text"], call["rig"]) if call.get("text") else None
-    except ModelError:
-        return None
 
 
 def _plots(rig: Rig | Sequence[Channel], data: Sequence[str]) -> tuple[list[dict[str, Any]], list[str]]:

@@ -17,7 +17,6 @@ from dashpot.data.readers.amplitudes import write_amplitudes
 from dashpot.data.readers.datafile import DataFile, open_file
 from dashpot.data.readers.interpretation import Experiments, Interpreted, interpret_parts
 from dashpot.data.readers.manifest import (
-    FileGroup,
     is_manifest,
     is_pattern,
     manifest_of_pattern,
@@ -117,7 +116,11 @@ def read(
             manifest = read_manifest(path) if is_manifest(path) else manifest_of_pattern(path, number)
             treatments.update(manifest.conditioning)
             for group in manifest.groups:
-                total += by.content(partial(read_group, group, frequency_hz, by.names), _kind_of(group, by))
+                if isinstance(group.entry.experiment, str):
+                    kind = by.number(group.entry.experiment, group.place)
+                else:
+                    kind = max(by.of_file(path.as_posix()) for path in group.paths.values())
+                total += by.content(partial(read_group, group, frequency_hz, by.names), kind)
         else:
             file, circumstances = open_file(path), Circumstances(frequency_hz, number, named=by.names)
             kind = by.of_file(os.fspath(path))
@@ -135,13 +138,3 @@ def read(
 def _content(file: DataFile, circumstances: Circumstances, channels: Sequence[Channel]) -> Interpreted:
     """What one file holds of the channels."""
     return interpret_parts(reader_of(file).parts(file), channels, circumstances)
-
-
-def _kind_of(group: FileGroup, by: Experiments) -> int:
-    """Number from 1 of the experiment of the rig file that a group of a manifest is of, 0 of none.
-
-    Raises DataError if its entry names one that the rig file has not, or its files are those of two.
-    """
-    if isinstance(group.entry.experiment, str):
-        return by.number(group.entry.experiment, group.place)
-    return max(by.of_file(path.as_posix()) for path in group.paths.values())

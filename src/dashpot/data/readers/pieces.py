@@ -44,7 +44,12 @@ def records_in_pieces(
     file = open_file(path)
     reader = reader_of(file)
     parts: Iterator[Iterable[Columns]]
-    table = _begin(file) if reader.format == "text" and file.path == file.given else None
+    table = None
+    if reader.format == "text" and file.path == file.given:
+        held = file.head[: file.head.rfind(b"\n") + 1]
+        table = open_table(replace(file, held=held)) if held.strip() else None
+        if table is not None and bytes(table.file.contents) != held:  # read otherwise than it stands
+            table = None
     if table is not None and _in_rows(table, channels):
         parts = ([part] for part in _text_pieces(file, table, follow, wait))
     elif follow is not None:
@@ -62,13 +67,6 @@ def records_in_pieces(
             if record.frequency_hz is not None:
                 raise DataError("this is stepped sine, not a continuous record", file.name, "give one")
             yield replace(record, source=file.name)
-
-
-def _begin(file: DataFile) -> TextTable | None:
-    """The table of the first rows, None where the text is not read as it stands or its header is longer."""
-    held = file.head[: file.head.rfind(b"\n") + 1]
-    table = open_table(replace(file, held=held)) if held.strip() else None
-    return table if table is not None and bytes(table.file.contents) == held else None
 
 
 def _in_rows(table: TextTable, channels: Sequence[Channel]) -> bool:
@@ -130,7 +128,11 @@ def windows_of(records: Iterable[Record], seconds: float) -> Iterator[Record]:
                 "the time does not increase from piece to piece", record.source, "give one record"
             )
         latest = float(record.time[-1])
-        held = record if held is None else _joined(held, record)
+        if held is None:
+            held = record
+        else:
+            time = np.concatenate([held.time, record.time])
+            held = replace(held, time=time, values=np.concatenate([held.values, record.values]))
         while held is not None:
             step = _step(held, seconds)
             gap = np.flatnonzero(np.diff(held.time) > GAP * step)
@@ -166,9 +168,3 @@ def _behind(record: Record, count: int) -> Record | None:
         return None
     rest = record.part(slice(count, None))
     return replace(rest, time=rest.time.copy(), values=rest.values.copy())
-
-
-def _joined(first: Record, second: Record) -> Record:
-    """Two stretches of one record."""
-    time = np.concatenate([first.time, second.time])
-    return replace(first, time=time, values=np.concatenate([first.values, second.values]))

@@ -359,7 +359,13 @@ class TextTable(Columns):
         try:
             value = float(cell.replace(",", ".") if self.decimal == "," else cell)
         except ValueError:
-            return f'"{shown(cell)}" is not a number', _cure_of(cell)
+            if re.fullmatch(r"[-+]?\d{1,3}([,.'\u2019\s]\d{3})+([.,]\d*)?", cell):
+                cure = "write numbers without thousands separators"
+            elif re.fullmatch(r"[-+]?[\d.,]+[dD][-+]?\d+", cell):
+                cure = "write powers of ten with E"
+            else:
+                cure = "correct it, or cut the rows out"
+            return f'"{shown(cell)}" is not a number', cure
         if "_" in cell:
             return f'"{shown(cell)}" is not a number', "correct it, or cut the rows out"
         if np.isnan(value) or (np.isinf(value) and not (infinite and value > 0)):
@@ -367,15 +373,6 @@ class TextTable(Columns):
         if np.isfinite(value) and abs(value) > LARGEST:
             return f'"{shown(cell)}" is too large', "correct it, or cut the rows out"
         return None
-
-
-def _cure_of(cell: str) -> str:
-    """What to do about a cell that is not a number."""
-    if re.fullmatch(r"[-+]?\d{1,3}([,.'\u2019\s]\d{3})+([.,]\d*)?", cell):
-        return "write numbers without thousands separators"
-    if re.fullmatch(r"[-+]?[\d.,]+[dD][-+]?\d+", cell):
-        return "write powers of ten with E"
-    return "correct it, or cut the rows out"
 
 
 def _looks_cut(last: str, before: list[str]) -> bool:

@@ -333,7 +333,12 @@ def _text_blocks(stream: UffStream, shape: _Shape) -> Iterator[Block]:
         line = stream.line()
         fields = line.split()
         touching = not fields or len(fields) > at_most or any(field.count(b".") != 1 for field in fields)
-        fields = _fixed(line, ends) if touching else fields
+        if touching:
+            starts = range(0, len(line.rstrip()), ends[-1])
+            places = (
+                line[start + a : start + b].strip() for start in starts for a, b in itertools.pairwise(ends)
+            )
+            fields = [place for place in places if place]
         if not fields or fields == [MARK]:
             raise stream.wrong(f"the dataset holds {read} of {needed} numbers")
         cells += fields
@@ -350,18 +355,6 @@ def _text_blocks(stream: UffStream, shape: _Shape) -> Iterator[Block]:
             yield (None, table) if shape.even else (table[:, 0], table[:, 1:])
             del cells[:whole]
     expect_end(stream)
-
-
-def _fixed(line: bytes, ends: list[int]) -> list[bytes]:
-    """Numbers of a line by the columns of the format."""
-    fields, start = [], 0
-    while start < len(line.rstrip()):
-        for a, b in itertools.pairwise(ends):
-            field = line[start + a : start + b].strip()
-            if field:
-                fields.append(field)
-        start += ends[-1]
-    return fields
 
 
 def _long(stream: UffStream, shape: _Shape, blocks: Blocks) -> LongSamples:

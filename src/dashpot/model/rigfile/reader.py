@@ -38,7 +38,6 @@ from dashpot.model.rigfile.schema import (
     TABLES,
     BlockEntry,
     ChannelEntry,
-    ConstantEntry,
     ElementEntry,
     InputEntry,
     RigReading,
@@ -172,27 +171,28 @@ def read_law(
     damper, before = place[0] == "dampers", reading.problems
     try:
         law = force_law(entry.law, [Constant(name) for name in entries], damper=damper)
-        inner = [
-            _constant(reading, (*place, name), given, law)
-            for name, given in entries.items()
-            if given is not None
-        ]
+        inner = []
+        for name, given in entries.items():
+            if given is None:
+                continue
+            at, problems = (*place, name), reading.problems
+            exponents = law.exponents[1].get(name, (0.0, 0.0))
+            constant = Constant(name, **reading.stated(at, given, partial(_scale, exponents=exponents)))
+            stated = [
+                number for number in (constant.value, constant.guess, constant.upper) if number is not None
+            ]
+            if (
+                reading.problems == problems
+                and name in law.positive
+                and any(number <= 0 for number in stated)
+            ):
+                reading.report.add(at, f"{name} of the law {law.text!r} must be positive", "change it")
+            inner.append(constant)
         whole = len(inner) == len(entries) and reading.problems == before
         return force_law(entry.law, inner, damper=damper) if whole else None
     except ModelError as error:
         reading.include((*place, "law"), error)
         return None
-
-
-def _constant(reading: RigReading, place: Place, entry: ConstantEntry, law: ForceLaw) -> Constant:
-    """A constant in SI units; reported if its numbers make no sense."""
-    name, before = str(place[-1]), reading.problems
-    exponents = law.exponents[1].get(name, (0.0, 0.0))
-    constant = Constant(name, **reading.stated(place, entry, partial(_scale, exponents=exponents)))
-    stated = [number for number in (constant.value, constant.guess, constant.upper) if number is not None]
-    if reading.problems == before and name in law.positive and any(number <= 0 for number in stated):
-        reading.report.add(place, f"{name} of the law {law.text!r} must be positive", "change it")
-    return constant
 
 
 def _scale(unit: str, exponents: tuple[float, float]) -> float:
@@ -318,18 +318,14 @@ def experiments_of(reading: RigReading, tables: Mapping[str, Mapping[str, Any]])
             elif key not in reading.elements:
                 cure = f"write {key}.gain = 1.02, or a delay or sign"
                 reading.report.add((EXPERIMENTS, name, key), f"{written(raw)} calibrates no channel", cure)
-        found.append(Experiment(name, _patterns(reading, name, table), tuple(own)))
+        raw = table.get("data", [])
+        patterns = [raw] if isinstance(raw, str) else raw
+        if not isinstance(patterns, list) or not all(isinstance(each, str) and each for each in patterns):
+            cure = 'write names or patterns in quotes, such as data = "run2*.csv"'
+            reading.report.add((EXPERIMENTS, name, "data"), f"{written(raw)} is no name of files", cure)
+            patterns = []
+        found.append(Experiment(name, tuple(patterns), tuple(own)))
     return tuple(found)
-
-
-def _patterns(reading: RigReading, name: str, table: Mapping[str, Any]) -> tuple[str, ...]:
-    raw = table.get("data", [])
-    patterns = [raw] if isinstance(raw, str) else raw
-    if isinstance(patterns, list) and all(isinstance(each, str) and each for each in patterns):
-        return tuple(patterns)
-    cure = 'write names or patterns in quotes, such as data = "run2*.csv"'
-    reading.report.add((EXPERIMENTS, name, "data"), f"{written(raw)} is no name of files", cure)
-    return ()
 
 
 def _channel_tables(reading: RigReading) -> Mapping[str, Any]:

@@ -265,7 +265,15 @@ def mode_drawing(model: Model, shape: Complex, title: str) -> ModeDrawing:
     outlines = [
         stroke(part.box.corners, "muted", 0.8, closed=True, dashed=True) for part in placed.bodies if part.box
     ]
-    drawn = [_plain(part) for part in placed.parts]
+    drawn = []
+    for part in placed.parts:
+        shapes = tuple(
+            replace(shape, tone="ink", weight=min(shape.weight, 1.6))
+            if shape.tone in ("unknown", "known")
+            else shape
+            for shape in part.shapes
+        )
+        drawn.append(replace(part, shapes=shapes))
     frames = []
     for k in range(FRAMES):
         turn = complex(math.cos(2 * math.pi * k / FRAMES), math.sin(2 * math.pi * k / FRAMES))
@@ -274,16 +282,6 @@ def mode_drawing(model: Model, shape: Complex, title: str) -> ModeDrawing:
         parts, width, head = titled(moved, title, placed.width)
         frames.append(tuple(parts))
     return ModeDrawing(title, tuple(frames), width, head + placed.height)
-
-
-def _plain(part: Part) -> Part:
-    shapes = tuple(
-        replace(shape, tone="ink", weight=min(shape.weight, 1.6))
-        if shape.tone in ("unknown", "known")
-        else shape
-        for shape in part.shapes
-    )
-    return replace(part, shapes=shapes)
 
 
 # A wide drawing cut into rows below each other, so that its texts can be read on a page.
@@ -319,7 +317,11 @@ def folded(drawn: Sequence[Part], width: float, height: float) -> tuple[list[Par
     parts: list[Part] = []
     below, between = 0.0, 26.0  # px from one row to the next
     for row, (left, right) in enumerate(pairwise(ends)):
-        content = [_within(part, left, right) for part in drawn]
+        content = []
+        for part in drawn:
+            shapes = [piece for shape in part.shapes for piece in _pieces(shape, left, right)]
+            texts = [text for text in part.texts if left <= text.box.centre < right]
+            content.append(Part(part.title, tuple(shapes), tuple(texts)))
         texts = [text for part in content for text in part.texts]
         heights = [y for text in texts for y in (text.box.top, text.box.bottom)]
         heights += [point.y for part in content for shape in part.shapes for point in shape.points]
@@ -350,13 +352,6 @@ def _cuts(uncut: Sequence[tuple[float, float]], width: float) -> list[float]:
         if possible:
             cuts.append(min(possible, key=lambda x: abs(x - wanted)))
     return cuts
-
-
-def _within(part: Part, left: float, right: float) -> Part:
-    """What of a part lies between two places, px from the left, with marks where lines are cut."""
-    shapes = [piece for shape in part.shapes for piece in _pieces(shape, left, right)]
-    texts = [text for text in part.texts if left <= text.box.centre < right]
-    return Part(part.title, tuple(shapes), tuple(texts))
 
 
 def _pieces(shape: Shape, left: float, right: float) -> Iterator[Shape]:
