@@ -806,7 +806,12 @@ def modes(
     else:
         named = _without_rig(data, inputs, outputs, rig, frequency_hz, driven=False)
         found = measured_modes(*named, band, most=most, real=real)
-    return found if rig is None else replace(found, points=_points(found.outputs))
+    alone = [next(iter(c.of)) if list(c.of.values()) == [1.0] else c.name for c in found.outputs]
+    points = tuple(
+        point if alone.count(point) == 1 else channel.name
+        for channel, point in zip(found.outputs, alone, strict=True)
+    )
+    return found if rig is None else replace(found, points=points)
 
 
 @one_blas_thread()
@@ -851,15 +856,6 @@ def track(
         if progress is not None:
             progress(tracker.windows, tracker.windows)
     return tracker.track(speed=speed, false_alarms=false_alarms)
-
-
-def _points(channels: Sequence[Channel]) -> tuple[str, ...]:
-    """The coordinate that each channel shows alone, and no other does, else the channel's own name."""
-    alone = [next(iter(c.of)) if list(c.of.values()) == [1.0] else c.name for c in channels]
-    return tuple(
-        point if alone.count(point) == 1 else channel.name
-        for channel, point in zip(channels, alone, strict=True)
-    )
 
 
 def _without_rig(

@@ -42,20 +42,16 @@ def refusing(function: Callable[Arguments, Result]) -> Callable[Arguments, Resul
                 raise error from None
             for name, value in given.items():
                 hint = function.__annotations__.get(name, "Any")
-                if not _fits(value, _type_of(hint, unwrap(function).__globals__)):
+                try:
+                    kind = eval(hint, unwrap(function).__globals__)
+                except NameError:
+                    kind = Any
+                if not _fits(value, kind):
                     what = f"{function.__name__}: {name} is {reprlib.repr(value)}"
                     raise UsageError(what, cure=f"it must be {hint}") from error
             raise
 
     return called
-
-
-def _type_of(hint: str, names: dict[str, Any]) -> Any:
-    """What an annotation means; Any where its names are imported for type checkers alone."""
-    try:
-        return eval(hint, names)
-    except NameError:
-        return Any
 
 
 def _fits(value: object, hint: Any) -> bool:

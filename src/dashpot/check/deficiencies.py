@@ -115,8 +115,18 @@ def combinations_in_words(one: Deficiency) -> tuple[str, ...]:
     power = _POWERS.get(one.sort, 0)
     texts = []
     for row in one.combinations:
-        terms = [(_simple(float(x)), name) for x, name in zip(row, one.names, strict=True) if x != 0]
-        texts.append(_product(terms) if power == 1 else _sum(terms, reciprocal=power == 2))
+        terms = []
+        for x, name in zip(row.tolist(), one.names, strict=True):
+            near = float(Fraction(x).limit_denominator(12))
+            if x != 0:
+                terms.append((near if abs(near - x) < 1e-5 * abs(x) else x, name))
+        if power == 1:
+            over = "·".join(_to_the(name, x) for x, name in terms if x > 0) or "1"
+            under = [_to_the(name, -x) for x, name in terms if x < 0]
+            below = under[0] if len(under) == 1 else f"({'·'.join(under)})"
+            texts.append(f"{over}/{below}" if under else over)
+        else:
+            texts.append(_sum(terms, reciprocal=power == 2))
     return tuple(texts)
 
 
@@ -272,14 +282,6 @@ def _sensors(sensors: Sequence[Channel], model: Model) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
 
 
-def _product(terms: Sequence[tuple[float, str]]) -> str:
-    over = [_to_the(name, x) for x, name in terms if x > 0]
-    under = [_to_the(name, -x) for x, name in terms if x < 0]
-    top = "·".join(over) if over else "1"
-    below = under[0] if len(under) == 1 else f"({'·'.join(under)})"
-    return f"{top}/{below}" if under else top
-
-
 def _sum(terms: Sequence[tuple[float, str]], reciprocal: bool) -> str:
     text = ""
     for x, name in terms:
@@ -290,11 +292,6 @@ def _sum(terms: Sequence[tuple[float, str]], reciprocal: bool) -> str:
             body = f"{size}·{name}" if size else name
         text += (" - " if x < 0 else " + ") + body if text else ("-" if x < 0 else "") + body
     return text
-
-
-def _simple(x: float) -> float:
-    near = float(Fraction(x).limit_denominator(12))
-    return near if abs(near - x) < 1e-5 * abs(x) else x
 
 
 def _to_the(name: str, x: float) -> str:

@@ -432,7 +432,18 @@ def known_errors(
     if chosen.traits.maximum_likelihood:
         slopes = _from_slopes(model, spectrum, estimate, known[: len(exact)], known[len(exact) :])
     else:
-        slopes = np.array([_by_repetition(model, spectrum, chosen, name) for name in known])
+        repeated = []
+        for name in known:  # from two identifications
+            ends, value = [], next(e.value for e in model.elements if e.name == name)
+            assert value is not None
+            for sign in (1.0, -1.0):
+                elements = tuple(
+                    replace(e, value=value * (1 + sign * STEP)) if e.name == name else e
+                    for e in model.elements
+                )
+                ends.append(identify(replace(model, elements=elements), spectrum, chosen).values)
+            repeated.append((ends[0] - ends[1]) / (2 * STEP * value))
+        slopes = np.array(repeated)
     sizes, spread = np.array(values, dtype=float), np.array(stated, dtype=float)
     return KnownErrors(known, sizes, spread, estimate.names, estimate.units, estimate.values, slopes)
 
@@ -469,15 +480,3 @@ def _from_slopes(
         side[j] = base.view.prior_precision[j]
         sides.append(side)
     return np.array([solve_scaled(H, side) for side in sides])
-
-
-def _by_repetition(model: Model, spectrum: Spectrum, method: Method, name: str) -> Real:
-    """The slope by one known parameter, from two identifications."""
-    ends, value = [], next(e.value for e in model.elements if e.name == name)
-    assert value is not None
-    for sign in (1.0, -1.0):
-        elements = tuple(
-            replace(e, value=value * (1 + sign * STEP)) if e.name == name else e for e in model.elements
-        )
-        ends.append(identify(replace(model, elements=elements), spectrum, method).values)
-    return (ends[0] - ends[1]) / (2 * STEP * value)

@@ -829,6 +829,10 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
     sets = content.get("other_minima", ())
     values = tuple(tuple(nullable(each["values"][name]) for name in names) for each in sets)
     odds = tuple(float(each["odds"]) for each in sets)
+    cycles = []
+    for row in content.get("cycles", ()):
+        numbers = {key: nullable(row[key]) for key in row.keys() - {"elements", "between", "unit"}}
+        cycles.append(Cycle(tuple(row["elements"]), tuple(row["between"]), unit=str(row["unit"]), **numbers))
     return Estimate(
         model=content["model"],
         method=content["method"],
@@ -867,13 +871,8 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         rig=content.get("rig"),
         stated=tuple((str(a), float(b), float(c)) for a, b, c in content.get("stated", ())),
         profiles=profiles,
-        cycles=tuple(_cycle(row) for row in content.get("cycles", ())),
+        cycles=tuple(cycles),
     )
-
-
-def _cycle(row: Mapping[str, Any]) -> Cycle:
-    numbers = {key: nullable(row[key]) for key in row.keys() - {"elements", "between", "unit"}}
-    return Cycle(tuple(row["elements"]), tuple(row["between"]), unit=str(row["unit"]), **numbers)
 
 
 def _numbers(values: Sequence[Any], missing: float = math.nan) -> Real:

@@ -122,7 +122,11 @@ def exported_parameters(rig: IdentifiedRig) -> list[ExportedParameter]:
         value, sd = float(p[i]), float(spread[i])
         root = of_unknowns.get(model.elements[tie.root].name)
         ends = None if root is None else sorted(tie.times * end for end in root.interval95)
-        joined = " ".join(_term(name, factor) for name, factor in element.along.items()).removeprefix("+ ")
+        terms = []
+        for name, factor in element.along.items():
+            size = "" if abs(factor) == 1 else f"{abs(factor):g} "
+            terms.append(f"{'-' if factor < 0 else '+'} {size}{name}")
+        joined = " ".join(terms).removeprefix("+ ")
         known, unit = not np.any(model.T[i]), model.unit(element)
         low, high = _interval(value, sd) if ends is None else ends
         rows.append(
@@ -143,11 +147,6 @@ def exported_parameters(rig: IdentifiedRig) -> list[ExportedParameter]:
 def _interval(value: float, sd: float) -> tuple[float, float]:
     normal95 = 1.959963984540054  # quantile of the normal distribution
     return value - normal95 * sd, value + normal95 * sd
-
-
-def _term(name: str, factor: float) -> str:
-    size = "" if abs(factor) == 1 else f"{abs(factor):g} "
-    return f"{'-' if factor < 0 else '+'} {size}{name}"
 
 
 def write_parameters(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:

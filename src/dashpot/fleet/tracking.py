@@ -8,7 +8,7 @@ How fast the unknowns walk, and whether one of them steps, `numerics/random_walk
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ from dashpot.io.words import counted
 from dashpot.model.observation import observation_model
 from dashpot.model.rigfile import Rig
 from dashpot.notices import Notice
-from dashpot.numerics.random_walk import Change, Trajectory, Windows, trajectory
+from dashpot.numerics.random_walk import Trajectory, Windows, trajectory
 from dashpot.shorthand import Printable
 from dashpot.study.blocks import write_table
 
@@ -267,6 +267,14 @@ class Tracker:
         alone_sd = np.array(
             [np.sqrt(np.diagonal(_inverse(each.information + np.diag(precision)))) for each in self._kept]
         )
+        changes = []
+        for one in sorted(found.changes, key=lambda change: change.time):
+            before = float(found.values[max(one.window - 1, 0), one.component])
+            kind = "abrupt" if one.window else "gradual"
+            span = (one.time95[0] * HOUR, one.time95[1] * HOUR)
+            relative = one.size / before if before else math.nan
+            name, at = names[one.component], one.time * HOUR
+            changes.append(TrackedChange(name, kind, at, span, one.size, one.sd, relative, one.p, one.odds))
         return Track(
             rig=self.rig.model.name,
             names=names,
@@ -280,7 +288,7 @@ class Tracker:
             speed=found.speed,
             speed95=found.speed95,
             scatter=math.sqrt(found.scatter),
-            changes=_changes(found, names),
+            changes=tuple(changes),
             false_alarms=false_alarms,
             given=speed is not None,
             notes=self._notes(found),
@@ -438,23 +446,3 @@ def _solve(matrix: Real, right: Real) -> Real:
     even, size = _scaled(matrix)
     solution: Real = np.linalg.pinv(even, rcond=1e-13, hermitian=True) @ (right / size) / size
     return solution
-
-
-def _changes(found: Trajectory, names: Sequence[str]) -> tuple[TrackedChange, ...]:
-    """Those of a trajectory, in order of time."""
-
-    def named(one: Change) -> TrackedChange:
-        before = float(found.values[max(one.window - 1, 0), one.component])
-        return TrackedChange(
-            names[one.component],
-            "abrupt" if one.window else "gradual",
-            one.time * HOUR,
-            (one.time95[0] * HOUR, one.time95[1] * HOUR),
-            one.size,
-            one.sd,
-            one.size / before if before else math.nan,
-            one.p,
-            one.odds,
-        )
-
-    return tuple(sorted(map(named, found.changes), key=lambda change: change.time_s))

@@ -103,21 +103,17 @@ def noted(path: Path) -> Path:
 
     Raises UsageError if the file is an output of this run, DataError if it is a device, which may never end.
     """
-    if _is_device(path):
+    try:
+        device = stat.S_ISCHR(os.stat(path).st_mode) and os.path.realpath(path) != os.devnull
+    except (OSError, ValueError):
+        device = False
+    if device:
         raise DataError("is a device, not a file", os.fspath(path), "give a file")
     ledger = current()
     if ledger is not None:
         path = ledger.found(path)
         ledger.note_read(path)
     return path
-
-
-def _is_device(path: AnyPath) -> bool:
-    """Whether a character device lies there, other than the one that is always empty."""
-    try:
-        return stat.S_ISCHR(os.stat(path).st_mode) and os.path.realpath(path) != os.devnull
-    except (OSError, ValueError):
-        return False
 
 
 def keys_of(path: AnyPath) -> tuple[Key, ...]:

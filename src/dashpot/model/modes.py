@@ -245,19 +245,17 @@ def typical_sizes(model: Model) -> tuple[Mapping[Kind, float], float]:
     A damping ratio of 0.05 goes with them, and 30 rad/s where nothing tells.
     """
     ratio = 0.05
-    m, c, k = (_middle(model, letter) for letter in "MCK")
+    typical = []
+    for letter in "MCK":
+        elements = (
+            e for e in model.elements if e.law.matrix == letter and e.force_law is None and e.block is None
+        )
+        numbers = (e.guess if e.value is None else e.value for e in elements)
+        given = [number for number in numbers if number is not None and number > 0]
+        typical.append(float(np.exp(np.mean(np.log(given)))) if given else 0.0)
+    m, c, k = typical
     rate = _typical_rate(m, c, k, ratio, otherwise=30.0)
     mass = m or (k / rate**2 if k else c / rate / (2 * ratio) if c else 1.0)
     middle = {"M": m, "C": c, "K": k}
     sizes = {kind: middle.get(kind.law.matrix) or kind.law.typical_size(mass, rate, ratio) for kind in Kind}
     return sizes, rate
-
-
-def _middle(model: Model, letter: str) -> float:
-    """Geometric mean of the values and guesses of the elements of a matrix; 0 where there are none."""
-    elements = (
-        e for e in model.elements if e.law.matrix == letter and e.force_law is None and e.block is None
-    )
-    numbers = (e.guess if e.value is None else e.value for e in elements)
-    given = [number for number in numbers if number is not None and number > 0]
-    return float(np.exp(np.mean(np.log(given)))) if given else 0.0

@@ -54,13 +54,20 @@ def comparison_report(
         figure_picture(comparison_figure(comparison, level), "Intervals of every method"),
         whole=True,
     )
+    first = comparison.most_likely[0] if comparison.most_likely else None
+    if first is None or not bool(comparison.estimates[first].converged):
+        advice = "None of these methods uses all the information in the data: compare the intervals."
+    elif bool(comparison.estimates[first].fit.rejected):
+        advice = f"The model does not fit the data: do not rely on these values as they are, even those of {first}."
+    else:
+        advice = f"Use the values of {first}: of these methods it uses the data best."
     return page_html(
         Document(
             model.name or "Comparison",
             (intervals,),
             "bad" if wrong and best in (None, *wrong) else "open",
             f"{len(comparison.estimates)} methods on the same data.",
-            _best_in_words(comparison),
+            advice,
             tuple(f"{joined(names)}: {text}" for text, names in methods.items()),
             (f"{joined(wrong)} did not converge: do not use those values.",) if wrong else (),
             section(
@@ -78,18 +85,6 @@ def comparison_report(
             provenance,
         )
     )
-
-
-def _best_in_words(comparison: Comparison) -> str:
-    """Which values to use, in one sentence."""
-    best = comparison.most_likely[0] if comparison.most_likely else None
-    if best is None or not bool(comparison.estimates[best].converged):
-        return "None of these methods uses all the information in the data: compare the intervals."
-    if bool(comparison.estimates[best].fit.rejected):
-        return (
-            f"The model does not fit the data: do not rely on these values as they are, even those of {best}."
-        )
-    return f"Use the values of {best}: of these methods it uses the data best."
 
 
 def comparison_columns(comparison: Comparison, level: float = 0.95) -> list[TableColumn]:

@@ -32,7 +32,6 @@ from dashpot.present.words import capitalised
 from dashpot.reproduce.yamane1989 import (
     FIGURE2_PARAMETERS,
     FIGURE3_PARAMETERS,
-    EigenvalueEntry,
     FigureData,
     PrintedColumn,
     Reproduction,
@@ -109,6 +108,20 @@ def reproduction_report(
     )
     more = f"{reproduction.draws:,} draws give a share of 95 % to ± {error:.1f} points: take --draws 1000 to judge it."
     # standard error in points with which nobody needs more draws
+    found = reproduction.findings
+    worst = max(found.bias.worst, key=lambda each: abs(each.mean))
+    ranges = [
+        f"{low:.0f} to {high:.0f} % with {name}" for name, (low, high) in found.coverage.by_method.items()
+    ]
+    statements = (
+        (
+            f"Spread of the parameters at 10 % noise, CASE-3 (rms): {found.efficiency.iv:.1f} % with the paper's "
+            f"instrumental variables, {found.efficiency.oiv:.1f} % optimally weighted; no unbiased method can do "
+            f"better than {found.efficiency.bound:.1f} %. Least squares is off by up to {abs(worst.mean):.0f} % "
+            f"({worst.parameter} at {worst.level:g} %)."
+        ),
+        f"95 % intervals hold the true value in {joined(ranges)} of the draws.",
+    )
     return page_html(
         Document(
             "Yamane (1989), reproduced",
@@ -127,7 +140,7 @@ def reproduction_report(
             f"{ABOUT} {reproduction.draws:,} noise draws a point, seed {reproduction.seed}; the paper's tables are one "
             "draw each.",
             f"{among.inside} of the paper's {among.total} printed errors are such as its methods give on its rig.",
-            _statements(reproduction),
+            statements,
             drawing=true_rig_picture(rig.model, theta, rig.channels),
             steps=steps if error <= 1.0 else (*steps, more),
             provenance=provenance,
@@ -170,6 +183,25 @@ def printed_tables(reproduction: Reproduction) -> list[Section]:
     """All tables of the reproduction, each with a note."""
     eigenvalues = [(_pair(row.printed, 4), _pair(row.mean, 4)) for row in reproduction.eigenvalues]
     case = "CASE-3, 10 %, 1,400 samples; relative errors in %."
+    rows, before = [], ("", "", "")
+    for row in reproduction.identified_eigenvalues:
+        heading = (row.table, row.title, row.method)
+        distances = (
+            (row.printed.real - row.mean.real, row.sd.real),
+            (abs(row.printed.imag) - row.mean.imag, row.sd.imag),
+        )
+        rows.append(
+            (
+                "" if heading == before else " ".join(heading[1:]),
+                _pair(row.printed),
+                _pair(row.mean),
+                f"{row.sd.real:.3f}",
+                f"{row.sd.imag:.3f}",
+                *(signed(away / sd if sd > 0 else math.nan, 1) for away, sd in distances),
+            )
+        )
+        before = heading
+    columns = columns_of(["", "printed", "mean of the draws>", "sd re>", "sd im>", "z re>", "z im>"], rows)
     tables = [
         (
             "Table 1. Eigenvalues of the model, 1/s",
@@ -193,7 +225,7 @@ def printed_tables(reproduction: Reproduction) -> list[Section]:
         ),
         (
             "Eigenvalues of the identified rigs, 1/s",
-            _eigenvalue_columns(reproduction.identified_eigenvalues),
+            columns,
             "As Tables 2 and 4 print them; sd and z of the real and the imaginary part.",
         ),
         *(
@@ -257,28 +289,6 @@ def _share(value: float | None) -> str:
 
 def _pair(value: complex, digits: int = 3) -> str:
     return f"{signed(value.real, digits)} ± {abs(value.imag):.{digits}f}j"
-
-
-def _eigenvalue_columns(entries: Sequence[EigenvalueEntry]) -> list[TableColumn]:
-    rows, before = [], ("", "", "")
-    for row in entries:
-        heading = (row.table, row.title, row.method)
-        distances = (
-            (row.printed.real - row.mean.real, row.sd.real),
-            (abs(row.printed.imag) - row.mean.imag, row.sd.imag),
-        )
-        rows.append(
-            (
-                "" if heading == before else " ".join(heading[1:]),
-                _pair(row.printed),
-                _pair(row.mean),
-                f"{row.sd.real:.3f}",
-                f"{row.sd.imag:.3f}",
-                *(signed(away / sd if sd > 0 else math.nan, 1) for away, sd in distances),
-            )
-        )
-        before = heading
-    return columns_of(["", "printed", "mean of the draws>", "sd re>", "sd im>", "z re>", "z im>"], rows)
 
 
 def _ranking_columns(reproduction: Reproduction, kind: str) -> list[TableColumn]:
@@ -471,21 +481,3 @@ def _order(reproduction: Reproduction) -> dict[str, str]:
             f"{'holds' if order.kept['constant'] else 'does not hold either'}."
         )
     }
-
-
-def _statements(reproduction: Reproduction) -> tuple[str, ...]:
-    """How accurate the paper's methods are, and what its intervals are worth."""
-    found = reproduction.findings
-    worst = max(found.bias.worst, key=lambda each: abs(each.mean))
-    ranges = [
-        f"{low:.0f} to {high:.0f} % with {name}" for name, (low, high) in found.coverage.by_method.items()
-    ]
-    return (
-        (
-            f"Spread of the parameters at 10 % noise, CASE-3 (rms): {found.efficiency.iv:.1f} % with the paper's "
-            f"instrumental variables, {found.efficiency.oiv:.1f} % optimally weighted; no unbiased method can do "
-            f"better than {found.efficiency.bound:.1f} %. Least squares is off by up to {abs(worst.mean):.0f} % "
-            f"({worst.parameter} at {worst.level:g} %)."
-        ),
-        f"95 % intervals hold the true value in {joined(ranges)} of the draws.",
-    )

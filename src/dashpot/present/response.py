@@ -142,7 +142,11 @@ def response_document(found: MeasuredResponse, where: str = "") -> Document:
         kept = len(found.independent().frequency_hz)
         some = "" if kept == len(f) else f"; {kept} lines, no two of which share data"
         said.append(f"Written to {where}{some}.")
-    distorted = [(name, *(_distortion(part) for part in parts)) for name, parts in found.distortion.items()]
+    distorted = []
+    for name, parts in found.distortion.items():
+        seen = [f"{100 * part:.2g} %" if part else "none seen" for part in parts]
+        of_all = ["all driven" if np.isnan(part) else text for part, text in zip(parts, seen, strict=True)]
+        distorted.append((name, *of_all))
     heard = columns_of(["output", "even multiples>", "odd multiples>"], distorted)
     return Document(
         title,
@@ -152,12 +156,6 @@ def response_document(found: MeasuredResponse, where: str = "") -> Document:
             *([section("", "Distortion beyond noise, of the motion (rms):", heard)] if distorted else []),
         ),
     )
-
-
-def _distortion(share: float) -> str:
-    if not np.isfinite(share):
-        return "all driven"
-    return f"{100 * share:.2g} %" if share else "none seen"
 
 
 def modes_document(found: MeasuredModes, where: str = "") -> Document:

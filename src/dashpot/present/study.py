@@ -211,8 +211,19 @@ def study_pictures(outcome: StudyOutcome) -> dict[str, bytes]:
         rest = {key: factor_text(value) for key, value in group.rest if key in varied}
         title = ", ".join(f"{key.replace('_', ' ')} {text}" for key, text in rest.items())
         slug = re.sub(r"[^A-Za-z0-9._]+", "-", "_".join(rest.values())).strip("-")[:80]
-        counted_one = group.factor in COUNTED_FACTORS
-        drawn = _curves(group) if counted_one else {"": _bars(group, title or outcome.name)}
+        if group.factor in COUNTED_FACTORS:
+            drawn = _curves(group)
+        else:  # the first eight values, side by side
+            places = [factor_text(value) for value in group.values[:8]]
+            series = []
+            for k, (method, summaries) in enumerate(group.summaries.items()):
+                spread = np.array([s.rms_spread for s in summaries[:8]])
+                kept = np.array([max(s.draws - s.failed, 1) for s in summaries[:8]])
+                series.append(
+                    draw.Series(method, method_colour(method, k), spread, spread / np.sqrt(2 * kept))
+                )
+            bound = np.array([s.rms_bound for s in next(iter(group.summaries.values()))[:8]])
+            drawn = {"": draw.bar_panels([title or outcome.name], places, [series], [bound])}
         for kind, figure in drawn.items():
             stem = "_".join(filter(None, [group.factor, kind, slug]))
             name, k = stem, 1
@@ -313,15 +324,3 @@ def _curves(group: FactorGroup) -> dict[str, Figure]:
             x, methods, bound, label, logarithmic=logarithmic or group.factor == "noise"
         ),
     }
-
-
-def _bars(group: FactorGroup, title: str) -> Figure:
-    """The first eight values, side by side."""
-    places = [factor_text(value) for value in group.values[:8]]
-    series = []
-    for k, (method, summaries) in enumerate(group.summaries.items()):
-        spread = np.array([s.rms_spread for s in summaries[:8]])
-        kept = np.array([max(s.draws - s.failed, 1) for s in summaries[:8]])
-        series.append(draw.Series(method, method_colour(method, k), spread, spread / np.sqrt(2 * kept)))
-    bound = np.array([s.rms_bound for s in next(iter(group.summaries.values()))[:8]])
-    return draw.bar_panels([title], places, [series], [bound])

@@ -698,16 +698,54 @@ def findings(draws: Draws) -> Findings:
         inside += int(np.sum((low <= given) & (given <= high)))
         total += len(given)
         probabilities.append(farther(errors, given))
+    scenario = draws.at()
+    cases = [draws.at(frequencies=case) for case in draws.paper.cases]
+    ratios = [draws.rms_spread(case, "oiv") / draws.summary(case, "oiv").rms_bound for case in cases]
+    efficiency = Efficiency(
+        draws.rms_spread(scenario, "iv"),
+        draws.rms_spread(scenario, "oiv"),
+        draws.summary(scenario, "iv").rms_bound,
+        (min(ratios), max(ratios)),
+    )
+    paper = draws.paper
+    scaled = paper.table2["iv"] / (100 * np.array(paper.levels))[:, None]
+    correlation = np.corrcoef(scaled)[np.triu_indices(len(scaled), 1)]
+    one_draw = OneDraw(
+        100 * float(np.max(np.abs(scaled[1:] / scaled[-2] - 1))),
+        float(np.min(correlation)),
+        draws.rms_spread(draws.at(noise=paper.levels[-1]), "iv"),
+    )
+    ten, twenty = draws.at(), draws.at(noise=0.2)
+    rms = float(np.sqrt(np.mean(draws.paper.table4["CASE-3"] ** 2)))
+    sizes = np.sqrt(np.mean(draws.errors(ten, "iv") ** 2, axis=-1))
+    largest = float(np.max(np.abs(draws.paper.table2["iv"][-1])))
+    within = {
+        name: 100 * float(np.mean(np.max(np.abs(draws.errors(twenty, name)), axis=-1) <= largest))
+        for name in ("iv", "oiv")
+    }
+    luck = Luck(rms, 100 * float(np.mean(sizes <= rms)), draws.rms_spread(ten, "iv"), largest, within)
+    count = draws.at().draws
+    by_method = {}
+    for name in ("iv", "oiv"):
+        summaries = [draws.summary(draws.at(frequencies=case), name) for case in draws.paper.cases]
+        covered = np.concatenate([summary.coverage for summary in summaries])
+        by_method[name] = (float(np.min(covered)), float(np.max(covered)))
+    coverage = IntervalCoverage(count, 100 * float(np.sqrt(0.95 * 0.05 / count)), by_method)
+    scenario = draws.at(in_all=CLAIM_SAMPLES)
+    largest = np.max(np.abs(draws.errors(scenario, "iv")), axis=-1)
+    needed = {name: CLAIM_SAMPLES * draws.rms_spread(scenario, name) ** 2 for name in ("iv", "oiv")}
+    # 1.04 %: what "about 1 %" takes in (section 3.3)
+    samples = SamplesForOnePerCent(CLAIM_SAMPLES, 100 * float(np.mean(largest <= 1.04)), needed)
     return Findings(
         PrintedAmongDraws(inside, total, min(probabilities), max(probabilities)),
         _bias(draws),
-        _efficiency(draws),
-        _one_draw(draws),
-        _luck(draws),
-        _coverage(draws),
+        efficiency,
+        one_draw,
+        luck,
+        coverage,
         _fewer_unknowns(draws),
         _order(draws),
-        _samples(draws),
+        samples,
     )
 
 
@@ -726,51 +764,6 @@ def _bias(draws: Draws) -> LeastSquaresBias:
         float(np.linalg.norm(large) / np.linalg.norm(small)),
         (float(np.min(covered)), float(np.max(covered))),
     )
-
-
-def _efficiency(draws: Draws) -> Efficiency:
-    scenario = draws.at()
-    cases = [draws.at(frequencies=case) for case in draws.paper.cases]
-    ratios = [draws.rms_spread(case, "oiv") / draws.summary(case, "oiv").rms_bound for case in cases]
-    return Efficiency(
-        draws.rms_spread(scenario, "iv"),
-        draws.rms_spread(scenario, "oiv"),
-        draws.summary(scenario, "iv").rms_bound,
-        (min(ratios), max(ratios)),
-    )
-
-
-def _one_draw(draws: Draws) -> OneDraw:
-    paper = draws.paper
-    scaled = paper.table2["iv"] / (100 * np.array(paper.levels))[:, None]
-    correlation = np.corrcoef(scaled)[np.triu_indices(len(scaled), 1)]
-    return OneDraw(
-        100 * float(np.max(np.abs(scaled[1:] / scaled[-2] - 1))),
-        float(np.min(correlation)),
-        draws.rms_spread(draws.at(noise=paper.levels[-1]), "iv"),
-    )
-
-
-def _luck(draws: Draws) -> Luck:
-    ten, twenty = draws.at(), draws.at(noise=0.2)
-    rms = float(np.sqrt(np.mean(draws.paper.table4["CASE-3"] ** 2)))
-    sizes = np.sqrt(np.mean(draws.errors(ten, "iv") ** 2, axis=-1))
-    largest = float(np.max(np.abs(draws.paper.table2["iv"][-1])))
-    within = {
-        name: 100 * float(np.mean(np.max(np.abs(draws.errors(twenty, name)), axis=-1) <= largest))
-        for name in ("iv", "oiv")
-    }
-    return Luck(rms, 100 * float(np.mean(sizes <= rms)), draws.rms_spread(ten, "iv"), largest, within)
-
-
-def _coverage(draws: Draws) -> IntervalCoverage:
-    count = draws.at().draws
-    by_method = {}
-    for name in ("iv", "oiv"):
-        cases = [draws.summary(draws.at(frequencies=case), name) for case in draws.paper.cases]
-        covered = np.concatenate([summary.coverage for summary in cases])
-        by_method[name] = (float(np.min(covered)), float(np.max(covered)))
-    return IntervalCoverage(count, 100 * float(np.sqrt(0.95 * 0.05 / count)), by_method)
 
 
 def _fewer_unknowns(draws: Draws) -> FewerUnknowns:
@@ -802,14 +795,6 @@ def _order(draws: Draws) -> PaperOrder:
     count = min(len(size) for size in sizes)
     a, b, c = (size[:count] for size in sizes)
     return PaperOrder(kept, 100 * float(np.mean((a < b) & (b < c))))
-
-
-def _samples(draws: Draws) -> SamplesForOnePerCent:
-    scenario = draws.at(in_all=CLAIM_SAMPLES)
-    largest = np.max(np.abs(draws.errors(scenario, "iv")), axis=-1)
-    needed = {name: CLAIM_SAMPLES * draws.rms_spread(scenario, name) ** 2 for name in ("iv", "oiv")}
-    # 1.04 %: what "about 1 %" takes in (section 3.3)
-    return SamplesForOnePerCent(CLAIM_SAMPLES, 100 * float(np.mean(largest <= 1.04)), needed)
 
 
 FEWEST = 20

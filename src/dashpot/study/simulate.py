@@ -536,7 +536,14 @@ def simulate_spectrum(
             what = f"{few} samples leave no residual from which to estimate the noise"
             raise DataError(what, cure="take more samples, or give the noise")
         V = ((spread / free)[:, None, None] * residual).astype(np.complex128)
-    products = _moments(A, gram, residual) if moments and residual is not None else None
+    products: Real | None = None
+    if (
+        moments and residual is not None
+    ):  # Σ q qᵀ with q = (channels, cos, sin), (draws, lines, channels + 2, ditto)
+        beta = np.stack([A.real, -A.imag], axis=-2)
+        rows = np.concatenate([beta, np.broadcast_to(np.eye(2), (*beta.shape[:-1], 2))], axis=-1)
+        products = np.swapaxes(rows, -1, -2) @ gram @ rows
+        products[..., : A.shape[-1], : A.shape[-1]] += residual
     if draws is None:
         A = A[0]
         V = V[0] if V.ndim == 4 else V
@@ -653,16 +660,6 @@ def _wishart(rng: np.random.Generator, draws: int, dof: Ints, sd: Real) -> Real:
     A *= (degrees > 0)[:, None, :]
     R[..., noisy[:, None], noisy] = A @ np.swapaxes(A, -1, -2)
     return R
-
-
-def _moments(A: Complex, gram: Real, residual: Real) -> Real:
-    """Σ q qᵀ with q = (channels, cos, sin), (draws, lines, channels + 2, channels + 2)."""
-    beta = np.stack([A.real, -A.imag], axis=-2)
-    rows = np.concatenate([beta, np.broadcast_to(np.eye(2), (*beta.shape[:-1], 2))], axis=-1)
-    products: Real = np.swapaxes(rows, -1, -2) @ gram @ rows
-    channels = A.shape[-1]
-    products[..., :channels, :channels] += residual
-    return products
 
 
 # Simulated tests of rigs with nonlinear elements: settled dwells by harmonic balance, records by

@@ -460,7 +460,22 @@ def _identify(call: Call, tell: Tell) -> None:
         write_text(
             out / "report.html", failure_report(rig.model, rig.channels, error, provenance_of(command))
         )
-        tell({"result": {**_no_answer(rig, error), "files": _files(out)}})
+        empty: dict[str, Any] = {"heads": [], "rows": [], "right": []}
+        why = "the channels and data do not determine the unknowns"
+        if isinstance(error, ConvergenceError):
+            why = "the iteration did not converge"
+        nothing = {
+            "estimate": None,
+            "verdict": "bad",
+            "headline": f"No answer: {why}.",
+            "statements": [str(problem) for problem in error.problems],
+            "causes": _causes(rig, error.causes),
+            "parameters": empty,
+            "modes": empty,
+            "drawing": None,
+            **{name: [] for name in ("remarks", "warnings", "notes", "shapes")},
+        }
+        tell({"result": {**nothing, "files": _files(out)}})
         return
     estimate = found.estimate
     write_text(out / "estimate.json", estimate.to_json())
@@ -571,25 +586,6 @@ def _causes(rig: Rig, findings: Sequence[object]) -> list[dict[str, Any]]:
                 {**{name: getattr(finding, name) for name in shown}, "of": list(finding.of), **after}
             )
     return causes
-
-
-def _no_answer(rig: Rig, error: DashpotError) -> dict[str, Any]:
-    """A result without values: why there are none, and what may be the matter."""
-    empty: dict[str, Any] = {"heads": [], "rows": [], "right": []}
-    why = "the channels and data do not determine the unknowns"
-    if isinstance(error, ConvergenceError):
-        why = "the iteration did not converge"
-    return {
-        "estimate": None,
-        "verdict": "bad",
-        "headline": f"No answer: {why}.",
-        "statements": [str(problem) for problem in error.problems],
-        "causes": _causes(rig, error.causes),
-        "parameters": empty,
-        "modes": empty,
-        "drawing": None,
-        **{name: [] for name in ("remarks", "warnings", "notes", "shapes")},
-    }
 
 
 def _table(columns: Sequence[TableColumn]) -> dict[str, Any]:

@@ -53,19 +53,15 @@ def sample_blocks(content: Any, path: str) -> list[SampleBlock] | None:
         if all(stored.path != path for stored in objects):
             continue
         kind = next(stored.data_type.nptype for stored in objects if stored.path == path)
-        if kind is None or not _evenly_placed(segment, objects):
+        plain = (not hasattr(one, "daqmx_metadata") and one.data_type.size is not None for one in objects)
+        if kind is None or not all(plain):
+            return None
+        # Places follow from the lengths of the channels, each once, which are the same where samples alternate.
+        lengths = {stored.path: stored.number_values for stored in objects}
+        if len(lengths) < len(objects) or (segment.toc_mask & INTERLEAVED and len(set(lengths.values())) > 1):
             return None
         blocks += _blocks_of_segment(segment, objects, path, np.dtype(kind))
     return blocks or None
-
-
-def _evenly_placed(segment: Any, objects: list[Any]) -> bool:
-    """Whether places follow from the lengths of the channels: each once, no texts, no raw samples of DAQmx."""
-    if any(hasattr(stored, "daqmx_metadata") or stored.data_type.size is None for stored in objects):
-        return False
-    lengths = {stored.path: stored.number_values for stored in objects}
-    alternating = bool(segment.toc_mask & INTERLEAVED)
-    return len(lengths) == len(objects) and not (alternating and len(set(lengths.values())) > 1)
 
 
 def _blocks_of_segment(

@@ -666,18 +666,6 @@ def _not_measurable(
     return None
 
 
-def _arms(reading: RigReading, of: Mapping[str, float], quantity: Quantity) -> Mapping[str, float]:
-    """Points and factors that decide between m and rad, N and N·m.  Raises UsageError if forces differ in it."""
-    first = next(iter(of))
-    if quantity is not Quantity.FORCE or first in reading.points:
-        return of
-    if first not in reading.elements:
-        return reading.inputs[first].at
-    if len({all_angles(reading.elements[name].along, reading.angles) for name in of}) > 1:
-        raise UsageError("forces and torques cannot be added", cure="name elements of one kind")
-    return reading.elements[first].along
-
-
 def _wrong_numbers(entry: ChannelEntry) -> Iterator[tuple[str, str, str]]:
     """Keys whose numbers make no sense, what is wrong with them, and the cure."""
     if entry.same_gain_as is not None and "gain" in entry.model_fields_set and entry.gain is not None:
@@ -712,7 +700,17 @@ def _calibrated(
     """A channel with its unit, calibration, noise and rate; None, and reported, if a unit does not fit."""
     key = "unit"
     try:
-        arms, angles = _arms(reading, of, quantity), reading.angles
+        # Points and factors that decide between m and rad, N and N·m
+        first = next(iter(of))
+        if quantity is not Quantity.FORCE or first in reading.points:
+            arms = of
+        elif first not in reading.elements:
+            arms = reading.inputs[first].at
+        else:
+            if len({all_angles(reading.elements[name].along, reading.angles) for name in of}) > 1:
+                raise UsageError("forces and torques cannot be added", cure="name elements of one kind")
+            arms = reading.elements[first].along
+        angles = reading.angles
         unit = raw_unit(entry) or si_unit(quantity.value, all_angles(arms, angles))
         # A voltage with a stated gain is in V per SI unit; with the default gain of 1 nobody has calibrated it.
         gain = None if entry.same_gain_as is not None else entry.gain

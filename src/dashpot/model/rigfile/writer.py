@@ -17,7 +17,7 @@ from dashpot.io.toml_document import PLACEHOLDER, toml_key
 from dashpot.io.words import quoted
 from dashpot.model.elements import Element, Kind
 from dashpot.model.matrix_elements import free_entries
-from dashpot.model.network import Input, Model
+from dashpot.model.network import Model
 from dashpot.model.observation import unknown_calibrations
 from dashpot.model.rigfile.reader import law_fields
 from dashpot.model.rigfile.rig import Rig, is_electrical
@@ -46,14 +46,17 @@ def write_rig(rig: Rig) -> str:
     if model.angles:
         lines.append(f"angles = {_list(sorted(model.angles))}")
     if model.inputs:
-        lines += _section("inputs", {source.name: _input_fields(source) for source in model.inputs})
+        placed = {one.name: {"at": _points_text(one.at)} if one.at else {} for one in model.inputs}
+        fields = {one.name: {"kind": quoted(one.kind), **placed[one.name]} for one in model.inputs}
+        lines += _section("inputs", fields)
     if free := free_entries(model):
         whole = list(combinations(model.coordinates, 2))
-        lines += [
-            "",
-            "[free]",
-            *(f"{letter} = {_pairs_text(pairs, whole)}" for letter, pairs in free.items()),
-        ]
+        lines += ["", "[free]"]
+        for letter, pairs in free.items():
+            if len(pairs) in (0, len(whole)):
+                lines.append(f"{letter} = {quoted('full' if pairs else 'diagonal')}")
+            else:
+                lines.append(f"{letter} = [{', '.join(map(_list, pairs))}]")
     usual = [element for element in model.elements if not element.free and element.only is None]
     for kind in dict.fromkeys(element.kind for element in usual):
         members = [element for element in usual if element.kind == kind]
@@ -240,19 +243,6 @@ def _number(value: float) -> str:
 def _section(name: str, entries: Mapping[str, Mapping[str, str]]) -> list[str]:
     """The lines of a section, one an entry, behind an empty one."""
     return ["", f"[{name}]", *(f"{toml_key(key)} = {_inline(fields)}" for key, fields in entries.items())]
-
-
-def _pairs_text(pairs: Sequence[tuple[str, str]], whole: Sequence[tuple[str, str]]) -> str:
-    if len(pairs) in (0, len(whole)):
-        return quoted("full" if pairs else "diagonal")
-    return "[" + ", ".join(map(_list, pairs)) + "]"
-
-
-def _input_fields(source: Input) -> dict[str, str]:
-    fields = {"kind": quoted(source.kind)}
-    if source.at:
-        fields["at"] = _points_text(source.at)
-    return fields
 
 
 def _element_fields(element: Element) -> dict[str, str]:
