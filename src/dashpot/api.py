@@ -549,7 +549,10 @@ def estimated_frf(
     of_rig = _identified(estimate, rig)
     model, default = of_rig.model, default_channels(of_rig.model)
     named = {channel.name: channel for channel in (*default, *of_rig.channels)}
-    shown, drive = (_listed(named, name) for name in (output, input))
+    for name in (output, input):
+        if name not in named:
+            raise UsageError(f"there is no channel {name}", cure=f"take one of {', '.join(named)}")
+    shown, drive = named[output], named[input]
     if not measures_input(model, drive) or len(drive.of) != 1:
         inputs = [channel.name for channel in named.values() if measures_input(model, channel)]
         raise UsageError(f"{input} is not an input of the rig", cure=f"take {' or '.join(inputs)}")
@@ -973,13 +976,6 @@ def _has_columns(data: object) -> bool:
     if isinstance(data, Mapping) or (isinstance(data, np.ndarray) and data.dtype.names):
         return True
     return any(hasattr(data, name) for name in ("columns", "data_vars", "dims", "sampling_time"))
-
-
-def _listed(named: Mapping[str, Channel], name: str) -> Channel:
-    """The channel of that name.  Raises UsageError."""
-    if name not in named:
-        raise UsageError(f"there is no channel {name}", cure=f"take one of {', '.join(named)}")
-    return named[name]
 
 
 def _numbers(value: Any, name: str) -> Real:

@@ -28,8 +28,8 @@ from dashpot.estimate.nonlinear.record_problem import (
     OutputCovariance,
     known_inputs,
 )
-from dashpot.estimate.nonlinear.records import NoiseAtRest, noise_of_channels
-from dashpot.estimate.nonlinear.whole_record import FollowedRecord, followed_record
+from dashpot.estimate.nonlinear.records import noise_of_channels
+from dashpot.estimate.nonlinear.whole_record import followed_record
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from dashpot.model.observation import channel_unit, observation_model
@@ -210,7 +210,31 @@ def _prediction(model: Model, estimate: Estimate, record: Record, still: Still |
     lines = _lines(motion.measured)
     chi2, dof = np.full(channels, np.nan), np.full(channels, float(samples))
     if still is not None and len(model.inputs):
-        chi2, dof = _chi2(followed, noise_of_channels(model, record, still))
+        noise = noise_of_channels(model, record, still)
+        data = followed.data
+        known = known_inputs(data.inputs, np.sqrt(noise.inputs))
+        problem = replace(followed.problem, sd=noise.outputs, inputs=(known,))
+        residual, J, V = problem.with_covariance(0, followed.psi)
+        if J is None or V is None:
+            raise DataError(
+                "the simulation does not follow the measured motion",
+                data.source,
+                "check that the record belongs to this rig",
+            )
+        starts = np.arange(problem.inner, len(followed.psi))
+        chi2, dof = np.empty(len(data.names)), np.empty(len(data.names))
+        for c in range(len(data.names)):
+            only = np.array([c])
+            along = replace(V.tangent, shown=V.tangent.shown[:, only], direct=V.tangent.direct[:, only])
+            by_itself = OutputCovariance(along, V.weight[only], known)
+            drifting = np.flatnonzero(np.array(data.drift)[only])
+            linear = LinearisedRecord(by_itself, residual[:, only], J[:, only][..., starts], starts, drifting)
+            try:
+                free = np.linalg.lstsq(linear.matrix, linear.gradient, rcond=1e-12)[0]
+                chi2[c] = linear.cost - float(linear.gradient @ free)
+            except NotSolvedError:
+                chi2[c] = np.nan
+            dof[c] = data.samples - len(starts) - len(drifting)
     return RecordPrediction(
         motion.names,
         tuple(units[name] for name in motion.names),
@@ -223,38 +247,6 @@ def _prediction(model: Model, estimate: Estimate, record: Record, still: Still |
         duration,
         samples,
     )
-
-
-def _chi2(followed: FollowedRecord, noise: NoiseAtRest) -> tuple[Real, Real]:
-    """χ² of each channel's residual by itself, and its degrees of freedom, (channels,): the start is free.
-
-    Noise of the inputs counts as the rig passes it on; NaN where the motion hangs too much on them for that.
-    """
-    data = followed.data
-    known = known_inputs(data.inputs, np.sqrt(noise.inputs))
-    problem = replace(followed.problem, sd=noise.outputs, inputs=(known,))
-    residual, J, V = problem.with_covariance(0, followed.psi)
-    if J is None or V is None:
-        raise DataError(
-            "the simulation does not follow the measured motion",
-            data.source,
-            "check that the record belongs to this rig",
-        )
-    starts = np.arange(problem.inner, len(followed.psi))
-    chi2, dof = np.empty(len(data.names)), np.empty(len(data.names))
-    for c in range(len(data.names)):
-        only = np.array([c])
-        along = replace(V.tangent, shown=V.tangent.shown[:, only], direct=V.tangent.direct[:, only])
-        by_itself = OutputCovariance(along, V.weight[only], known)
-        drifting = np.flatnonzero(np.array(data.drift)[only])
-        linear = LinearisedRecord(by_itself, residual[:, only], J[:, only][..., starts], starts, drifting)
-        try:
-            free = np.linalg.lstsq(linear.matrix, linear.gradient, rcond=1e-12)[0]
-            chi2[c] = linear.cost - float(linear.gradient @ free)
-        except NotSolvedError:
-            chi2[c] = np.nan
-        dof[c] = data.samples - len(starts) - len(drifting)
-    return chi2, dof
 
 
 def _lines(history: Real) -> Complex:

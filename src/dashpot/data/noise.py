@@ -103,7 +103,22 @@ def noise_at_rest(records: Sequence[Record], half_window: int = HALF_WINDOW) -> 
     The longest record gives the lines; raises DataError for uneven samples and records too short.
     """
     longest = max(records, key=lambda record: len(record.time))
-    parts = [_periodogram(record, half_window) for record in records]
+    parts = []
+    for record in records:
+        step = even_step(record)
+        samples = len(record.time)
+        lines = (samples - 1) // 2
+        if lines < 2 * half_window + 1:
+            raise DataError(
+                f"the at-rest record has only {samples} samples",
+                record.source,
+                f"at least {4 * half_window + 4} are needed",
+            )
+        centred = record.values - record.values.mean(axis=0)
+        Y = fft.rfft(centred, axis=0)[1 : lines + 1] * (2 / samples)
+        frequency = np.arange(1, lines + 1) / (samples * step)
+        power = smoothed(np.einsum("lc,ld->lcd", Y, np.conj(Y)), half_window) * samples
+        parts.append(Still(frequency, power, 2.0 * (2 * half_window + 1)))
     grid = parts[[record is longest for record in records].index(True)].frequency_hz
     total = np.zeros((len(grid), len(longest.channels), len(longest.channels)), dtype=np.complex128)
     dof = 0.0
@@ -113,23 +128,6 @@ def noise_at_rest(records: Sequence[Record], half_window: int = HALF_WINDOW) -> 
         total += part.dof * part.covariance(grid, 1)
         dof += part.dof
     return Still(grid, total / dof, dof)
-
-
-def _periodogram(record: Record, half_window: int) -> Still:
-    step = even_step(record)
-    samples = len(record.time)
-    lines = (samples - 1) // 2
-    if lines < 2 * half_window + 1:
-        raise DataError(
-            f"the at-rest record has only {samples} samples",
-            record.source,
-            f"at least {4 * half_window + 4} are needed",
-        )
-    centred = record.values - record.values.mean(axis=0)
-    Y = fft.rfft(centred, axis=0)[1 : lines + 1] * (2 / samples)
-    frequency = np.arange(1, lines + 1) / (samples * step)
-    power = smoothed(np.einsum("lc,ld->lcd", Y, np.conj(Y)), half_window) * samples
-    return Still(frequency, power, 2.0 * (2 * half_window + 1))
 
 
 def variance_at_rest(values: Real) -> float:

@@ -471,29 +471,30 @@ def drive_patterns(model: Model, chosen: Sequence[str] = ()) -> Complex:
     """
     names = [*model.displacement_inputs, *model.force_inputs]
     if chosen:
-        return np.array([_pattern(text, names) for text in chosen])
+        patterns = []
+        for text in chosen:
+            pattern = np.zeros(len(names), dtype=complex)
+            for part in text.split(","):
+                word, _, angle = part.strip().partition("@")
+                sign = -1.0 if word.startswith("-") else 1.0
+                name = word.removeprefix("-").strip()
+                if name not in names:
+                    raise UsageError(f"the rig has no input {name!r}", cure=f"it has {', '.join(names)}")
+                try:
+                    phase = float(angle) if angle else 0.0
+                except ValueError:
+                    raise UsageError(
+                        f"{angle!r} is not an angle", cure='write degrees, such as "u,v@90"'
+                    ) from None
+                pattern[names.index(name)] = sign * np.exp(1j * np.deg2rad(phase))
+            patterns.append(pattern)
+        return np.array(patterns)
     patterns = list(np.eye(len(names), dtype=complex))
     if len(names) == 2 and len(model.force_inputs) != 1:
         patterns += [np.array([1, factor], dtype=complex) for factor in (1, -1, 1j)]
     elif len(names) > 2 and len({given.kind for given in model.inputs}) == 1:
         patterns.append(np.ones(len(names), dtype=complex))
     return np.array(patterns)
-
-
-def _pattern(text: str, names: Sequence[str]) -> Complex:
-    pattern = np.zeros(len(names), dtype=complex)
-    for part in text.split(","):
-        word, _, angle = part.strip().partition("@")
-        sign = -1.0 if word.startswith("-") else 1.0
-        name = word.removeprefix("-").strip()
-        if name not in names:
-            raise UsageError(f"the rig has no input {name!r}", cure=f"it has {', '.join(names)}")
-        try:
-            phase = float(angle) if angle else 0.0
-        except ValueError:
-            raise UsageError(f"{angle!r} is not an angle", cure='write degrees, such as "u,v@90"') from None
-        pattern[names.index(name)] = sign * np.exp(1j * np.deg2rad(phase))
-    return pattern
 
 
 def nominal_setup(

@@ -207,16 +207,34 @@ def model_description(
         "canGetAndSetFMUState": "true",
     }
     outputs = [str(reference) for reference, variable in enumerate(every) if variable.causality == "output"]
+    described = []
+    for reference, variable in enumerate(every):
+        attributes = {
+            "name": variable.name,
+            "valueReference": reference,
+            "causality": variable.causality,
+            "variability": variable.variability,
+            "description": variable.text,
+            "unit": variable.unit if variable.unit in BASES else None,
+            "start": variable.start,
+        }
+        described.append(f"    {xml_tag('Float64', attributes)}")
+    definitions = []
+    for unit in units:
+        powers = {
+            base: power for base, power in zip(("kg", "m", "s", "rad"), BASES[unit], strict=True) if power
+        }
+        definitions.append(f"    {xml_tag('Unit', {'name': unit}, xml_tag('BaseUnit', powers))}")
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         xml_tag("fmiModelDescription", head, "").removesuffix("</fmiModelDescription>"),
         f"  {xml_tag('CoSimulation', simulation)}",
         "  <UnitDefinitions>",
-        *(f"    {_unit(unit)}" for unit in units),
+        *definitions,
         "  </UnitDefinitions>",
         f"  {xml_tag('DefaultExperiment', {'startTime': '0', 'stepSize': repr(step_s)})}",
         "  <ModelVariables>",
-        *(f"    {_variable(variable, reference)}" for reference, variable in enumerate(every)),
+        *described,
         "  </ModelVariables>",
         "  <ModelStructure>",
         *(f"    {xml_tag('Output', {'valueReference': reference})}" for reference in outputs),
@@ -225,24 +243,6 @@ def model_description(
         "</fmiModelDescription>",
     ]
     return "\n".join(lines) + "\n"
-
-
-def _unit(unit: str) -> str:
-    powers = {name: power for name, power in zip(("kg", "m", "s", "rad"), BASES[unit], strict=True) if power}
-    return xml_tag("Unit", {"name": unit}, xml_tag("BaseUnit", powers))
-
-
-def _variable(variable: Variable, reference: int) -> str:
-    attributes = {
-        "name": variable.name,
-        "valueReference": reference,
-        "causality": variable.causality,
-        "variability": variable.variability,
-        "description": variable.text,
-        "unit": variable.unit if variable.unit in BASES else None,
-        "start": variable.start,
-    }
-    return xml_tag("Float64", attributes)
 
 
 def _compiled(contents: Mapping[str, bytes]) -> bytes | None:

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from dashpot.arrays import Real
 from dashpot.data.readers.text import write_rows
 from dashpot.export.formats import ExportOptions, Written, distinct
 from dashpot.export.identified_rig import IdentifiedRig
@@ -56,28 +55,25 @@ def matrix_texts(rig: IdentifiedRig) -> Mapping[str, str]:
     rig.require_linear("a matrix")
     parts = matrices(rig.model, rig.p)
     found = {letter: rig.model.S if letter == "S" else getattr(parts, letter) for letter in "MCKHFGJS"}
-    return {
-        letter: _matrix_text(rig, letter, matrix)
-        for letter, matrix in found.items()
-        if letter in "MCK" or (matrix.size and np.any(matrix))
-    }
-
-
-def _matrix_text(rig: IdentifiedRig, letter: str, matrix: Real) -> str:
-    symmetric, across = letter in "MCKH", rig.model.coordinates
-    if not symmetric:
-        across = rig.model.force_inputs if letter == "S" else rig.model.displacement_inputs
-    kept = np.tril(matrix) if symmetric else matrix
-    columns, rows = np.nonzero(kept.T)
-    lines = [
-        f"%%MatrixMarket matrix coordinate real {'symmetric' if symmetric else 'general'}",
-        f"% {letter}: {MEANING[letter]}, SI units",
-        f"% rows: {_names(rig.model.coordinates)}",
-        f"% columns: {_names(across)}",
-        f"{matrix.shape[0]} {matrix.shape[1]} {len(rows)}",
-        *(f"{i + 1} {j + 1} {float(kept[i, j])!r}" for i, j in zip(rows, columns, strict=True)),
-    ]
-    return "\n".join(lines) + "\n"
+    texts = {}
+    for letter, matrix in found.items():
+        if letter not in "MCK" and not (matrix.size and np.any(matrix)):
+            continue
+        symmetric, across = letter in "MCKH", rig.model.coordinates
+        if not symmetric:
+            across = rig.model.force_inputs if letter == "S" else rig.model.displacement_inputs
+        kept = np.tril(matrix) if symmetric else matrix
+        columns, rows = np.nonzero(kept.T)
+        lines = [
+            f"%%MatrixMarket matrix coordinate real {'symmetric' if symmetric else 'general'}",
+            f"% {letter}: {MEANING[letter]}, SI units",
+            f"% rows: {_names(rig.model.coordinates)}",
+            f"% columns: {_names(across)}",
+            f"{matrix.shape[0]} {matrix.shape[1]} {len(rows)}",
+            *(f"{i + 1} {j + 1} {float(kept[i, j])!r}" for i, j in zip(rows, columns, strict=True)),
+        ]
+        texts[letter] = "\n".join(lines) + "\n"
+    return texts
 
 
 def _names(names: tuple[str, ...]) -> str:

@@ -179,11 +179,21 @@ def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) 
     """
     together = merge_estimates(model, parts)
     assessed = [part.assessment for part in parts if part.assessment is not None]
+    disagreement = []
+    if together.disagree:
+        part, unknown = divmod(int(np.argmax(np.abs(together.away))), len(together.estimate.names))
+        name, away = together.estimate.names[unknown], together.away[part, unknown]
+        off = f"{abs(away):.3g} standard deviations {'above' if away > 0 else 'below'} the merged one"
+        text = (
+            f"the parts disagree by more than their noise (p = {together.p:.1g}): {name} of {names[part]} is "
+            f"{off}"
+        )
+        disagreement = [Notice("parts_disagree", text, (name,))]
     against = [
         *unphysical(model, together.estimate),
         *unstable(together.estimate),
         *rejected(together.estimate),
-        *_disagreement(together, names),
+        *disagreement,
         *_misfits(names, parts),
     ]
     doubts = [] if against else [*_common_doubts(assessed), *unstable_by_chance(together.estimate)]
@@ -215,20 +225,6 @@ def merged_parts(model: Model, names: Sequence[str], parts: Sequence[Estimate]) 
         assessment=assessment,
         notes=(Notice("parts_merged", text), *together.estimate.notes),
     )
-
-
-def _disagreement(together: Merged, names: Sequence[str]) -> list[Notice]:
-    """That the parts are not of one rig, if they are not."""
-    if not together.disagree:
-        return []
-    part, unknown = divmod(int(np.argmax(np.abs(together.away))), len(together.estimate.names))
-    name, away = together.estimate.names[unknown], together.away[part, unknown]
-    off = f"{abs(away):.3g} standard deviations {'above' if away > 0 else 'below'} the merged one"
-    text = (
-        f"the parts disagree by more than their noise (p = {together.p:.1g}): {name} of {names[part]} is "
-        f"{off}"
-    )
-    return [Notice("parts_disagree", text, (name,))]
 
 
 def _misfits(names: Sequence[str], parts: Sequence[Estimate]) -> list[Notice]:

@@ -116,7 +116,22 @@ def problems(
     With `complete` False some inputs or elements are missing (a file's reader has found them faulty already), and
     what only their absence may have caused is not reported.
     """
-    yield from _name_problems(coordinates, inputs, elements)
+    names = [*coordinates, *(source.name for source in inputs), *(element.name for element in elements)]
+    for name, count in Counter(names).items():
+        if name == "ground":
+            yield Problem("the name ground is taken: it is the inertial ground", name, "choose another name")
+        elif not name.isprintable() or name != name.strip() or name in ("", "?"):
+            yield Problem(
+                f"{name!r} is not a usable name",
+                name,
+                "use a name without line breaks, tabs or spaces at its ends; replace ? by a name",
+            )
+        elif count > 1:
+            yield Problem(
+                f"the name {name} is used {count} times",
+                name,
+                "every coordinate, input and element needs its own",
+            )
     moved = [source.name for source in inputs if source.kind == "displacement"]
     reached = {point for element in elements for point in element.along}
     unlisted = not coordinates and (not moved or bool(reached - set(moved)))  # else a stand of elements alone
@@ -145,27 +160,6 @@ def problems(
             if name not in reached:
                 what = f"nothing is attached to the coordinate {name}"
                 yield Problem(what, name, "attach an element or remove it")
-
-
-def _name_problems(
-    coordinates: Sequence[str], inputs: Sequence[Input], elements: Sequence[Element]
-) -> Iterator[Problem]:
-    names = [*coordinates, *(source.name for source in inputs), *(element.name for element in elements)]
-    for name, count in Counter(names).items():
-        if name == "ground":
-            yield Problem("the name ground is taken: it is the inertial ground", name, "choose another name")
-        elif not name.isprintable() or name != name.strip() or name in ("", "?"):
-            yield Problem(
-                f"{name!r} is not a usable name",
-                name,
-                "use a name without line breaks, tabs or spaces at its ends; replace ? by a name",
-            )
-        elif count > 1:
-            yield Problem(
-                f"the name {name} is used {count} times",
-                name,
-                "every coordinate, input and element needs its own",
-            )
 
 
 def _input_problems(source: Input, coordinates: Sequence[str], complete: bool) -> Iterator[Problem]:

@@ -157,10 +157,14 @@ def extended_basis(V: Real, motions: Complex) -> Real:
 def reduced(view: ObservationModel, V: Real) -> ReducedRig:
     """The rig projected on the span of V (n, k)."""
     model = view.model
-    parts = tuple(
-        _part(model, letter, unknown, rows, times, V, view.force)
-        for letter, unknown, rows, times in _weights(model)
-    )
+    found = []
+    for letter, unknown, rows, times in _weights(model):
+        B, D = model.sparse_B[rows], model.sparse_D[rows]
+        driven = V.T @ (B.T @ (times[:, None] * D.toarray()))
+        F = sparse.csr_array(view.force[:, rows] * times)
+        on_y, on_u = (F @ B) @ V, (F @ D).toarray()
+        found.append(ReducedPart(letter, unknown, _inner(model, rows, times, V), driven, on_y, on_u))
+    parts = tuple(found)
     return ReducedRig(parts, view.on_x @ V, V.T @ model.S, V.shape[1])
 
 
@@ -176,16 +180,6 @@ def _weights(model: Model) -> Iterator[tuple[str, int | None, np.ndarray, Real]]
             rows = members[of_element[members] == unknown]
             if np.any(times[rows]):
                 yield letter, None if unknown < 0 else int(unknown), rows, times[rows]
-
-
-def _part(
-    model: Model, letter: str, unknown: int | None, rows: np.ndarray, times: Real, V: Real, forced: Real
-) -> ReducedPart:
-    B, D = model.sparse_B[rows], model.sparse_D[rows]
-    driven = V.T @ (B.T @ (times[:, None] * D.toarray()))
-    F = sparse.csr_array(forced[:, rows] * times)
-    on_y, on_u = (F @ B) @ V, (F @ D).toarray()
-    return ReducedPart(letter, unknown, _inner(model, rows, times, V), driven, on_y, on_u)
 
 
 def _inner(model: Model, rows: np.ndarray, times: Real, V: Real) -> Real:

@@ -59,54 +59,51 @@ def check_report(
     unsure = () if estimate is None else doubtful(estimate, level)
     apart = [] if found is None else [name for e in found.collinearity.combinations for name in e.names]
     poor = dict.fromkeys([*apart, *unsure])
+    evidence: list[Section] = []
+    if found is not None and spectrum is not None:
+        evidence = [_hardly_separated(found, spectrum), *shares_section(found.collinearity, spectrum)]
+        if found.profiles:
+            shown = found.profiles[:12]  # profiles in one picture
+            picture = figure_picture(
+                profile_figure(shown), f"Profiles of {joined([one.name for one in shown])}"
+            )
+            evidence.append(section("Profiles", *map(profile_in_words, found.profiles), picture))
+        if found.known_errors is not None:
+            text = "Change of each estimate, per cent, for an error of one per cent of each known parameter."
+            columns = known_columns(found.known_errors)
+            evidence.append(section("Errors of known parameters", text, columns, whole=True))
+            if found.estimate.stated:
+                evidence.append(section(STATED, STATED_TEXT, stated_columns(found.estimate), whole=True))
+    if found is None:
+        todo = [
+            "Design the test: dashpot design RIG --samples N.",
+            "Then: dashpot identify RIG DATA --report report.html.",
+        ]
+    else:
+        steps = [
+            f"Measure {entry.best} separately, or add a sensor that separates {joined(entry.names)}."
+            for entry in found.collinearity.combinations[:3]
+        ]
+        if found.collinearity.idle:
+            steps.append(
+                "Leave out the frequencies that contribute nothing, and dwell longer where they contribute most."
+            )
+        todo = steps or ["Identify: dashpot identify RIG DATA --report report.html."]
     return page_html(
         Document(
             model.name or "Check",
-            () if found is None or spectrum is None else tuple(_evidence(found, spectrum)),
+            tuple(evidence),
             "open" if poor or structure.permutation_ambiguities else "good",
             model.summary.removeprefix(f"{model.name}: "),
             f"All unknowns can be found{f', but {joined(poor)} only poorly' if poor else ''}.",
             tuple(structure_in_words(structure, [c.name for c in channels], lines)),
             answer=None if estimate is None else section("Parameters", parameter_columns(estimate, level)),
             drawing=rig_picture(model, channels, estimate, unsure, level),
-            steps=tuple(_steps(found)),
+            steps=tuple(todo),
             terms=() if found is None else ("±", "interval", "bound", "share", "profile"),
             provenance=provenance,
         )
     )
-
-
-def _steps(found: DataFindings | None) -> list[str]:
-    if found is None:
-        return [
-            "Design the test: dashpot design RIG --samples N.",
-            "Then: dashpot identify RIG DATA --report report.html.",
-        ]
-    steps = [
-        f"Measure {entry.best} separately, or add a sensor that separates {joined(entry.names)}."
-        for entry in found.collinearity.combinations[:3]
-    ]
-    if found.collinearity.idle:
-        steps.append(
-            "Leave out the frequencies that contribute nothing, and dwell longer where they contribute most."
-        )
-    return steps or ["Identify: dashpot identify RIG DATA --report report.html."]
-
-
-def _evidence(found: DataFindings, spectrum: Spectrum) -> list[Section]:
-    sections = [_hardly_separated(found, spectrum), *shares_section(found.collinearity, spectrum)]
-    if found.profiles:
-        shown = found.profiles[:12]  # profiles in one picture
-        names = joined([entry.name for entry in shown])
-        picture = figure_picture(profile_figure(shown), f"Profiles of {names}")
-        sections.append(section("Profiles", *map(profile_in_words, found.profiles), picture))
-    if found.known_errors is not None:
-        text = "Change of each estimate, per cent, for an error of one per cent of each known parameter."
-        columns = known_columns(found.known_errors)
-        sections.append(section("Errors of known parameters", text, columns, whole=True))
-        if found.estimate.stated:
-            sections.append(section(STATED, STATED_TEXT, stated_columns(found.estimate), whole=True))
-    return sections
 
 
 def _hardly_separated(found: DataFindings, spectrum: Spectrum) -> Section:

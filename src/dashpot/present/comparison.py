@@ -98,38 +98,37 @@ def comparison_columns(comparison: Comparison, level: float = 0.95) -> list[Tabl
     if _has_bound(comparison):
         heads.append("bound")
     heads = [*heads, *comparison.estimates]
-    texts = [heads, *(_column(comparison, name, level) for name in comparison.names)]
+    columns = []
+    for name in comparison.names:
+        truth, bound = comparison.truth.get(name), comparison.bound_sd(name)
+        pairs = []
+        for estimate in comparison.estimates.values():
+            v = estimate[name]
+            value, sd = value_and_sd(v.value, v.sd)
+            pairs.append((value, sd + (MISSES if _missed(estimate, name, truth, level) else "")))
+        values = flush(["" if truth is None else plain(truth), *(value for value, _ in pairs)])
+        unit = comparison.units[comparison.names.index(name)]
+        cells = [name, "" if unit == "1" else unit]
+        if comparison.truth:
+            cells.append(values[0].rstrip())
+        if _has_bound(comparison):
+            cells.append("" if bound is None else f"{' ' * len(values[0])} ± {short(bound, 2)}")
+        columns.append(
+            [*cells, *(f"{value} ± {sd}" for value, (_, sd) in zip(values[1:], pairs, strict=True))]
+        )
+    texts = [heads, *columns]
     if comparison.truth:
         worst = []
         for estimate in comparison.estimates.values():
-            pairs = [(estimate[name].value - true, true) for name, true in comparison.truth.items()]
-            error, true = max(pairs, key=lambda pair: abs(pair[0] / pair[1]) if pair[1] else 0.0)
+            errors = [(estimate[name].value - true, true) for name, true in comparison.truth.items()]
+            error, true = max(errors, key=lambda pair: abs(pair[0] / pair[1]) if pair[1] else 0.0)
             worst.append(percent(error, true))
-        errors = flush(worst)
-        texts.append(["worst", "error %", *[""] * (len(heads) - 2 - len(errors)), *errors])
+        texts.append(["worst", "error %", *[""] * (len(heads) - 2 - len(worst)), *flush(worst)])
     return [TableColumn(cells[0], tuple(cells[1:])) for cells in texts]
 
 
 def _has_bound(comparison: Comparison) -> bool:
     return any(comparison.bound_sd(name) is not None for name in comparison.names)
-
-
-def _column(comparison: Comparison, name: str, level: float) -> list[str]:
-    """Name, unit, truth, bound, then value ± sd of every method, marked where the interval misses the truth."""
-    truth, bound = comparison.truth.get(name), comparison.bound_sd(name)
-    pairs = []
-    for estimate in comparison.estimates.values():
-        v = estimate[name]
-        value, sd = value_and_sd(v.value, v.sd)
-        pairs.append((value, sd + (MISSES if _missed(estimate, name, truth, level) else "")))
-    values = flush(["" if truth is None else plain(truth), *(value for value, _ in pairs)])
-    unit = comparison.units[comparison.names.index(name)]
-    cells = [name, "" if unit == "1" else unit]
-    if comparison.truth:
-        cells.append(values[0].rstrip())
-    if _has_bound(comparison):
-        cells.append("" if bound is None else f"{' ' * len(values[0])} ± {short(bound, 2)}")
-    return [*cells, *(f"{value} ± {sd}" for value, (_, sd) in zip(values[1:], pairs, strict=True))]
 
 
 def _missed(estimate: Estimate, name: str, truth: float | None, level: float) -> bool:

@@ -369,10 +369,27 @@ def table_column(
     rms, rms_se = rms_spread(errors)
     size = np.sqrt(np.mean(errors**2, axis=-1))
     printed_rms = None if given is None else float(np.sqrt(np.mean(given**2)))
-    entries = tuple(
-        _entry(unknown.name, j, summary, errors[:, j], None if given is None else float(given[j]))
-        for j, unknown in enumerate(scenario.model.unknowns)
-    )
+    found = []
+    for j, unknown in enumerate(scenario.model.unknowns):
+        printed = None if given is None else float(given[j])
+        mean, spread = float(summary.mean[j]), float(summary.spread[j])
+        found.append(
+            TableEntry(
+                parameter=unknown.name,
+                printed=printed,
+                mean=mean,
+                mean_se=float(summary.mean_se[j]),
+                spread=spread,
+                spread_se=float(summary.spread_se[j]),
+                low=float(summary.quantiles[0, j]),
+                high=float(summary.quantiles[-1, j]),
+                bound=float(summary.bound[j]),
+                coverage=float(summary.coverage[j]),
+                z=None if printed is None else (printed - mean) / spread,
+                percentile=None if printed is None else 100 * float(np.mean(errors[:, j] < printed)),
+            )
+        )
+    entries = tuple(found)
     counts = (summary.draws, summary.failed)
     return PrintedColumn(
         *(table, title, method, *counts, entries, rms, rms_se),
@@ -381,25 +398,6 @@ def table_column(
         printed_rms=printed_rms,
         luck=None if printed_rms is None else 100 * float(np.mean(size < printed_rms)),
         joint_p=None if given is None else farther(errors, given),
-    )
-
-
-def _entry(name: str, j: int, summary: Summary, errors: Real, printed: float | None) -> TableEntry:
-    """The j-th parameter, with the errors of its draws, (draws,)."""
-    mean, spread = float(summary.mean[j]), float(summary.spread[j])
-    return TableEntry(
-        parameter=name,
-        printed=printed,
-        mean=mean,
-        mean_se=float(summary.mean_se[j]),
-        spread=spread,
-        spread_se=float(summary.spread_se[j]),
-        low=float(summary.quantiles[0, j]),
-        high=float(summary.quantiles[-1, j]),
-        bound=float(summary.bound[j]),
-        coverage=float(summary.coverage[j]),
-        z=None if printed is None else (printed - mean) / spread,
-        percentile=None if printed is None else 100 * float(np.mean(errors < printed)),
     )
 
 

@@ -304,7 +304,15 @@ def _question(rig: Rig, whole: Rig, wanted: DesignOptions, records: RecordOption
     from dashpot.model.observation import with_relative_noise
     from dashpot.model.rigfile.rig import ShakerLimits, drive_is_angular
 
-    data, earlier = _earlier(whole, wanted.after, records)
+    estimates = [path for path in wanted.after if path.lower().endswith(".json")]
+    if not estimates:
+        data, earlier = (records.read(whole, wanted.after) if wanted.after else None), None
+    else:
+        if len(wanted.after) > 1:
+            raise UsageError(
+                "--after names an estimate and other files", cure="give either one estimate, or all the data"
+            )
+        data, earlier = None, Estimate.load(estimates[0])
     estimate = None if wanted.estimate_file is None else Estimate.load(wanted.estimate_file)
     values = parameter_values(rig, wanted.settings)
     units = {unknown.name: unknown.unit for unknown in rig.model.unknowns}
@@ -351,22 +359,6 @@ def _question(rig: Rig, whole: Rig, wanted: DesignOptions, records: RecordOption
         pick=wanted.sensors,
         against=None if wanted.against is None else _against(rig, wanted.against, records),
     )
-
-
-def _earlier(
-    rig: Rig, after: tuple[str, ...], records: RecordOptions
-) -> tuple[Spectrum | None, Estimate | None]:
-    """Existing data, or one existing estimate."""
-    from dashpot.estimate.result import Estimate
-
-    estimates = [path for path in after if path.lower().endswith(".json")]
-    if not estimates:
-        return (records.read(rig, after) if after else None), None
-    if len(after) > 1:
-        raise UsageError(
-            "--after names an estimate and other files", cure="give either one estimate, or all the data"
-        )
-    return None, Estimate.load(estimates[0])
 
 
 def _criterion(wanted: str, target: float | Mapping[str, float] | None) -> tuple[Criterion, float | None]:

@@ -127,7 +127,20 @@ def watch(
                 *(each for each in history if each["samples"] < samples),
                 {"samples": samples, "rows": told["rows"]},
             ]
-            told["pictures"] = [_picture(history, i) for i in range(min(len(told["rows"]), MOST_DRAWN))]
+            from dashpot.present.figures.traces import bars_svg
+
+            drawn = []  # the interval of an unknown against samples
+            for i in range(min(len(told["rows"]), MOST_DRAWN)):
+                steps = [(step["samples"], step["rows"][i]) for step in history if len(step["rows"]) > i]
+                drawn.append(
+                    bars_svg(
+                        steps[-1][1]["name"],
+                        [samples for samples, _ in steps],
+                        [row["low"] for _, row in steps],
+                        [row["high"] for _, row in steps],
+                    )
+                )
+            told["pictures"] = drawn
             tell(told)
         except DashpotError as error:
             first = error.problems[0]
@@ -153,7 +166,18 @@ def _readable(path: Path, into: Path) -> str | None:
         return None
     text = Path(noted(path)).read_bytes()
     text = text[: text.rfind(b"\n") + 1]
-    text = _whole_dwells(text)
+    head, _, rows = text.partition(b"\n")
+    separator = next((mark for mark in (b",", b";", b"\t") if mark in head), b",")
+    names = [name.strip(b' "').lower() for name in head.split(separator)]
+    at = next((i for i, name in enumerate(names) if re.match(rb"frequency(_hz)?\b", name)), None)
+    if at is not None:  # the last drive frequency, whose dwell may still go on, is left out
+        lines = rows.splitlines(keepends=True)
+        fields = [line.split(separator) for line in lines]
+        last = fields[-1][at] if fields and len(fields[-1]) > at else b""
+        kept = len(lines)
+        while kept and len(fields[kept - 1]) > at and fields[kept - 1][at] == last:
+            kept -= 1
+        text = head + b"\n" + b"".join(lines[:kept])
     if text.count(b"\n") < 3:
         return None
     into.mkdir(exist_ok=True)
@@ -173,36 +197,6 @@ def _ends_whole(path: Path) -> bool:
         file.seek(max(len(head), file.seek(0, os.SEEK_END) - max(4 * len(head), 1 << 16)))
         last = file.read().rpartition(b"\n")[2]
     return not last or all(last.count(mark) >= head.count(mark) for mark in (b",", b";", b"\t"))
-
-
-def _whole_dwells(text: bytes) -> bytes:
-    """Rows without those of the last drive frequency, whose dwell may still go on; all where none is named."""
-    head, _, rows = text.partition(b"\n")
-    separator = next((mark for mark in (b",", b";", b"\t") if mark in head), b",")
-    names = [name.strip(b' "').lower() for name in head.split(separator)]
-    at = next((i for i, name in enumerate(names) if re.match(rb"frequency(_hz)?\b", name)), None)
-    if at is None:
-        return text
-    lines = rows.splitlines(keepends=True)
-    fields = [line.split(separator) for line in lines]
-    last = fields[-1][at] if fields and len(fields[-1]) > at else b""
-    kept = len(lines)
-    while kept and len(fields[kept - 1]) > at and fields[kept - 1][at] == last:
-        kept -= 1
-    return head + b"\n" + b"".join(lines[:kept])
-
-
-def _picture(history: Sequence[Mapping[str, Any]], i: int) -> str:
-    """The interval of an unknown against samples."""
-    from dashpot.present.figures.traces import bars_svg
-
-    steps = [(step["samples"], step["rows"][i]) for step in history if len(step["rows"]) > i]
-    return bars_svg(
-        steps[-1][1]["name"],
-        [samples for samples, _ in steps],
-        [row["low"] for _, row in steps],
-        [row["high"] for _, row in steps],
-    )
 
 
 def _words(estimate: Estimate, target: float) -> dict[str, Any]:

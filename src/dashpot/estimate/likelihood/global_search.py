@@ -22,7 +22,7 @@ from dashpot.estimate.likelihood.descent import (
     descend_all,
     thinned,
 )
-from dashpot.estimate.likelihood.measured import Measured, Piece, Sums, pieces
+from dashpot.estimate.likelihood.measured import Measured, Sums, pieces
 from dashpot.estimate.likelihood.objective import directly_driven, measured, predict
 from dashpot.estimate.linear.least_squares import starts as equation_starts
 from dashpot.estimate.linear.least_squares import where_finite
@@ -217,7 +217,29 @@ def _calibrated(data: Prepared, psi: Real, sign: Real, rng: np.random.Generator)
     with np.errstate(all="ignore"):
         sums = Sums(len(psi))
         for piece in pieces(view, soft, len(psi)):
-            sums.add(piece.rows, _likeness(piece, psi[piece.rows], sign[piece.rows]))
+            some = psi[piece.rows]
+            signs = sign[piece.rows]
+            y = piece.data.y
+            if piece.data.ends is None and piece.data.nonlinear is None and small(piece.view.model):
+                # The channels under known inputs without their slopes, which many candidates would spend most time on
+                model, q = piece.view.model, piece.data.q
+                assert q is not None
+                r = len(model.displacement_inputs)
+                p, U, f = model.parameters(some[..., : piece.view.m]), q[..., :r], q[..., r:]
+                X = amplitudes(model, p, piece.view.omega, U, f, piece.view.experiment)
+                forces = np.zeros(len(model.elements), dtype=complex)
+                if piece.view.has_forces:
+                    forces = p[..., None, :] * unit_forces(
+                        model, piece.view.omega, X, U, piece.view.experiment
+                    )
+                predicted = calibration_factors(piece.view, some, signs) * channel_amplitudes(
+                    piece.view, X, q, forces
+                )
+            else:
+                predicted = y - predict(piece.view, piece.data, some, signs).r
+            weight = 1.0 / np.maximum(np.abs(y) ** 2, 1e-300) * (np.abs(y) > 0)
+            along = np.sum((np.conj(predicted) * y).real * weight, axis=-2)
+            sums.add(piece.rows, (along, np.sum(np.abs(predicted) ** 2 * weight, axis=-2)))
         along, power = sums.totals
     flip = view.flips & (along < 0)
     sign = np.where(flip, -sign, sign)
@@ -229,27 +251,6 @@ def _calibrated(data: Prepared, psi: Real, sign: Real, rng: np.random.Generator)
         usable = np.isfinite(ratio) & (ratio != 0)
         psi[:, view.m + k] *= np.where(usable, ratio, 1.0)
     return psi, sign
-
-
-def _likeness(piece: Piece, psi: Real, sign: Real) -> tuple[Real, Real]:
-    """Products of prediction and data, and of the prediction with itself, in units of the data; (K, channels) each."""
-    y = piece.data.y
-    if piece.data.ends is None and piece.data.nonlinear is None and small(piece.view.model):
-        # The channels under known inputs without their slopes, which many candidates would spend most time on
-        model, q = piece.view.model, piece.data.q
-        assert q is not None
-        r = len(model.displacement_inputs)
-        p, U, f = model.parameters(psi[..., : piece.view.m]), q[..., :r], q[..., r:]
-        X = amplitudes(model, p, piece.view.omega, U, f, piece.view.experiment)
-        forces = np.zeros(len(model.elements), dtype=complex)
-        if piece.view.has_forces:
-            forces = p[..., None, :] * unit_forces(model, piece.view.omega, X, U, piece.view.experiment)
-        predicted = calibration_factors(piece.view, psi, sign) * channel_amplitudes(piece.view, X, q, forces)
-    else:
-        predicted = y - predict(piece.view, piece.data, psi, sign).r
-    weight = 1.0 / np.maximum(np.abs(y) ** 2, 1e-300) * (np.abs(y) > 0)
-    along = np.sum((np.conj(predicted) * y).real * weight, axis=-2)
-    return along, np.sum(np.abs(predicted) ** 2 * weight, axis=-2)
 
 
 # Where a search in free decays begins: with rigs whose modes are those that the motion shows.

@@ -345,23 +345,21 @@ def compiled_rig(model: Model, times: int = 8) -> Any | None:
         return None
     key = ("compiled", id(make))
     if key not in model.views:
-        model.views[key] = _compiled_rig(make, model)
+        model.views[key] = None
+        # 47: coordinates, above which rigs are sparse
+        if 0 < model.n <= 47 and not any(law.has_state or len(law.constants) > 30 for law in model.laws):
+            programs = []
+            for law in model.laws:
+                names = {name: place for place, name in enumerate(("d", "v", *law.constant_names))}
+                programs.append(list(_program(law.expression.tree, names)))
+            code, which, number = zip(*(step for program in programs for step in program), strict=True)
+            ends = [0, *(inner.stop for inner in model.constant_slices)]
+            starts = np.cumsum([0, *map(len, programs)])
+            counts = (_numbers(each, np.int64) for each in (model.nonlinear, ends, starts, code, which))
+            model.views[key] = make(
+                _numbers(model.B), _numbers(model.D), _numbers(model.S), *counts, _numbers(number)
+            )
     return model.views[key]
-
-
-def _compiled_rig(make: Any, model: Model) -> Any | None:
-    # 47: coordinates, above which rigs are sparse
-    if not 0 < model.n <= 47 or any(law.has_state or len(law.constants) > 30 for law in model.laws):
-        return None
-    programs = []
-    for law in model.laws:
-        names = {name: place for place, name in enumerate(("d", "v", *law.constant_names))}
-        programs.append(list(_program(law.expression.tree, names)))
-    code, which, number = zip(*(step for program in programs for step in program), strict=True)
-    ends = [0, *(inner.stop for inner in model.constant_slices)]
-    starts = np.cumsum([0, *map(len, programs)])
-    counts = (_numbers(each, np.int64) for each in (model.nonlinear, ends, starts, code, which))
-    return make(_numbers(model.B), _numbers(model.D), _numbers(model.S), *counts, _numbers(number))
 
 
 def _program(node: Node, names: dict[str, int]) -> Iterator[Step]:

@@ -74,7 +74,19 @@ def _along_motions(model: Model, theta: Real, drive: Drive, at: Periodic, times:
     """Monodromy matrices of a rig whose laws have no state, (N, 2 n, 2 n), from the slopes of the laws."""
     p, Bn = model.parameters(theta), model.B[model.nonlinear]
     n, nodes = model.n, 4 * len(model.nonlinear)
-    by_d, by_v = _law_slopes(model, model.inner_constants(theta), drive.omega, at.delta, times)
+    constants = model.inner_constants(theta)
+    N, e, W = at.delta.shape
+    there, rate, _ = period_basis((W - 1) // 2, times)
+    angle = 2 * np.pi / times * np.arange((W + 1) // 2)
+    by_d, by_v = np.zeros((2, N, times, len(NODES), e))
+    for row, (law, inner) in enumerate(zip(model.laws, model.constant_slices, strict=True)):
+        g = np.broadcast_to(constants[inner], (N, inner.stop - inner.start))
+        for node, share in enumerate(NODES):
+            q = real_of(complex_of(at.delta[:, row]) * np.exp(1j * share * angle))
+            d, v = q @ there.T, drive.omega[:, None] * (q @ rate.T)
+            slopes = law(d, v, d, g).slopes
+            by_d[..., node, row], by_v[..., node, row] = slopes.get("d", 0.0), slopes.get("v", 0.0)
+    by_d, by_v = by_d.reshape(N, times, -1), by_v.reshape(N, times, -1)
     monodromy = np.empty((len(drive.omega), 2 * n, 2 * n))
     with np.errstate(all="ignore"):
         for row, omega in enumerate(drive.omega):
@@ -86,22 +98,6 @@ def _along_motions(model: Model, theta: Real, drive: Drive, at: Periodic, times:
             forces = solved(np.eye(nodes) - d * reach_d - v * reach_v, d * free_d + v * free_v)
             monodromy[row] = _product(step.E[3] + pulled[3] @ forces)
     return monodromy
-
-
-def _law_slopes(model: Model, constants: Real, omega: Real, delta: Real, times: int) -> tuple[Real, Real]:
-    """∂φ/∂d and ∂φ/∂v at the Lobatto points of the steps of a period, (N, times, 4 e), points before elements."""
-    N, e, W = delta.shape
-    there, rate, _ = period_basis((W - 1) // 2, times)
-    angle = 2 * np.pi / times * np.arange((W + 1) // 2)
-    by_d, by_v = np.zeros((2, N, times, len(NODES), e))
-    for row, (law, inner) in enumerate(zip(model.laws, model.constant_slices, strict=True)):
-        g = np.broadcast_to(constants[inner], (N, inner.stop - inner.start))
-        for node, share in enumerate(NODES):
-            q = real_of(complex_of(delta[:, row]) * np.exp(1j * share * angle))
-            d, v = q @ there.T, omega[:, None] * (q @ rate.T)
-            slopes = law(d, v, d, g).slopes
-            by_d[..., node, row], by_v[..., node, row] = slopes.get("d", 0.0), slopes.get("v", 0.0)
-    return by_d.reshape(N, times, -1), by_v.reshape(N, times, -1)
 
 
 def _product(tangents: Real) -> Real:

@@ -73,23 +73,12 @@ def read_element(reading: RigReading, place: Place, raw: object) -> Element | No
     before, section, name = reading.problems, str(place[-2]), str(place[-1])
     keys, constants = split_constants(raw)
     entry = reading.entry(ElementEntry, section, name, keys, place)
-    element = None if entry is None else _element(reading, place, entry, constants)
-    if element is None or reading.problems > before:
+    begun = reading.problems
+    if entry is not None:
+        law, along = read_law(reading, place, entry, constants), _attachment(reading, place, entry)
+    if entry is None or reading.problems > begun:
         reading.faulty.add(name)
         return None
-    return element
-
-
-def _element(
-    reading: RigReading, place: Place, entry: ElementEntry, constants: Mapping[str, Any]
-) -> Element | None:
-    """An element with its numbers in SI units; None, and reported, if it is not said what it is or is attached to."""
-    before = reading.problems
-    law = read_law(reading, place, entry, constants)
-    along = _attachment(reading, place, entry)
-    if reading.problems > before:
-        return None
-    section, name = str(place[-2]), str(place[-1])
     element = Element(name, SECTIONS[section], along, same_as=entry.same_as, times=entry.times, force_law=law)
     scale_of = partial(
         scale_of_points, quantity=element.law.quantity, along=element.along, angles=reading.angles
@@ -99,7 +88,11 @@ def _element(
     plain = 1.0
     if entry.unit is not None:
         plain = reading.in_si((*place, "unit"), Amount(1.0, entry.unit), 1.0, scale_of)
-    return replace(element, **reading.numbers(place, entry, plain, scale_of))
+    element = replace(element, **reading.numbers(place, entry, plain, scale_of))
+    if reading.problems > before:
+        reading.faulty.add(name)
+        return None
+    return element
 
 
 def _attachment(reading: RigReading, place: Place, entry: ElementEntry) -> dict[str, float]:
@@ -262,7 +255,12 @@ def elements_of(reading: RigReading, tables: Mapping[str, Mapping[str, Any]]) ->
         for key, raw in table.items():
             place = (EXPERIMENTS, experiment, key)
             if key in SECTIONS:
-                own += _added(reading, place, raw, experiment)
+                if not isinstance(raw, dict):
+                    cure = f'write {place[-1]}.extra = {{ at = "x1", value = 0.5 }}'
+                    reading.report.add(place, f"{written(raw)} is not a table", cure)
+                else:
+                    extra = (read_element(reading, (*place, name), entry) for name, entry in raw.items())
+                    own += [replace(element, only=experiment) for element in extra if element is not None]
             elif key in reading.elements:
                 numbers = raw
                 if key in channels and isinstance(raw, dict):
@@ -368,16 +366,6 @@ def _other(reading: RigReading, place: Place, raw: object) -> Element | None:
         return None
     nothing: dict[str, Any] = dict.fromkeys(NUMBERS.values())
     return replace(other, **(nothing | numbers))
-
-
-def _added(reading: RigReading, place: Place, raw: object, experiment: str) -> list[Element]:
-    """Elements that are there in one experiment only."""
-    if not isinstance(raw, dict):
-        cure = f'write {place[-1]}.extra = {{ at = "x1", value = 0.5 }}'
-        reading.report.add(place, f"{written(raw)} is not a table", cure)
-        return []
-    found = (read_element(reading, (*place, name), entry) for name, entry in raw.items())
-    return [replace(element, only=experiment) for element in found if element is not None]
 
 
 # Channels recorded in counts, or in shares of the full scale, of a converter whose full scale is known.

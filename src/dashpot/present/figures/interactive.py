@@ -68,32 +68,28 @@ def interactive_svg(figure: Figure) -> str:
     text = svg(figure)  # lays the axes out: only then their place and limits stand
     if not hovering:
         return text
-    panels = [
-        _panel(figure, axes, shown, lines) for (axes, shown), lines in zip(hovering, series, strict=True)
-    ]
+    panels = []
+    for (axes, shown), lines in zip(hovering, series, strict=True):
+        width, height = 72 * figure.get_size_inches()  # the unit of length of matplotlib's SVG is a point
+        frame = axes.get_position()
+        panel: dict[str, Any] = {
+            "id": axes.get_gid(),
+            "box": _numbers(
+                [frame.x0 * width, (1 - frame.y1) * height, frame.width * width, frame.height * height]
+            ),
+            "x": _axis(shown.x, axes.get_xscale(), axes.get_xlim(), axes.xaxis),
+            "y": _axis(shown.y, axes.get_yscale(), axes.get_ylim(), axes.yaxis),
+            "shared": min(figure.axes.index(other) for other in axes.get_shared_x_axes().get_siblings(axes)),
+            "series": lines,
+            "notes": [note.get_gid() for note in axes.texts],
+        }
+        if shown.at is not None:
+            panel["at"] = list(shown.at)
+        if shown.cells is not None:
+            panel["cells"] = shown.cells
+        panels.append(panel)
     content = escape(json.dumps(panels, ensure_ascii=False, separators=(",", ":")), quote=True)
     return text.replace("<svg ", f'<svg data-panels="{content}" ', 1)
-
-
-def _panel(figure: Figure, axes: Axes, shown: _Hover, series: list[dict[str, Any]]) -> dict[str, Any]:
-    width, height = 72 * figure.get_size_inches()  # the unit of length of matplotlib's SVG is a point
-    place = axes.get_position()
-    panel: dict[str, Any] = {
-        "id": axes.get_gid(),
-        "box": _numbers(
-            [place.x0 * width, (1 - place.y1) * height, place.width * width, place.height * height]
-        ),
-        "x": _axis(shown.x, axes.get_xscale(), axes.get_xlim(), axes.xaxis),
-        "y": _axis(shown.y, axes.get_yscale(), axes.get_ylim(), axes.yaxis),
-        "shared": min(figure.axes.index(other) for other in axes.get_shared_x_axes().get_siblings(axes)),
-        "series": series,
-        "notes": [note.get_gid() for note in axes.texts],
-    }
-    if shown.at is not None:
-        panel["at"] = list(shown.at)
-    if shown.cells is not None:
-        panel["cells"] = shown.cells
-    return panel
 
 
 def _axis(quantity: AxisLabel, scale: str, limits: tuple[float, float], axis: Any) -> dict[str, Any]:

@@ -406,23 +406,19 @@ def framed(
 def titled(drawn: Sequence[Part], title: str, width: float) -> tuple[list[Part], float, float]:
     """The parts of a drawing of that width below a title; width of it all, and how far they are moved down."""
     line, least = Line(title, "ink", TITLE, True), max(width, 320.0)
-    lines = _wrapped(line, least - 2 * MARGIN) if title else []
+    rows = [""] if title else []
+    for word in line.text.split():
+        longer = f"{rows[-1]} {word}".strip()
+        if replace(line, text=longer).width > least - 2 * MARGIN and rows[-1]:
+            rows.append(word)
+        else:
+            rows[-1] = longer
+    lines = [replace(line, text=text) for text in rows]
     head = 30.0 + (len(lines) - 1) * 1.3 * TITLE if lines else 0.0
     wide = max([least, *(line.width + 2 * MARGIN for line in lines)])
     texts = [Text(line, Point(MARGIN, MARGIN + TITLE * (0.9 + 1.3 * k))) for k, line in enumerate(lines)]
     parts = [Part("", (), tuple(texts))] if texts else []
     return [*parts, *(part.shifted((wide - width) / 2, head) for part in drawn)], wide, head
-
-
-def _wrapped(line: Line, width: float) -> list[Line]:
-    words, lines = line.text.split(), [""]
-    for word in words:
-        longer = f"{lines[-1]} {word}".strip()
-        if replace(line, text=longer).width > width and lines[-1]:
-            lines.append(word)
-        else:
-            lines[-1] = longer
-    return [replace(line, text=text) for text in lines]
 
 
 def _legend(

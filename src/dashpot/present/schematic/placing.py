@@ -169,28 +169,22 @@ def labels(
     for name in doubtful:
         if name in values:
             values[name] = ("doubtful", *values[name][1:])
-    calibrations = _calibrations(channels, estimate)
-    return Labels(model, tuple(channels), values, calibrations, frozenset(between), numbers)
-
-
-def _calibrations(channels: Sequence[Channel], estimate: Estimate | None) -> dict[str, str]:
-    """ "NAME.gain" → its text: what was found, or ? where it is unknown."""
-    values: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for channel in channels:
         for what, number in (("gain", channel.gain), ("delay", channel.delay), ("sign", channel.sign)):
             if number is None:
-                values[f"{channel.name}.{what}"] = "?"
+                texts[f"{channel.name}.{what}"] = "?"
     if estimate is not None:
         rows = {row.name: row for row in parameter_rows(estimate)}
         shared = {f"{c.name}.gain": c.unknown_gain.name for c in channels if c.unknown_gain is not None}
         shared |= {f"{c.name}.delay": c.unknown_delay.name for c in channels if c.unknown_delay is not None}
-        for name in list(values):
-            row = rows.get(name, rows.get(shared.get(name, "")))
-            if row is not None:
-                values[name] = _with_unit(row.value, row.unit)
+        for name in list(texts):
+            entry = rows.get(name, rows.get(shared.get(name, "")))
+            if entry is not None:
+                texts[name] = _with_unit(entry.value, entry.unit)
         for name, sign in estimate.signs.items():
-            values[f"{name}.sign"] = "+" if float(sign) > 0 else "−"
-    return values
+            texts[f"{name}.sign"] = "+" if float(sign) > 0 else "−"
+    return Labels(model, tuple(channels), values, texts, frozenset(between), numbers)
 
 
 def _with_unit(text: str, unit: str) -> str:
