@@ -19,7 +19,6 @@ Bools = NDArray[np.bool_]
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
-SMALLEST = 1e-100  # below this squares underflow, and no measurement is meant
 MANY = 1 << 17  # numbers of all lines from which diagonal matrices are laid out by planes
 
 
@@ -40,7 +39,7 @@ def without_denormals(values: ArrayLike, axis: int) -> np.ndarray:
         return array
     ends = np.max(array, axis=axis, keepdims=True), np.min(array, axis=axis, keepdims=True)
     largest = np.maximum(*map(np.abs, ends))
-    nothing = (largest > 0) & (largest < SMALLEST)
+    nothing = (largest > 0) & (largest < 1e-100)  # below this squares underflow, and no measurement is meant
     return np.where(nothing, 0.0, array) if np.any(nothing) else array
 
 

@@ -71,10 +71,8 @@ def constant_and_share(variance: Real, power: Real) -> tuple[float, float]:
 
 
 BLOCK = 32  # samples, at least, of the parts of a record that may be at rest
-BLOCKS = 256  # parts, at most
 IN_A_ROW = 8  # parts, at least: what moves at random is quiet for a part or two as well
 QUIETEST = 0.05  # share of the parts that are at rest, if any are
-QUIET = 0.1  # of the mean power of all parts: what those at rest have at most
 STANDS_OUT = 4.0  # standard deviations of a mean power above that of noise: there is motion
 LEVEL = 1e-3  # of all tests of what data are taken for: what is so is refused once in a thousand
 
@@ -135,7 +133,7 @@ def variance_at_rest(values: Real) -> float:
 
     At rest are parts of the record in a row that vary alike, without colour, and far less than the others.
     """
-    count = min(BLOCKS, len(values) // BLOCK)
+    count = min(256, len(values) // BLOCK)  # parts, at most
     if count < 2 * IN_A_ROW:
         return 0.0
     size = len(values) // count
@@ -159,7 +157,8 @@ def variance_at_rest(values: Real) -> float:
         if not np.any(still) or np.array_equal(before, still):
             break
         level = float(np.mean(variance[still]))
-    if not np.any(still) or not 0 < level < QUIET * float(np.mean(variance)):
+    # Parts at rest have at most a tenth of the mean power of all.
+    if not np.any(still) or not 0 < level < 0.1 * float(np.mean(variance)):
         return 0.0
     steps = float(np.sum(np.diff(parts[still], axis=1) ** 2) / np.sum(parts[still] ** 2))
     white = abs(steps / 2 - 1) < STANDS_OUT / (np.sum(still) * dof) ** 0.5 + 2 / size
@@ -305,12 +304,9 @@ def _about_polynomials(f: Real, y: Complex, degree: int) -> Real:
 # / (d₀ + ν), with d₀ + ν degrees of freedom.
 
 
-FEW = 50  # degrees of freedom from which on a dwell knows its own noise well enough
-FEWEST_LINES_MODERATED = 3
 FOR_A_SLOPE = (
     6  # lines from which on it is asked how the noise goes with the amplitude; below it is proportional
 )
-LEAST = 4.0  # degrees of freedom beyond the channels: below, a weight has no mean
 
 
 def moderated(spectrum: Spectrum, told: Real | None = None, *, kind: str = "white") -> Spectrum:
@@ -321,8 +317,9 @@ def moderated(spectrum: Spectrum, told: Real | None = None, *, kind: str = "whit
     scatter of periods; repeats share d₀.
     """
     chosen = np.array([each == kind for each in spectrum.noise]) & np.isfinite(spectrum.dof)
-    short = chosen & (spectrum.dof < FEW)
-    if not np.any(short) or np.sum(chosen) < FEWEST_LINES_MODERATED or np.any(np.isnan(spectrum.amplitudes)):
+    # With 50 degrees of freedom a dwell knows its own noise well enough; fewer than three lines show nothing in common.
+    short = chosen & (spectrum.dof < 50)
+    if not np.any(short) or np.sum(chosen) < 3 or np.any(np.isnan(spectrum.amplitudes)):
         return spectrum
     lines = spectrum.select(np.flatnonzero(chosen).tolist())
     V = lines.covariance.reshape(-1, *lines.covariance.shape[-3:])
@@ -350,7 +347,8 @@ def moderated(spectrum: Spectrum, told: Real | None = None, *, kind: str = "whit
     V = weight * lines.covariance + (1 - weight) * prior
     # Too few samples in all for a weight that has a mean: the line counts for little, but counts.  The scatter of
     # amplitudes has two degrees of freedom for each complex number.
-    enough = np.maximum(total, (1 if kind == "white" else 2) * channels + LEAST)
+    # Below 4 degrees of freedom beyond the channels a weight has no mean.
+    enough = np.maximum(total, (1 if kind == "white" else 2) * channels + 4.0)
     V = V * (enough / total)[:, None, None]
     covariance, dof = np.array(spectrum.covariance), np.array(spectrum.dof)
     covariance[..., chosen, :, :] = V

@@ -32,9 +32,7 @@ NEIGHBOURS = 10  # lines beside an excited one that show the noise there
 
 NEAR = 16  # lines on either side, of which the largest shows how much a driven line moves
 SPLIT = 5.0  # between the sizes of driven lines and of others, in the channel that tells them apart best
-UNDRIVEN = 0.2  # share of the lines at least, in RUNS runs: else a few are weak, or lie beside hum
 RUNS = 10
-IN_BAND = 0.03  # of a channel's largest lines: where it moves less, nothing is told
 DISTORTED = 1e-3  # of a channel's motion, and p-value of its being noise
 ROUNDING = 1e-9  # of a channel's largest line or mean: where it moves less, it rests
 
@@ -56,12 +54,14 @@ def driven_lines(X: Complex) -> Bools:
         return found
     for size in np.abs(np.nan_to_num(X)).T:
         around = np.max(sliding_window_view(np.pad(size, NEAR), 2 * NEAR + 1), axis=-1)
-        in_band = around > IN_BAND * np.max(around)
+        # Where a channel moves less than 3 % of its largest lines, it tells nothing.
+        in_band = around > 0.03 * np.max(around)
         share = np.maximum(size / np.where(in_band, around, np.inf), 1e-12)
         if np.min(share) > 1 / SPLIT:
             return np.ones(len(X), dtype=bool)
         ordered = np.sort(share[in_band])
-        first = int(np.ceil(UNDRIVEN * len(ordered)))
+        # A fifth of the lines at least is not driven, in RUNS runs: else a few are weak, or lie beside hum.
+        first = int(np.ceil(0.2 * len(ordered)))
         gaps = ordered[first : len(ordered) - RUNS] / ordered[first - 1 : len(ordered) - RUNS - 1]
         if first == 0 or not np.max(gaps, initial=0.0) > SPLIT:
             continue
@@ -273,10 +273,8 @@ def _lines(
 # What the rest of the lines hold is noise, and its size at each multiple is the scatter of the periods.
 
 
-REPEATS = 0.5  # correlation of every channel's steps with those a period later: the rest is noise
 LASTING = 0.97  # of it, between periods that are further apart
 FEWEST_PERIODS = 6
-FUNDAMENTAL = 0.3  # of the strongest line: what a dwell has in every channel
 SHORTEST = 32  # samples of a period
 
 
@@ -329,7 +327,8 @@ def averaged_periods(record: Record, inputs: int = 0) -> tuple[Spectrum, Real] |
 def _is_dwell(X: Complex, lines: list[int]) -> bool:
     """Whether all channels move at the fundamental, of (periods, lines, channels)."""
     size = np.abs(np.mean(X, axis=0))
-    return lines[:1] == [1] and bool(np.all(size[0] > FUNDAMENTAL * np.max(size, axis=0)))
+    # A dwell has 0.3 of its strongest line at the fundamental in every channel.
+    return lines[:1] == [1] and bool(np.all(size[0] > 0.3 * np.max(size, axis=0)))
 
 
 def period_of(values: Real) -> int | None:
@@ -346,7 +345,7 @@ def period_of(values: Real) -> int | None:
     alike = np.min(alike / alike[0], axis=1) * (n / (n - np.arange(len(alike))))
     lags = alike[SHORTEST : n // FEWEST_PERIODS]
     highest = float(np.max(lags, initial=0.0))
-    if highest < REPEATS:
+    if highest < 0.5:  # correlation of every channel's steps with those a period later: the rest is noise
         return None
     first = SHORTEST + int(np.flatnonzero(lags > LASTING * highest)[0])
     peak = first + int(np.argmax(alike[first : first + max(2, first // 100)]))

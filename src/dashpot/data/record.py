@@ -18,11 +18,6 @@ from dashpot.shorthand import InNotebooks
 # Samples that rest at the greatest or least value of a channel: a converter or amplifier at its limit.
 
 
-SHARE = 0.01  # of all samples, or of LOUD times as many loud ones, that are at the limit
-LOUD = 10  # so that the short blows of a hammer count, too
-AT_REST = 0.5  # of all samples: a value that so many have is where the channel rests
-
-
 def samples_at_limit(values: Real) -> int:
     """How many samples (samples,) are at the greatest or the least value, where three in a row are."""
     return int(np.count_nonzero(at_limits(values)))
@@ -43,7 +38,8 @@ def at_limits(values: Real, *, with_steps: bool = False) -> Bools:
         limit = np.max(signed)
         at = signed == limit
         count = int(np.count_nonzero(at))
-        if count < 3 or count > AT_REST * len(values):
+        # A value that half of all samples have is where the channel rests.
+        if count < 3 or count > 0.5 * len(values):
             continue
         if not (with_steps or np.any(at[2:] & at[1:-1] & at[:-2])):  # three follow each other nowhere
             continue
@@ -53,7 +49,8 @@ def at_limits(values: Real, *, with_steps: bool = False) -> Bools:
         following = np.max(signed, where=~at, initial=np.min(signed))
         # 8: times as many samples as at the value next to the limit: fewer are the steps of a converter
         many = with_steps or count >= 8 * np.sum(signed == following)
-        if many and count >= SHARE * min(len(values), LOUD * loud):
+        # 1 % of all samples, or of ten times as many as are loud, so that the short blows of a hammer count, too
+        if many and count >= 0.01 * min(len(values), 10 * loud):
             limits[side] = at
     return limits
 

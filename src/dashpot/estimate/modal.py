@@ -659,10 +659,8 @@ def wider_span(problem: ModeProblem, theta: Real, V: Real) -> tuple[Real, Real]:
     motions, missed = mode_motions(model, p, near.span, values[0, at], on_span[0, at])
     more = np.concatenate([shapes.astype(np.complex128), motions], axis=1)
     wider = extended_basis(V, more)
-    return (wider if wider.shape[1] <= WIDEST or not V.shape[1] else extended_basis(empty, more)), missed
-
-
-WIDEST = 260  # columns of a span that is made wider
+    # A span of more than 260 columns is not made wider.
+    return (wider if wider.shape[1] <= 260 or not V.shape[1] else extended_basis(empty, more)), missed
 
 
 def _estimate(

@@ -19,8 +19,6 @@ from dashpot.numerics.kernel import kernel_function
 
 # What estimates are worth: information, bound, and what estimating the noise costs (THEORY §5).
 
-COSTS = 4.0  # times the variance, beyond which a line's own correlations cost more than they tell: twice the width
-
 
 @dataclass(frozen=True)
 class NoiseQuality:
@@ -72,7 +70,8 @@ def _inflation(nu: Real, q: Ints, blocks: Bools) -> Real:
 
 def told_by_all(nu: Real, q: Ints, blocks: Bools) -> Bools:
     """Lines whose nu degrees of freedom tell so little of the correlation of q channels that all lines tell it."""
-    return np.isfinite(nu) & (_inflation(nu, q, blocks) > COSTS)
+    # Four times the variance is twice the width: beyond it a line's own correlations cost more than they tell.
+    return np.isfinite(nu) & (_inflation(nu, q, blocks) > 4.0)
 
 
 def correlated_as_all(spectrum: Spectrum, V: Complex) -> Complex:

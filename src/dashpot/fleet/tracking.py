@@ -41,7 +41,6 @@ from dashpot.shorthand import Printable
 from dashpot.study.blocks import write_table
 
 FALSE_ALARMS = 0.01  # of records without a change, in which one is announced
-ANOTHER = 1e-3  # probability of a window as far from those before it, below which it begins anew
 HOUR = 3600.0  # s; a speed is the standard deviation of a change in one hour
 
 
@@ -426,7 +425,8 @@ def _alike(before: tuple[Real, Real], values: Real, information: Real) -> bool:
     """Whether a window is no further from those before it than noise makes it."""
     apart = values - before[0]
     spread = _inverse(before[1]) + _inverse(information)
-    return float(chdtrc(len(apart), apart @ _solve(spread, apart))) >= ANOTHER
+    # A window begins anew that is as far from those before it once in a thousand.
+    return float(chdtrc(len(apart), apart @ _solve(spread, apart))) >= 1e-3
 
 
 def _scaled(matrix: Real) -> tuple[Real, Real]:

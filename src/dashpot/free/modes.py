@@ -47,7 +47,6 @@ STABLE = (
     0.01,
     0.1,
 )  # relative changes of frequency and damping ratio from one order to the next, as is usual
-HIGHEST_ORDER = 40  # of the stabilisation picture
 
 
 @dataclass(frozen=True)
@@ -503,7 +502,7 @@ def _least_squares_poles(sets: Sequence[_Set]) -> Stabilisation:
     highest = max(float(np.max(one.frequency_hz)) for one in sets)
     lines = sum(len(one.s) for one in sets)
     columns = sets[0].inputs.shape[1] + sum(1 for one in sets if one.step)
-    most = int(min(HIGHEST_ORDER, lines // (columns + 1) - 1))
+    most = int(min(40, lines // (columns + 1) - 1))  # orders of the stabilisation picture
     delta = 0.95 / (2 * highest)  # s: the band reaches nearly round the half circle
     n = most + 1
     M = np.zeros((n, n))
@@ -674,7 +673,7 @@ def _with_noise_of(sets: Sequence[_Set], fit: _Fit) -> list[_Set]:
     longest, q = max(map(len, shown)), shown[0].shape[1]
     apart: list[Complex] = [np.diagonal(outer, axis1=1, axis2=2)[..., None, None] for outer in shown]
     choices = []
-    for half in [*doubled(NARROWEST, longest), longest]:
+    for half in [*doubled(7, longest), longest]:  # lines on either side
         for outers, size in ((apart, 1), (shown, q)):
             counts = [min(2 * half + 1, len(outer)) for outer in outers]
             if min(counts) < 4 * size + 2:  # of the others too few for an inverse
@@ -687,9 +686,6 @@ def _with_noise_of(sets: Sequence[_Set], fit: _Fit) -> list[_Set]:
             )
     _, best = max(choices, key=lambda choice: choice[0])
     return [replace(one, noise=noise) for one, noise in zip(sets, best, strict=True)]
-
-
-NARROWEST = 7  # lines on either side
 
 
 def _taken(sets: Sequence[_Set], fit: _Fit) -> list[Complex]:

@@ -387,7 +387,6 @@ SPARE = (
     8  # complex degrees of freedom that a window leaves for the noise: with its neighbours' some 30 real ones
 )
 MOST_LINES = 20_000  # of the result
-MOST_WINDOWS = 4_000  # that are looked through for what is no noise
 
 
 @dataclass(frozen=True)
@@ -514,7 +513,7 @@ def shares_left(parts: Sequence[RecordLines], chance: float) -> list[Real]:
     first, half = ordered[0], _smallest_half(ordered)
     nu, ny = first.inputs.shape[1], first.outputs.shape[1]
     lines = len(first.frequency_hz)
-    grid = np.arange(0, lines, max(half, lines // MOST_WINDOWS))
+    grid = np.arange(0, lines, max(half, lines // 4_000))  # 4,000 windows are looked through
     shares, chunk = [], _at_once(ordered, half)
     for k in range(0, len(grid), chunk):
         r, U, Y, owner = _window_rows(ordered, grid[k : k + chunk], half)

@@ -249,15 +249,12 @@ def lowest_shapes(model: Model, p: Real, highest: float, least: int) -> Real:
     factors = factorised(sparse.csc_array(K - shift * M))
     solve = LinearOperator(K.shape, matvec=factors.solve, dtype=np.float64)
     start = np.random.default_rng(0).standard_normal(model.n)
-    count, most = least, max(least, min(MOST_MODES, model.n // 3))
+    count, most = least, max(least, min(128, model.n // 3))  # modes of a span
     while True:
         squares, shapes = eigsh(K, count, M=M, sigma=shift, OPinv=solve, v0=start)
         if np.max(squares) > highest**2 or count >= most:
             return np.asarray(shapes)
         count = min(2 * count, most)
-
-
-MOST_MODES = 128  # of a span
 
 
 def mode_motions(

@@ -21,7 +21,6 @@ from dashpot.arrays import Bools, Real
 
 SIMULATIONS = 499  # of records without a step
 AT_ONCE = 2e6  # numbers of simulated records that are held at once
-STILL = 1e-3  # of the standard deviation that all windows give together: a walk that counts as none
 PARTS = np.arange(20) / 20  # of a window, in which a step is placed
 WITHIN = float(chdtri(1, 0.05))  # fall of twice the log likelihood at the ends of a 95 % interval
 
@@ -186,7 +185,8 @@ def likeliest_walk(
     usual = np.zeros(p) if variance is None else variance
     if K < 3 or np.sum(windows.ranks[1:]) <= len(steps) + p:
         return RandomWalk(usual, 1.0, steps)
-    slowest = (STILL * windows.pooled_speed()) ** 2
+    # A walk of a thousandth of the standard deviation that all windows give together counts as none.
+    slowest = (1e-3 * windows.pooled_speed()) ** 2
 
     def walk_at(x: Real) -> RandomWalk:
         found = usual.copy()

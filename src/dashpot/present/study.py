@@ -184,7 +184,6 @@ def _span(values: Sequence[float], decimals: int) -> str:
 
 # Pictures: scenarios that differ in one factor alone, as curves over a number or as bars.
 
-MOST_ALIKE = 12  # groups of one factor that are drawn: bars at each of 200 noise levels are 200 figures
 
 Rest = tuple[tuple[str, str | float | int], ...]
 
@@ -267,7 +266,8 @@ def evenly_spread(every: Sequence[FactorGroup]) -> Iterable[FactorGroup]:
     """Groups of each factor, the first and the last among them, no more than MOST_ALIKE."""
     for _, alike in groupby(every, key=lambda group: group.factor):
         several = list(alike)
-        places = np.linspace(0, len(several) - 1, min(len(several), MOST_ALIKE))
+        # Of one factor 12 groups are drawn: bars at each of 200 noise levels are 200 figures.
+        places = np.linspace(0, len(several) - 1, min(len(several), 12))
         yield from (several[int(place)] for place in places)
 
 

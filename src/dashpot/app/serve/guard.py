@@ -29,7 +29,6 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 SESSION = "dashpot.session"  # key of the session in the scope of a request
 MOST_UPLOAD = 1 << 30  # bytes of one file
-KEPT_FREE = 100 << 20  # bytes of the disk that uploads leave
 KINDS = {
     ".svg": "image/svg+xml",
     ".html": "text/html; charset=utf-8",
@@ -178,7 +177,8 @@ async def _take(
     name, kind = query.get("name", ""), query.get("kind", "data")
     safe, of_rig = safe_name(name), kind == "rig"
     most = MOST_RIG if of_rig else MOST_UPLOAD
-    most = min(most, max(shutil.disk_usage(session.folder).free - KEPT_FREE, 0))
+    # Uploads leave 100 MiB of the disk.
+    most = min(most, max(shutil.disk_usage(session.folder).free - (100 << 20), 0))
     said = f"{printable(safe)}: files of at most {_size(most)} are taken"
     if of_rig:
         said = f"{printable(safe)}: a rig file may have {_size(most)} at most; is this a data file?"

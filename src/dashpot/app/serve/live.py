@@ -20,10 +20,8 @@ if TYPE_CHECKING:
     from dashpot.estimate.result import Estimate
     from dashpot.model.rigfile import Rig
 
-POLL = 0.4  # s between two looks at the files
 STILL = 1.5  # s without a change, after which a file counts as written to its end: recorders write in bursts
 TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm")  # whose beginning can be read while they grow
-MOST_DRAWN = 12  # unknowns whose intervals are drawn against samples
 # Notes and warnings of samples that are missing or wrong, which a test that is still mounted can record again.
 LOST = (
     "gaps",
@@ -104,7 +102,7 @@ def watch(
     tell(told)
     before: object = None
     while True:
-        time.sleep(POLL)
+        time.sleep(0.4)  # s between two looks at the files
         paths = (
             sorted(path for path in source.iterdir() if not path.name.startswith("."))
             if source.is_dir()
@@ -130,7 +128,7 @@ def watch(
             from dashpot.present.figures.traces import bars_svg
 
             drawn = []  # the interval of an unknown against samples
-            for i in range(min(len(told["rows"]), MOST_DRAWN)):
+            for i in range(min(len(told["rows"]), 12)):  # unknowns whose intervals are drawn against samples
                 steps = [(step["samples"], step["rows"][i]) for step in history if len(step["rows"]) > i]
                 drawn.append(
                     bars_svg(

@@ -19,7 +19,6 @@ from dashpot.app.serve.guard import MOST_UPLOAD, SESSION
 from dashpot.app.serve.session import Session
 
 STATIC = Path(__file__).with_name("static")
-TICK = 0.25  # s between two looks at whether anything has changed
 FIELDS = {"value": "Value", "sd": "± (sd)", "guess": "Guess"}
 CHANNEL_FIELDS = {"of": "Point", "quantity": "Quantity", "unit": "Unit"}
 QUANTITIES = ("displacement", "velocity", "acceleration", "force")
@@ -211,7 +210,7 @@ class Page:
                     self._live_form()
                     self._view("channels")
         self._tick()
-        ui.timer(TICK, self._tick)
+        ui.timer(0.25, self._tick)  # s between two looks at whether anything has changed
 
     # Small parts.
 

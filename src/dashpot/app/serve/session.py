@@ -29,8 +29,6 @@ from dashpot.io.atomic import write_text
 PARTS = ("files", "start", "rig", "channels", "work", "result", "plan", "live", "alarm")
 STREAM = "sent: "  # before the names of what recorders send
 KINDS = {"identify": "result", "design": "plan", "watch": "live"}  # what calls of the engine leave
-MOST_RESULTS = 10  # whose files are kept beside those that are shown
-MOST_TEXTS = 500  # of the rig file that are kept
 MOST_RIG = 1 << 20  # bytes of a rig file: one of 10 000 elements has half of it
 LONGEST = 120  # characters of a file's name; systems allow 255 bytes
 RESERVED = re.compile(
@@ -207,7 +205,8 @@ class Session:
             if text == self.text:
                 return
             self.state["rig"] = self.state["rig"] or "rig.toml"
-            self.history = [*self.history[: self.state["at"] + 1], text][-MOST_TEXTS:]
+            # 500 texts of the rig file are kept.
+            self.history = [*self.history[: self.state["at"] + 1], text][-500:]
             self.state["at"] = len(self.history) - 1
         self._rewritten()
 
@@ -510,7 +509,7 @@ class Session:
             numbers = [int(path.name) for path in (self.folder / "results").iterdir() if path.name.isdigit()]
             out = wanted.get("out") or f"results/{max(numbers, default=0) + 1}"
             kept = {self.state[name]["folder"] for name in KINDS.values() if self.state[name] is not None}
-            for number in sorted(numbers)[:-MOST_RESULTS]:
+            for number in sorted(numbers)[:-10]:  # whose files are kept beside those that are shown
                 if f"results/{number}" not in kept:
                     shutil.rmtree(self.folder / "results" / str(number), ignore_errors=True)
             (self.folder / out).mkdir(exist_ok=True)

@@ -256,7 +256,6 @@ def _free_modes(pieces: RecordPieces, fit: EndsFitted, theta: Real) -> list[_Fre
 
 
 ZERO = 1.96  # standard deviations within which a negative part may be none
-APART = 4.0  # standard deviations beyond which a value is negative without doubt
 
 
 def dead_channels(model: Model, spectrum: Spectrum) -> list[str]:
@@ -346,7 +345,8 @@ def reversed_phase(model: Model, theta: Real, noise_covariance: Real) -> list[No
         return []
     dissipative = {element.name for element in model.elements if element.law.dissipative}
     dampers = [j for j, unknown in enumerate(model.unknowns) if unknown.name in dissipative]
-    beyond = theta < -APART * np.sqrt(np.diagonal(noise_covariance))
+    # Beyond four standard deviations a value is negative without doubt.
+    beyond = theta < -4.0 * np.sqrt(np.diagonal(noise_covariance))
     if not dampers or not np.all(beyond[dampers]):
         return []
     if np.all(beyond) and len(beyond) > len(dampers):  # what drives masses and springs counts backwards

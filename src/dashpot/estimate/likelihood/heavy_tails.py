@@ -28,7 +28,6 @@ from dashpot.notices import Notice
 
 FREEDOMS = np.geomspace(1.2, 60.0, 40)  # degrees of freedom that are tried
 FEWEST = 30  # errors of a channel that show its tails
-ASKED_FOR = 10.8  # of twice the log likelihood, by "auto": χ² with one degree of freedom, p = 0.001
 TURNS = 6  # fits to pseudo-data at most
 
 
@@ -109,7 +108,8 @@ def with_heavy_tails(model: Model, spectrum: Spectrum, method: Method) -> tuple[
                 each.key: Tails.of(each.u, known=spectrum.noise_known)
                 for each in _errors(spectrum, error, sizes, data.view)
             }
-            least = ASKED_FOR if model.distribution == "auto" else 0.0
+            # "auto" asks for a gain in twice the log likelihood of p = 0.001: χ² with one degree of freedom.
+            least = 10.8 if model.distribution == "auto" else 0.0
             tails = {key: each for key, each in tails.items() if each.gain > least}
             if not tails:
                 return plain

@@ -196,7 +196,6 @@ def without_moved(power: Real, moved: Real, smooth: Callable[[Real], Real]) -> R
 RESIDUAL = "residual"
 PIECE = 10_000  # lines at a time
 STEPS = 30  # of each descent: the next round goes on from its end, and a search to the end follows them
-BY_CHANCE = 1e-3  # that a local model leaves less of noise than is counted
 FIRST = 1e-2  # of a channel's size: its noise before the first fit, where nothing else is known
 UNEXPLAINED_MOST = 0.5  # of the power of the channels: of a motion without input this is no free decay
 
@@ -522,7 +521,8 @@ def share_without_misfit(spectrum: Spectrum, inputs: Bools, residual: Complex) -
         groups[int(repeat.experiment[its[0]]), there.tobytes()].append((its, lines))
     for (_, there), some in groups.items():
         with contextlib.suppress(DataError):  # too short for local models
-            shares = shares_left([lines for _, lines in some], BY_CHANCE)
+            # A local model leaves less of noise than is counted by chance, once in a thousand.
+            shares = shares_left([lines for _, lines in some], 1e-3)
             for (its, _), part in zip(some, shares, strict=True):
                 share[np.ix_(its, np.frombuffer(there, dtype=bool))] = part
     if np.all(share == 1):

@@ -38,7 +38,7 @@ from dashpot.present.figures.style import (
 from dashpot.present.words import short
 
 FREQUENCY, PHASE = AxisLabel("frequency", "Hz"), AxisLabel("phase", "°")
-MOST_PLANES = 8
+MOST_PLANES = 8  # of one figure
 MANY = 300  # lines from which dots are small and drawn as a picture within the picture
 REACH = 1.96  # standard deviations of a 95 % band
 RAYLEIGH_95 = 1.73  # of an amplitude's size over its standard deviation, √(−ln 0.05)
