@@ -229,27 +229,20 @@ def _tell(lines: Iterable[str]) -> None:
             click.echo(f"dashpot: {printable(line)}", err=True)
 
 
-def _open_closed() -> None:
-    """Standard streams that the caller has closed lead nowhere, rather than into the first file that is opened.
-
-    What is written to stdout then fails, as it does on a full disk.
-    """
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(
-                os.devnull, os.O_RDONLY if number == 1 else os.O_RDWR
-            )  # takes the lowest number that is free
-    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
-        if getattr(sys, name) is None:
-            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))
-
-
 def main() -> None:
     """Entry point of the command `dashpot`."""
     try:
-        _open_closed()
+        # Standard streams that the caller has closed lead nowhere, rather than into the first file that is
+        # opened. What is written to stdout then fails, as it does on a full disk.
+        for number in range(3):
+            try:
+                os.fstat(number)
+            except OSError:
+                # Takes the lowest number that is free
+                os.open(os.devnull, os.O_RDONLY if number == 1 else os.O_RDWR)
+        for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+            if getattr(sys, name) is None:
+                setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))
         end_on_signals()
         for stream in (sys.stdout, sys.stderr):
             # A terminal that knows no ± or χ² shows ? rather than ending the run.

@@ -172,7 +172,17 @@ class Processes(Workers):
         process was ended in the middle of, nothing more comes, which it learns once nobody can write.
         """
         with held_back():
-            _hush_cancelled_futures()
+            # Keep the executor's own thread from printing a traceback where it meets futures that were
+            # cancelled under it.
+            from concurrent.futures import InvalidStateError
+
+            usual = threading.excepthook
+
+            def hook(failure: threading.ExceptHookArgs) -> None:
+                if not issubclass(failure.exc_type, InvalidStateError):
+                    usual(failure)
+
+            threading.excepthook = hook
             keeper: threading.Thread | None = self.executor._executor_manager_thread  # type: ignore[assignment]  # stubs err
             results: Any = self.executor._result_queue
             workers = list(
@@ -189,19 +199,6 @@ class Processes(Workers):
             self.executor.shutdown(wait=False, cancel_futures=True)
             if keeper is not None:
                 keeper.join(PATIENCE_WORKERS)
-
-
-def _hush_cancelled_futures() -> None:
-    """Keep the executor's own thread from printing a traceback where it meets futures that were cancelled under it."""
-    from concurrent.futures import InvalidStateError
-
-    usual = threading.excepthook
-
-    def hook(failure: threading.ExceptHookArgs) -> None:
-        if not issubclass(failure.exc_type, InvalidStateError):
-            usual(failure)
-
-    threading.excepthook = hook
 
 
 def _begin_worker() -> None:

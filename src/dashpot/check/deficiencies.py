@@ -106,8 +106,55 @@ def problems_in_words(
 
 def in_words(one: Deficiency, found: Structure, model: Model, channels: Sequence[Channel]) -> tuple[str, str]:
     """(what cannot be told apart, what would help) of one deficiency of a rig."""
-    what, cure = _said(one, found, model, channels)
-    return what, cure + (f", or measure {_sensors(one.sensors, model)}" if one.sensors else "")
+    names, count = one.names, len(one.directions)
+    give = with_values(names, count)
+    elements = {element.name for element in model.elements}
+    if one.sort == "unseen":
+        what, cure = _unseen(one, found, model, channels)
+    elif one.sort == "lines":
+        assert one.lines is not None
+        count, frequencies, missing = one.lines.lines, one.lines.frequencies, one.lines.missing
+        M = len(found.names)
+        at = "1 frequency" if frequencies == 1 else f"{frequencies} frequencies"
+        held = f"{count} line{'' if count == 1 else 's'} at {at}"
+        told = f"{held} determine only {found.rank} combinations of the {M} unknowns"
+        what = f"{told}; {_named(one.names)} cannot be determined"
+        need = ""
+        if missing is not None:
+            need = f"measure at {missing} more frequenc{'y' if missing == 1 else 'ies'}, or "
+        elif one.lines.without_base:
+            need = "also measure the rig without the changes of the experiments, or "
+        what, cure = what, need + with_values(one.names, M - found.rank)
+    elif one.sort == "mixed" and len(names) == 1:
+        what = f"no information on {names[0]}: its element never moves far enough for its law to show"
+        cure = "increase the drive, or state a value"
+    elif one.sort == "mixed":
+        what, cure = _moves(one, found), give
+    elif one.sort == "scale":
+        what, cure = _scaled(one, found, model, give)
+    else:
+        only = combinations_in_words(one)
+        what = f"only {_named(only)} can be found, not {_named(names)} separately"
+        if not only:
+            what = f"{_named(names)} are not determined at all"
+        if one.sort == "sum" and elements.issuperset(names):
+            reason, more = _parallel(names, model)
+            what, cure = f"{what}: {reason}", f"{give}{more}"
+        else:
+            if one.sort == "series":
+                points = [set(e.along) for e in model.elements if e.name in names]
+                shared = set.intersection(*points) if points else set()
+                what += f": they are in series{f' through {_named(sorted(shared))}' if shared else ''}"
+            what, cure = what, give
+    sensors = []
+    for channel in one.sensors[:4]:
+        (name,) = channel.of
+        if channel.quantity is Quantity.FORCE:
+            name = f"the force {name}" if name in model.force_inputs else f"the force that moves {name}"
+        sensors.append(name)
+    if sensors:
+        cure += f", or measure {', '.join(sensors[:-1])}{' or ' if sensors[1:] else ''}{sensors[-1]}"
+    return what, cure
 
 
 def combinations_in_words(one: Deficiency) -> tuple[str, ...]:
@@ -126,51 +173,13 @@ def combinations_in_words(one: Deficiency) -> tuple[str, ...]:
             below = under[0] if len(under) == 1 else f"({'·'.join(under)})"
             texts.append(f"{over}/{below}" if under else over)
         else:
-            texts.append(_sum(terms, reciprocal=power == 2))
+            text = ""
+            for x, name in terms:
+                size = "" if abs(abs(x) - 1) < 1e-9 else f"{abs(x):.4g}"
+                body = f"{size or '1'}/{name}" if power == 2 else f"{size}·{name}" if size else name
+                text += (" - " if x < 0 else " + ") + body if text else ("-" if x < 0 else "") + body
+            texts.append(text)
     return tuple(texts)
-
-
-def _said(one: Deficiency, found: Structure, model: Model, channels: Sequence[Channel]) -> tuple[str, str]:
-    names, count = one.names, len(one.directions)
-    give = with_values(names, count)
-    elements = {element.name for element in model.elements}
-    if one.sort == "unseen":
-        return _unseen(one, found, model, channels)
-    if one.sort == "lines":
-        assert one.lines is not None
-        count, frequencies, missing = one.lines.lines, one.lines.frequencies, one.lines.missing
-        M = len(found.names)
-        at = "1 frequency" if frequencies == 1 else f"{frequencies} frequencies"
-        held = f"{count} line{'' if count == 1 else 's'} at {at}"
-        told = f"{held} determine only {found.rank} combinations of the {M} unknowns"
-        what = f"{told}; {_named(one.names)} cannot be determined"
-        need = ""
-        if missing is not None:
-            need = f"measure at {missing} more frequenc{'y' if missing == 1 else 'ies'}, or "
-        elif one.lines.without_base:
-            need = "also measure the rig without the changes of the experiments, or "
-        return what, need + with_values(one.names, M - found.rank)
-    if one.sort == "mixed" and len(names) == 1:
-        return (
-            f"no information on {names[0]}: its element never moves far enough for its law to show",
-            "increase the drive, or state a value",
-        )
-    if one.sort == "mixed":
-        return _moves(one, found), give
-    if one.sort == "scale":
-        return _scaled(one, found, model, give)
-    only = combinations_in_words(one)
-    what = f"only {_named(only)} can be found, not {_named(names)} separately"
-    if not only:
-        what = f"{_named(names)} are not determined at all"
-    if one.sort == "sum" and elements.issuperset(names):
-        reason, more = _parallel(names, model)
-        return f"{what}: {reason}", f"{give}{more}"
-    if one.sort == "series":
-        points = [set(e.along) for e in model.elements if e.name in names]
-        shared = set.intersection(*points) if points else set()
-        what += f": they are in series{f' through {_named(sorted(shared))}' if shared else ''}"
-    return what, give
 
 
 def _parallel(names: tuple[str, ...], model: Model) -> tuple[str, str]:
@@ -269,29 +278,6 @@ def _unseen(one: Deficiency, found: Structure, model: Model, channels: Sequence[
         f"{what}: {_named(light)} {has} no mass",
         f'add [masses] m_{light[0]} = {{ at = "{light[0]}" }}, or {give}',
     )
-
-
-def _sensors(sensors: Sequence[Channel], model: Model) -> str:
-    """The first four sensors: "x1, x2 or the force that moves u"."""
-    names = []
-    for channel in sensors[:4]:
-        (name,) = channel.of
-        if channel.quantity is Quantity.FORCE:
-            name = f"the force {name}" if name in model.force_inputs else f"the force that moves {name}"
-        names.append(name)
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
-
-
-def _sum(terms: Sequence[tuple[float, str]], reciprocal: bool) -> str:
-    text = ""
-    for x, name in terms:
-        size = "" if abs(abs(x) - 1) < 1e-9 else f"{abs(x):.4g}"
-        if reciprocal:
-            body = f"{size or '1'}/{name}"
-        else:
-            body = f"{size}·{name}" if size else name
-        text += (" - " if x < 0 else " + ") + body if text else ("-" if x < 0 else "") + body
-    return text
 
 
 def _to_the(name: str, x: float) -> str:

@@ -143,8 +143,17 @@ def structure(
     draws = [draw for draw, rank in zip(draws, ranks, strict=True) if rank == max(ranks)]
     rank = field.rank(draws[0].rows)
     psi, rate = nominal(model, channels)
-    dependent = _prior_dependent(model, channels, rng) if rank == len(names) else ()
-    base = Structure(names, view.units, rank, psi, (), permutation_ambiguities(model, channels), dependent)
+    dependent = []  # unknowns with a prior whose loss would leave something undetermined
+    for name in (unknown.name for unknown in view.unknowns if unknown.sd is not None and rank == len(names)):
+        elements = tuple(replace(e, value=None, sd=None) if e.name == name else e for e in model.elements)
+        free, loose = replace(model, elements=elements), [channel.without_prior(name) for channel in channels]
+        looser = view_of(free, loose)
+        draw = exact(free, loose, _lines_enough(free, loose, len(looser.names), rng), rng)
+        if field.rank(draw.rows) < len(looser.names):
+            dependent.append(name)
+    base = Structure(
+        names, view.units, rank, psi, (), permutation_ambiguities(model, channels), tuple(dependent)
+    )
     if rank < len(names):
         rig = Deficient(model, tuple(channels), names, draws, psi, rate, rng)
         return replace(base, deficiencies=tuple(rig.deficiencies()))
@@ -219,23 +228,6 @@ def _lines_enough(
             return lines
         before, count = rank, 2 * count
     return most
-
-
-def _prior_dependent(model: Model, channels: Sequence[Channel], rng: np.random.Generator) -> tuple[str, ...]:
-    """Unknowns with a prior whose loss would leave something undetermined."""
-    known = [unknown.name for unknown in view_of(model, channels).unknowns if unknown.sd is not None]
-    dependent = []
-    for name in known:
-        elements = tuple(
-            replace(element, value=None, sd=None) if element.name == name else element
-            for element in model.elements
-        )
-        free, loose = replace(model, elements=elements), [channel.without_prior(name) for channel in channels]
-        view = view_of(free, loose)
-        draw = exact(free, loose, _lines_enough(free, loose, len(view.names), rng), rng)
-        if field.rank(draw.rows) < len(view.names):
-            dependent.append(name)
-    return tuple(dependent)
 
 
 def _with_lines(

@@ -198,55 +198,58 @@ def validate_records(
     Raises DataError if the estimate is of another rig, or a record does not suit it.
     """
     estimate.require_unknowns([unknown.name for unknown in model.unknowns])
-    return tuple(_prediction(model, estimate, record, still) for record in records)
-
-
-def _prediction(model: Model, estimate: Estimate, record: Record, still: Still | None) -> RecordPrediction:
-    followed = followed_record(model, estimate, record)
-    motion = followed.compared()
-    samples, channels = motion.measured.shape
-    duration = float(motion.time[-1] + motion.time[1])
-    units = {channel.name: channel_unit(model, channel) for channel in record.channels}
-    lines = _lines(motion.measured)
-    chi2, dof = np.full(channels, np.nan), np.full(channels, float(samples))
-    if still is not None and len(model.inputs):
-        noise = noise_of_channels(model, record, still)
-        data = followed.data
-        known = known_inputs(data.inputs, np.sqrt(noise.inputs))
-        problem = replace(followed.problem, sd=noise.outputs, inputs=(known,))
-        residual, J, V = problem.with_covariance(0, followed.psi)
-        if J is None or V is None:
-            raise DataError(
-                "the simulation does not follow the measured motion",
-                data.source,
-                "check that the record belongs to this rig",
+    found = []
+    for record in records:
+        followed = followed_record(model, estimate, record)
+        motion = followed.compared()
+        samples, channels = motion.measured.shape
+        duration = float(motion.time[-1] + motion.time[1])
+        units = {channel.name: channel_unit(model, channel) for channel in record.channels}
+        lines = _lines(motion.measured)
+        chi2, dof = np.full(channels, np.nan), np.full(channels, float(samples))
+        if still is not None and len(model.inputs):
+            noise = noise_of_channels(model, record, still)
+            data = followed.data
+            known = known_inputs(data.inputs, np.sqrt(noise.inputs))
+            problem = replace(followed.problem, sd=noise.outputs, inputs=(known,))
+            residual, J, V = problem.with_covariance(0, followed.psi)
+            if J is None or V is None:
+                raise DataError(
+                    "the simulation does not follow the measured motion",
+                    data.source,
+                    "check that the record belongs to this rig",
+                )
+            starts = np.arange(problem.inner, len(followed.psi))
+            chi2, dof = np.empty(len(data.names)), np.empty(len(data.names))
+            for c in range(len(data.names)):
+                only = np.array([c])
+                along = replace(V.tangent, shown=V.tangent.shown[:, only], direct=V.tangent.direct[:, only])
+                by_itself = OutputCovariance(along, V.weight[only], known)
+                drifting = np.flatnonzero(np.array(data.drift)[only])
+                linear = LinearisedRecord(
+                    by_itself, residual[:, only], J[:, only][..., starts], starts, drifting
+                )
+                try:
+                    free = np.linalg.lstsq(linear.matrix, linear.gradient, rcond=1e-12)[0]
+                    chi2[c] = linear.cost - float(linear.gradient @ free)
+                except NotSolvedError:
+                    chi2[c] = np.nan
+                dof[c] = data.samples - len(starts) - len(drifting)
+        found.append(
+            RecordPrediction(
+                motion.names,
+                tuple(units[name] for name in motion.names),
+                np.arange(len(lines)) / duration,
+                lines,
+                _lines(motion.predicted),
+                1 - motion.relative,
+                chi2,
+                dof,
+                duration,
+                samples,
             )
-        starts = np.arange(problem.inner, len(followed.psi))
-        chi2, dof = np.empty(len(data.names)), np.empty(len(data.names))
-        for c in range(len(data.names)):
-            only = np.array([c])
-            along = replace(V.tangent, shown=V.tangent.shown[:, only], direct=V.tangent.direct[:, only])
-            by_itself = OutputCovariance(along, V.weight[only], known)
-            drifting = np.flatnonzero(np.array(data.drift)[only])
-            linear = LinearisedRecord(by_itself, residual[:, only], J[:, only][..., starts], starts, drifting)
-            try:
-                free = np.linalg.lstsq(linear.matrix, linear.gradient, rcond=1e-12)[0]
-                chi2[c] = linear.cost - float(linear.gradient @ free)
-            except NotSolvedError:
-                chi2[c] = np.nan
-            dof[c] = data.samples - len(starts) - len(drifting)
-    return RecordPrediction(
-        motion.names,
-        tuple(units[name] for name in motion.names),
-        np.arange(len(lines)) / duration,
-        lines,
-        _lines(motion.predicted),
-        1 - motion.relative,
-        chi2,
-        dof,
-        duration,
-        samples,
-    )
+        )
+    return tuple(found)
 
 
 def _lines(history: Real) -> Complex:

@@ -306,7 +306,10 @@ def averaged_periods(record: Record, inputs: int = 0) -> tuple[Spectrum, Real] |
     there = np.asarray((p < LEVEL / p.size) & loud)
     lines = np.flatnonzero(np.any(there[:, :inputs], axis=1) if inputs else np.all(there, axis=1)) + 1
     # lines in every channel: fewer are a sine, a decay or their harmonics
-    dwell = record.frequency_hz is not None and _is_dwell(X[skip:, 1:], lines.tolist())
+    size = np.abs(np.mean(X[skip:, 1:], axis=0))
+    # A dwell has 0.3 of its strongest line at the fundamental in every channel.
+    dwell = record.frequency_hz is not None and lines[:1].tolist() == [1]
+    dwell = dwell and bool(np.all(size[0] > 0.3 * np.max(size, axis=0)))
     if len(lines) < (1 if inputs else 12) or (dwell and not inputs):
         return None
     try:
@@ -322,13 +325,6 @@ def averaged_periods(record: Record, inputs: int = 0) -> tuple[Spectrum, Real] |
         f"{mean.lines} lines are means of {count - skip} periods{start}"
     )
     return replace(mean, notes=(Notice("periods_averaged", text, (record.source,)), *mean.notes)), shares
-
-
-def _is_dwell(X: Complex, lines: list[int]) -> bool:
-    """Whether all channels move at the fundamental, of (periods, lines, channels)."""
-    size = np.abs(np.mean(X, axis=0))
-    # A dwell has 0.3 of its strongest line at the fundamental in every channel.
-    return lines[:1] == [1] and bool(np.all(size[0] > 0.3 * np.max(size, axis=0)))
 
 
 def period_of(values: Real) -> int | None:

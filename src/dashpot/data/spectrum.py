@@ -554,43 +554,49 @@ def merge_repeats(spectrum: Spectrum) -> Spectrum:
         groups.setdefault((f, experiment, apart), []).append(line)
     if len(groups) == spectrum.lines:
         return spectrum
-    merged = concatenate([_average(spectrum.select(group)) for group in groups.values()])
+    averaged = []
+    for group in groups.values():
+        lines = spectrum.select(group)
+        if lines.lines == 1:
+            averaged.append(lines)
+        else:
+            V = lines.covariance
+            identity = np.eye(len(lines.channels))
+            weights = np.broadcast_to(identity / lines.lines, V.shape)
+            covariance = np.sum(V, axis=-3, keepdims=True) / lines.lines**2
+            if np.all(np.isfinite(V)) and np.all(np.isfinite(lines.amplitudes)):
+                exact = np.all(np.diagonal(V, axis1=-2, axis2=-1) == 0, axis=-2, keepdims=True)
+                filled = V + exact[..., None] * identity
+                if np.all(np.linalg.matrix_rank(filled, hermitian=True) == len(lines.channels)):
+                    precision = np.linalg.inv(filled)
+                    total = np.sum(precision, axis=-3, keepdims=True)
+                    weights = np.linalg.solve(total, precision)
+                    covariance = np.where(exact[..., None] | exact[..., None, :], 0.0, np.linalg.inv(total))
+            amplitudes = np.sum(
+                np.einsum("...lij,...lj->...li", weights, lines.amplitudes), axis=-2, keepdims=True
+            )
+            averaged.append(
+                Spectrum(
+                    lines.channels,
+                    lines.frequency_hz[:1],
+                    amplitudes,
+                    covariance,
+                    np.sum(lines.samples, keepdims=True),
+                    np.sum(lines.dof, keepdims=True),
+                    lines.noise[:1],
+                    lines.experiment[:1],
+                    None
+                    if lines.moments is None
+                    else Moments(np.sum(lines.moments.products, axis=-3, keepdims=True)),
+                    lines.notes,
+                    np.zeros(1, dtype=np.int64),
+                    lines.stretches[:1],
+                )
+            )
+    merged = concatenate(averaged)
     first = np.array([group[0] for group in groups.values()])
     stretch, stretches = selected(spectrum.stretch[first], spectrum.stretches)
     return replace(merged, stretch=stretch, stretches=stretches)
-
-
-def _average(group: Spectrum) -> Spectrum:
-    """Weighted mean of lines that measure the same amplitudes; exact channels are averaged evenly among themselves."""
-    if group.lines == 1:
-        return group
-    V = group.covariance
-    identity = np.eye(len(group.channels))
-    weights = np.broadcast_to(identity / group.lines, V.shape)
-    covariance = np.sum(V, axis=-3, keepdims=True) / group.lines**2
-    if np.all(np.isfinite(V)) and np.all(np.isfinite(group.amplitudes)):
-        exact = np.all(np.diagonal(V, axis1=-2, axis2=-1) == 0, axis=-2, keepdims=True)
-        filled = V + exact[..., None] * identity
-        if np.all(np.linalg.matrix_rank(filled, hermitian=True) == len(group.channels)):
-            precision = np.linalg.inv(filled)
-            total = np.sum(precision, axis=-3, keepdims=True)
-            weights = np.linalg.solve(total, precision)
-            covariance = np.where(exact[..., None] | exact[..., None, :], 0.0, np.linalg.inv(total))
-    amplitudes = np.sum(np.einsum("...lij,...lj->...li", weights, group.amplitudes), axis=-2, keepdims=True)
-    return Spectrum(
-        group.channels,
-        group.frequency_hz[:1],
-        amplitudes,
-        covariance,
-        np.sum(group.samples, keepdims=True),
-        np.sum(group.dof, keepdims=True),
-        group.noise[:1],
-        group.experiment[:1],
-        None if group.moments is None else Moments(np.sum(group.moments.products, axis=-3, keepdims=True)),
-        group.notes,
-        np.zeros(1, dtype=np.int64),
-        group.stretches[:1],
-    )
 
 
 # The repeats of a test, the leading axes of a Spectrum, as one axis and in chunks.

@@ -134,9 +134,12 @@ def plan_releases(
         shared = (rate * time_s / np.arange(1, MOST_TOGETHER + 1)).astype(int)
         ends = np.concatenate([ends, np.clip(shared, 1, samples)])
     asked = np.isin(model.unknown_names, names or model.unknown_names)
-    bench = Bench(
-        model, theta, tuple(_with_noise(channels, notes)), rate, np.unique(ends), time_s, asked, worst
-    )
+    silent = [channel.name for channel in channels if not channel.noise and not channel.relative_noise]
+    if silent:
+        which = "no channel" if len(silent) == len(channels) else f"{', '.join(silent)} nowhere"
+        notes.append(f"{which} states its noise: 1 % of the largest value is assumed")
+    noisy = [replace(c, relative_noise=0.01) if c.name in silent else c for c in channels]
+    bench = Bench(model, theta, tuple(noisy), rate, np.unique(ends), time_s, asked, worst)
     info = bench.at_size(DEFLECTION if deflection is None else deflection)
     if not np.isfinite(info.best.figure):
         raise IdentifiabilityError(
@@ -322,15 +325,6 @@ def _require_plannable(model: Model, names: Sequence[str]) -> None:
         raise UsageError(
             f"{wrong[0]} is not an unknown", cure=f"the unknowns are {', '.join(model.unknown_names)}"
         )
-
-
-def _with_noise(channels: Sequence[Channel], notes: list[str]) -> list[Channel]:
-    """The channels, with a noise that is assumed where they state none."""
-    silent = [channel.name for channel in channels if not channel.noise and not channel.relative_noise]
-    if silent:
-        which = "no channel" if len(silent) == len(channels) else f"{', '.join(silent)} nowhere"
-        notes.append(f"{which} states its noise: 1 % of the largest value is assumed")
-    return [replace(c, relative_noise=0.01) if c.name in silent else c for c in channels]
 
 
 def _information(

@@ -261,38 +261,28 @@ def _tie_problems(elements: Sequence[Element], angles: frozenset[str], complete:
         ends.update(dict.fromkeys(chain, end))
     for element in elements:
         if element.same_as is not None:
-            yield from _tied_problems(element, by_name, ends, angles, complete)
+            if element.times == 0:
+                yield Problem("times is 0", element.name, "remove the element instead")
+            if _numbers(element).keys() - {"times"}:
+                cure = "keep same_as or the numbers, not both"
+                yield Problem("a tied parameter has a value, guess or limit of its own", element.name, cure)
+            end = ends[element.name]
+            if end is None:
+                circle = _circle(element, by_name)
+                if circle is not None:
+                    yield Problem(f"a circular tie: {circle}", element.name, "let one of them stand alone")
+            elif end in by_name:
+                root = by_name[end]
+                unit, root_unit = element.unit(angles), root.unit(angles)
+                if unit != root_unit:
+                    what = f"a {element.kind} ({unit}) cannot be tied to the {root.kind} {root.name} ({root_unit})"
+                    yield Problem(what, element.name, "tie parameters of one unit")
+            elif end == element.same_as and complete:
+                cure = f"there are {listed(by_name)}"
+                yield Problem(f"same_as names {end}, which is not an element", element.name, cure)
         elif element.times != 1.0:
             cure = "say which element it is a multiple of"
             yield Problem("`times` without `same_as`", element.name, cure)
-
-
-def _tied_problems(
-    element: Element,
-    by_name: Mapping[str, Element],
-    ends: Mapping[str, str | None],
-    angles: frozenset[str],
-    complete: bool,
-) -> Iterator[Problem]:
-    if element.times == 0:
-        yield Problem("times is 0", element.name, "remove the element instead")
-    if _numbers(element).keys() - {"times"}:
-        cure = "keep same_as or the numbers, not both"
-        yield Problem("a tied parameter has a value, guess or limit of its own", element.name, cure)
-    end = ends[element.name]
-    if end is None:
-        circle = _circle(element, by_name)
-        if circle is not None:
-            yield Problem(f"a circular tie: {circle}", element.name, "let one of them stand alone")
-    elif end in by_name:
-        root = by_name[end]
-        unit, root_unit = element.unit(angles), root.unit(angles)
-        if unit != root_unit:
-            what = f"a {element.kind} ({unit}) cannot be tied to the {root.kind} {root.name} ({root_unit})"
-            yield Problem(what, element.name, "tie parameters of one unit")
-    elif end == element.same_as and complete:
-        cure = f"there are {listed(by_name)}"
-        yield Problem(f"same_as names {end}, which is not an element", element.name, cure)
 
 
 def _circle(element: Element, by_name: Mapping[str, Element]) -> str | None:

@@ -148,7 +148,16 @@ def plan_in_words(answer: Answer, plan: Plan) -> list[str]:
     if answer.worst is not None:
         over = f", {_SCENARIOS[answer.setup.over]} {len(answer.setup.theta)} scenarios"
     figure = figure_in_words(plan.criterion, plan.predicted.figure)
-    lines = [f"{name[0].upper()}{name[1:]}{of}{over}: {figure}.", _optimality(plan)]
+    cost, gap = 100 * max(plan.loss, 0.0), f"duality gap {plan.gap:.1e}"
+    if cost < 0.01:  # per cent that rounding may cost for a test to be called optimal
+        best = "better by more than 0.01 %"
+        optimality = f"Optimal: no test of {plan.samples:,.0f} samples in this band is {best} ({gap})."
+    else:
+        optimality = (
+            f"The best test with as many samples in this band gives {figure_in_words(plan.criterion, plan.ideal)} "
+            f"({gap}); whole periods and limits cost {short(cost, 2)} %."
+        )
+    lines = [f"{name[0].upper()}{name[1:]}{of}{over}: {figure}.", optimality]
     if len(predicted.names) > 1:
         rms = short(100 * predicted.rms())
         known = [unknown.name for unknown in answer.setup.model.unknowns if unknown.sd is not None]
@@ -193,18 +202,6 @@ def _used_whole(plan: Plan, whole: UnsettledTest) -> str:
             f"with them the same test gives {gives}."
         )
     return f"Waiting for steady state costs little: with the transients, the same test gives {gives}."
-
-
-def _optimality(plan: Plan) -> str:
-    cost = 100 * max(plan.loss, 0.0)
-    gap = f"duality gap {plan.gap:.1e}"
-    if cost < 0.01:  # per cent that rounding may cost for a test to be called optimal
-        best = "better by more than 0.01 %"
-        return f"Optimal: no test of {plan.samples:,.0f} samples in this band is {best} ({gap})."
-    return (
-        f"The best test with as many samples in this band gives {figure_in_words(plan.criterion, plan.ideal)} "
-        f"({gap}); whole periods and limits cost {short(cost, 2)} %."
-    )
 
 
 def figure_in_words(criterion: Criterion, value: float) -> str:

@@ -69,8 +69,18 @@ def estimate_document(
     warnings = [f"Warning: {text}" for text in warnings_in_words(estimate, untried=untried, coded=True)]
     if estimate.basis == MISFIT:
         warnings.insert(0, f"Warning: {basis_in_words(estimate)} [model_misfit]")
+    # The verdict in per cent of the motion, then its other reasons, each with its code
+    fit = estimate.fit
+    if assessment is None:
+        style = ("red" if bool(fit.rejected) else "green") if is_tested(fit) else ""
+        verdict = Paragraph(fit_in_words(fit), style)
+    else:
+        said, _, style = VERDICTS[assessment.verdict]
+        missed = _share_missed(assessment)
+        said = f"{said}{missed and ': '}{missed}."
+        verdict = Paragraph(" ".join([said, *reasons_in_words(estimate, assessment)]), style)
     sections = [
-        section("", *failed, _verdict_line(estimate), *(Paragraph(line, "cyan") for line in causes)),
+        section("", *failed, verdict, *(Paragraph(line, "cyan") for line in causes)),
         section(
             "Parameters",
             Table(parameter_columns(estimate, level, bound=verbose), dim),
@@ -87,19 +97,6 @@ def estimate_document(
         about = remarks(estimate)[estimate.basis == MISFIT :]
         sections.append(section("Details", *how, *numbers, *about))
     return Document(estimate.model, tuple(each for each in sections if each.blocks))
-
-
-def _verdict_line(estimate: Estimate) -> Paragraph:
-    """The verdict in per cent of the motion, then its other reasons, each with its code."""
-    fit, assessment = estimate.fit, estimate.assessment
-    if assessment is None:
-        style = ("red" if bool(fit.rejected) else "green") if is_tested(fit) else ""
-        return Paragraph(fit_in_words(fit), style)
-    said, _, style = VERDICTS[assessment.verdict]
-    how = _share_missed(assessment)
-    return Paragraph(
-        " ".join([f"{said}{how and ': '}{how}.", *reasons_in_words(estimate, assessment)]), style
-    )
 
 
 def reasons_in_words(estimate: Estimate, assessment: Assessment) -> list[str]:

@@ -35,7 +35,6 @@ from dashpot.reproduce.yamane1989 import (
     FigureData,
     PrintedColumn,
     Reproduction,
-    TableEntry,
     true_rig,
 )
 
@@ -254,7 +253,15 @@ def _printed_columns(columns: Sequence[PrintedColumn], methods: Sequence[str]) -
         by_method = {column.method: column for column in columns if column.title == heading}
         oiv = by_method["oiv"]
         for j, entry in enumerate(oiv.entries):
-            cells = [cell for name in methods for cell in _cells(by_method[name].entries[j])]
+            cells = []
+            for name in methods:
+                given = by_method[name].entries[j]
+                cells += ["–" if given.printed is None else signed(given.printed), signed(given.mean)]
+                cells += [
+                    f"{given.spread:.2f}",
+                    _share(given.percentile),
+                    "" if given.z is None else signed(given.z, 1),
+                ]
             spreads = f"{entry.spread:.2f}", f"{entry.bound:.2f}"
             rows.append(("" if j else heading, entry.parameter, *cells, *spreads))
         cells = []
@@ -265,16 +272,6 @@ def _printed_columns(columns: Sequence[PrintedColumn], methods: Sequence[str]) -
         rows.append(("", "rms", *cells, f"{oiv.rms:.2f}", f"{oiv.bound:.2f}"))
     heads = [head for name in methods for head in (f"{name}\nprinted>", "mean>", "±>", "at>", "z>")]
     return columns_of(["", "", *heads, "oiv ±>", "bound>"], rows)
-
-
-def _cells(entry: TableEntry) -> list[str]:
-    return [
-        "–" if entry.printed is None else signed(entry.printed),
-        signed(entry.mean),
-        f"{entry.spread:.2f}",
-        _share(entry.percentile),
-        "" if entry.z is None else signed(entry.z, 1),
-    ]
 
 
 def signed(value: float, digits: int = 2) -> str:

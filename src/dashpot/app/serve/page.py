@@ -62,11 +62,8 @@ def application() -> Any:
         show_welcome_message=False,
         reconnect_timeout=30.0,
     )
-    return _painted_at_once(app)
-
-
-def _painted_at_once(app: Any) -> Any:
-    """The application, whose page browsers paint before its styles are loaded: a style for print blocks nothing."""
+    # The application, whose page browsers paint before its styles are loaded: a style for print blocks
+    # nothing.
 
     async def answer(scope: Any, receive: Any, send: Any) -> None:
         if scope["type"] != "http" or scope["path"] != "/":

@@ -6,7 +6,7 @@ Names are those of columns or variables.  Units are in brackets behind names, in
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -100,7 +100,21 @@ def records_of(
     variables = {name: _array(name, value, source) for name, value in values.items()}
     if time is not None:
         variables[TIME] = _array("time", time, source)
-    _check_columns(variables, {TIME, *(channel.name for channel in named)}, source)
+    lengths, wanted = {}, {TIME, *(channel.name for channel in named)}
+    for name, array in variables.items():
+        if bare(name)[0] not in wanted:
+            continue
+        if array.dtype.kind not in "fiubcmM":
+            cure = f"convert it to numbers, not {array.dtype}"
+            raise DataError(f"column {shown(name)}: holds no numbers", source, cure)
+        if array.ndim and array.size < 2:
+            what = f"column {shown(name)}: {counted(array.size, 'sample')}"
+            raise DataError(what, source, "give at least two")
+        if array.size > 1 and array.size == max(array.shape):
+            lengths[name] = array.size
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"{shown(name)}: {length}" for name, length in lengths.items())
+        raise DataError(f"the columns differ in length ({told})", source, "give one number for each sample")
     parts = [
         part
         for part in parts_of_variables(source, variables, units)
@@ -137,25 +151,6 @@ def _array(name: str, values: Any, source: str) -> Any:
         return np.asarray(values)
     except ValueError:
         raise DataError(f"{shown(name)} is not an array", source, "give one number for each sample") from None
-
-
-def _check_columns(variables: Mapping[str, Any], wanted: Collection[str], source: str) -> None:
-    """Raises DataError if columns that are wanted hold no numbers, or differ in length."""
-    lengths = {}
-    for name, array in variables.items():
-        if bare(name)[0] not in wanted:
-            continue
-        if array.dtype.kind not in "fiubcmM":
-            cure = f"convert it to numbers, not {array.dtype}"
-            raise DataError(f"column {shown(name)}: holds no numbers", source, cure)
-        if array.ndim and array.size < 2:
-            what = f"column {shown(name)}: {counted(array.size, 'sample')}"
-            raise DataError(what, source, "give at least two")
-        if array.size > 1 and array.size == max(array.shape):
-            lengths[name] = array.size
-    if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{shown(name)}: {length}" for name, length in lengths.items())
-        raise DataError(f"the columns differ in length ({told})", source, "give one number for each sample")
 
 
 def _variables(data: Any, source: str) -> tuple[dict[str, Any], dict[str, str | None]]:

@@ -468,7 +468,21 @@ def read_group(
         )
         records = tuple(within_times(record, *entry.window_s) for record in found.records)
         found = replace(found, records=records, joint=tuple(joint))
-    return found if entry.lines is None else _averaged(found, line_numbers(entry.lines, group.place), group)
+    if entry.lines is not None:  # a multisine: the mean of its periods
+        lines = line_numbers(entry.lines, group.place)
+        spectra = list(found.spectra)
+        for record in found.records:
+            if record.frequency_hz is None:
+                cure = "give frequency_hz, the reciprocal of the period"
+                raise DataError("the period of the multisine is not known", group.place, cure)
+            period, skip = 1 / record.frequency_hz, group.entry.skip_periods
+            whole = len(record.time) // samples_of_period(record, period)
+            if whole - skip > 1:
+                spectra.append(moderated(average_periods(record, period, lines, skip=skip), kind="periods"))
+            else:
+                spectra.append(one_period(record, period, lines))
+        found = replace(found, records=(), spectra=tuple(spectra))
+    return found
 
 
 def _parts(group: FileGroup, path: Path) -> Iterator[Columns]:
@@ -565,19 +579,3 @@ def _joined(group: FileGroup, channels: Sequence[Channel], circumstances: Circum
     if isinstance(joint, ClockedRecords):
         return Interpreted(notes=tuple(notes), joint=(joint,))
     return Interpreted((joint,), notes=tuple(notes))
-
-
-def _averaged(found: Interpreted, lines: tuple[int, ...], group: FileGroup) -> Interpreted:
-    """Records of a multisine as the mean of their periods."""
-    spectra = list(found.spectra)
-    for record in found.records:
-        if record.frequency_hz is None:
-            cure = "give frequency_hz, the reciprocal of the period"
-            raise DataError("the period of the multisine is not known", group.place, cure)
-        period, skip = 1 / record.frequency_hz, group.entry.skip_periods
-        whole = len(record.time) // samples_of_period(record, period)
-        if whole - skip > 1:
-            spectra.append(moderated(average_periods(record, period, lines, skip=skip), kind="periods"))
-        else:
-            spectra.append(one_period(record, period, lines))
-    return replace(found, records=(), spectra=tuple(spectra))

@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.modal_data import ModalData, at_coordinates, independent_modes, named_points
 from dashpot.data.readers.arrays import ArrayColumns
@@ -78,7 +77,18 @@ def modes_and_notes(
     if os.fspath(path).lower().endswith(".json"):
         # Modes as a table would have them: one a row, NaN where something is not given
         source, rows = shown(os.fspath(path), 200), []
-        for number, mode in enumerate(_modes_of_json(path, source), start=1):
+        try:
+            content = from_json(Path(noted(path)).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise DataError(f"cannot be read ({error.strerror or error})", source, "check the path") from None
+        except (ValueError, RecursionError):
+            raise DataError("this is not JSON", source, "correct it, or give a CSV file") from None
+        if isinstance(content, dict) and "parameters" in content:
+            raise DataError("this is an estimate, not data", source, "name files of data or of modes")
+        tables = content.get("modes") if isinstance(content, dict) else None
+        if not isinstance(tables, list) or not tables or not all(isinstance(row, dict) for row in tables):
+            raise DataError('there is no list "modes"', source, 'write {"modes": [{"frequency_hz": …}, …]}')
+        for number, mode in enumerate(tables, start=1):
             where = f"{source}: mode {number}"
             # The mode with a number or a list for each key, where values stand with their standard deviations
             flat = {key: value for key, value in mode.items() if key != "participation"}
@@ -244,39 +254,18 @@ def _modes_of(table: Columns, names: Sequence[str]) -> ModalData:
     ):
         if at is not None:
             table.refuse(at, wrong, cause, cure)
-    _check_shapes(table, layout, sd)
-    frequency = values[layout.frequency], values[layout.frequency_sd]
-    return independent_modes(tuple(layout.points), frequency, (zeta, zeta_sd), (shapes, sd))
-
-
-def _check_shapes(table: Columns, layout: _Layout, sd: Real) -> None:
-    """Raises DataError at the first sd of a shape that is negative, and where all of a shape are 0."""
-    at = [sd_at for _, _, sd_at in layout.points.values()]
-    for c, column in enumerate(at):
+    columns = [sd_at for _, _, sd_at in layout.points.values()]
+    for c, column in enumerate(columns):
         cure = "give 0 where it is exact, else one above 0"
         table.refuse(column, sd[:, c] < 0, "a negative standard deviation", cure)
     there = ~np.isnan(sd)
     exact = np.all((sd == 0) | ~there, axis=-1) & np.any(sd == 0, axis=-1) & (np.sum(there, axis=-1) > 1)
-    if at:
+    if columns:
         cause = "no point of the shape has a standard deviation above 0"
         cure = "give the uncertain points theirs; only the one that the shape is scaled by is exact"
-        table.refuse(at[0], exact, cause, cure)
-
-
-def _modes_of_json(path: AnyPath, source: str) -> list[dict[str, Any]]:
-    """One table for each mode."""
-    try:
-        content = from_json(Path(noted(path)).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(f"cannot be read ({error.strerror or error})", source, "check the path") from None
-    except (ValueError, RecursionError):
-        raise DataError("this is not JSON", source, "correct it, or give a CSV file") from None
-    if isinstance(content, dict) and "parameters" in content:
-        raise DataError("this is an estimate, not data", source, "name files of data or of modes")
-    rows = content.get("modes") if isinstance(content, dict) else None
-    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
-        raise DataError('there is no list "modes"', source, 'write {"modes": [{"frequency_hz": …}, …]}')
-    return rows
+        table.refuse(columns[0], exact, cause, cure)
+    frequency = values[layout.frequency], values[layout.frequency_sd]
+    return independent_modes(tuple(layout.points), frequency, (zeta, zeta_sd), (shapes, sd))
 
 
 def _shape(row: Mapping[str, Any], key: str, where: str) -> dict[str, complex]:

@@ -57,31 +57,24 @@ def sample_blocks(content: Any, path: str) -> list[SampleBlock] | None:
         if kind is None or not all(plain):
             return None
         # Places follow from the lengths of the channels, each once, which are the same where samples alternate.
-        lengths = {stored.path: stored.number_values for stored in objects}
-        if len(lengths) < len(objects) or (segment.toc_mask & INTERLEAVED and len(set(lengths.values())) > 1):
+        whole = {stored.path: stored.number_values for stored in objects}
+        if len(whole) < len(objects) or (segment.toc_mask & INTERLEAVED and len(set(whole.values())) > 1):
             return None
-        blocks += _blocks_of_segment(segment, objects, path, np.dtype(kind))
+        # The whole chunks, and the last one where it is shorter
+        dtype = np.dtype(kind).newbyteorder(">" if segment.toc_mask & BIG_ENDIAN else "<")
+        alternating = bool(segment.toc_mask & INTERLEAVED)
+        last = segment.final_chunk_lengths_override
+        sizes = {stored.path: stored.data_type.size for stored in objects}
+        apart = sum(size * whole[name] for name, size in sizes.items())
+        step = sum(sizes.values()) if alternating else dtype.itemsize
+        in_front = list(sizes)[: list(sizes).index(path)]
+        chunks = segment.num_chunks - (last is not None)
+        for first, count, lengths in ((0, chunks, whole), (chunks, 1, last)):
+            if count and lengths is not None:
+                before = sum(sizes[name] * (1 if alternating else lengths.get(name, 0)) for name in in_front)
+                start = segment.data_position + first * apart + before
+                blocks.append(SampleBlock(dtype, start, count, lengths.get(path, 0), apart, step))
     return blocks or None
-
-
-def _blocks_of_segment(
-    segment: Any, objects: list[Any], path: str, kind: np.dtype[Any]
-) -> Iterator[SampleBlock]:
-    """The whole chunks, and the last one where it is shorter."""
-    dtype = kind.newbyteorder(">" if segment.toc_mask & BIG_ENDIAN else "<")
-    alternating = bool(segment.toc_mask & INTERLEAVED)
-    whole = {stored.path: stored.number_values for stored in objects}
-    last = segment.final_chunk_lengths_override
-    sizes = {stored.path: stored.data_type.size for stored in objects}
-    apart = sum(size * whole[name] for name, size in sizes.items())
-    step = sum(sizes.values()) if alternating else kind.itemsize
-    in_front = list(sizes)[: list(sizes).index(path)]
-    chunks = segment.num_chunks - (last is not None)
-    for first, count, lengths in ((0, chunks, whole), (chunks, 1, last)):
-        if count and lengths is not None:
-            before = sum(sizes[name] * (1 if alternating else lengths.get(name, 0)) for name in in_front)
-            start = segment.data_position + first * apart + before
-            yield SampleBlock(dtype, start, count, lengths.get(path, 0), apart, step)
 
 
 def mapped(file: DataFile) -> np.memmap[Any, Any]:

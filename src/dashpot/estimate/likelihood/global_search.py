@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -276,12 +277,20 @@ def moves_freely(model: Model, spectrum: Spectrum) -> bool:
 
 def decay_minima(data: Prepared, effort: Effort) -> LocalMinima:
     """Where rigs with the modes of free decays lead in one repeat, the lowest first; none of other data."""
+    from dashpot.estimate.modal import rigs_with  # loads scipy.optimize
+
     view = data.view
     minima = LocalMinima.none(len(view.names), len(view.channels))
     if view.gains or view.delays or np.any(view.flips) or not moves_freely(view.model, data.spectrum):
         return minima
     few = thinned(data, 80)  # lines of each part of the band
-    rigs, near = _rigs(few, effort), _by_equation(data)
+    # Rigs with the modes that free decays show, none where channels tell too little of shapes
+    rigs = np.empty((0, len(view.names)))
+    poles, shown = free_modes(few)
+    with suppress(DashpotError, np.linalg.LinAlgError):
+        if len(poles):
+            rigs = rigs_with(view.model, _modal_data(few.view, poles, shown), seed=effort.seed)
+    near = _by_equation(data)
     # Many rigs are one: a few lines tell which.  What is near already is taken no further by few lines.
     for each, limit in ((12, PATIENCE), (80, ROUGH)):
         if limit == ROUGH:
@@ -296,21 +305,6 @@ def decay_minima(data: Prepared, effort: Effort) -> LocalMinima:
         minima = minima.with_ends(ends.x, signs, ends.cost).competing(likelihood.exact.rows)
         rigs = minima.psi
     return minima
-
-
-def _rigs(data: Prepared, effort: Effort) -> Real:
-    """Rigs with the modes that free decays show, (rigs, unknowns); none where channels tell too little of shapes."""
-    view = data.view
-    none = np.empty((0, len(view.names)))
-    from dashpot.estimate.modal import rigs_with  # loads scipy.optimize
-
-    poles, shown = free_modes(data)
-    try:
-        return (
-            rigs_with(view.model, _modal_data(view, poles, shown), seed=effort.seed) if len(poles) else none
-        )
-    except (DashpotError, np.linalg.LinAlgError):
-        return none
 
 
 def _by_equation(data: Prepared) -> Real:

@@ -70,34 +70,37 @@ def doubts_of_weights(data: Prepared, solution: Solution) -> tuple[Real, Real]:
     """What the covariance of each repeat's parameters grows by, (K, M, M), as their weights were found from residuals,
     and the degrees of freedom of each variance, (K, M): the adjustment of Kenward and Roger, and Satterthwaite's."""
     signs = data.spectrum.signs(solution.signs, len(solution.theta))
-    each = [
-        _doubt_of_weights(data.only(k), solution.theta[k : k + 1], signs[k : k + 1])
-        for k in range(len(solution.theta))
-    ]
+    each = []
+    for k in range(len(solution.theta)):
+        one = data.only(k)
+        psi = solution.theta[k : k + 1]
+        sign = signs[k : k + 1]
+        exact = measured(one)
+        left = _Left.at(one.view, exact, psi, sign, even=True)
+        variance = np.diagonal(one.covariance[0], axis1=-2, axis2=-1).real[left.cells]
+        if not len(variance):
+            each.append((np.zeros((psi.shape[-1],) * 2), np.ones(psi.shape[-1])))
+        else:
+            relative = variance / left.parts[:, 0]
+            if np.ptp(relative) > 1e-9 * np.max(relative):  # more than rounding
+                left = _Left.at(one.view, exact, psi, sign)
+            fit = left.weighed(variance)
+            of_parts = scaled_inverse((left.parts * (fit.unused / variance**2)[:, None]).T @ left.parts)
+            J, parts = left.slopes / np.sqrt(variance)[:, None], left.parts / variance[:, None]
+            lost = 2 * np.einsum("im,ij,in->jmn", J.conj(), parts, J).real
+            both = np.einsum("ij,jk,ik->i", parts, of_parts, parts)
+            twice = 2 * (J.conj().T @ (both[:, None] * J)).real
+            once = np.einsum("jmn,no,kop,jk->mp", lost, fit.spread, lost, of_parts, optimize=True)
+            slope = np.einsum("mn,jno,om->mj", fit.spread, lost, fit.spread)
+            scatter = np.einsum("mj,jk,mk->m", slope, of_parts, slope)
+            size = np.diagonal(fit.spread)
+            each.append(
+                (
+                    2 * fit.spread @ (twice - once) @ fit.spread,
+                    2 * size**2 / np.maximum(scatter, 1e-300 * size**2),
+                )
+            )
     return np.stack([grown for grown, _ in each]), np.stack([freedom for _, freedom in each])
-
-
-def _doubt_of_weights(data: Prepared, psi: Real, sign: Real) -> tuple[Real, Real]:
-    """As `doubts_of_weights` of one repeat, at ψ (1, M) with signs (1, channels)."""
-    exact = measured(data)
-    left = _Left.at(data.view, exact, psi, sign, even=True)
-    variance = np.diagonal(data.covariance[0], axis1=-2, axis2=-1).real[left.cells]
-    if not len(variance):  # numbers too large for any weight
-        return np.zeros((psi.shape[-1],) * 2), np.ones(psi.shape[-1])
-    relative = variance / left.parts[:, 0]
-    if np.ptp(relative) > 1e-9 * np.max(relative):  # more than rounding
-        left = _Left.at(data.view, exact, psi, sign)
-    fit = left.weighed(variance)
-    of_parts = scaled_inverse((left.parts * (fit.unused / variance**2)[:, None]).T @ left.parts)
-    J, parts = left.slopes / np.sqrt(variance)[:, None], left.parts / variance[:, None]
-    lost = 2 * np.einsum("im,ij,in->jmn", J.conj(), parts, J).real
-    both = np.einsum("ij,jk,ik->i", parts, of_parts, parts)
-    twice = 2 * (J.conj().T @ (both[:, None] * J)).real
-    once = np.einsum("jmn,no,kop,jk->mp", lost, fit.spread, lost, of_parts, optimize=True)
-    slope = np.einsum("mn,jno,om->mj", fit.spread, lost, fit.spread)
-    scatter = np.einsum("mj,jk,mk->m", slope, of_parts, slope)
-    size = np.diagonal(fit.spread)
-    return 2 * fit.spread @ (twice - once) @ fit.spread, 2 * size**2 / np.maximum(scatter, 1e-300 * size**2)
 
 
 @dataclass(frozen=True)

@@ -368,26 +368,20 @@ def periodic_response(
     first = start if start is not None else _linear_start(model, p, constants, drive, count)
     at = balanced(model, p, constants, drive, first, count)
     if grow and not np.all(at.converged):
-        at = _grown(model, p, constants, drive, at, count)
+        lost = np.flatnonzero(~at.converged)
+        begun = drive.rows(lost).scaled(RAMP[0])
+        q = _linear_start(model, p[lost], constants[lost], begun, count)
+        for share in RAMP:
+            grown = balanced(model, p[lost], constants[lost], drive.rows(lost).scaled(share), q, count)
+            q = grown.q * 1.02
+        if np.any(grown.converged):
+            lost = lost[grown.converged]
+            delta = at.q.copy()
+            delta[lost] = grown.q[grown.converged]
+            hopeless = ~at.converged
+            hopeless[lost] = False
+            at = balanced(model, p, constants, drive, delta, count, hopeless=hopeless)
     return periodic_at(model, at)
-
-
-def _grown(model: Model, p: Real, constants: Real, drive: Drive, at: Balanced, times: int) -> Balanced:
-    """With the dwells that Newton's method missed followed from a small drive, as far as each comes."""
-    lost = np.flatnonzero(~at.converged)
-    begun = drive.rows(lost).scaled(RAMP[0])
-    q = _linear_start(model, p[lost], constants[lost], begun, times)
-    for share in RAMP:
-        grown = balanced(model, p[lost], constants[lost], drive.rows(lost).scaled(share), q, times)
-        q = grown.q * 1.02
-    if not np.any(grown.converged):
-        return at
-    lost = lost[grown.converged]
-    delta = at.q.copy()
-    delta[lost] = grown.q[grown.converged]
-    hopeless = ~at.converged
-    hopeless[lost] = False
-    return balanced(model, p, constants, drive, delta, times, hopeless=hopeless)
 
 
 def samples_of(model: Model, orders: int) -> int:

@@ -496,7 +496,16 @@ class Placer:
             box = Box(x, top - 4, x + WALL, bottom + 4)
             side = (x - 8, "end") if at_left else (x + WALL + 8, "start")
             texts = stacked(m.lines, side[0], text_top, node.body, side[1])  # type: ignore[arg-type]
-            shapes = [*_wall(box, node.body, at_left), *self._shaken(body, texts)]
+            # An upright line, hatched on the side away from the rig within the box
+            face, back = (box.right, box.left) if at_left else (box.left, box.right)
+            shapes = [stroke(((face, box.top), (face, box.bottom)), "ink", 2.0, body=node.body)]
+            count = max(int(box.height / 7.0), 1)  # px between the strokes
+            for k in range(count):
+                y = box.top + k * box.height / count
+                low = min(y + (box.width - 3), box.bottom)
+                end = face + (back - face) * (low - y) / box.width, low
+                shapes.append(stroke(((face, y), end), "ink", 0.8, body=node.body))
+            shapes += self._shaken(body, texts)
             title = f"shaken base {points}" if points else "ground"
             self.walls.append(Part(title, tuple(shapes), _written(texts), box))
             return
@@ -602,19 +611,6 @@ class Placer:
 def _written(texts: Sequence[Text]) -> tuple[Text, ...]:
     """Texts without the room for an arrow."""
     return tuple(text for text in texts if text.line.text)
-
-
-def _wall(box: Box, body: int, at_left: bool) -> list[Shape]:
-    """An upright line, hatched on the side away from the rig within the box."""
-    face, back = (box.right, box.left) if at_left else (box.left, box.right)
-    shapes = [stroke(((face, box.top), (face, box.bottom)), "ink", 2.0, body=body)]
-    count = max(int(box.height / 7.0), 1)  # px between the strokes
-    for k in range(count):
-        y = box.top + k * box.height / count
-        low = min(y + (box.width - 3), box.bottom)
-        end = face + (back - face) * (low - y) / box.width, low
-        shapes.append(stroke(((face, y), end), "ink", 0.8, body=body))
-    return shapes
 
 
 def _head(x: float, y: float, direction: float, body: int) -> Shape:
