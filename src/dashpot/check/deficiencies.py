@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -190,7 +190,11 @@ def _parallel(names: tuple[str, ...], model: Model) -> tuple[str, str]:
     first = elements[0].along
     if len(matrices) > 1:
         return "no measurement separates them", ""
-    if not tied & set(names) and all(_alike(first, e.along) for e in elements):
+    alike = not tied & set(names)  # stretched alike, but for a factor
+    for e in elements:
+        ratios = [e.along.get(point, 0.0) / first[point] for point in first]
+        alike = alike and e.along.keys() == first.keys() and bool(np.allclose(ratios, ratios[0]))
+    if alike:
         together = "both" if len(elements) == 2 else "all"
         verb = "move with" if elements[0].kind is Kind.MASS and len(first) == 1 else "join"
         ends = list(first)
@@ -282,14 +286,6 @@ def _unseen(one: Deficiency, found: Structure, model: Model, channels: Sequence[
 
 def _to_the(name: str, x: float) -> str:
     return name if abs(x - 1) < 1e-9 else f"{name}^{x:.3g}"
-
-
-def _alike(first: Mapping[str, float], second: Mapping[str, float]) -> bool:
-    """Whether two elements are stretched alike, but for a factor."""
-    if first.keys() != second.keys():
-        return False
-    ratios = [second[point] / first[point] for point in first]
-    return bool(np.allclose(ratios, ratios[0]))
 
 
 def _named(names: Sequence[str]) -> str:

@@ -347,7 +347,19 @@ def aligned_sensors(
     """
     moved, clocks, notes = [sensors[0]], [Clock()], []
     for sensor in sensors[1:]:
-        whole = estimated_clock(_part(sensors[0], align_s, source), sensor, source)
+        reference = sensors[0]
+        if align_s is None:
+            alike = reference
+        else:
+            since = reference.time - reference.time[0]
+            inside = (since >= align_s[0]) & (since <= align_s[1])
+            if np.sum(inside) < 256:  # samples of the reference in the part where sensors move alike
+                what = f"{counted(int(np.sum(inside)), 'sample')} of {reference.name} in align_s"
+                raise DataError(
+                    what, source, "name the part in which all sensors were shaken together, s from the start"
+                )
+            alike = replace(reference, time=reference.time[inside], values=reference.values[inside])
+        whole = estimated_clock(alike, sensor, source)
         # Samples outside that part, all where that leaves none: the clock is carried on to them
         time = whole.on_reference(sensor.time)
         since = time - sensors[0].time[0]
@@ -380,20 +392,6 @@ def aligned_sensors(
         replace(clock, middle=float(clock.on_reference(np.array(clock.middle))) - zero) for clock in clocks
     ]
     return ClockedRecords(tuple(parts), tuple(counted_alike)), notes
-
-
-def _part(reference: Sensor, align_s: tuple[float, float] | None, source: str) -> Sensor:
-    """That part of the reference's recording.  Raises DataError if it is not in it."""
-    if align_s is None:
-        return reference
-    since = reference.time - reference.time[0]
-    inside = (since >= align_s[0]) & (since <= align_s[1])
-    if np.sum(inside) < 256:  # samples of the reference in the part where sensors move alike
-        what = f"{counted(int(np.sum(inside)), 'sample')} of {reference.name} in align_s"
-        raise DataError(
-            what, source, "name the part in which all sensors were shaken together, s from the start"
-        )
-    return replace(reference, time=reference.time[inside], values=reference.values[inside])
 
 
 def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:

@@ -475,7 +475,20 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
     channels = tuple(described.values())
     batch = np.broadcast_shapes(*(spectrum.batch for spectrum in spectra))
     shared = all(spectrum.covariance.ndim == 3 for spectrum in spectra)
-    widened = [_widened(spectrum, channels, batch, () if shared else batch) for spectrum in spectra]
+    widened = []
+    for spectrum in spectra:
+        place = {channel.name: i for i, channel in enumerate(spectrum.channels)}
+        where = [i for i, channel in enumerate(channels) if channel.name in place]
+        source = [place[channel.name] for channel in channels if channel.name in place]
+        lines, count = spectrum.lines, len(channels)
+        amplitudes = np.full((*batch, lines, count), np.nan + 0j)
+        amplitudes[..., where] = np.broadcast_to(
+            spectrum.amplitudes[..., source], (*batch, lines, len(where))
+        )
+        covariance = np.zeros((*(() if shared else batch), lines, count, count), dtype=complex)
+        rows, columns = np.ix_(where, where)
+        covariance[..., rows, columns] = spectrum.covariance[..., source, :][..., source]
+        widened.append((amplitudes, covariance))
 
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(spectrum, name) for spectrum in spectra])
@@ -499,25 +512,6 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
         *joined_stretches([(spectrum.stretch, spectrum.stretches) for spectrum in spectra]),
         unsettled,
     )
-
-
-def _widened(
-    spectrum: Spectrum,
-    channels: tuple[Channel, ...],
-    batch: tuple[int, ...],
-    covariance_batch: tuple[int, ...],
-) -> tuple[Complex, Complex]:
-    """Amplitudes and covariance over all `channels`; NaN (and covariance 0) where the spectrum has not measured."""
-    place = {channel.name: i for i, channel in enumerate(spectrum.channels)}
-    where = [i for i, channel in enumerate(channels) if channel.name in place]
-    source = [place[channel.name] for channel in channels if channel.name in place]
-    lines, count = spectrum.lines, len(channels)
-    amplitudes = np.full((*batch, lines, count), np.nan + 0j)
-    amplitudes[..., where] = np.broadcast_to(spectrum.amplitudes[..., source], (*batch, lines, len(where)))
-    covariance = np.zeros((*covariance_batch, lines, count, count), dtype=complex)
-    rows, columns = np.ix_(where, where)
-    covariance[..., rows, columns] = spectrum.covariance[..., source, :][..., source]
-    return amplitudes, covariance
 
 
 def _moments(spectra: Sequence[Spectrum], names: list[str], batch: tuple[int, ...]) -> Moments | None:

@@ -145,7 +145,13 @@ def cycles_of_spectrum(model: Model, estimate: Estimate, spectrum: Spectrum) -> 
         dwells = dwells_of(model, spectrum.select(lines))
         points = np.zeros((len(dwells.omega), int(np.max(dwells.order)) + 1, moved), dtype=np.complex128)
         points[dwells.dwell, dwells.order] = U[lines]
-        cycles += _each(model.standing_in(number), estimate, dwells.omega, points)
+        there = model.standing_in(number)
+        theta, covariance = _of_theta(there, estimate)
+        for each in specimens(there):
+            d = points @ there.D[each.members[0]]
+            moves = np.abs(d[:, 1]) > 1e-9 * np.max(np.abs(points), axis=(1, 2))  # rounding
+            if np.any(moves):  # those that are stretched at all
+                cycles += cycles_of(there, each, theta, covariance, dwells.omega[moves], d[moves])
     if np.any(whole):
         motions = []
         for k in np.unique(spectrum.stretch[whole]):
@@ -180,16 +186,6 @@ def _displacement(record: Record, point: str) -> Real | None:
         if dict(channel.of) == {point: 1.0} and channel.quantity.value == "displacement":
             return record.values[:, j] / real_factor(channel)
     return None
-
-
-def _each(model: Model, estimate: Estimate, omega: Real, points: Complex) -> Iterator[Cycle]:
-    """The cycles of all elements where the inputs move by `points` (N, H + 1, r), those that are stretched at all."""
-    theta, covariance = _of_theta(model, estimate)
-    for each in specimens(model):
-        d = points @ model.D[each.members[0]]
-        moves = np.abs(d[:, 1]) > 1e-9 * np.max(np.abs(points), axis=(1, 2))  # rounding
-        if np.any(moves):
-            yield from cycles_of(model, each, theta, covariance, omega[moves], d[moves])
 
 
 def _usual(

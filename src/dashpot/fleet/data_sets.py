@@ -431,23 +431,21 @@ def _runs(column: Any) -> tuple[list[str], list[int]]:
 
 def held_rows(names: tuple[str, ...], path: str, ends: tuple[int, ...], table: Any, column: str) -> HeldRows:
     """The rows of an Arrow table, of which a column names the rigs."""
-    columns = {name: _array(table.column(name)) for name in table.schema.names if name != column}
+    columns: dict[str, np.ndarray] = {}
+    for name in (each for each in table.schema.names if each != column):
+        cells = table.column(name)
+        if pa.types.is_floating(cells.type) or (pa.types.is_integer(cells.type) and not cells.null_count):
+            columns[name] = array_of(cells)
+        elif any(kind(cells.type) for kind in (pa.types.is_integer, pa.types.is_decimal, pa.types.is_null)):
+            columns[name] = cells.cast(pa.float64()).to_numpy()
+        else:
+            texts = ["" if value is None else str(value) for value in cells.to_pylist()]
+            columns[name] = np.array(texts, dtype=object)
     units = {
         entry.name: (entry.metadata or {}).get(b"unit", b"").decode("utf-8", "replace") or None
         for entry in table.schema
     }
     return HeldRows(names, path, ends, columns, units)
-
-
-def _array(column: Any) -> np.ndarray:
-    kind = column.type
-    if pa.types.is_floating(kind) or (pa.types.is_integer(kind) and not column.null_count):
-        values = array_of(column)
-    elif pa.types.is_integer(kind) or pa.types.is_decimal(kind) or pa.types.is_null(kind):
-        values = column.cast(pa.float64()).to_numpy()
-    else:
-        values = np.array(["" if value is None else str(value) for value in column.to_pylist()], dtype=object)
-    return values
 
 
 # Row groups of a Parquet table: their checksums, and rows read from them one block after the other.

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from dashpot.design.advise import Answer, phase_deg
 from dashpot.design.allocation import Criterion, ExpectedPrecision
-from dashpot.design.plan import Plan, UnsettledTest
+from dashpot.design.plan import Plan
 from dashpot.design.releases import ReleasePlan
 from dashpot.design.test_setup import drive_units
 from dashpot.io.words import counted, joined
@@ -179,29 +179,28 @@ def plan_in_words(answer: Answer, plan: Plan) -> list[str]:
             line += f", {_times(other.factor_iv)} with the paper's instrumental variables"
         lines.append(f"{line}.")
     if answer.unsettled is not None:
-        lines.append(_used_whole(plan, answer.unsettled))
+        gives = figure_in_words(plan.criterion, answer.unsettled.predicted.figure)
+        if not any(dwell.settle_s for dwell in plan.dwells):
+            advice = (
+                f"No dwell waits for the steady state: with transients included the test gives {gives}; the figures "
+                "above assume steady state."
+            )
+        elif answer.unsettled.thrown_away > WASTE:
+            advice = (
+                "Do not wait for steady state: record from the start and keep the transients. The same test then "
+                f"gives {gives}; discarding them loses {100 * answer.unsettled.thrown_away:.0f} % of the information."
+            )
+        elif answer.unsettled.thrown_away < -WASTE:
+            advice = (
+                "Waiting for steady state pays: transients are noisier here (noise in per cent of the motion); "
+                f"with them the same test gives {gives}."
+            )
+        else:
+            advice = (
+                f"Waiting for steady state costs little: with the transients, the same test gives {gives}."
+            )
+        lines.append(advice)
     return lines
-
-
-def _used_whole(plan: Plan, whole: UnsettledTest) -> str:
-    """What the same test gives if nothing is left out, and so what it costs to wait."""
-    gives = figure_in_words(plan.criterion, whole.predicted.figure)
-    if not any(dwell.settle_s for dwell in plan.dwells):
-        return (
-            f"No dwell waits for the steady state: with transients included the test gives {gives}; the figures "
-            "above assume steady state."
-        )
-    if whole.thrown_away > WASTE:
-        return (
-            "Do not wait for steady state: record from the start and keep the transients. The same test then "
-            f"gives {gives}; discarding them loses {100 * whole.thrown_away:.0f} % of the information."
-        )
-    if whole.thrown_away < -WASTE:
-        return (
-            "Waiting for steady state pays: transients are noisier here (noise in per cent of the motion); "
-            f"with them the same test gives {gives}."
-        )
-    return f"Waiting for steady state costs little: with the transients, the same test gives {gives}."
 
 
 def figure_in_words(criterion: Criterion, value: float) -> str:
@@ -250,10 +249,12 @@ def dwell_columns(plan: Plan, units: Mapping[str, str]) -> list[TableColumn]:
     """A row for each dwell, and the sums below."""
     dwells, drives = plan.dwells, list(plan.dwells[0].amplitudes)
     heads = ["dwell>", "frequency, Hz>", *(f"drive {name}, {units[name]}>" for name in drives)]
-    rows = [
-        [str(k), f"{dwell.frequency_hz:.6g}", *(_amplitude(dwell.amplitudes[name]) for name in drives)]
-        for k, dwell in enumerate(dwells, start=1)
-    ]
+    rows = []
+    for k, dwell in enumerate(dwells, start=1):
+        rows.append([str(k), f"{dwell.frequency_hz:.6g}"])
+        for z in (dwell.amplitudes[name] for name in drives):
+            turned = abs(z.imag) > 1e-12 * abs(z)
+            rows[-1].append(f"{abs(z):.4g} ∠{phase_deg(z):.0f}°" if turned else f"{z.real:.4g}")
     rows.append(["total", *[""] * (1 + len(drives))])
     if plan.time_s is not None:
         settling = sum(dwell.settle_s for dwell in dwells)
@@ -264,12 +265,6 @@ def dwell_columns(plan: Plan, units: Mapping[str, str]) -> list[TableColumn]:
     for row, samples in zip(rows, (*(dwell.samples for dwell in dwells), plan.samples), strict=True):
         row.append(str(samples))
     return columns_of([*heads, "samples>"], rows)
-
-
-def _amplitude(z: complex) -> str:
-    if abs(z.imag) > 1e-12 * abs(z):
-        return f"{abs(z):.4g} ∠{phase_deg(z):.0f}°"
-    return f"{z.real:.4g}"
 
 
 def expected_columns(answer: Answer) -> list[TableColumn]:

@@ -374,16 +374,12 @@ def _curves(data: FigureData, parameters: Sequence[str], x_label: str, *, logari
 def _spreads(columns: Sequence[PrintedColumn], methods: Sequence[str], prefix: str = "") -> Figure:
     titles = list(dict.fromkeys(column.title for column in columns))
     rows = [entry.parameter for entry in columns[0].entries]
-    panels = [
-        [_spread(c) for method in methods for c in columns if (c.title, c.method) == (title, method)]
-        for title in titles
-    ]
+    panels: list[list[draw.Spread]] = [[] for _ in titles]
+    for column in sorted((c for c in columns if c.method in methods), key=lambda c: methods.index(c.method)):
+        values = [[getattr(e, name) for e in column.entries] for name in ("mean", "low", "high", "printed")]
+        spread = draw.Spread(column.method, method_colour(column.method), *np.array(values, dtype=float))
+        panels[titles.index(column.title)].append(spread)
     return draw.spread_panels([prefix + title for title in titles], rows, panels)
-
-
-def _spread(column: PrintedColumn) -> draw.Spread:
-    values = [[getattr(e, name) for e in column.entries] for name in ("mean", "low", "high", "printed")]
-    return draw.Spread(column.method, method_colour(column.method), *np.array(values, dtype=float))
 
 
 # What it shows, in words, from the numbers of `reproduce.yamane1989.findings`.

@@ -27,13 +27,11 @@ from typing import Any
 import numpy as np
 
 from dashpot.arrays import Bools, Real, freeze
-from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.automatic import identify_each, identify_with_noise
 from dashpot.estimate.result import Estimate
 from dashpot.io.atomic import write_text
 from dashpot.io.json_document import from_json, to_json
-from dashpot.model.network import Model
 from dashpot.notices import Notice
 from dashpot.numerics.kernel import description
 from dashpot.study.blocks import BlockStore, Columns, Key, Map, State, opened_store, write_table
@@ -280,26 +278,25 @@ def repeats_of(task: Task) -> dict[str, Repeats]:
     """What each method makes of a task of one block, all of the same draws."""
     scenario = task.scenario
     spectrum = scenario.drawn(generator(task.seed, scenario.key, task.index), task.size)
-    return {name: _identified(scenario.model, spectrum, name) for name in scenario.methods}
-
-
-def _identified(model: Model, spectrum: Spectrum, method: str) -> Repeats:
-    """A method that is named takes all repeats as one batch; where none is, some need a second look (`identify`)."""
-    unknowns = len(model.unknowns)
-    if method != AUTO:
-        return _repeats(identify_with_noise(model, spectrum, method)[0], unknowns)
-    count = len(spectrum.amplitudes)
-    whole: Columns = {name: np.full((count, unknowns), np.nan) for name in WIDE}
-    whole |= {"converged": np.zeros(count, dtype=bool), "p": np.full(count, np.nan)}
-    for places, estimate in identify_each(model, spectrum):
-        if isinstance(estimate, Estimate):
-            found = _repeats(estimate, unknowns)
-            rows = places if len(found.p) == count else np.zeros(1, dtype=int)
-            for name, values in whole.items():
-                values[places] = getattr(found, name)[rows]
-        elif not isinstance(estimate, DashpotError):
-            raise estimate
-    return Repeats(**whole)
+    count, unknowns = len(spectrum.amplitudes), len(scenario.model.unknowns)
+    repeats = {}
+    for method in scenario.methods:
+        # A method that is named takes all repeats as one batch; where none is, some need a second look (`identify`).
+        if method != AUTO:
+            repeats[method] = _repeats(identify_with_noise(scenario.model, spectrum, method)[0], unknowns)
+            continue
+        whole: Columns = {name: np.full((count, unknowns), np.nan) for name in WIDE}
+        whole |= {"converged": np.zeros(count, dtype=bool), "p": np.full(count, np.nan)}
+        for places, estimate in identify_each(scenario.model, spectrum):
+            if isinstance(estimate, Estimate):
+                found = _repeats(estimate, unknowns)
+                rows = places if len(found.p) == count else np.zeros(1, dtype=int)
+                for name, values in whole.items():
+                    values[places] = getattr(found, name)[rows]
+            elif not isinstance(estimate, DashpotError):
+                raise estimate
+        repeats[method] = Repeats(**whole)
+    return repeats
 
 
 def _repeats(estimate: Estimate, unknowns: int) -> Repeats:

@@ -83,10 +83,20 @@ def read_records(
         np.multiply(numbers.pop(column), scale, out=values[:, i])
         check_range(columns, column, values[:, i], LARGEST, "(SI)")
     starts = _blocks(columns, at[0] if time_at is None else time_at, time, frequency, experiments)
-    records = [
-        _record(columns, channels, time, values, start, end, columns.source if len(starts) == 1 else "")
-        for start, end in zip(starts, [*starts[1:], len(time)], strict=True)
-    ]
+    records = []
+    for start, end in zip(starts, [*starts[1:], len(time)], strict=True):
+        name = columns.source if len(starts) == 1 else ""
+        if end - start < 2:
+            cure = "record more, or look for rows that are out of order"
+            raise columns.error(start, columns.find(TIME) or 0, "the block has one sample", cure)
+        if end - start == len(time):
+            time.setflags(write=False)
+            values.setflags(write=False)
+            records.append(Record(channels, time, values, source=name or columns.part_from(start)))
+        else:
+            records.append(
+                Record(channels, time[start:end], values[start:end], source=name or columns.part_from(start))
+            )
     for i, start in enumerate(starts):
         driven = frequency_hz if frequency is None else float(frequency[start])
         records[i] = replace(records[i], frequency_hz=driven, experiment=int(experiments[start]))
@@ -119,21 +129,6 @@ def _drive(
     frequency_hz = named.pop()
     text = f"{columns.source}: the drive frequency {frequency_hz:g} Hz is taken from the file's name"
     return None, frequency_hz, [Notice("frequency_from_name", text, (columns.source,))]
-
-
-def _record(
-    columns: Columns, channels: tuple[Channel, ...], time: Real, values: Real, start: int, end: int, name: str
-) -> Record:
-    """The samples of one block; a block that is the whole file is shared, not copied.  Raises DataError."""
-    if end - start < 2:
-        at = columns.find(TIME)
-        cure = "record more, or look for rows that are out of order"
-        raise columns.error(start, 0 if at is None else at, "the block has one sample", cure)
-    if end - start == len(time):
-        time.setflags(write=False)
-        values.setflags(write=False)
-        return Record(channels, time, values, source=name or columns.part_from(start))
-    return Record(channels, time[start:end], values[start:end], source=name or columns.part_from(start))
 
 
 def check_frequency(columns: Columns, column: int, frequency: Real) -> None:

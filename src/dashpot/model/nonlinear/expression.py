@@ -77,16 +77,16 @@ class Expression:
 
     def crosses_pole(self, values: Mapping[str, Real]) -> bool:
         """Whether something that it divides by is zero, or changes sign, within the rows (…, instants) of `values`."""
-        return any(_changes_sign(_evaluated(node, values).value) for node in _denominators(self.tree))
+        for node in _denominators(self.tree):
+            value = _evaluated(node, values).value
+            if np.any(np.min(value, axis=-1) * np.max(value, axis=-1) <= 0) if np.ndim(value) else not value:
+                return True
+        return False
 
 
 def _denominators(node: Node) -> list[Node]:
     inner = [denominator for operand in node.operands for denominator in _denominators(operand)]
     return [*inner, node.operands[1]] if node.symbol == "/" else inner
-
-
-def _changes_sign(value: Real) -> bool:
-    return bool(np.any(np.min(value, axis=-1) * np.max(value, axis=-1) <= 0)) if np.ndim(value) else not value
 
 
 def _functions(node: Node) -> set[str]:

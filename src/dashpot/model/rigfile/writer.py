@@ -105,7 +105,19 @@ def edited_table(text: str, before: Mapping[str, Any], after: Mapping[str, Any])
     added = _edit(document, before, after)
     lines = tomlkit.dumps(document).splitlines(keepends=True)
     for section, line in added:
-        _add_line(lines, section, line)
+        # Behind the last entry of a section, which is made at the end where it is missing
+        header = re.compile(rf"\s*\[\s*{re.escape(section)}\s*\]")
+        last = next((at for at, each in enumerate(lines) if header.match(each)), None)
+        if last is None:
+            lines += ["" if not lines or lines[-1].endswith("\n") else "\n", f"\n[{section}]\n", f"{line}\n"]
+            continue
+        for at in range(last + 1, len(lines)):
+            if re.match(r"\[", lines[at]):
+                break
+            if lines[at].strip() and not lines[at].lstrip().startswith("#"):
+                last = at
+        lines[last] = lines[last].rstrip("\n") + "\n"
+        lines.insert(last + 1, f"{line}\n")
     return "".join(lines)
 
 
@@ -158,23 +170,6 @@ def _value(value: Any) -> str:
     if isinstance(value, Mapping):
         return _inline({key: _value(each) for key, each in value.items()})
     return str(tomlkit.item(value).as_string())
-
-
-def _add_line(lines: list[str], section: str, line: str) -> None:
-    """Put a line behind the last entry of a section, which is made at the end where it is missing."""
-    header = re.compile(rf"\s*\[\s*{re.escape(section)}\s*\]")
-    begins = [at for at, each in enumerate(lines) if header.match(each)]
-    if not begins:
-        lines += ["" if not lines or lines[-1].endswith("\n") else "\n", f"\n[{section}]\n", f"{line}\n"]
-        return
-    last = begins[0]
-    for at in range(begins[0] + 1, len(lines)):
-        if re.match(r"\[", lines[at]):
-            break
-        if lines[at].strip() and not lines[at].lstrip().startswith("#"):
-            last = at
-    lines[last] = lines[last].rstrip("\n") + "\n"
-    lines.insert(last + 1, f"{line}\n")
 
 
 def _differences(rig: Rig, experiment: Experiment) -> list[str]:
@@ -402,6 +397,13 @@ def starter_text(chain: Chain) -> str:
         lines += ["", "[inputs]", f'f = {{ kind = "force", at = {quoted(chain.at or names[-1])} }}']
         for number in range(2, chain.forces + 1):
             lines.append(f'f{number} = {{ kind = "force", at = "{PLACEHOLDER}" }}')
+    channels = [sensor.line for sensor in chain.sensors]
+    if not channels:  # of every coordinate, and of the base or the force
+        fields = f'quantity = "{chain.motion}", unit = {quoted(chain.unit)}'
+        shown = [*names, "u"] if chain.drive == "base" else names
+        channels = [f'{name} = {{ of = "{name}", {fields} }}' for name in shown]
+        if chain.drive == "force":
+            channels.append(f'f = {{ of = "f", unit = {quoted(chain.force_unit)} }}')
     lines += [
         "",
         (
@@ -412,7 +414,7 @@ def starter_text(chain: Chain) -> str:
         "",
         "# One entry for each column of the data, under its name.",
         "[channels]",
-        *([sensor.line for sensor in chain.sensors] or _usual(chain, names)),
+        *channels,
     ]
     return "\n".join(lines) + "\n"
 
@@ -434,12 +436,3 @@ def _elements(chain: Chain, names: Sequence[str], points: Sequence[str]) -> Iter
         yield from ("", f"[{section}]") if names or number else (f"[{section}]",)
         for i in range(len(points) - 1):
             yield f'{letter}{i + 1} = {{ between = ["{points[i]}", "{points[i + 1]}"] }}'
-
-
-def _usual(chain: Chain, names: Sequence[str]) -> Iterator[str]:
-    """Channels of every coordinate, and of the base or the force."""
-    fields = f'quantity = "{chain.motion}", unit = {quoted(chain.unit)}'
-    for name in [*names, "u"] if chain.drive == "base" else names:
-        yield f'{name} = {{ of = "{name}", {fields} }}'
-    if chain.drive == "force":
-        yield f'f = {{ of = "f", unit = {quoted(chain.force_unit)} }}'

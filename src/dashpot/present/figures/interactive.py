@@ -61,8 +61,33 @@ def interactive_svg(figure: Figure) -> str:
     hovering = [(axes, axes._dashpot_hover) for axes in figure.axes if hasattr(axes, "_dashpot_hover")]
     series = []
     for number, (axes, _) in enumerate(hovering):
-        axes.set_gid(f"panel-{number}")
-        series.append(_series(axes, f"panel-{number}"))
+        gid = f"panel-{number}"
+        axes.set_gid(gid)
+        found: list[dict[str, Any]] = []
+        for container in axes.containers:
+            if isinstance(container, ErrorbarContainer) and _named(container):
+                line, _, bars = container.lines
+                points = _points(str(container.get_label()), line)
+                drawn = bars[0].get_segments() if bars else []
+                nothing = (np.nan, np.nan)  # of a point that is not there matplotlib keeps an empty segment
+                ends = np.array(
+                    [segment[:, 1] if np.size(segment) else nothing for segment in drawn]
+                ).reshape(-1, 2)
+                if len(ends) == len(points["x"]):
+                    points |= {"low": _numbers(ends[:, 0]), "high": _numbers(ends[:, 1])}
+                found.append(points)
+        for artist in (*axes.lines, *axes.collections):
+            if not _named(artist):
+                continue
+            name = str(artist.get_label())
+            if isinstance(artist, Line2D) and artist.get_linestyle() == "None":
+                found.append(_points(name, artist))
+            elif isinstance(artist, Line2D | PolyCollection):
+                artist.set_gid(f"{gid}-{len(found)}")
+                kind = "line" if isinstance(artist, Line2D) else "band"
+                found.append({"name": name, "kind": kind, "id": artist.get_gid()})
+        labelled = found
+        series.append(labelled)
         for place, note in enumerate(axes.texts):
             note.set_gid(f"panel-{number}-note-{place}")
     text = svg(figure)  # lays the axes out: only then their place and limits stand
@@ -101,34 +126,6 @@ def _axis(quantity: AxisLabel, scale: str, limits: tuple[float, float], axis: An
     }
     if scale == "symlog":
         found["linear"] = float(axis.get_transform().linthresh)
-    return found
-
-
-def _series(axes: Axes, panel: str) -> list[dict[str, Any]]:
-    """Each labelled artist: points with their values, lines and bands by the id under which they are drawn."""
-    found: list[dict[str, Any]] = []
-    for container in axes.containers:
-        if isinstance(container, ErrorbarContainer) and _named(container):
-            line, _, bars = container.lines
-            points = _points(str(container.get_label()), line)
-            drawn = bars[0].get_segments() if bars else []
-            nothing = (np.nan, np.nan)  # of a point that is not there matplotlib keeps an empty segment
-            ends = np.array([segment[:, 1] if np.size(segment) else nothing for segment in drawn]).reshape(
-                -1, 2
-            )
-            if len(ends) == len(points["x"]):
-                points |= {"low": _numbers(ends[:, 0]), "high": _numbers(ends[:, 1])}
-            found.append(points)
-    for artist in (*axes.lines, *axes.collections):
-        if not _named(artist):
-            continue
-        name = str(artist.get_label())
-        if isinstance(artist, Line2D) and artist.get_linestyle() == "None":
-            found.append(_points(name, artist))
-        elif isinstance(artist, Line2D | PolyCollection):
-            artist.set_gid(f"{panel}-{len(found)}")
-            kind = "line" if isinstance(artist, Line2D) else "band"
-            found.append({"name": name, "kind": kind, "id": artist.get_gid()})
     return found
 
 
