@@ -721,8 +721,13 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         }
         for name, v in estimate.parameters().items()
     }
-    others = estimate.other_minima
-    if others is not None:
+    others, minima = estimate.other_minima, {}
+    if (
+        others is not None
+    ):  # sets of values that fit nearly as well, with their odds against those of the estimate
+        named = [dict(zip(estimate.names, values, strict=True)) for values in others.values]
+        sets = zip(others.odds, named, strict=True)
+        minima = {"other_minima": [{"odds": odds, "values": values} for odds, values in sets]}
         parts = others.parts(estimate.values, estimate.sd, estimate.dof, 0.95)
         for name, intervals in zip(estimate.names, parts, strict=True):
             entries[name]["intervals95"] = intervals
@@ -771,7 +776,7 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
             }
             for k, value in enumerate(estimate.modes.eigenvalues)
         ],
-        **_sets_of_values(estimate),
+        **minima,
         **({"cycles": [asdict(cycle) for cycle in estimate.cycles]} if estimate.cycles else {}),
         "fit": {
             "chi2": float(estimate.fit.chi2),
@@ -788,19 +793,6 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         "notes": [str(notice) for notice in estimate.notes],
         "note_codes": [notice.code for notice in estimate.notes],
         "note_concerns": [list(notice.of) for notice in estimate.notes],
-    }
-
-
-def _sets_of_values(estimate: Estimate) -> dict[str, Any]:
-    """Other sets of values that fit nearly as well, with their odds against those of the estimate; where there are."""
-    others = estimate.other_minima
-    if others is None:
-        return {}
-    sets = zip(others.odds, others.values, strict=True)
-    return {
-        "other_minima": [
-            {"odds": odds, "values": dict(zip(estimate.names, values, strict=True))} for odds, values in sets
-        ]
     }
 
 

@@ -160,19 +160,13 @@ def notebook_document(value: Rig | Record | Spectrum) -> Document:
         return Document(title, (section("", columns_of(["channel", "quantity"], rows)),))
     model = value.model
     # What an element joins: "x1, x2"; factors of levers stand before the points
-    elements = (
-        (
-            e.name,
-            str(e.kind.value),
-            ", ".join(
-                point if abs(factor) == 1 else f"{plain(factor)} {point}" for point, factor in e.along.items()
-            ),
-            _known(e.value, e.sd),
-            model.unit(e),
-        )
-        for e in model.elements
-        if not e.is_entry
-    )
+    elements = []
+    for e in (each for each in model.elements if not each.is_entry):
+        joins = (point if abs(by) == 1 else f"{plain(by)} {point}" for point, by in e.along.items())
+        known = "unknown" if e.value is None else plain(e.value)
+        if e.value is not None and e.sd is not None:
+            known += f" ± {plain(e.sd)}"
+        elements.append((e.name, str(e.kind.value), ", ".join(joins), known, model.unit(e)))
     channels = ((channel.name, channel.quantity.value, channel.unit) for channel in value.channels)
     return Document(
         model.name or "Rig",
@@ -181,9 +175,3 @@ def notebook_document(value: Rig | Record | Spectrum) -> Document:
             section("", columns_of(["channel", "quantity", "unit"], channels)),
         ),
     )
-
-
-def _known(value: float | None, sd: float | None) -> str:
-    if value is None:
-        return "unknown"
-    return plain(value) if sd is None else f"{plain(value)} ± {plain(sd)}"

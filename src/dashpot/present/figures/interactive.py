@@ -86,8 +86,7 @@ def interactive_svg(figure: Figure) -> str:
                 artist.set_gid(f"{gid}-{len(found)}")
                 kind = "line" if isinstance(artist, Line2D) else "band"
                 found.append({"name": name, "kind": kind, "id": artist.get_gid()})
-        labelled = found
-        series.append(labelled)
+        series.append(found)
         for place, note in enumerate(axes.texts):
             note.set_gid(f"panel-{number}-note-{place}")
     text = svg(figure)  # lays the axes out: only then their place and limits stand
