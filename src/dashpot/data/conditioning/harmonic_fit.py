@@ -12,7 +12,6 @@ from scipy.special import bdtrc, chdtrc, fdtr, fdtrc
 from dashpot.arrays import Bools, Complex, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.conditioning.regression import (
-    DITHERED,
     HIGHEST_HARMONIC,
     HarmonicSolution,
     Terms,
@@ -150,11 +149,10 @@ def second_moments(record: Record, drift: Drift = USUAL_DRIFT) -> Moments:
     return Moments(products.reshape(*leading, 1, channels + 2, channels + 2))
 
 
-# The noise that rounding to the steps of a converter makes, which the residual of a fit may not show.
+# The steps of a converter, whose codes are regressed by the likelihood of their cells.
 #
 # A channel that stays on one code has no residual at all, and where sampling and drive are commensurate
-# every period is rounded alike, so that the error is a harmonic of the drive. Neither is an exact channel:
-# rounding has the variance step²/12, and only distinct phases of the motion average it (THEORY §11).
+# every period is rounded alike, so that the error is a harmonic of the drive. Neither is an exact channel.
 
 
 FINEST = 1e-7  # of the largest value: finer steps are digits of a text, not of a converter
@@ -182,7 +180,7 @@ def _common_step(codes: Real, largest: float) -> float:
     """
     apart = np.diff(codes)
     # A converter has one number for each code: a sine that was computed, at few phases, comes back by its last digits.
-    if len(apart) < 2 or np.min(apart) < FINEST * largest:
+    if not len(apart) or np.min(apart) < FINEST * largest:
         return 0.0
     step = float(np.min(apart))
     for distance in np.sort(apart)[:200].tolist():  # distances of codes that are looked at
@@ -197,24 +195,6 @@ def _common_step(codes: Real, largest: float) -> float:
     if np.max(np.abs(apart / step - multiples)) > 0.01:
         return 0.0
     return float(np.sum(apart) / np.sum(multiples))
-
-
-def rounding_variance(record: Record, fit: HarmonicFit, step: Real) -> Real:
-    """What rounding to steps (channels,) adds to the variances of amplitudes, (..., orders, channels).
-
-    The least of each is 4 · step²/12 over the samples at different phases of the motion, unless the residual shows it
-    all.  Two phases are one where the motion between them is less than a quarter of a step, and where they are half a
-    period apart: about a zero on a code or between two, both are rounded alike.
-    """
-    cycles = 2 * fit.frequency_hz * record.time
-    phase = np.sort(cycles - np.floor(cycles)) / 2
-    gaps = np.diff(np.concatenate([phase, phase[:1] + 0.5]))
-    size = np.max(np.abs(fit.amplitudes), axis=-2)
-    variance = np.diagonal(fit.covariance, axis1=-2, axis2=-1).real
-    sd = np.sqrt(np.diagonal(fit.residual_covariance, axis1=-2, axis2=-1))
-    apart = np.sum(2 * np.pi * size[..., None] * gaps > step[:, None] / 4, axis=-1)
-    floor = np.where((step > 0) & (sd < DITHERED * step), step**2 / 3 / np.maximum(apart, 1), 0.0)
-    return np.asarray(np.maximum(floor[..., None, :] - variance, 0.0) * ~fit.in_cells)
 
 
 @dataclass(frozen=True)

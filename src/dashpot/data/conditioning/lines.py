@@ -9,7 +9,7 @@ from typing import Unpack
 import numpy as np
 from scipy.special import fdtrc
 
-from dashpot.arrays import Bools, Ints, Real, diagonal_matrices
+from dashpot.arrays import Bools, Ints, Real
 from dashpot.data.conditioning.clock import with_even_stamps, within_times
 from dashpot.data.conditioning.drive_frequency import (
     at_drive_frequencies,
@@ -22,7 +22,6 @@ from dashpot.data.conditioning.harmonic_fit import (
     HarmonicFit,
     fit_harmonics,
     rounding_steps,
-    rounding_variance,
     second_moments,
 )
 from dashpot.data.conditioning.regression import highest_multiple, holds_a_period
@@ -393,7 +392,7 @@ def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Con
     if settings.orders == "auto" and not settings.moments:
         driven, notes = driven_orders(dwells, settings)
     each, told, other = zip(
-        *(settled_lines(record, settings, of, steps) for record, of in zip(dwells, driven, strict=True)),
+        *(settled_lines(record, settings, of) for record, of in zip(dwells, driven, strict=True)),
         strict=True,
     )
     notes.insert(0, account_of_dwells(given, each, settings))
@@ -427,18 +426,15 @@ def _why_whole(dwells: Sequence[Record], settings: Conditioning, found: Sequence
 
 
 def settled_lines(
-    record: Record, settings: Conditioning, orders: tuple[int, ...], steps: Real
+    record: Record, settings: Conditioning, orders: tuple[int, ...]
 ) -> tuple[Spectrum, Real, Notice | None]:
-    """The lines of one record, whose channels are rounded to `steps` (channels,), the share of each amplitude's
-    information that what is measured has, (lines, channels), and a note where it moves otherwise than with its drive.
-    """
+    """The lines of one record, the share of each amplitude's information that what is measured has, (lines, channels),
+    and a note where it moves otherwise than with its drive."""
     settings = settings.changed(orders=orders)
     fit = fit_harmonics(record, None, settings)
     wanted = [fit.orders.index(order) for order in settings.wanted]
     frequencies = fit.frequency_hz * np.array([fit.orders[i] for i in wanted], dtype=float)
     covariance = fit.covariance[..., wanted, :, :]
-    if np.any(steps > 0):
-        covariance = covariance + diagonal_matrices(rounding_variance(record, fit, steps)[..., wanted, :])
     # Whether second moments are asked for, and with "auto" whether they can be had
     if settings.moments != "auto":
         with_moments = settings.moments

@@ -9,8 +9,9 @@ it.  Repeats (leading axes) share the triangle of the columns.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -340,13 +341,22 @@ def _with_partly_measured(
     for _, _, e in replace(found, in_cells=np.zeros_like(in_cells)).residuals(record, f):
         squares += np.swapaxes(e, 1, 2) @ e
     size = np.sqrt(variance * free / np.maximum(np.diagonal(squares[0]), 1e-300))
-    return replace(found, squares=squares * size[:, None] * size)
+    own = np.diag(variance * free)  # of channels in cells, each of which is rounded by itself
+    squares = np.where(in_cells[:, None] | in_cells, own, squares * size[:, None] * size)
+    return replace(found, squares=squares)
 
 
 FAR = 1e4  # standard deviations: what is beyond counts as that
 TURNS = 50  # of Newton's method, of which five to ten are needed
 DITHERED = 0.7  # residual in steps of a converter from which on rounding is noise like the rest
-COARSEST = 0.22  # noise in steps below which the likelihood of cells is no parabola
+BEGUN = 0.25  # noise in steps with which the search begins where the residual is rounding alone
+INSIDE = 8.0  # standard deviations from both ends of its cell, from which on a sample says nothing more
+UNKNOWN = 3.0  # standard deviations of the noise to which codes tell the motion: less, and the noise is as good as none
+SIZES = 40  # of the noise, of which three to ten are needed
+APART = 1.2  # from one size to the next, and standard deviations of ln σ between them, at most
+UNLIKELY = 4.0  # log-likelihood below the highest from which on other sizes are not looked at
+
+Climb = Callable[[Real, float, int], tuple[Real, float, float, Real | None]]
 
 
 @dataclass(frozen=True)
@@ -367,6 +377,9 @@ def partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMea
     τ = 1/σ and γ = τ β; a clipped one is in a cell without an end.  That is concave in (γ, τ) (Olsen 1978, Econometrica
     46; Burridge 1981, JRSS B 43).  Newton's method goes along η = δγ − β δτ, so that β changes by η/(τ + δτ) and the
     inverse of the information is P.  The degrees of freedom that β takes are taken off.
+
+    Codes may leave σ open, and a small one makes of the likelihood the box of all that gives these codes.  Their mean
+    and covariance are therefore those over all σ; the variance is that of one unrounded sample that tells as much.
     """
     y = record.values[:, c]
     status = np.zeros(len(y)) if record.status is None else record.status[:, c]
@@ -379,18 +392,18 @@ def partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMea
 
     k, count = terms.count, int(np.count_nonzero(seen))
     R = triangle(np.column_stack([A, y[rows]])[seen[rows]] for rows, A in columns())
-    beta = from_triangle(R, k, record, f)[1][:, 0]
-    variance = float(np.sum(R[k:, k] ** 2)) / max(count - k, 1)
+    P, right = from_triangle(R, k, record, f)
+    beta, variance = right[:, 0], float(np.sum(R[k:, k] ** 2)) / max(count - k, 1)
     if np.sqrt(variance) > DITHERED * cell:
         cell = 0.0
     if not cell and np.all(seen):
         return None
     least = 1e-13 * float(np.max(np.abs(y)))
-    tau = 1 / max(np.sqrt(max(variance - cell**2 / 12, (2 * COARSEST * cell) ** 2)), least)
+    tau = 1 / max(np.sqrt(max(variance - cell**2 / 12, (BEGUN * cell) ** 2)), least)
 
     def at(beta: Real, tau: float) -> tuple[float, Real, Real]:
         """Log-likelihood, its slope along (η, τ) and its information."""
-        sharp = 0 - k if cell else count - k
+        sharp = 0 if cell else count - k
         total, slope, info = sharp * np.log(tau), np.zeros(k + 1), np.zeros((k + 1, k + 1))
         slope[-1], info[-1, -1] = sharp / tau, sharp / tau**2
         for rows, A in columns():
@@ -401,9 +414,10 @@ def partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMea
                 total -= tau**2 * square / 2
                 slope += tau * np.append(along, -square)
                 info += np.block([[B.T @ B, -along[:, None]], [-along, square]])
-            within = np.abs(side) <= 1 if cell else np.abs(side) == 1
-            A, e, side = A[within], e[within], side[within]
             low, high = np.where(side < 0, -np.inf, e - cell / 2), np.where(side > 0, np.inf, e + cell / 2)
+            within = np.abs(side) <= 1 if cell else np.abs(side) == 1
+            within &= (tau * low > -INSIDE) | (tau * high < INSIDE)
+            A, low, high, side = A[within], low[within], high[within], side[within]
             L, a, b, aa, ab, bb = in_between(tau * low, tau * high)
             low, high = np.where(side < 0, 0.0, low), np.where(side > 0, 0.0, high)
             cross = A.T @ (aa * low + ab * (low + high) + bb * high)
@@ -413,13 +427,43 @@ def partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMea
             info += np.block([[A.T @ (-(aa + 2 * ab + bb)[:, None] * A), cross[:, None]], [cross, square]])
         return float(total), slope, info
 
-    total, slope, info = at(beta, tau)
-    inverse = None
+    wide = R[:k, :k] * (cell > 0) / (UNKNOWN * np.sqrt(count))
+    climbed = partial(_climbed, at, wide)
+    beta, tau, _, inverse = climbed(beta, tau, k + 1)
+    free = 0.0 if inverse is None else float(tau**2 / (2 * inverse[-1, -1]))
+    over = _over_sizes(climbed, beta, tau, k, free) if cell else None
+    if over is not None:
+        beta, covariance = over
+        variance = float(np.trace(R[:k, :k] @ covariance @ R[:k, :k].T)) / k
+        # What is log-concave within a cell has no larger variance than what is even there
+        most = (cell**2 / 12 + 1 / tau**2) * count / k
+        covariance, variance = covariance * min(1.0, most / variance), min(variance, most)
+        return PartlyMeasured(beta, covariance / variance, variance, float(max(count - k, 1)), in_cells=True)
+    if inverse is None:
+        raise DataError(
+            f"the valid samples of {record.channels[c].name} cannot determine its motion at {f:g} Hz",
+            record.source,
+            "leave the channel out, or widen its range",
+        )
+    P = (inverse + inverse.T)[:-1, :-1] / 2
+    return PartlyMeasured(beta, P, 1 / tau**2, free, in_cells=False)
+
+
+def _climbed(
+    at: Callable[[Real, float], tuple[float, Real, Real]], wide: Real, beta: Real, tau: float, moved: int
+) -> tuple[Real, float, float, Real | None]:
+    """(β, τ) where the first directions have moved to the likeliest, its log-likelihood, their inverse information.
+
+    That is None where it is not positive, or the motion is known to less than UNKNOWN; `wide` (k, k) makes of β
+    the motion in that unit, its rms over the samples.
+    """
+    (total, slope, info), k = at(beta, tau), len(wide)
     for _ in range(TURNS):
-        inverse = _inverse(info)
-        if inverse is None or 1 / tau < COARSEST * cell:
-            break
-        step = inverse @ slope
+        inverse = _inverse(info[:moved, :moved])
+        if inverse is None or np.linalg.eigvalsh(wide @ inverse[:k, :k] @ wide.T)[-1] > 1:
+            return beta, tau, total, None
+        step = np.zeros(len(slope))
+        step[:moved] = inverse @ slope[:moved]
         if step @ slope < 1e-12:
             break
         other, found = (beta, tau), (total, slope, info)
@@ -431,17 +475,52 @@ def partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMea
                     break
             step = step / 2
         (beta, tau), (total, slope, info) = other, found
-    free = 0.0 if inverse is None else float(tau**2 / (2 * inverse[-1, -1]))
-    if cell and (free < 1 or 1 / tau < COARSEST * cell):
-        return partly_measured(replace(record, cell=None), c, f, terms)
-    if inverse is None:
-        raise DataError(
-            f"the valid samples of {record.channels[c].name} cannot determine its motion at {f:g} Hz",
-            record.source,
-            "leave the channel out, or widen its range",
-        )
-    P: Real = (inverse + inverse.T)[:-1, :-1] / 2
-    return PartlyMeasured(beta, P, 1 / tau**2, free, cell > 0)
+    return beta, tau, total, inverse
+
+
+def _over_sizes(climbed: Climb, beta: Real, tau: float, k: int, free: float) -> tuple[Real, Real] | None:
+    """Mean and covariance of k coefficients over all sizes of the noise, about 1/τ, known with so many degrees of
+    freedom; None where none tells them.
+
+    Given a size they are Gaussian about the likeliest (Laplace), and sizes as likely as their share of it, β and ln σ
+    being so beforehand.  From where the noise is smaller than what is known of the motion, the box is as it is there.
+    """
+
+    def given(beta: Real, tau: float) -> tuple[float, float, Real, Real] | None:
+        likeliest, _, total, inverse = climbed(beta, tau, k)
+        if inverse is None:
+            return None
+        weight = total + float(np.linalg.slogdet(inverse)[1]) / 2 - k * np.log(tau)
+        return float(np.log(tau)), weight, likeliest, inverse / tau**2
+
+    apart = min(np.log(APART), APART / np.sqrt(2 * max(free, 1.0)))
+    sizes = (given(beta, tau / np.exp(i * apart)) for i in range(SIZES))
+    first = next((size for size in sizes if size is not None), None)
+    if first is None:
+        return None
+    found, smallest = [first], 0.0
+    for way in (-apart, apart):
+        last = first
+        while last[1] > max(size[1] for size in found) - UNLIKELY and len(found) < SIZES:
+            size = given(last[2], float(np.exp(last[0] + way)))
+            if size is not None:
+                last = size
+                found.append(size)
+            elif way < apart / 5:
+                smallest = float(way > 0)
+                break
+            else:
+                way /= 2
+    found.sort(key=lambda size: size[0])
+    log_tau, weights = np.array([size[:2] for size in found]).T
+    share = np.exp(weights - np.max(weights)) * (np.gradient(log_tau) if len(found) > 1 else 1.0)
+    share[-1] *= 1 + smallest / (np.gradient(log_tau)[-1] if len(found) > 1 else 1.0)
+    share = share / np.sum(share)
+    middles = np.array([size[2] for size in found])
+    mean = share @ middles
+    within = np.einsum("s,sij->ij", share, np.array([size[3] for size in found]))
+    away = middles - mean
+    return mean, within + (share * away.T) @ away
 
 
 def _inverse(information: Real) -> Real | None:
