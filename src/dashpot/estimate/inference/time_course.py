@@ -9,7 +9,7 @@ so that the residuals of all channels together are loud for a while, though none
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -181,7 +181,7 @@ def _of_record(whitened: Whitened, spectrum: Spectrum, number: int, outputs: Int
                 break
         else:
             changes.append(jump)
-    block = _loud_block(by_block, 2 * total / max(blocks, 1))
+    block = _loud_block(by_block, 2 * _independent(whitened, lines, list(shown)) / max(blocks, 1))
     if block is None:
         return changes
     time_s = (block + 0.5) * at.duration_s / blocks
@@ -189,6 +189,17 @@ def _of_record(whitened: Whitened, spectrum: Spectrum, number: int, outputs: Int
         power = float(by_block[0, block] / np.median(by_block[0]))
         changes.append(TimeChange("block", (), number, time_s, power))
     return changes
+
+
+def _independent(whitened: Whitened, lines: Ints, channels: Sequence[int]) -> float:
+    """How many complex numbers as independent as noise of one channel scatter as the power of all of them does.
+
+    Satterthwaite's: noise that channels share counts once.
+    """
+    left = np.stack([whitened(lines, c)[0] for c in channels], axis=1)
+    alike = left.conj().T @ left
+    power = float(np.trace(alike).real) ** 2 / max(float(np.sum(np.abs(alike) ** 2)), TINY)
+    return power * np.count_nonzero(left) / len(channels)
 
 
 def _jump(of: _Histories) -> list[TimeChange]:

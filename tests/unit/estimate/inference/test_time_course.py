@@ -65,6 +65,19 @@ def test_noise_changes_nothing_whether_white_or_louder_where_the_motion_is() -> 
             assert changes(x + NOISE * loudness(x) * rng.normal(size=x.shape), x) == ()
 
 
+def test_noise_that_two_channels_share_is_loud_once() -> None:
+    """A block twice as loud in both: noise of one source makes one, and noise of two sources does not."""
+    rng = np.random.default_rng(5)
+    x = motion(rng)
+    louder = 1 + 0.75 * (np.abs(np.arange(SAMPLES) - 1000) < 25)[:, None]
+    shared, own = 0, 0
+    for _ in range(40):
+        noise = NOISE * louder * rng.normal(size=x.shape)
+        own += any(change.kind == "block" for change in changes(x + noise, x))
+        shared += any(change.kind == "block" for change in changes(x + noise[:, :1], x))
+    assert shared < own / 3
+
+
 @pytest.mark.parametrize(("at_s", "ratio"), [(10.0, 1.1), (6.3, 0.8)])
 def test_a_step_of_one_gain_is_found_with_its_time_and_size(at_s: float, ratio: float) -> None:
     rng = np.random.default_rng(6)
