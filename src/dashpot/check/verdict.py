@@ -278,6 +278,7 @@ REJECTED = 0.01  # p-value of χ² below which a rig does not fit: one clean tes
 PERHAPS_UNSTABLE = "perhaps_unstable"  # a code
 BEYOND = 3.0  # standard deviations by which a sign or a damping ratio must be wrong
 WORST = 3  # amplitudes that are named
+CONVINCING = 0.8  # odds of causes beside which a rig does not fit, if the likeliest would move an unknown
 UNTESTED = ("no_noise", "noise_from_residuals", "few_degrees")  # codes of doubts that no χ² has settled
 # Codes of reasons that say nothing against a rig that describes the motion as closely as it should.
 BY_SIZE = {"chi2", "smooth_residuals", "standing_out", "no_noise", "noise_from_residuals"}
@@ -359,17 +360,23 @@ def assess(
     )
 
 
-def settled_by_size(assessment: Assessment, asked: bool, harmless: bool = False) -> Assessment:
+def settled_by_size(
+    assessment: Assessment, asked: bool, *, in_vain: bool = False, harmless: bool = False
+) -> Assessment:
     """The verdict by how much of the motion the rig leaves, after the diagnosis.
 
-    What χ² rejects, or cannot test, fits where the data show that it is as little as it should be, and no cause was
-    found, or one that is `harmless`: without it the unknowns would be the same.  Where a share of the motion was asked
-    for, only what the data show fits.
+    What χ² rejects, or cannot test, fits where the data show that it is as little as it should be, and no cause is
+    likely, or one that is `harmless`: without it the unknowns would be the same.  Where it may be more, and a cause was
+    sought `in_vain` beside noise that is what a record leaves, and may run as it will over frequency, they cannot tell.
+    Where a share of the motion was asked for, only what the data show fits.
     """
     codes = {reason.code for reason in assessment.reasons}
-    causes = tuple(each for each in assessment.findings if each.kind != "unexplained")
-    if assessment.described and (harmless or not causes) and codes <= BY_SIZE:
-        return replace(assessment, verdict="fits", reasons=(), findings=causes)
+    if codes <= BY_SIZE and (harmless or not likely(assessment.findings)):
+        if assessment.described:
+            causes = tuple(each for each in assessment.findings if each.kind != "unexplained")
+            return replace(assessment, verdict="fits", reasons=(), findings=causes)
+        if in_vain and codes:
+            assessment = replace(assessment, verdict="cannot tell")
     if assessment.verdict == "does not fit" or assessment.described or not asked:
         return assessment
     notices = []
@@ -383,6 +390,18 @@ def settled_by_size(assessment: Assessment, asked: bool, harmless: bool = False)
             notices.append(Notice("discrepancy_bound", text, (name,)))
     others = (reason for reason in assessment.reasons if reason.code not in UNTESTED)
     return replace(assessment, verdict="cannot tell", reasons=(*notices, *others))
+
+
+def likely(findings: Sequence[Finding]) -> bool:
+    """Whether the causes among them are likely together; those that were read off a record have no odds."""
+    causes = (each for each in findings if each.kind != "unexplained")
+    return sum(1.0 if each.odds is None else each.odds for each in causes) >= CONVINCING
+
+
+def one_cause(cause: Finding) -> Notice:
+    """That a cause explains what noise cannot be told from."""
+    text = f"{100 * (cause.explains or 0.0):.0f} % of the unexplained motion has one cause"
+    return Notice("one_cause", text, cause.of)
 
 
 def too_far_off(shares: Mapping[str, Discrepancy | None]) -> list[Notice]:

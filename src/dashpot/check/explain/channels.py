@@ -40,6 +40,7 @@ DELAYS = (-0.4, -0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2, 0.4)
 GAIN_WIDTH = 0.1  # nepers: a sensor's sensitivity is usually known to some per cent
 DELAY_WIDTH = 0.2  # periods of the highest frequency: a sample or two of usual sampling
 SHARE_WIDTH = 0.05  # of the other channel's size: usual cross-talk
+FAINT = 1e-5  # of a channel's size: the noise that every channel has which contains another
 REACH = 1.5  # periods of the highest frequency: the longest delay that is looked for
 DISAGREES = (
     "disagrees with the other channels, and no common error (sign, unit, gain, delay, swap) explains it"
@@ -433,10 +434,19 @@ def crosstalk(baseline: Baseline) -> Iterator[Effect]:
 
 
 def _cleared(c: int, other: int, problem: LineProblem | TimeProblem, share: float) -> FitProblem:
-    """The channel without its share of another; the noise that this share carries is neglected."""
+    """The channel without its share of another, which takes its noise along."""
     y = np.array(problem.y)
     y[:, c] -= share * y[:, other]
-    return problem.with_amplitudes(y)
+    if isinstance(problem, TimeProblem):  # whose channels have noise of their own alone
+        return problem.with_amplitudes(y)
+    # A channel without noise that has a share of another's is that other, and the two would tell the same twice.
+    noise, own = np.array(problem.V), np.mean(np.abs(problem.y[:, c]) ** 2)
+    noise[:, c, c] = np.where(
+        problem.kept[:, c], np.maximum(noise[:, c, c].real, FAINT**2 * own), noise[:, c, c]
+    )
+    mixing = np.eye(y.shape[1])
+    mixing[c, other] = -share
+    return problem.with_amplitudes(y, (mixing @ noise @ mixing.T).astype(np.complex128))
 
 
 def _mixed(name: str, other: str, share: float) -> Phrase:
@@ -445,7 +455,7 @@ def _mixed(name: str, other: str, share: float) -> Phrase:
 
 
 def place(baseline: Baseline) -> Iterator[Effect]:
-    """Each motion channel mounted at another point, or on an element between its point and another."""
+    """Each motion channel mounted at another point, or between its point and another."""
     model, channels = baseline.problem.model, baseline.problem.channels
     for c in np.flatnonzero(~baseline.inputs).tolist():
         channel = channels[c]
@@ -455,14 +465,12 @@ def place(baseline: Baseline) -> Iterator[Effect]:
             if set(channel.of) != {point}:
                 act, words = partial(_mounted, c, point), partial(_seen_there, model, channel, point)
                 yield Effect("place", (channel.name,), act, words)
-                if any({point, *channel.of} <= set(element.along) for element in model.elements):
-                    yield Effect("place", (channel.name,), act, words, (0.1, 0.5), 0.3)
+                yield Effect("place", (channel.name,), act, words, (0.1, 0.5), 0.3, between=(0.0, 1.0))
 
 
 def _between(channel: Channel, point: str, share: float) -> Channel:
     """The channel mounted between two points: a share of the other point's motion, the rest of its own."""
     (own,) = channel.of
-    share = min(max(share, 0.0), 1.0)
     return replace(channel, of={own: 1 - share, point: share} if abs(share - 1) > CLOSE else {point: 1.0})
 
 

@@ -141,7 +141,8 @@ def hold(baseline: Baseline) -> Iterator[Effect]:
     for c in np.flatnonzero(baseline.inputs).tolist():
         name = baseline.problem.channels[c].name
         width = None if steps else 0.1 * period
-        yield Effect("hold", (name,), partial(_held, c), partial(held_words, name), begun, width)
+        act, words = partial(_held, c), partial(held_words, name)
+        yield Effect("hold", (name,), act, words, begun, width, between=(0.0, np.inf))
 
 
 def _held(c: int, problem: LineProblem | TimeProblem, step: float) -> FitProblem:

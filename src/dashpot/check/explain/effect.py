@@ -55,7 +55,7 @@ class Effect:
     unknown    the unknown of the problem that is the size, where `act` makes it one
     others     further unknowns that it brings, which are positive, each with its likely size: their priors are as wide
                as a factor of e
-    between    what the size over the first of these is, if it is what its kind says
+    between    what the size is, or over the first of the others, if it is what its kind says
     found      the fit, where the search for the effect has made it already
     more       further unknowns that it brings, of which is known beforehand what one number of the data tells
     share      of the probability of its kind
@@ -71,7 +71,7 @@ class Effect:
     of_ratio: bool = False
     unknown: str = ""
     others: tuple[tuple[str, float], ...] = ()
-    between: tuple[float, float] = (0.0, np.inf)
+    between: tuple[float, float] = (-np.inf, np.inf)
     found: FittedProblem | None = None
     more: int = 0
     share: float = 1.0
@@ -80,6 +80,11 @@ class Effect:
     def subject(self) -> Subject:
         """What it supposes of what: forms of one cause have it alike."""
         return self.kind, self.of
+
+    @property
+    def may_be_negative(self) -> str:
+        """The unknown that it brings and that may be: an element stands for what others have too much."""
+        return self.unknown if self.kind == "element" else ""
 
     def coordinate(self, size: float) -> float:
         """Where a size lies on the scale on which it is sought."""

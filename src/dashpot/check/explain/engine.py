@@ -18,7 +18,7 @@ from math import log
 import numpy as np
 from scipy.special import chdtrc, log_ndtr, logsumexp
 
-from dashpot.arrays import Ints, Real
+from dashpot.arrays import Complex, Ints, Real
 from dashpot.check.explain import channels, dwells, rigs
 from dashpot.check.explain import laws as laws_of_rig
 from dashpot.check.explain.effect import Baseline, Effect, Effects, Subject
@@ -511,7 +511,8 @@ def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter | None 
         _closely(baseline.problem, hopeful, fit)
     block = baseline.problem.blocks(baseline.as_is.psi)
     stated = LeftOver.of(baseline.as_is, block)
-    weighed = [_weighed(each, block, stated.largest) for each in hopeful if np.isfinite(each.fit.chi2)]
+    possible_ones = (each for each in hopeful if np.isfinite(each.fit.chi2) and _is_such(each))
+    weighed = [_weighed(each, block, stated.largest) for each in possible_ones]
     causes: list[Cause] = []
     for cause in sorted((each for each in weighed if each is not None), key=lambda each: -each.evidence):
         if not any(map(cause.same, causes)):  # else a fit that began elsewhere has come to the same
@@ -555,7 +556,7 @@ def _hope(trial: Trial) -> float:
     positive = all(
         np.all(fit.psi[: len(fit.problem.model.unknowns)][of_one_sign(fit.problem.model)] > 0) for fit in fits
     )
-    return trial.roughly + (0.0 if positive else log_possible(trial.fit, trial.effect.unknown))
+    return trial.roughly + (0.0 if positive else log_possible(trial.fit, trial.effect.may_be_negative))
 
 
 def _enough(baseline: Baseline) -> float:
@@ -730,7 +731,7 @@ def _weighed(trial: Trial, block: Ints, largest: tuple[float, float]) -> Cause |
     effect, size, fit = trial.effect, trial.size, trial.fit
     over = LeftOver.of(fit, block)
     likelihood = over.mended(largest)
-    possible = log_possible(fit, effect.unknown)
+    possible = log_possible(fit, effect.may_be_negative)
     left = 0.0
     scale = max(fit.reduced, 1.0) if np.isfinite(fit.reduced) else 1.0
     if effect.more:
@@ -764,11 +765,13 @@ def _brought(effect: Effect, fit: FittedProblem) -> tuple[list[int], Real, Real]
 
 
 def _is_such(trial: Trial) -> bool:
-    """Whether all that the effect brings is what its kind says: positive, and a body with a resonance near the band."""
-    if not trial.effect.others:
-        return True
-    values = trial.fit.psi[_brought(trial.effect, trial.fit)[0]]
-    low, high = trial.effect.between
+    """Whether all that the effect brings is what its kind says: the others positive, a body with a resonance near the
+    band, the step of a held input no less than none."""
+    effect, size = trial.effect, trial.size
+    low, high = effect.between
+    if not effect.others:
+        return low <= size <= high
+    values = trial.fit.psi[_brought(effect, trial.fit)[0]]
     return bool(np.all(values > 0) and low <= values[0] / values[1] <= high)
 
 
@@ -878,9 +881,12 @@ class LeftOver:
         used = min(max(fit.dof, 1) / total, 1.0)  # of each square: unknowns and inputs have taken up the rest
         log_v = np.log(EXCESSES if problem.noise_known else np.concatenate([1 / EXCESSES[:0:-1], EXCESSES]))
         table = np.zeros((len(log_v), len(SIZES)))
+        z, g = _white(problem, fit.residual), _white(problem, problem.y - fit.residual)
         with np.errstate(over="ignore", invalid="ignore"):
             for c, number in enumerate(problem.numbers):
-                table += _of_channel(fit, c, block, used * number / 2, log_v)
+                on = problem.counted[:, c]
+                if np.any(on):
+                    table += _of_channel(z[on, c], g[on, c], block[on], used * number / 2, log_v)
         return LeftOver(fit, log_v, table)
 
     @property
@@ -929,15 +935,27 @@ class LeftOver:
         return value if np.isfinite(value) else -np.inf
 
 
-def _of_channel(fit: FittedProblem, c: int, block: Ints, used: float, log_v: Real) -> Real:
-    """ln p of one channel for each v and s; used: the part of each of its squares that is left to test the fit by."""
-    problem = fit.problem
-    on = problem.counted[:, c]
-    if not np.any(on):
-        return np.zeros((len(log_v), len(SIZES)))
-    sd, r = problem.sd[on, c], fit.residual[on, c]
-    z, g = r / sd, (problem.y[on, c] - r) / sd
-    number, count = np.unique(block[on], return_inverse=True, return_counts=True)[1:]
+def _white(problem: FitProblem, values: Complex) -> Complex:
+    """Numbers (rows, columns) over their noise, of each column what it shows beside those before it."""
+    z = values / problem.sd
+    if not isinstance(problem, LineProblem):
+        return z
+    on = problem.counted
+    alike = np.where(on[:, :, None] & on[:, None, :], problem.V, 0.0)
+    alike = alike / (problem.sd[:, :, None] * problem.sd[:, None, :])
+    own = np.arange(z.shape[1])
+    alike[:, own, own] = 1.0
+    if not np.any(np.abs(np.triu(alike, 1)) > 1e-12):
+        return z
+    return np.linalg.solve(np.linalg.cholesky(alike), np.where(on, z, 0.0)[..., None])[..., 0]
+
+
+def _of_channel(z: Complex, g: Complex, block: Ints, used: float, log_v: Real) -> Real:
+    """ln p of the residuals z (rows,) of a channel and its motion g, both over the noise, for each v and s.
+
+    used: the part of each of its squares that is left to test the fit by.
+    """
+    number, count = np.unique(block, return_inverse=True, return_counts=True)[1:]
 
     def summed(values: Real) -> Real:
         return np.bincount(number, values, len(count)).astype(np.float64)

@@ -37,6 +37,8 @@ from dashpot.check.verdict import (
     BEYOND,
     UNTESTED,
     assess,
+    likely,
+    one_cause,
     rejected,
     settled_by_size,
     several_motions,
@@ -62,7 +64,6 @@ OF_SAMPLES = {"white", "blocks", "periods"}  # kinds of noise that were read fro
 MUCH = 0.2  # of a channel's motion, left over without known noise
 SUPPOSED = 0.01  # of an amplitude: its noise where none is known
 OF_THE_RIG = ("value", "element", "nonlinear", "hysteretic", "oscillator")  # kinds of causes
-LEFT_OUT = ("channel", "dwell")  # causes that leave data out
 
 
 def diagnose(
@@ -172,7 +173,7 @@ def examined(
         # A search that was lost may end at a rig without any response; what misled it can be told all the same.
         assessment = Assessment("does not fit", (Notice("no_response", error.problems[0].what),), {}, ())
     unsettled = assessment.verdict == "does not fit" or not bool(estimate.converged)
-    known = estimate.fit.known_noise and RESIDUAL not in spectrum.noise  # from more than what this fit leaves
+    of_residuals = RESIDUAL in spectrum.noise
     found: Explanation | None = None
     laws: list[ScoredElement] = []
     if len(model.nonlinear):
@@ -191,11 +192,13 @@ def examined(
                 for each in laws
             )
             assessment = _with_causes(assessment, findings, tuple(listed))
-        elif not known and max(assessment.relative_residual.values(), default=0.0) > MUCH:
+        elif (of_residuals or not estimate.fit.known_noise) and _suspicious(assessment):
             findings, found = _diagnosed(model, spectrum, estimate, seed)
-            assessment = _with_causes_of_much(assessment, findings)
+            assessment = _with_likely_cause(assessment, findings, _harmless(estimate, found))
     estimate, assessment = _without_changes_in_time(estimate, assessment)
-    assessment = settled_by_size(assessment, within is not None, _harmless(estimate, found))
+    harmless = _harmless(estimate, found)
+    in_vain = of_residuals and found is not None and not likely(assessment.findings)
+    assessment = settled_by_size(assessment, within is not None, in_vain=in_vain, harmless=harmless)
     estimate = _closed(model, spectrum, estimate, assessment)
     if estimate.assessment is None or estimate.assessment.verdict != "does not fit":
         return estimate
@@ -242,13 +245,17 @@ def _with_causes(assessment: Assessment, found: tuple[Finding, ...], laws: tuple
     return replace(assessment, findings=(*in_time, *kept))
 
 
-def _with_causes_of_much(assessment: Assessment, found: tuple[Finding, ...]) -> Assessment:
-    """The assessment of a fit without known noise, which is none where a cause explains nearly all that it leaves."""
-    if not found or found[0].kind in (*LEFT_OUT, "unexplained") or (found[0].explains or 0.0) < NEARLY_ALL:
+def _suspicious(assessment: Assessment) -> bool:
+    """Whether a fit that is its own measure of the noise leaves more than noise in a channel, or much of its motion."""
+    beyond = any(share is not None and share.lower95 > 0 for share in assessment.discrepancy.values())
+    return beyond or max(assessment.relative_residual.values(), default=0.0) > MUCH
+
+
+def _with_likely_cause(assessment: Assessment, found: tuple[Finding, ...], harmless: bool) -> Assessment:
+    """The assessment of a fit without known noise, which is none where causes are likely and would move an unknown."""
+    if harmless or not likely(found):
         return assessment
-    name, left = max(assessment.relative_residual.items(), key=lambda each: each[1])
-    text = f"{100 * left:.0f} % of the motion at {name} is unexplained, and one cause explains most of it"
-    reasons = (Notice("much_left", text, (name,)), *(r for r in assessment.reasons if r.code not in UNTESTED))
+    reasons = (one_cause(found[0]), *(each for each in assessment.reasons if each.code not in UNTESTED))
     kept = tuple(reason for reason in reasons if reason.code != "below_noise")
     return replace(assessment, verdict="does not fit", reasons=kept, findings=found)
 

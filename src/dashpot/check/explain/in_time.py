@@ -34,7 +34,7 @@ from dashpot.check.explain.problem import TimeProblem, fitted_from_starts, repla
 from dashpot.check.explain.records import CHANGED_CHANNEL, channels_in_time
 from dashpot.check.explain.rigs import missing_elements, points_of
 from dashpot.check.explain.score import APART, PARTS, steadiness, sums_of_parts
-from dashpot.check.verdict import powerless, rejected, settled_by_size, unphysical, worst_of
+from dashpot.check.verdict import one_cause, powerless, rejected, settled_by_size, unphysical, worst_of
 from dashpot.data.noise import smoothed
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError
@@ -127,8 +127,7 @@ def assess_records(
     against += [_reason(model, each) for each in in_place[:1]]
     doubts = [] if against else doubts
     if found is not None and not against and _settled(found):
-        text = f"{100 * found.causes[0].explains:.0f} % of the unexplained motion has one cause"
-        against, doubts = [Notice("one_cause", text, found.causes[0].effect.of)], []
+        against, doubts = [one_cause(found.findings()[0])], []
     findings = found.findings() if found is not None and (against or not converged) else ()
     if not estimate.fit.known_noise:  # what a remedy leaves has no measure
         findings = tuple(replace(each, remaining=None) for each in findings)

@@ -96,15 +96,11 @@ def hysteretic(baseline: Baseline) -> Iterator[Effect]:
     """Hysteretic damping beside a spring, or in the place of a damper of a stated value."""
     model = baseline.problem.model
     joined = {frozenset(each.along) for each in model.elements if each.kind is Kind.SPRING}
-    candidates = [
-        each
-        for each in missing_elements(model, (Kind.HYSTERETIC,))
-        if each.kind is Kind.HYSTERETIC and frozenset(each.along) in joined
-    ]
-    yield from _added(baseline, "hysteretic", candidates)
+    missing = [each for each in missing_elements(model, (Kind.HYSTERETIC,)) if each.kind is Kind.HYSTERETIC]
+    yield from _added(baseline, "hysteretic", [each for each in missing if frozenset(each.along) in joined])
     middle_hz = float(np.exp(np.mean(np.log(baseline.problem.frequency_hz))))
     dampers = (each for each in stated_values(model) if each.kind is Kind.DAMPER)
-    pairs = [(damper, each) for damper in dampers for each in candidates if each.along == damper.along]
+    pairs = [(damper, each) for damper in dampers for each in missing if each.along == damper.along]
     for viscous, candidate in pairs:
         assert viscous.guess is not None
         size = viscous.guess * 2 * np.pi * middle_hz  # dissipates as much there
@@ -112,7 +108,7 @@ def hysteretic(baseline: Baseline) -> Iterator[Effect]:
         yield Effect(
             "hysteretic", points_of(candidate, model), partial(_with, candidate, instead=(damper,)),
             partial(_rather_hysteretic, model, damper, candidate), (size,), ELEMENT_WIDTH * size,
-            unknown=candidate.name, share=1 / len(candidates),
+            unknown=candidate.name, share=1 / len(missing),
         )  # fmt: skip
 
 

@@ -508,8 +508,9 @@ def test_a_body_whose_resonance_lies_between_two_lines_is_found_where_it_is() ->
     assert first.number == pytest.approx(values["kb"], rel=0.1)
 
 
-def test_a_stated_damper_whose_damping_is_hysteretic_is_replaced_by_that() -> None:
-    """Beside the damper hysteretic damping leaves hundreds of times the noise."""
+@pytest.mark.parametrize("point", ["bed", "table"])
+def test_a_stated_damper_whose_damping_is_hysteretic_is_replaced_by_that(point: str) -> None:
+    """Beside the damper hysteretic damping leaves hundreds of times the noise; no spring stands beside the table's."""
     names, hertz = "bed table", np.geomspace(0.5, 20.0, 24)
     rest = "mb@bed mt@table kb:bed-ground kt:table-bed ct:table-bed"
     values = {"mb": 150.0, "mt": 240.0, "kb": 13e3, "kt": 72e3, "ct": 110.0, "hb": 1700.0}
@@ -518,15 +519,44 @@ def test_a_stated_damper_whose_damping_is_hysteretic_is_replaced_by_that() -> No
         Channel("f", {"f": 1.0}, Quantity.FORCE),
     )
     pushed = np.ones((len(hertz), 1))
-    true = network(names, "f@bed", f"{rest} hb:bed-ground")
+    true = network(names, "f@bed", f"{rest} hb:{point}-ground")
     bench = partly_seen.Bench(
         "", true, values, channels, hertz, 0 * pushed[:, :0], pushed, {"": 0.002, "f": 0.0}
     )
-    stated = network(names, "f@bed", f"{rest} cb:bed-ground=130")
+    stated = network(names, "f@bed", f"{rest} cb:{point}-ground=130")
     first = diagnose(stated, bench.spectrum(np.random.default_rng(4)))[0]
-    assert (first.kind, first.of) == ("hysteretic", ("bed", "ground"))
+    assert (first.kind, first.of) == ("hysteretic", (point, "ground"))
     assert first.number == pytest.approx(values["hb"], rel=0.01)
-    assert {each.name: each.value for each in first.elements} == {"cb": 0.0, "h_bed_ground": None}
+    assert {each.name: each.value for each in first.elements} == {"cb": 0.0, f"h_{point}_ground": None}
+
+
+def one_mass(hertz: np.ndarray, noise: float) -> tuple[Model, partly_seen.Bench]:
+    """A mass under a force of exact size, its velocity seen with noise."""
+    model = network("bed", "f@bed", "m@bed=40 k:bed-ground c:bed-ground")
+    channels = (
+        Channel("bed", {"bed": 1.0}, Quantity.VELOCITY),
+        Channel("f", {"f": 1.0}, Quantity.FORCE),
+    )
+    pushed = np.ones((len(hertz), 1))
+    values = {"k": 70e3, "c": 300.0}
+    return model, partly_seen.Bench(
+        "", model, values, channels, hertz, 0 * pushed[:, :0], pushed, {"": noise, "f": 0.0}
+    )
+
+
+def test_noise_that_a_share_would_take_along_is_no_cross_talk() -> None:
+    """A share of the velocity in the force is another damper, and seemed to leave less noise."""
+    model, bench = one_mass(np.linspace(2.0, 14.0, 200), 0.1)
+    findings = diagnose(model, bench.spectrum(np.random.default_rng(4)))
+    assert "crosstalk" not in {each.kind for each in findings}
+
+
+def test_a_force_that_is_late_is_not_held_for_a_negative_time() -> None:
+    model, bench = one_mass(np.linspace(2.0, 14.0, 40), 0.02)
+    late = replace(bench, delays={"f": 0.004})
+    findings = diagnose(model, late.spectrum(np.random.default_rng(4)))
+    assert {("delay", ("f",)), ("delay", ("bed",))} >= {(each.kind, each.of) for each in findings[:2]}
+    assert "hold" not in {each.kind for each in findings}
 
 
 def test_what_the_rigs_unknowns_can_nearly_do_is_scored_as_its_regression_promises() -> None:

@@ -224,6 +224,35 @@ def test_a_small_gain_is_named_where_noise_is_most_of_what_is_left(
     assert first.number == pytest.approx(1.01, abs=0.002)
 
 
+def test_what_describes_the_motion_closely_and_has_a_likely_cause_does_not_fit() -> None:
+    """Two dampers alone are known, the force reads 0.4 % too much, and 0.3 % of the motion is left at the most."""
+    model, truth = chain(2, 0.05, base=False, force=True, seed=3)
+    own = {unknown.name: float(value) for unknown, value in zip(model.unknowns, truth, strict=True)}
+    stated = {"m1": None, "c1": own["c1"], "c2": own["c2"]}
+    elements = tuple(replace(each, value=stated.get(each.name, each.value)) for each in model.elements)
+    record = record_of(model, truth, "random", decay_times=40, seed=2).record
+    noise = np.random.default_rng(5).normal(size=record.values.shape) * [0.01, 0.01, 0.0]
+    values = (record.values + record.values.std(axis=0) * noise) * [1.0, 1.0, 1.004]
+    shown = replace(record, values=values)
+    assessment = dashpot.identify(replace(model, elements=elements), shown, diagnose=True).assessment
+    assert assessment.described
+    assert assessment.verdict == "does not fit"
+    assert [reason.code for reason in assessment.reasons] == ["one_cause"]
+    assert ("gain", ("f",)) in {(each.kind, each.of) for each in assessment.findings}
+
+
+def test_a_sensor_between_two_points_that_no_element_joins_is_placed(
+    test_of_three: tuple[Model, Record],
+) -> None:
+    model, record = test_of_three
+    values = np.array(record.values)
+    values[:, 0] = 0.86 * record.values[:, 0] + 0.14 * record.values[:, 2]
+    first = dashpot.identify(model, replace(record, values=values), diagnose=True).assessment.findings[0]
+    assert (first.kind, first.of) == ("place", ("x1_dis",))
+    assert first.number == pytest.approx(0.14, abs=0.005)
+    assert set(first.channels[0].of) == {"x1", "x3"}
+
+
 @pytest.mark.parametrize("proportional", [False, True])
 def test_the_noise_of_the_quietest_record_holds_for_all_as_it_stands_or_in_proportion(
     proportional: bool,
