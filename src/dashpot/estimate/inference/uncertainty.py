@@ -175,7 +175,10 @@ class _Point:
         if not (np.all(np.isfinite(A)) and np.isfinite(around.cost[0]) and np.all(diagonal > 0)):
             return None
         size = np.maximum(np.abs(psi), 1 / np.sqrt(diagonal))
-        _, vectors = np.linalg.eigh(A * np.outer(size, size))
+        scaled = A * np.outer(size, size)
+        if not np.all(np.isfinite(scaled)):
+            return None
+        _, vectors = np.linalg.eigh(scaled)
         return _Point(psi, float(around.cost[0]), size, vectors[:, 0], _least_eigenvalue(A), A)
 
     def weak(self, scale: float) -> bool:
@@ -200,6 +203,7 @@ class _Walk:
         self.met = begin.psi[None]
 
     @staticmethod
+    @np.errstate(all="ignore")  # a valley without an end leads beyond all numbers
     def followed(
         evaluate: Evaluate, begin: _Point, side: float, rise: float, *, turning: bool = True
     ) -> _Walk:
