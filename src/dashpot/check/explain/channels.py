@@ -455,7 +455,7 @@ def _mixed(name: str, other: str, share: float) -> Phrase:
 
 
 def place(baseline: Baseline) -> Iterator[Effect]:
-    """Each motion channel mounted at another point, or between its point and another."""
+    """Each motion channel mounted at another point, or on an element between its point and another."""
     model, channels = baseline.problem.model, baseline.problem.channels
     for c in np.flatnonzero(~baseline.inputs).tolist():
         channel = channels[c]
@@ -465,7 +465,8 @@ def place(baseline: Baseline) -> Iterator[Effect]:
             if set(channel.of) != {point}:
                 act, words = partial(_mounted, c, point), partial(_seen_there, model, channel, point)
                 yield Effect("place", (channel.name,), act, words)
-                yield Effect("place", (channel.name,), act, words, (0.1, 0.5), 0.3, between=(0.0, 1.0))
+                if any({point, *channel.of} <= set(element.along) for element in model.elements):
+                    yield Effect("place", (channel.name,), act, words, (0.1, 0.5), 0.3, between=(0.0, 1.0))
 
 
 def _between(channel: Channel, point: str, share: float) -> Channel:

@@ -18,7 +18,7 @@ from math import log
 import numpy as np
 from scipy.special import chdtrc, log_ndtr, logsumexp
 
-from dashpot.arrays import Complex, Ints, Real
+from dashpot.arrays import Ints, Real
 from dashpot.check.explain import channels, dwells, rigs
 from dashpot.check.explain import laws as laws_of_rig
 from dashpot.check.explain.effect import Baseline, Effect, Effects, Subject
@@ -881,12 +881,9 @@ class LeftOver:
         used = min(max(fit.dof, 1) / total, 1.0)  # of each square: unknowns and inputs have taken up the rest
         log_v = np.log(EXCESSES if problem.noise_known else np.concatenate([1 / EXCESSES[:0:-1], EXCESSES]))
         table = np.zeros((len(log_v), len(SIZES)))
-        z, g = _white(problem, fit.residual), _white(problem, problem.y - fit.residual)
         with np.errstate(over="ignore", invalid="ignore"):
             for c, number in enumerate(problem.numbers):
-                on = problem.counted[:, c]
-                if np.any(on):
-                    table += _of_channel(z[on, c], g[on, c], block[on], used * number / 2, log_v)
+                table += _of_channel(fit, c, block, used * number / 2, log_v)
         return LeftOver(fit, log_v, table)
 
     @property
@@ -935,27 +932,15 @@ class LeftOver:
         return value if np.isfinite(value) else -np.inf
 
 
-def _white(problem: FitProblem, values: Complex) -> Complex:
-    """Numbers (rows, columns) over their noise, of each column what it shows beside those before it."""
-    z = values / problem.sd
-    if not isinstance(problem, LineProblem):
-        return z
-    on = problem.counted
-    alike = np.where(on[:, :, None] & on[:, None, :], problem.V, 0.0)
-    alike = alike / (problem.sd[:, :, None] * problem.sd[:, None, :])
-    own = np.arange(z.shape[1])
-    alike[:, own, own] = 1.0 + 1e-9  # of two channels that are one the second shows next to nothing
-    if not np.any(np.abs(np.triu(alike, 1)) > 1e-12):
-        return z
-    return np.linalg.solve(np.linalg.cholesky(alike), np.where(on, z, 0.0)[..., None])[..., 0]
-
-
-def _of_channel(z: Complex, g: Complex, block: Ints, used: float, log_v: Real) -> Real:
-    """ln p of the residuals z (rows,) of a channel and its motion g, both over the noise, for each v and s.
-
-    used: the part of each of its squares that is left to test the fit by.
-    """
-    number, count = np.unique(block, return_inverse=True, return_counts=True)[1:]
+def _of_channel(fit: FittedProblem, c: int, block: Ints, used: float, log_v: Real) -> Real:
+    """ln p of one channel for each v and s; used: the part of each of its squares that is left to test the fit by."""
+    problem = fit.problem
+    on = problem.counted[:, c]
+    if not np.any(on):
+        return np.zeros((len(log_v), len(SIZES)))
+    sd, r = problem.sd[on, c], fit.residual[on, c]
+    z, g = r / sd, (problem.y[on, c] - r) / sd
+    number, count = np.unique(block[on], return_inverse=True, return_counts=True)[1:]
 
     def summed(values: Real) -> Real:
         return np.bincount(number, values, len(count)).astype(np.float64)

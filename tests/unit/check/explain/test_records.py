@@ -241,18 +241,6 @@ def test_what_describes_the_motion_closely_and_has_a_likely_cause_does_not_fit()
     assert ("gain", ("f",)) in {(each.kind, each.of) for each in assessment.findings}
 
 
-def test_a_sensor_between_two_points_that_no_element_joins_is_placed(
-    test_of_three: tuple[Model, Record],
-) -> None:
-    model, record = test_of_three
-    values = np.array(record.values)
-    values[:, 0] = 0.86 * record.values[:, 0] + 0.14 * record.values[:, 2]
-    first = dashpot.identify(model, replace(record, values=values), diagnose=True).assessment.findings[0]
-    assert (first.kind, first.of) == ("place", ("x1_dis",))
-    assert first.number == pytest.approx(0.14, abs=0.005)
-    assert set(first.channels[0].of) == {"x1", "x3"}
-
-
 @pytest.mark.parametrize("proportional", [False, True])
 def test_the_noise_of_the_quietest_record_holds_for_all_as_it_stands_or_in_proportion(
     proportional: bool,
