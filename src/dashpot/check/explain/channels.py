@@ -40,7 +40,6 @@ DELAYS = (-0.4, -0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2, 0.4)
 GAIN_WIDTH = 0.1  # nepers: a sensor's sensitivity is usually known to some per cent
 DELAY_WIDTH = 0.2  # periods of the highest frequency: a sample or two of usual sampling
 SHARE_WIDTH = 0.05  # of the other channel's size: usual cross-talk
-FAINT = 1e-5  # of a channel's size: the noise that every channel has which contains another
 REACH = 1.5  # periods of the highest frequency: the longest delay that is looked for
 DISAGREES = (
     "disagrees with the other channels, and no common error (sign, unit, gain, delay, swap) explains it"
@@ -440,10 +439,8 @@ def _cleared(c: int, other: int, problem: LineProblem | TimeProblem, share: floa
     if isinstance(problem, TimeProblem):  # whose channels have noise of their own alone
         return problem.with_amplitudes(y)
     # A channel without noise that has a share of another's is that other, and the two would tell the same twice.
-    noise, own = np.array(problem.V), np.mean(np.abs(problem.y[:, c]) ** 2)
-    noise[:, c, c] = np.where(
-        problem.kept[:, c], np.maximum(noise[:, c, c].real, FAINT**2 * own), noise[:, c, c]
-    )
+    noise = np.array(problem.V)
+    noise[:, c, c] = problem.sd[:, c] ** 2
     mixing = np.eye(y.shape[1])
     mixing[c, other] = -share
     return problem.with_amplitudes(y, (mixing @ noise @ mixing.T).astype(np.complex128))
