@@ -9,7 +9,7 @@ so that the residuals of all channels together are loud for a while, though none
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -153,8 +153,10 @@ def _of_record(whitened: Whitened, spectrum: Spectrum, number: int, outputs: Int
     near_s, total = at.duration_s / len(lines), sum(shown.values())
     blocks = min(BLOCKS, total // len(shown) // LINES_EACH)
     steps, jumps, by_block = list[TimeChange](), list[TimeChange](), np.zeros((3, blocks))
+    residuals: list[Complex] = []
     for c, count in shown.items():  # histories of one channel at a time: those of long records are large
         residual, prediction = whitened(lines, c)
+        residuals.append(residual)
         rate = 1j * spectrum.omega[lines] * prediction
         left, motion, slope = (at.history_of(each) for each in (residual, prediction, rate))
         name, independent = spectrum.channels[c].name, at.samples / (2 * count)
@@ -181,7 +183,7 @@ def _of_record(whitened: Whitened, spectrum: Spectrum, number: int, outputs: Int
                 break
         else:
             changes.append(jump)
-    block = _loud_block(by_block, 2 * _independent(whitened, lines, list(shown)) / max(blocks, 1))
+    block = _loud_block(by_block, 2 * _independent(np.stack(residuals, axis=1)) / max(blocks, 1))
     if block is None:
         return changes
     time_s = (block + 0.5) * at.duration_s / blocks
@@ -191,15 +193,14 @@ def _of_record(whitened: Whitened, spectrum: Spectrum, number: int, outputs: Int
     return changes
 
 
-def _independent(whitened: Whitened, lines: Ints, channels: Sequence[int]) -> float:
-    """How many complex numbers as independent as noise of one channel scatter as the power of all of them does.
+def _independent(left: Complex) -> float:
+    """How many independent complex numbers scatter as the power of these (lines, channels) does.
 
     Satterthwaite's: noise that channels share counts once.
     """
-    left = np.stack([whitened(lines, c)[0] for c in channels], axis=1)
     alike = left.conj().T @ left
     power = float(np.trace(alike).real) ** 2 / max(float(np.sum(np.abs(alike) ** 2)), TINY)
-    return power * np.count_nonzero(left) / len(channels)
+    return power * np.count_nonzero(left) / left.shape[1]
 
 
 def _jump(of: _Histories) -> list[TimeChange]:
