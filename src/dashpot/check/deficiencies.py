@@ -124,7 +124,7 @@ def in_words(one: Deficiency, found: Structure, model: Model, channels: Sequence
             need = f"measure at {missing} more frequenc{'y' if missing == 1 else 'ies'}, or "
         elif one.lines.without_base:
             need = "also measure the rig without the changes of the experiments, or "
-        what, cure = what, need + with_values(one.names, M - found.rank)
+        cure = need + with_values(one.names, M - found.rank)
     elif one.sort == "mixed" and len(names) == 1:
         what = f"no information on {names[0]}: its element never moves far enough for its law to show"
         cure = "increase the drive, or state a value"
@@ -139,13 +139,12 @@ def in_words(one: Deficiency, found: Structure, model: Model, channels: Sequence
             what = f"{_named(names)} are not determined at all"
         if one.sort == "sum" and elements.issuperset(names):
             reason, more = _parallel(names, model)
-            what, cure = f"{what}: {reason}", f"{give}{more}"
-        else:
-            if one.sort == "series":
-                points = [set(e.along) for e in model.elements if e.name in names]
-                shared = set.intersection(*points) if points else set()
-                what += f": they are in series{f' through {_named(sorted(shared))}' if shared else ''}"
-            what, cure = what, give
+            what, give = f"{what}: {reason}", f"{give}{more}"
+        elif one.sort == "series":
+            points = [set(e.along) for e in model.elements if e.name in names]
+            shared = set.intersection(*points) if points else set()
+            what += f": they are in series{f' through {_named(sorted(shared))}' if shared else ''}"
+        cure = give
     sensors = []
     for channel in one.sensors[:4]:
         (name,) = channel.of
