@@ -370,12 +370,12 @@ def settled_by_size(
     sought `in_vain` beside noise that is what a record leaves, and may run as it will over frequency, they cannot tell.
     Where a share of the motion was asked for, only what the data show fits.
     """
-    codes = {reason.code for reason in assessment.reasons}
-    if codes <= BY_SIZE and (harmless or not likely(assessment.findings)):
+    codes, unlikely = {reason.code for reason in assessment.reasons}, not likely(assessment.findings)
+    if codes <= BY_SIZE and (harmless or unlikely):
         if assessment.described:
             causes = tuple(each for each in assessment.findings if each.kind != "unexplained")
             return replace(assessment, verdict="fits", reasons=(), findings=causes)
-        if in_vain and codes:
+        if in_vain and unlikely and codes:
             assessment = replace(assessment, verdict="cannot tell")
     if assessment.verdict == "does not fit" or assessment.described or not asked:
         return assessment

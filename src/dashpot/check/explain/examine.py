@@ -197,7 +197,7 @@ def examined(
             assessment = _with_likely_cause(assessment, findings, _harmless(estimate, found))
     estimate, assessment = _without_changes_in_time(estimate, assessment)
     harmless = _harmless(estimate, found)
-    in_vain = of_residuals and found is not None and not likely(assessment.findings)
+    in_vain = of_residuals and found is not None
     assessment = settled_by_size(assessment, within is not None, in_vain=in_vain, harmless=harmless)
     estimate = _closed(model, spectrum, estimate, assessment)
     if estimate.assessment is None or estimate.assessment.verdict != "does not fit":

@@ -513,8 +513,9 @@ def _over_sizes(climbed: Climb, beta: Real, tau: float, k: int, free: float) -> 
                 way /= 2
     found.sort(key=lambda size: size[0])
     log_tau, weights = np.array([size[:2] for size in found]).T
-    share = np.exp(weights - np.max(weights)) * (np.gradient(log_tau) if len(found) > 1 else 1.0)
-    share[-1] *= 1 + smallest / (np.gradient(log_tau)[-1] if len(found) > 1 else 1.0)
+    width = np.gradient(log_tau) if len(found) > 1 else np.ones(1)
+    share = np.exp(weights - np.max(weights)) * width
+    share[-1] *= 1 + smallest / width[-1]
     share = share / np.sum(share)
     middles = np.array([size[2] for size in found])
     mean = share @ middles
