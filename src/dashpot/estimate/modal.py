@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import chdtrc
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze, hermitian
+from dashpot.arrays import Bools, Complex, Ints, Real, freeze, hermitian, zeros_for_nan
 from dashpot.data.modal_data import ModalData
 from dashpot.data.noise import LEVEL
 from dashpot.errors import ConvergenceError, DataError, IdentifiabilityError, UsageError
@@ -115,20 +115,20 @@ class ModeProblem:
 
         The pairs that make Σ (1 − MAC) + |ln (f / f_measured)| least, each mode used once (Hungarian method).
         """
-        swings = np.isfinite(values) & (values.imag > 1e-9 * np.abs(np.nan_to_num(values)))
-        f = np.where(swings, np.abs(np.nan_to_num(values)), 1.0) / (2 * np.pi)
+        swings = np.isfinite(values) & (values.imag > 1e-9 * np.abs(zeros_for_nan(values)))
+        f = np.where(swings, np.abs(zeros_for_nan(values)), 1.0) / (2 * np.pi)
         cost = np.abs(np.log(f[:, None, :] / self.data.frequency_hz[rows][:, :, None]))
         several = np.sum(self.present, axis=-1) > 1
         if np.any(several):
-            seen = np.nan_to_num(shapes) @ self.look.T
-            measured = np.where(self.present, np.nan_to_num(self.data.shapes[rows]), 0.0)
+            seen = zeros_for_nan(shapes) @ self.look.T
+            measured = np.where(self.present, zeros_for_nan(self.data.shapes[rows]), 0.0)
             there = self.present.astype(float)
             across = np.abs(np.einsum("kmp,kjp->kmj", np.conj(measured), seen)) ** 2
             size = np.sum(np.abs(measured) ** 2, axis=-1)
             theirs = np.einsum("mp,kjp->kmj", there, np.abs(seen) ** 2)
             with np.errstate(invalid="ignore", divide="ignore"):
                 mac = across / (size[:, :, None] * theirs)
-            cost = cost + np.where(several[:, None], 1 - np.nan_to_num(mac), 0.0)
+            cost = cost + np.where(several[:, None], 1 - zeros_for_nan(mac), 0.0)
         cost = np.where(swings[:, None, :], cost, 1e6)
         chosen = np.empty(cost.shape[:2], dtype=np.int64)
         for k, table in enumerate(cost):
@@ -161,7 +161,7 @@ class ModeProblem:
             # Those of shapes, (K, modes, points, …). With a = φ at the measured points the scale s = aᴴV⁻¹φ_m / aᴴV⁻¹a
             # leaves the residual orthogonal to a; what it can do is taken out of the slopes.
             seen = (self.shape @ (phi @ self.look.T)[..., None])[..., 0]
-            shown = np.where(self.present, np.nan_to_num(data.shapes[rows]), 0.0)
+            shown = np.where(self.present, zeros_for_nan(data.shapes[rows]), 0.0)
             measured = (self.shape @ shown[..., None])[..., 0]
             power = np.sum(np.abs(seen) ** 2, axis=-1, keepdims=True)
             power = np.where(power > 0, power, 1.0)
@@ -188,7 +188,7 @@ class ModeProblem:
         at = self.pair(values, shapes)[0]
         lam = np.where(at >= 0, values[0, at], np.nan)
         seen = np.where((at >= 0)[:, None], shapes[0, at], np.nan) @ self.look.T
-        both = np.nan_to_num(np.stack([seen, np.where(self.present, self.data.shapes[0], 0.0)], axis=-1))
+        both = zeros_for_nan(np.stack([seen, np.where(self.present, self.data.shapes[0], 0.0)], axis=-1))
         white = self.shape @ both
         power = np.sum(np.abs(white[..., 0]) ** 2, axis=-1)
         scale = np.sum(np.conj(white[..., 0]) * white[..., 1], axis=-1) / np.maximum(power, 1e-300)

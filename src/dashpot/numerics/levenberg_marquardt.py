@@ -181,7 +181,7 @@ class _Search:
             # Damping after a step that lowered the cost: a third where it kept its promise, as before where
             # it hardly did
             with np.errstate(all="ignore"):
-                kept = np.nan_to_num((around.cost - there.cost) / promised)
+                kept = zeros_for_nan((around.cost - there.cost) / promised)
             factor = np.where(kept > 0.75, 1 / 3, np.where(kept > 0.25, 0.7, 1.0))
             calm = np.where(damping * factor > 1e-7, damping * factor, 0.0)
             length = np.max(np.abs(trial - x) / spread, axis=-1)
@@ -237,7 +237,7 @@ def _curved(
             [(around.gradient - there) / width[:, j, None] for j, there in enumerate(columns)], axis=-1
         )
         curvature = (curvature + np.swapaxes(curvature, -1, -2)) / 2
-        scaled = np.nan_to_num(curvature * spread[:, :, None] * spread[:, None, :])
+        scaled = zeros_for_nan(curvature * spread[:, :, None] * spread[:, None, :])
         convex = np.linalg.eigvalsh(scaled)[:, 0] > 1e-6
     free = np.where(convex[:, None, None], curvature, around.free)
     return QuadraticModel(around.cost, around.gradient, around.symmetric, free), convex

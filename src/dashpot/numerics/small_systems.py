@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Ints, Real
+from dashpot.arrays import Bools, Complex, Ints, Real, zeros_for_nan
 from dashpot.numerics.kernel import kernel_function
 
 # Least squares on nuisance columns that may depend on each other, for stacks of problems.
@@ -51,7 +51,7 @@ def independent(products: Real, squares: Real | None = None) -> tuple[Real, Ints
     left of them; what depends on others to DEPENDENT is left out.
     """
     products = np.where(np.isfinite(products), products, 0.0)
-    size = np.diagonal(products, axis1=-2, axis2=-1) if squares is None else np.nan_to_num(squares)
+    size = np.diagonal(products, axis1=-2, axis2=-1) if squares is None else zeros_for_nan(squares)
     unit = np.where(size > 0, 1 / np.sqrt(np.where(size > 0, size, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(products * unit[..., :, None] * unit[..., None, :])
     least = np.maximum(DEPENDENT * values[..., -1:], DEPENDENT if squares is not None else 1e-300)
@@ -67,7 +67,7 @@ def with_known_last(products: Real, squares: Real, precision: Real, count: int) 
     N's columns, precision (columns, columns) or with leading axes.
     """
     N = np.where(np.isfinite(products), products, 0.0) + precision
-    size = np.nan_to_num(squares) + np.diagonal(precision, axis1=-2, axis2=-1)
+    size = zeros_for_nan(squares) + np.diagonal(precision, axis1=-2, axis2=-1)
     unit = np.where(size > 0, 1 / np.sqrt(np.where(size > 0, size, 1.0)), 0.0)
     N = N * unit[..., :, None] * unit[..., None, :]
     first = N.shape[-1] - count
