@@ -10,6 +10,7 @@ import pytest
 from dashpot.arrays import random_generator
 from dashpot.check.explain.examine import examined
 from dashpot.check.residuals import Residuals, discrepancies, residuals
+from dashpot.check.verdict import assess
 from dashpot.data.conditioning.lines import spectrum
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ModelError
@@ -116,8 +117,8 @@ def test_a_whole_record_of_another_rig_does_not_fit(shaken: WholeTest) -> None:
         for element in lighter
     )
     wrong = replace(shaken.model, elements=heavier)
-    assessment = _judged(wrong, _whole(shaken, 0.01, 0)).assessment
-    assert assessment is not None
+    data = _whole(shaken, 0.01, 0)
+    assessment = assess(wrong, data, identify(wrong, data))
     assert assessment.verdict == "does not fit"
     assert any(each is not None and each.lower95 > each.within for each in assessment.discrepancy.values())
 

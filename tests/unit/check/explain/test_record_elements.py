@@ -118,7 +118,8 @@ def test_friction_below_zero_is_damping_that_grows_with_speed_and_the_line_says_
     assert "coulomb" not in findings[0].change
 
 
-@pytest.mark.parametrize("missing", [True, pytest.param(False, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("missing", [True, False])
 def test_the_refusal_of_a_gap_that_never_closes_names_a_missing_damper(missing: bool) -> None:
     rig, gap = shaken(), force_law("gap", [Constant("gap", 0.1)])
     stop = replace(between("q", Kind.SPRING, "x", "ground"), force_law=gap)

@@ -35,8 +35,7 @@ def named(element: str, *, by_experiment: bool) -> Finding:
     return diagnose(model, replace(data, experiment=late.astype(int)) if by_experiment else data)[0]
 
 
-@pytest.mark.parametrize("by_experiment", [False, True], ids=["from some run on", "experiment"])
-@pytest.mark.parametrize("element", ["m2", "k2"])
+@pytest.mark.parametrize(("element", "by_experiment"), [("m2", False), ("k2", True)])
 def test_what_is_not_the_same_in_all_runs_is_named(element: str, by_experiment: bool) -> None:
     """A part that is sought (m2) and one whose value is stated (k2)."""
     best = named(element, by_experiment=by_experiment)

@@ -95,18 +95,22 @@ MISTAKES = {
 DRIVEN = ["at random", "in dwells"]
 
 
-def test_a_late_channel_of_dwells_is_named_first(test: WholeTest) -> None:
-    _named_first(test, "in dwells", "delay")
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("kind", MISTAKES)
-@pytest.mark.parametrize("driven", DRIVEN)
+@pytest.mark.parametrize(
+    ("driven", "kind"),
+    [
+        ("in dwells", "delay"),
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in (
+                ("at random", "delay"),
+                ("at random", "unit"),
+                ("in dwells", "sign"),
+                ("in dwells", "swap"),
+            )
+        ),
+    ],
+)
 def test_a_mistake_is_named_first(test: WholeTest, driven: str, kind: str) -> None:
-    _named_first(test, driven, kind)
-
-
-def _named_first(test: WholeTest, driven: str, kind: str) -> None:
     of, mistake = MISTAKES[kind]
     records = [test.record] if driven == "at random" else dwells(test.model, test.theta, test.record)
     wrong = noisy(records, 3, mistake)
