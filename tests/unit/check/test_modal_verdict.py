@@ -60,9 +60,9 @@ def of_another_rig(data: ModalData) -> ModalData:
 @pytest.mark.parametrize(
     ("mistake", "kind", "of"),
     [
-        (turned, "sign", ("x2",)),
+        pytest.param(turned, "sign", ("x2",), marks=pytest.mark.long),
         pytest.param(exchanged, "swap", ("x1", "x2"), marks=pytest.mark.long),
-        pytest.param(in_g, "unit", ("x3",), marks=pytest.mark.long),
+        (in_g, "unit", ("x3",)),
         pytest.param(of_another_rig, "mode", None, marks=pytest.mark.long),
     ],
 )

@@ -37,9 +37,9 @@ def measured(law, wrong=None, factor=1.0):
 
 @pytest.mark.parametrize(
     ("law", "wrong", "factor", "kind"),
-    [("cubic", "x1", -1.0, "sign"), ("gap", "x2", 1000.0, "unit"), ("cubic", "u", 9.80665, "unit")],
+    [("gap", "x2", 1000.0, "unit"), ("cubic", "u", 9.80665, "unit")],
 )
-def test_a_channel_of_the_wrong_sign_or_unit_is_named_first(law, wrong, factor, kind):
+def test_a_channel_of_the_wrong_unit_is_named_first(law, wrong, factor, kind):
     model, spectrum = measured(law, wrong, factor)
     causes = mistakes_by_equation(prepare(model, spectrum), 1e4)
     assert (causes[0].kind, causes[0].of, causes[0].number) == (kind, (wrong,), pytest.approx(factor))
