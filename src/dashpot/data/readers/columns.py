@@ -28,6 +28,7 @@ _UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\]|\((?P<round>[^\[
 _DIVIDED = re.compile(
     r"^(?P<name>.*\S)\s+(?:/|in)\s+(?P<unit>\S+)$"
 )  # ISO 80000-1: x1 / mm, and what people say
+_ENDING = re.compile(r"(?P<name>.*?[^\W_])[_/ ]+\(?(?P<unit>(?!in\b)[^\W\d_]+([/_]s)?(\^?2|²)?)\)?")
 
 
 @lru_cache(maxsize=4096)
@@ -40,6 +41,14 @@ def bare(column: str) -> tuple[str, str | None]:
     if match and is_unit(match["unit"]):
         return match["name"], match["unit"]
     return column, None
+
+
+def named_unit(column: str) -> tuple[str, str | None]:
+    """A column's name and unit, as `bare` or from the end of the name: time_ms, u_mm, a2_mps2, a_m_s2."""
+    name, unit = bare(column)
+    match = None if unit else _ENDING.fullmatch(name)
+    ending = re.sub(r"(?i)hz$", "Hz", match["unit"].replace("_", "/")) if match else ""
+    return (match["name"], ending) if match and is_unit(ending) else (name, unit)
 
 
 def _with_stem(column: str, written: str, new: str) -> str:
@@ -173,10 +182,10 @@ class Columns(ABC):
         name = shown(bare(self.header[column])[0])
         return DataError(f"column {name}: {cause}", self.place(index), cure)
 
-    def not_read(self, read: Collection[int | None]) -> list[Notice]:
+    def not_read(self, read: Collection[int | None], cure: str = "") -> list[Notice]:
         """What is said of the other columns that have a name."""
         extra = [bare(name)[0] for i, name in enumerate(self.header) if name and i not in read]
-        text = f"{self.source}: not read, because the rig file does not list them: {listed(extra)}"
+        text = f"{self.source}: not read, because the rig file does not list them: {listed(extra)}{cure}"
         return [Notice("columns_not_read", text, tuple(extra))] if extra else []
 
     def refuse(self, column: int, wrong: Bools, cause: str, cure: str, values: Real | None = None) -> None:
@@ -314,8 +323,7 @@ FREQUENCY, TIME = "frequency_hz", "time_s"
 _TIMES = "time_s time t zeit temps tiempo timestamp datetime date_time x_value seconds millis micros"
 _CLOCKS = {"millis": "ms", "micros": "µs"}  # what counting clocks are called
 TIME_NAMES = set(_TIMES.split())
-_NAMED_UNIT = re.compile(r"(?P<name>.+)_(?P<unit>s|ms|us|µs|min|h)")  # time_ms
-_FREQUENCIES = {"frequency", "freq", "f", "frequenz"}
+_FREQUENCIES = re.compile(r"((drive|driving|excitation|forcing)[ _])?(frequency|freq|frequenz|f)")
 LONGEST = 1e12  # s
 
 
@@ -348,8 +356,7 @@ def time_column(columns: Columns, channels: Sequence[Channel], may_lack: bool = 
 def _time_stem(name: str) -> str:
     """The name of a column in small letters, without the unit."""
     plain = bare(name)[0].lower()
-    match = None if plain in TIME_NAMES else _NAMED_UNIT.fullmatch(plain)
-    return match["name"] if match else plain
+    return plain if plain in TIME_NAMES else named_unit(plain)[0]
 
 
 def read_time(
@@ -383,8 +390,8 @@ def read_time(
     numbers = columns.numbers(list(dict.fromkeys([time_at, *others])), together=together)
     # Seconds per unit of the column
     plain = bare(columns.header[time_at])[0].lower()
-    match = _NAMED_UNIT.fullmatch(plain)
-    named = match["unit"] if match and match["name"] in TIME_NAMES else _CLOCKS.get(plain)
+    stem, named = named_unit(plain)
+    named = named if stem in TIME_NAMES else _CLOCKS.get(plain)
     scale = _unit_scale(columns, time_at, "time", "give the time in s, ms, µs, min or h", named)
     time = numbers[time_at] if time_at in others else numbers.pop(time_at)
     if not named and not columns.unit(time_at):
@@ -439,25 +446,24 @@ def _unit_scale(columns: Columns, column: int, quantity: str, cure: str, named: 
 
 
 def frequency_column(columns: Columns, channels: Sequence[Channel]) -> int | None:
-    """Position of the drive frequency: `frequency_hz`, or a usual name of it with a unit; None if there is none."""
+    """Position of the drive frequency: `frequency_hz`, or a usual name of it; None if there is none, or several."""
     at = columns.find(FREQUENCY)
     if at is not None:
         return at
     taken = {channel.name for channel in channels}
-    usual = [
-        i
-        for i, name in enumerate(columns.header)
-        if bare(name)[0].lower() in _FREQUENCIES
-        and columns.unit(i)
-        and bare(name)[0] not in taken
-        and not (bare(name)[0].lower() == "f" and factors(str(columns.unit(i)), "force"))  # f [N]
-    ]
+    usual = []
+    for i, column in enumerate(columns.header):
+        name, unit = named_unit(column)[0].lower(), columns.unit(i) or named_unit(column)[1]
+        force = name == "f" and (not unit or factors(unit, "force"))
+        if _FREQUENCIES.fullmatch(name) and not force and taken.isdisjoint((column, bare(column)[0])):
+            usual.append(i)
     return usual[0] if len(usual) == 1 else None
 
 
 def frequency_scale(columns: Columns, column: int) -> float:
     """Hz per unit of the column.  Raises DataError if the unit is none of frequency."""
-    return _unit_scale(columns, column, "frequency", "give the frequency in Hz, kHz, rad/s or rpm")
+    cure = "give the frequency in Hz, kHz, rad/s or rpm"
+    return _unit_scale(columns, column, "frequency", cure, named_unit(columns.header[column])[1])
 
 
 def check_range(columns: Columns, column: int, values: Real, most: float, unit: str) -> None:

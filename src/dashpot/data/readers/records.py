@@ -66,7 +66,6 @@ def read_records(
     channels = tuple(map(columns.described, at, channels))
     numeric = None if circumstances.named else experiment_at
     wanted = list(dict.fromkeys(i for i in (f_at, numeric, *at) if i is not None))
-    notes += columns.not_read((*wanted, time_at, experiment_at))
     apart = set(at).isdisjoint({time_at, f_at, experiment_at})
     time, numbers = read_time(columns, time_at, wanted, circumstances.rate_hz, at if apart else (), notes)
     frequency, frequency_hz, said = _drive(columns, f_at, numbers, circumstances)
@@ -83,11 +82,16 @@ def read_records(
         np.multiply(numbers.pop(column), scale, out=values[:, i])
         check_range(columns, column, values[:, i], LARGEST, "(SI)")
     starts = _blocks(columns, at[0] if time_at is None else time_at, time, frequency, experiments)
+    dwells = len(starts) > 1 and frequency is None and frequency_hz is None
+    cure = f"; if one of them is the drive frequency, call it {FREQUENCY}" if dwells else ""
+    notes += columns.not_read((*wanted, time_at, experiment_at), cure)
     records = []
     for start, end in zip(starts, [*starts[1:], len(time)], strict=True):
         name = columns.source if len(starts) == 1 else ""
         if end - start < 2:
             cure = "record more, or look for rows that are out of order"
+            if frequency is not None:
+                cure += "; of a sweep rename the column of the frequency"
             raise columns.error(start, columns.find(TIME) or 0, "the block has one sample", cure)
         if end - start == len(time):
             time.setflags(write=False)

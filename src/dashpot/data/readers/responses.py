@@ -27,7 +27,7 @@ from dashpot.data.readers.amplitudes import (
     phase_notices,
     required,
 )
-from dashpot.data.readers.columns import Columns, bare, frequency_scale
+from dashpot.data.readers.columns import Columns, bare, frequency_column, frequency_scale
 from dashpot.data.readers.records import check_frequency
 from dashpot.data.record import calibrated
 from dashpot.data.spectrum import SettledDwell, Spectrum, concatenate
@@ -35,7 +35,6 @@ from dashpot.errors import DataError
 from dashpot.io.words import listed
 from dashpot.notices import Notice
 
-_FREQUENCY = ("frequency", "freq", "f", "frequency_hz", "freq_hz", "frequenz", "hz")
 _POLAR = (
     ("magnitude", "mag", "amplitude", "amp", "abs", "gain", "|h|", "betrag"),
     ("phase", "ph", "arg", "angle", "phase_deg", "phase_rad"),
@@ -77,7 +76,8 @@ def _places(columns: Columns) -> tuple[int, int, int, bool] | None:
         at = [i for i, name in enumerate(names) if name in words]
         return at[0] if len(at) == 1 else None
 
-    frequency = only(_FREQUENCY)
+    at = frequency_column(columns, ())
+    frequency = only(("f", "hz")) if at is None else at
     for polar, (one, other) in ((True, _POLAR), (False, _PARTS)):
         first, second = only(one), only(other)
         if frequency is not None and first is not None and second is not None:

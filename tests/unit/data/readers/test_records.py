@@ -73,6 +73,21 @@ def test_units_become_si_and_columns_come_in_any_order(put):
     assert reading.notes[0].text.endswith("not read, because the rig file does not list them: junk")
 
 
+@pytest.mark.parametrize("name", ["Frequency_Hz", "FREQ_HZ", "f_Hz", "Freq", "frequency (Hz)", "drive freq [Hz]"])
+def test_usual_names_of_the_drive_frequency(put, name):
+    reading = read(put(f"{name},time_s,x1,u\n2,0,1,2\n2,0.1,3,4\n3,0,1,2\n3,0.1,3,4\n"), CHANNELS)
+    assert [record.frequency_hz for record in reading.records] == [2, 3]
+    kilo = read(put("f_kHz,time_s,x1,u\n2,0,1,2\n2,0.1,3,4\n"), CHANNELS)
+    assert kilo.records[0].frequency_hz == 2000
+
+
+def test_records_that_may_be_dwells_are_said_to_be(put):
+    rows = "2,0,1,2\n2,0.1,3,4\n3,0,1,2\n3,0.1,3,4\n"
+    for name in ("f", "F_N", "speed"):  # a force may be called f
+        (note,) = read(put(f"{name},time_s,x1,u\n{rows}"), CHANNELS).notes
+        assert "frequency_hz" in note.text
+
+
 def test_a_file_without_frequency_is_one_record(put):
     path = put("time_s,x1,u\n0,1,2\n0.1,3,4\n0.25,3,4\n")
     assert read(path, CHANNELS).records[0].frequency_hz is None
@@ -262,7 +277,7 @@ TABLE = "frequency_hz,experiment,x1_re,x1_im,x1_sd,u_re,u_im\n1,0,1,1,1,1,0\n2,0
         ("2,0,1,1,1", "2,0.5,1,1,1", "test.csv:3: column experiment: 0.5"),
         ("u_im", "x1_im", "test.csv:1: column x1_im: named twice"),
         ("u_re", "u_re [N]", "column u: N is not a unit"),
-        ("frequency_hz", "frequency", "test.csv:1: column frequency_hz: missing"),
+        ("frequency_hz", "line", "test.csv:1: column frequency_hz: missing"),
     ],
 )
 def test_bad_tables_are_refused_with_their_place(put, old, new, message):
