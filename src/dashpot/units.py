@@ -317,6 +317,8 @@ _TOKEN = re.compile(
     re.VERBOSE,
 )
 
+_PER_SECOND = re.compile(r"(?<![^\W\d_])([nuµμmck]?m|m?rad|deg)ps(?![^\W\d_])")  # mps, mmps2
+
 
 def _tokens(text: str) -> Iterator[tuple[str, str]]:
     position = 0
@@ -340,7 +342,7 @@ def _tokens(text: str) -> Iterator[tuple[str, str]]:
 @lru_cache(maxsize=4096)
 def _parse(text: str, quantity: str) -> tuple[float, Dimension]:
     """Factor and dimension of a unit text.  Products and quotients are taken from left to right."""
-    tokens = deque(_tokens(text))
+    tokens = deque(_tokens(_PER_SECOND.sub(r"\1/s", text)))
     if not tokens:
         raise _UnreadableError("it is empty")
     factor, dimension = _product(tokens, quantity, depth=0)

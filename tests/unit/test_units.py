@@ -18,9 +18,9 @@ FACTORS = {
         "in": INCH,
         "mil": INCH / 1000,
     },
-    ("velocity", False): {"mm/s | mm s^-1": 1e-3, "ips": INCH},
+    ("velocity", False): {"mm/s | mm s^-1 | mmps": 1e-3, "mps": 1.0, "ips": INCH},
     ("acceleration", False): {
-        "m/s^2 | m/s2 | m/s² | m s-2 | m·s⁻² | m/s/s | m/sec**2 | m s^(-2)": 1.0,
+        "m/s^2 | m/s2 | mps2 | m/s² | m s-2 | m·s⁻² | m/s/s | m/sec**2 | m s^(-2)": 1.0,
         "g | gn | g0 | G": GRAVITY,
         "mg": GRAVITY / 1000,
         "Gal": 0.01,

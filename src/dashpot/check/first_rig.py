@@ -12,19 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dashpot.channel import RESERVED_NAMES, Quantity
-from dashpot.data.inspection import Inspection, guessed_quantity
-from dashpot.data.readers.columns import factors, is_unit
+from dashpot.data.inspection import Inspection, recognised
+from dashpot.data.readers.columns import factors, is_unit, named_unit
 from dashpot.errors import UsageError
 from dashpot.io.toml_document import PLACEHOLDER
 from dashpot.io.words import listed
 from dashpot.model.rigfile.writer import MOST_MASSES, Chain, ChannelLine, Drive
 
-_LETTERS = {"a": "acceleration", "v": "velocity", "f": "force", **dict.fromkeys("xyzdsuqw", "displacement")}
-_BASE = re.compile(
-    r"(base|table|shaker|ground|floor_?0|input|drive|excit|ref|boden|tisch|fuss|fuß)", re.IGNORECASE
-)
-_ENDING = re.compile(r"(?P<stem>.+?)[_/ ]\(?(?P<unit>(?!in\b)[A-Za-zµ]+(/s(\^2|²)?)?)\)?")  # acc1_g, F/N
-_BASE_LETTERS = re.compile(r"([auw]?[_ ]?(base|table|ground)|u\d*|w\d*|a?0)$", re.IGNORECASE)
 DECAYED = 0.5  # rms of the last quarter of a record over that of its first, below which the rig was let go
 
 
@@ -77,19 +71,10 @@ def seen_data(inspections: Sequence[Inspection]) -> SeenData:
     parts = [part for inspection in inspections for part in inspection.parts]
     for channel in (each for part in parts for each in part.channels):
         if channel.name.lower() not in RESERVED_NAMES:
-            name, unit = channel.name, channel.unit if channel.unit and is_unit(channel.unit) else None
-            ending = None if unit else _ENDING.fullmatch(name)
-            stem = ending["stem"] if ending and is_unit(ending["unit"]) else name
-            quantity = (
-                guessed_quantity(stem, unit) if unit or not re.fullmatch(r"[A-Za-z]\d*", stem) else None
-            )
-            if quantity is None and (letter := re.fullmatch(r"([A-Za-z])[\d_xyz]*", stem)):
-                quantity = _LETTERS.get(letter[1].lower())
-            if ending and quantity and factors(ending["unit"], quantity):
-                unit = ending["unit"]
-            of_base = bool(_BASE.search(name) or _BASE_LETTERS.fullmatch(name))
+            stated = channel.unit if channel.unit and is_unit(channel.unit) else None
+            unit, quantity, of_base = recognised(channel.name, stated)
             of_base |= channel.of_input and quantity != "force"
-            by_name.setdefault(channel.name, SeenColumn(name, unit, quantity, of_base, channel.decay))
+            by_name.setdefault(channel.name, SeenColumn(channel.name, unit, quantity, of_base, channel.decay))
     columns = tuple(by_name.values())
     if not columns or len(columns) > MOST_MASSES:
         what = f"{len(columns)} channels" if columns else "no channel in these data"
@@ -112,11 +97,11 @@ def seen_data(inspections: Sequence[Inspection]) -> SeenData:
 
 def _same_point(column: SeenColumn, columns: Sequence[SeenColumn], points: Mapping[str, str]) -> str | None:
     """The point of an earlier column of another quantity whose name ends in the same number: x1 and a1."""
-    number = re.search(r"\d+$", column.name)
+    number = re.search(r"\d+$", named_unit(column.name)[0])
     for other in columns:
         if other is column or number is None:
             return None
-        alike = re.search(r"\d+$", other.name)
+        alike = re.search(r"\d+$", named_unit(other.name)[0])
         known = column.quantity and other.quantity and column.quantity != other.quantity
         if other.name in points and alike is not None and alike[0] == number[0] and known:
             return points[other.name]

@@ -22,6 +22,7 @@ from dashpot.data.readers.columns import (
     bare,
     factors,
     frequency_column,
+    named_unit,
     parts_of_ratio,
     read_time,
     time_column,
@@ -35,6 +36,7 @@ from dashpot.errors import DashpotError, DataError
 from dashpot.io.toml_document import PLACEHOLDER, toml_key
 from dashpot.io.words import quoted
 from dashpot.notices import Notice
+from dashpot.units import QUANTITIES
 
 Loaded = TypeVar("Loaded")
 MOST_SAMPLES = 1 << 22  # of a column of which the resolution is sought
@@ -45,6 +47,14 @@ WORDS = {
     Quantity.VELOCITY: ("vel", "gyr", "omega", "speed"),
     Quantity.DISPLACEMENT: ("disp", "weg", "pos", "laser", "theta", "angle", "x"),
 }
+_LETTERS = {"a": "acceleration", "v": "velocity", "f": "force", **dict.fromkeys("xyzdsuqw", "displacement")}
+_BASE = re.compile(
+    r"(base|table|shaker|ground|floor_?0|input|drive|excit|ref|boden|tisch|fuss|fuß)", re.IGNORECASE
+)
+_BASE_LETTERS = re.compile(r"([auw]?[_ ]?(base|table|ground)|u\d*|w\d*|[axv]?0)$", re.IGNORECASE)
+_COUNTER = re.compile(
+    r"(unnamed: 0|(frame|sample|scan|row|index|counter|bild)?[_ ]?(number|no|nr|index|id|#)?\.?)", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)
@@ -234,16 +244,19 @@ def _part(columns: Columns) -> InspectedPart:
                 others.append(columns.header[i])
             continue
         samples = max(samples, len(values))
-        unit = columns.unit(i)
         good = values[np.isfinite(values)]
+        if counts(columns, i, good):
+            others += [columns.header[i]] if columns.header[i] else []
+            continue
         plain, _ = bare(name)
+        unit, quantity, _ = recognised(plain, columns.unit(i))
         steps = np.diff(np.unique(good[:MOST_SAMPLES]))
         bands, level = _content(values, stretches)
         inspected.append(
             InspectedColumn(
                 plain,
                 unit,
-                guessed_quantity(plain, unit),
+                quantity,
                 float(np.mean(good)),
                 float(np.std(good)),
                 float(np.min(good)),
@@ -342,10 +355,37 @@ def guessed_quantity(name: str, unit: str | None) -> str | None:
         if unit and factors(unit, quantity.value):
             return quantity.value
     lower = name.lower()
+    if letter := re.fullmatch(r"([a-z])[\d_xyz]*", lower):
+        return _LETTERS.get(letter[1])
     for quantity, words in WORDS.items():
         if any(lower.startswith(word) for word in words):
             return quantity.value
-    return None
+    return Quantity.DISPLACEMENT.value if unit in ("px", "pixel", "pixels") else None
+
+
+def recognised(column: str, unit: str | None) -> tuple[str | None, str | None, bool]:
+    """The unit of a column, what it may measure, and whether its name is one of the base.
+
+    unit  what the file states, which counts; else the ending of the name, where it is one of what the name says
+    """
+    name, ending = named_unit(column)
+    quantity = guessed_quantity(name, unit)
+    if not unit and ending:
+        raw = not any(factors(ending, each) for each in QUANTITIES)
+        direction = re.fullmatch("[A-Z]", ending)  # N, V: north, vertical
+        fits = raw or (not quantity and guessed_quantity("", ending))
+        if (quantity and factors(ending, quantity)) or (fits and not direction):
+            unit = ending
+    quantity = quantity or guessed_quantity(name, unit)
+    return unit, quantity, quantity != "force" and bool(_BASE.search(name) or _BASE_LETTERS.fullmatch(name))
+
+
+def counts(columns: Columns, column: int, values: Real | None = None) -> bool:
+    """Whether a column numbers the rows, by its name and by whole numbers that rise.  values (rows,): if at hand."""
+    if not any(columns.header) or not _COUNTER.fullmatch(bare(columns.header[column])[0]):
+        return False
+    found = _tried(partial(_numbers, columns, column), np.zeros(0), []) if values is None else values
+    return len(found) > 1 and bool(np.all(found == np.round(found)) and np.mean(np.diff(found) > 0) > 0.5)
 
 
 def channels_in(data: Sequence[str | os.PathLike[str] | Columns]) -> dict[str, Channel]:
@@ -390,8 +430,9 @@ def _samples(columns: Columns) -> Iterator[NamedChannel]:
     nameless = not any(columns.header[i] for i in others)
     for i in others:
         plain = re.match(r"[-+]?\.?\d|nan", columns.first(i), re.IGNORECASE)
-        if plain and (columns.header[i] or nameless) and columns.names[i] not in RESERVED_NAMES:
-            yield NamedChannel(columns.names[i], columns.unit(i))
+        named = (columns.header[i] or nameless) and columns.names[i] not in RESERVED_NAMES
+        if plain and named and not counts(columns, i):
+            yield NamedChannel(columns.names[i], recognised(columns.names[i], columns.unit(i))[0])
 
 
 def _channel_of(name: str, unit: str | None) -> Channel:
@@ -406,7 +447,7 @@ def suggested_channels(inspections: Sequence[Inspection]) -> str:
     """A [channels] table to start from, in TOML: one entry for each channel that any of the files tells of."""
     lines: dict[str, str] = {}
     for each in (each for inspection in inspections for part in inspection.parts for each in part.channels):
-        kind = guessed_quantity(each.name, each.unit)
+        _, kind, _ = recognised(each.name, each.unit)
         quantity = f', quantity = "{kind}"' if kind else ""
         unit = f", unit = {quoted(each.unit)}" if each.unit else ""
         lines.setdefault(each.name, f'{toml_key(each.name)} = {{ of = "{PLACEHOLDER}"{quantity}{unit} }}')

@@ -27,17 +27,17 @@ def command(
 
     A [channels] table for a rig file is suggested at the end; say in it what each column measures.
     """
-    from dashpot.data.inspection import inspect_file, suggested_channels
-    from dashpot.data.readers.manifest import files_named
+    from dashpot.data.inspection import inspect_named, suggested_channels
     from dashpot.present.data import inspection_document
     from dashpot.present.document import say
 
     inspections = []
-    for path in (each for name in files for each in files_named(name)):
-        with progress(reading_of([str(path)])):
-            inspection = inspect_file(path)
-        inspections.append(inspection)
-        say(inspection_document(inspection))
+    for name in files:
+        with progress(reading_of([name])):
+            found = inspect_named(name)
+        for inspection in found:
+            say(inspection_document(inspection))
+        inspections += found
     table = suggested_channels(inspections)
     if channels is not None:
         write_text(channels, table)

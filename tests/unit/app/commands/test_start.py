@@ -52,6 +52,9 @@ def written() -> dict:
             {"x1": "x1", "a1": "x1", "base": "u"},
         ),
         ("t,hammer [N],a [m/s^2]", [STEADY, STEADY], {"f": "force"}, {"hammer": "f", "a": "x1"}),
+        ("t,u_mm,x1_mm,x2_mm", [STEADY] * 3, {"u": "displacement"}, {"u_mm": "u", "x1_mm": "x1", "x2_mm": "x2"}),
+        ("t,u_mm,x1_mm,a1_mps2", [STEADY] * 3, {"u": "displacement"}, {"u_mm": "u", "x1_mm": "x1", "a1_mps2": "x1"}),
+        ("t,frame,top_mm", [np.arange(2000), DECAY], {}, {"top_mm": "x1"}),
         ("t,hammer_N,a1/g", [STEADY, STEADY], {"f": "force"}, {"hammer_N": "f", "a1/g": "x1"}),
         ("t,Stroke [mm],Load [kN]", [STEADY, STEADY], {"u": "displacement"}, {"Stroke": "u", "Load": "u"}),
     ],
@@ -66,6 +69,27 @@ def test_units_names_and_decay_tell_what_is_measured(header, columns, inputs, po
     assert {name: entry["kind"] for name, entry in rig.get("inputs", {}).items()} == inputs
     assert {name: entry["of"] for name, entry in rig["channels"].items()} == points
     assert CliRunner().invoke(cli, ["check", "rig.toml"]).exit_code == 0
+
+
+def test_names_mean_the_same_to_all_commands(tmp_path: Path) -> None:
+    """Units in the names of columns, a counter, pixels and letters that are directions."""
+    data("t,sample,a2_m_s2,cam_px,force_mV,level_N", np.arange(2000), *[STEADY] * 4)
+    done = CliRunner().invoke(cli, ["inspect", "data.csv", "--channels", "c.toml"], catch_exceptions=False)
+    assert done.exit_code == 0
+    suggested = tomllib.loads(Path("c.toml").read_text())["channels"]
+    assert start("--driven-by", "force").exit_code == 0
+    rig = written()["channels"]
+    assert {name: entry.get("unit", "?") for name, entry in suggested.items()} == {
+        "a2_m_s2": "m/s2",
+        "cam_px": "px",
+        "force_mV": "mV",
+        "level_N": "?",
+    }
+    for name, entry in suggested.items():
+        assert rig[name]["unit"] == entry.get("unit", "?")
+        assert rig[name]["quantity"] == entry.get("quantity", "?")
+    given = dashpot.start({"time_s": T, "sample": np.arange(2000), "u_mm": STEADY, "x1_mm": STEADY})
+    assert [(each.name, each.scale) for each in given.channels] == [("u_mm", 1e-3), ("x1_mm", 1e-3)]
 
 
 def test_what_nobody_says_is_a_placeholder_that_commands_name() -> None:
