@@ -6,6 +6,7 @@ from dashpot_kernels._core import (
     Output,
     Records,
     Rig,
+    StateLaws,
     instruction_set,
     instruction_sets,
     line_shares,
@@ -21,6 +22,7 @@ __all__ = [
     "Output",
     "Records",
     "Rig",
+    "StateLaws",
     "instruction_set",
     "instruction_sets",
     "line_shares",
@@ -29,4 +31,4 @@ __all__ = [
     "scaled_inverse",
     "set_instructions",
 ]
-__version__ = "0.3.0"
+__version__ = "0.4.0"

@@ -38,5 +38,6 @@ inline void require(bool right, const char *what) {
 
 void bind_small_rigs(nb::module_ &module);
 void bind_nonlinear_rigs(nb::module_ &module);
+void bind_state_laws(nb::module_ &module);
 
 }  // namespace dashpot

@@ -143,9 +143,9 @@ struct Equations {
 
     Equations(Arena &arena, const dashpot::NonlinearRig &given, const dashpot::Dwells &dwells)
         : rig(given), n(rig.n), r(rig.r), e(rig.bent), H(dwells.orders), W(2 * dwells.orders + 1),
-          period(arena, dwells.orders, dwells.times), stack(arena, rig, dwells.times) {
+          period(arena, dwells.orders, dwells.times), stack(arena, rig.laws, dwells.times) {
         const long unknowns = static_cast<long>(e) * W;
-        active = arena.take<unsigned>(rig.depth);
+        active = arena.take<unsigned>(rig.laws.depth);
         d = arena.take<double>(dwells.times), v = arena.take<double>(dwells.times);
         c = arena.take<double>(2 * H + 1), s = arena.take<double>(2 * H + 1);
         matrix = arena.take<double>(unknowns * unknowns);
@@ -195,7 +195,7 @@ struct Equations {
             period.values(q + i * W, true, v);
             for (int k = 0; k < period.times; ++k) v[k] *= omega;
             const int first = rig.constant_start[i];
-            const unsigned moved = law_at(rig, i, d, v, constants + first, slope != nullptr, stack, active);
+            const unsigned moved = law_at(rig.laws, i, {d, v, constants + first}, slope ? ~0u : 0, stack, active);
             harmonics(stack.value(0), a + i * W, 1);
             if (!slope) continue;
             double *own = slope + static_cast<long>(i) * W * W;

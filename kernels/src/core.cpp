@@ -664,6 +664,7 @@ NB_MODULE(_core, module) {
         .def("residuals", &Records::residuals, "psi"_a, "sign"_a, "folded"_a.none(), "z"_a, "t"_a, "threads"_a = 1);
     dashpot::bind_small_rigs(module);
     dashpot::bind_nonlinear_rigs(module);
+    dashpot::bind_state_laws(module);
     module.def("line_shares", &line_shares, "information"_a, "inflation"_a, "bread"_a, "threads"_a = 1);
     module.def("instruction_sets", [] {
         std::vector<std::string> names;

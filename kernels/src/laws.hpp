@@ -6,13 +6,13 @@
 
 namespace DASHPOT_SET {
 
-// The stack of one thread: a value and its slopes along d, v and the constants, (times,) each.
+// The stack of one thread: a value and its slopes along d, v, the constants and the state z, (times,) each.
 struct Stack {
     double *memory, *of_first, *of_second, *result;
     int times, names;
 
-    Stack(Arena &arena, const dashpot::NonlinearRig &rig, int instants) : times(instants), names(rig.names) {
-        memory = arena.take<double>(static_cast<long>(rig.depth) * (1 + names) * times);
+    Stack(Arena &arena, const dashpot::Programs &laws, int instants) : times(instants), names(laws.names) {
+        memory = arena.take<double>(static_cast<long>(laws.depth) * (1 + names) * times);
         of_first = arena.take<double>(times), of_second = arena.take<double>(times);
         result = arena.take<double>(times);
     }
@@ -150,21 +150,28 @@ static void choose(dashpot::LawCode code, int to, int a, int b, const Stack &sta
     active[to] = active[a] | active[b];
 }
 
-// The unit force of a law at d and v, (times,) each, in slot 0 of the stack, and along which names it has slopes.
-static unsigned law_at(const dashpot::NonlinearRig &rig, int row, const double *d, const double *v,
-                       const double *constants, bool slopes, const Stack &stack, unsigned *active) {
+// What the names of a law stand for: d, v and the state z, (times,) each, and its constants, behind which z is numbered.
+struct Named {
+    const double *d, *v, *constants, *z = nullptr;
+    int state = -1;
+};
+
+// The value of a program in slot 0 of the stack, and along which of the names in `wanted` (bits) it has slopes.
+static unsigned law_at(const dashpot::Programs &laws, int row, const Named &named, unsigned wanted, const Stack &stack,
+                       unsigned *active) {
     using dashpot::LawCode;
     const int times = stack.times;
     int top = 0;
-    for (int at = rig.step_start[row]; at < rig.step_start[row + 1]; ++at) {
-        const dashpot::LawStep step = rig.steps[at];
+    for (int at = laws.step_start[row]; at < laws.step_start[row + 1]; ++at) {
+        const dashpot::LawStep step = laws.steps[at];
         if (step.code == LawCode::NUMBER || step.code == LawCode::NAME) {
             double *value = stack.value(top);
-            const bool moves = step.code == LawCode::NAME && step.which < 2;
-            const double *motion = step.which == 0 ? d : v;
-            const double held = step.code == LawCode::NUMBER ? step.number : moves ? 0 : constants[step.which - 2];
-            for (int k = 0; k < times; ++k) value[k] = moves ? motion[k] : held;
-            active[top] = slopes && step.code == LawCode::NAME ? 1u << step.which : 0;
+            const bool name = step.code == LawCode::NAME;
+            const double *motion = !name ? nullptr : step.which == 0 ? named.d : step.which == 1 ? named.v
+                                 : step.which == named.state ? named.z : nullptr;
+            const double held = !name ? step.number : motion ? 0 : named.constants[step.which - 2];
+            for (int k = 0; k < times; ++k) value[k] = motion ? motion[k] : held;
+            active[top] = name ? wanted & 1u << step.which : 0;
             if (active[top])
                 for (int k = 0; k < times; ++k) stack.slope(top, step.which)[k] = 1;
             ++top;

@@ -1,6 +1,7 @@
 // All loops of one instruction set, named by DASHPOT_SET.
 #include "balance.hpp"
 #include "equation.hpp"
+#include "motion.hpp"
 #include "output.hpp"
 #include "records.hpp"
 
@@ -16,6 +17,7 @@ const dashpot::Loops LOOPS = {
     records_columns,   records_slopes,     records_lines,     records_residuals,
     line_shares,       balance_workspace, balance_forces,
     balance_linear_start, balance_solve, balance_slopes, balance_lines,
+    settled_workspace, settled_states, history_workspace, state_history, motion_workspace, follow_motion,
 };
 
 }  // namespace DASHPOT_SET

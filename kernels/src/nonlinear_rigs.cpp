@@ -6,6 +6,7 @@
 
 #include "arrays.hpp"
 #include "problem.hpp"
+#include "programs.hpp"
 #include "threads.hpp"
 
 namespace dashpot {
@@ -20,8 +21,8 @@ using MaybeComplex = std::optional<Complexes>;
 struct CompiledRig {
     NonlinearRig rig{};
     std::vector<double> B, D, S, cell_value;
-    std::vector<int> chosen, constant_start, step_start, cell_element, cell_place;
-    std::vector<LawStep> steps;
+    std::vector<int> chosen, constant_start, cell_element, cell_place;
+    OwnPrograms laws;
 
     // B (elements, n), D (elements, r), S (n, s); chosen (e,) the nonlinear elements; constant_start and step_start
     // (e + 1,), where the constants and the steps of their laws begin; code, which, number (steps,).
@@ -29,47 +30,24 @@ struct CompiledRig {
                 Integers which, Reals number) {
         require(B_.ndim() == 2 && D_.ndim() == 2 && S_.ndim() == 2 && B_.shape(0) == D_.shape(0) &&
                     S_.shape(0) == B_.shape(1) && chosen_.size() > 0 && constants.size() == chosen_.size() + 1 &&
-                    starts.size() == chosen_.size() + 1 && code.size() == which.size() && code.size() == number.size() &&
-                    starts.data()[chosen_.size()] == static_cast<int64_t>(code.size()),
+                    starts.size() == chosen_.size() + 1,
                 "arrays of a rig have different sizes");
+        laws.take(starts, code, which, number);
         const auto copied = [](const auto &from, auto &to) { to.assign(from.data(), from.data() + from.size()); };
         copied(B_, B), copied(D_, D), copied(S_, S), copied(chosen_, chosen);
-        copied(constants, constant_start), copied(starts, step_start);
+        copied(constants, constant_start);
         rig.elements = static_cast<int>(B_.shape(0)), rig.n = static_cast<int>(B_.shape(1));
         rig.r = static_cast<int>(D_.shape(1)), rig.s = static_cast<int>(S_.shape(1));
         rig.bent = static_cast<int>(chosen.size()), rig.constants = constant_start.back();
         for (int element : chosen) require(element >= 0 && element < rig.elements, "there is no such element");
-        for (size_t k = 0; k < code.size(); ++k) {
-            require(code.data()[k] >= 0 && code.data()[k] < static_cast<int64_t>(LawCode::ALL), "there is no such step");
-            steps.push_back({static_cast<LawCode>(code.data()[k]), static_cast<int>(which.data()[k]), number.data()[k]});
-        }
-        for (int i = 0; i < rig.bent; ++i) follow(i);
+        for (int i = 0; i < rig.bent; ++i) laws.measure(i, 2 + constant_start[i + 1] - constant_start[i]);
         find_cells();
         rig.B = B.data(), rig.D = D.data(), rig.S = S.data(), rig.chosen = chosen.data();
-        rig.constant_start = constant_start.data(), rig.step_start = step_start.data(), rig.steps = steps.data();
+        rig.constant_start = constant_start.data(), rig.laws = laws.view();
         rig.cells = static_cast<int>(cell_value.size());
         rig.cell_element = cell_element.data(), rig.cell_place = cell_place.data(), rig.cell_value = cell_value.data();
     }
 
-    // Names and depth of the stack of one law, whose steps must leave one value.
-    void follow(int i) {
-        const int names = 2 + constant_start[i + 1] - constant_start[i];
-        require(names >= 2 && names <= 32 && step_start[i] < step_start[i + 1], "a law has no steps or too many constants");
-        rig.names = std::max(rig.names, names);
-        int top = 0;
-        for (int k = step_start[i]; k < step_start[i + 1]; ++k) {
-            const LawCode code = steps[k].code;
-            require(code != LawCode::NAME || (steps[k].which >= 0 && steps[k].which < names), "a law names no such constant");
-            require(code != LawCode::WHOLE_POWER || steps[k].which > 0, "a whole power is positive");
-            const bool leaf = code == LawCode::NUMBER || code == LawCode::NAME;
-            const bool two = code == LawCode::MIN || code == LawCode::MAX || code >= LawCode::PLUS;
-            const int taken = leaf ? 0 : code == LawCode::WHERE ? 3 : two ? 2 : 1;
-            require(top >= taken, "a step of a law lacks an operand");
-            top += 1 - taken;
-            rig.depth = std::max(rig.depth, top);
-        }
-        require(top == 1, "a law leaves more than one value");
-    }
     void find_cells() {
         const int width = rig.n + rig.r;
         for (int e = 0; e < rig.elements; ++e)

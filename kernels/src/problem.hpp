@@ -112,19 +112,26 @@ enum class LawCode : int {
     PLUS, MINUS, TIMES, OVER, POWER, ALL
 };
 
-// `which`: the name (0 d, 1 v, 2 … the law's constants) or the exponent.
+// `which`: the name (0 d, 1 v, 2 … the law's constants, behind them its state z) or the exponent.
 struct LawStep {
     LawCode code;
     int which;
     double number;
 };
 
+// Expressions of laws; names: of the one that has most, depth: of the stack that the deepest needs.
+struct Programs {
+    int names, depth;
+    const int *step_start;  // (programs + 1,)
+    const LawStep *steps;
+};
+
 // A rig with nonlinear elements, whose laws are programs of steps; `bent` counts these elements.
 struct NonlinearRig {
-    int n, r, s, elements, bent, constants, names, depth;  // names: of the law that has most
-    const double *B, *D, *S;                               // (elements, n), (elements, r), (n, s)
-    const int *chosen, *constant_start, *step_start;       // (bent,), (bent + 1,), (bent + 1,)
-    const LawStep *steps;
+    int n, r, s, elements, bent, constants;
+    Programs laws;
+    const double *B, *D, *S;            // (elements, n), (elements, r), (n, s)
+    const int *chosen, *constant_start;  // (bent,), (bent + 1,)
     // Entries of the linear elements: += value * p[element] * factor[element] at place = row (n + r) + column.
     int cells;
     const int *cell_element, *cell_place;
@@ -171,6 +178,49 @@ struct NonlinearLines {
     double *delta, *d_delta, *error;            // (K, dwells, e, W), (K, dwells, e, W, Q), (K, dwells)
 };
 
+// Laws of which some have a state: program i is the unit force of law i, program laws + i the rate of its state, which
+// is empty where there is none or `operated` says how it follows the elongation.
+enum class Operator : int { NONE, STOP, PLAY };
+struct StateLaws {
+    int count;
+    Programs programs;
+    const int *constant_start;   // (laws + 1,)
+    const Operator *operated;    // (laws,)
+    int constants(int law) const { return constant_start[law + 1] - constant_start[law]; }
+    bool rated(int law) const { return programs.step_start[count + law] < programs.step_start[count + law + 1]; }
+    bool stateful(int law) const { return rated(law) || operated[law] != Operator::NONE; }
+};
+
+// One law with a rate in N settled dwells: d, v (N, times), constants (N, …), there and rate (times, W) from harmonics
+// to a period and its rate at ω = 1.  State and force (N, times), and their slopes along harmonics and constants
+// (N, times, W + constants) or null; z holds where Newton's method begins.
+struct SettledStates {
+    int law, times, width;
+    const double *d, *v, *constants, *omega, *there, *rate;
+    double *z, *force, *slopes;
+};
+
+// Segments of a record that are followed from states of their own over `steps` steps of h, `substeps` to a sample, by
+// exponential collocation.  Elements in the order of the rig: power of s of the linear ones, -1 of others; unit forces
+// (…, 4, e) and states (…, 4, z) at the points of steps.  columns: of slopes, 0, those of the states, or with the
+// unknowns and offsets.
+struct SegmentedMotion {
+    int n, r, elements, unknowns, offsets, states, segments, steps, substeps, columns;
+    double h;
+    const double *within;                              // (4, 4), of the collocation
+    const double *grown, *driven, *pulled;             // (2 n, 8 n), (8 n, 4 n), (4, 2 n, 4 e)
+    const double *reach_d, *reach_v, *offset_moved;    // (4 e, 4 e), (4, 2 n, offsets)
+    const double *forced, *moved_d, *moved_v, *force, *inputs;  // (all, 4, …): 2 n, e, e, n, (2, r)
+    const double *B, *D, *T, *p, *constants, *by_unknowns;  // (elements, …); (constants, unknowns)
+    const double *K, *C, *inertia;
+    const int *power, *chosen;                         // (elements,), (e,)
+    const long long *first;                            // (segments,), steps
+    long long last;
+    const double *begun, *guess_a, *guess_z;           // (segments, states); (steps, segments, …) or null
+    double *state, *slopes, *a, *z;                    // of samples (steps / substeps + 1, segments, …); of steps
+    bool whole;                                        // slopes of all samples, else those of the ends alone
+};
+
 enum Kind { SQUARES = 0, LOGARITHMS = 1 };
 
 // One set of loops; each works on rows `from` to `to` with a workspace of the size it names.
@@ -212,6 +262,13 @@ struct Loops {
     void (*balance_slopes)(const NonlinearRig &, const Dwells &, const BalanceAt &, const Directions &, long from,
                            long to, char *work);
     void (*balance_lines)(const NonlinearRig &, const Dwells &, const NonlinearLines &, long from, long to, char *work);
+    unsigned long (*settled_workspace)(const StateLaws &, const SettledStates &);
+    void (*settled_states)(const StateLaws &, const SettledStates &, long from, long to, char *work);
+    unsigned long (*history_workspace)(const StateLaws &, int samples);
+    void (*state_history)(const StateLaws &, int law, const double *d, const double *v, const double *constants, double h,
+                          int samples, double *z, char *work);
+    unsigned long (*motion_workspace)(const StateLaws &, const SegmentedMotion &);
+    void (*follow_motion)(const StateLaws &, const SegmentedMotion &, char *work);
 };
 
 }  // namespace dashpot

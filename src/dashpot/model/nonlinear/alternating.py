@@ -6,7 +6,7 @@ over the periods until they repeat, and their slopes with them (THEORY §9).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -15,8 +15,8 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.model.network import Model
-from dashpot.model.nonlinear.expression import Node
-from dashpot.model.nonlinear.force_law import ForceLaw
+from dashpot.model.nonlinear.expression import Expression, Node
+from dashpot.model.nonlinear.force_law import ForceLaw, Operator
 from dashpot.model.nonlinear.harmonics import Drive, rates_of_orders
 from dashpot.numerics.kernel import kernel_function, threads
 
@@ -154,6 +154,12 @@ def _with_state(
     """(force, state (N, times), ∂force/∂q (N, times, W), ∂force/∂g (N, times, G)) when the state repeats."""
     N, times = d.shape
     W, G = there.shape[1], g.shape[1]
+    compiled = compiled_laws((law,)) if law.rate is not None else None
+    if compiled is not None:
+        begun = None if start is None or start.shape != d.shape else _numbers(start)
+        dwells = (_numbers(part) for part in (d, v, g, omega, there, rate))
+        z, force, total = compiled.settled(0, *dwells, slopes, begun, threads())
+        return force, z, total[..., :W], total[..., W:]
     along = {"d": there[None], "v": omega[:, None, None] * rate}
     if law.operator:
         z, tangents = _operated(law, d, g, there, slopes)
@@ -227,6 +233,9 @@ def rated_states(law: ForceLaw, d: Real, v: Real, step_s: float, g: Real) -> Rea
     from scipy.linalg import solve_banded
 
     assert law.rate is not None
+    compiled = compiled_laws((law,))
+    if compiled is not None:
+        return compiled.history(0, _numbers(d), _numbers(v), _numbers(g), step_s)
     z, half, size = np.zeros_like(d), step_s / 2, max(float(np.max(np.abs(d))), 1e-300)
     bands, missing = np.ones((2, len(d))), np.zeros_like(d)
     for turn in range(60):
@@ -311,9 +320,9 @@ def _rated(
     return z, (1 + half * by_z) / scale, gains
 
 
-# Harmonic balance in the compiled kernel, whose twins are the functions of the same names in NumPy.
+# Laws in the compiled kernel, whose twins are the functions of the same names in NumPy.
 #
-# The kernel knows small rigs whose laws are functions of d and v; laws with a state are NumPy's.
+# The kernel balances small rigs whose laws are functions of d and v; of laws with a state it follows those of one.
 
 
 CODES = (
@@ -348,18 +357,47 @@ def compiled_rig(model: Model, times: int = 8) -> Any | None:
         model.views[key] = None
         # 47: coordinates, above which rigs are sparse
         if 0 < model.n <= 47 and not any(law.has_state or len(law.constants) > 30 for law in model.laws):
-            programs = []
-            for law in model.laws:
-                names = {name: place for place, name in enumerate(("d", "v", *law.constant_names))}
-                programs.append(list(_program(law.expression.tree, names)))
-            code, which, number = zip(*(step for program in programs for step in program), strict=True)
             ends = [0, *(inner.stop for inner in model.constant_slices)]
-            starts = np.cumsum([0, *map(len, programs)])
-            counts = (_numbers(each, np.int64) for each in (model.nonlinear, ends, starts, code, which))
+            counts = (_numbers(each, np.int64) for each in (model.nonlinear, ends))
+            programs = _programs([(law.expression, law.constant_names) for law in model.laws])
             model.views[key] = make(
-                _numbers(model.B), _numbers(model.D), _numbers(model.S), *counts, _numbers(number)
+                _numbers(model.B), _numbers(model.D), _numbers(model.S), *counts, *programs
             )
     return model.views[key]
+
+
+def compiled_laws(laws: tuple[ForceLaw, ...]) -> Any | None:
+    """The kernel's laws with their states, None where NumPy is to do the work or must; the last ones are kept."""
+    make = kernel_function("StateLaws")
+    if make is None or not laws or any(law.states > 1 or len(law.constants) > 29 for law in laws):
+        return None
+    known = ((law.expression, law.rate, law.operator, law.constant_names) for law in laws)
+    return _made(make, tuple(known))
+
+
+@lru_cache(maxsize=64)
+def _made(
+    make: Any, laws: tuple[tuple[Expression, Expression | None, Operator, tuple[str, ...]], ...]
+) -> Any:
+    ends = np.cumsum([0, *(len(names) for *_, names in laws)])
+    operators = [("", "stop", "play").index(operator) for _, _, operator, _ in laws]
+    forces = [(force, (*names, "z")) for force, *_, names in laws]
+    rates = [(rate, (*names, "z")) for _, rate, _, names in laws]
+    return make(_numbers(ends, np.int64), _numbers(operators, np.int64), *_programs([*forces, *rates]))
+
+
+def _programs(expressions: Sequence[tuple[Expression | None, tuple[str, ...]]]) -> tuple[Any, ...]:
+    """Where the steps of each expression begin and end, and code, which and number of all steps.
+
+    With the names that an expression may have beside d and v; none is no steps.
+    """
+    programs = []
+    for expression, others in expressions:
+        names = {name: place for place, name in enumerate(("d", "v", *others))}
+        programs.append([] if expression is None else list(_program(expression.tree, names)))
+    code, which, number = zip(*(step for program in programs for step in program), strict=True)
+    starts = np.cumsum([0, *map(len, programs)])
+    return *(_numbers(each, np.int64) for each in (starts, code, which)), _numbers(number)
 
 
 def _program(node: Node, names: dict[str, int]) -> Iterator[Step]:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from dashpot.errors import ModelError
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import MATRICES, Element, Kind
 from dashpot.model.network import Input, Model
+from dashpot.model.nonlinear.alternating import compiled_laws
 from dashpot.model.nonlinear.force_law import ForceLaw
 
 # One step of the linear part of a rig in time, exactly, and the inputs between samples (THEORY §9).
@@ -286,6 +289,16 @@ class Motion:
 
 
 @dataclass(frozen=True)
+class Followed:
+    """Segments followed from states of their own: states at their samples (samples, S, states), slopes of the ends
+    (S, states, Q) or, along unknowns too, of all samples (samples, S, states, Q), and the forces of each step."""
+
+    states: Real
+    slopes: Real
+    forces: dict[int, PointForces]
+
+
+@dataclass(frozen=True)
 class InputLoads:
     """What unit inputs do at the nodes of one step: forces on the coordinates (4, n, columns), shift and rate of the
     displacement inputs (4, r, columns)."""
@@ -356,6 +369,53 @@ class Integrator:
         nodes = base + (flat @ self.pulled.reshape(8 * n, flat.shape[1]).T).reshape(base.shape)
         after = np.concatenate([nodes[:, 3], at.z[:, 3]], axis=1)
         return Stepped(after, self._slopes(slope, nodes, at, index, with_unknowns, moved), (at.a, at.z))
+
+    def follow(
+        self, begun: Real, first: Ints, intervals: int, columns: int, forces: Mapping[int, PointForces]
+    ) -> Followed:
+        """Segments from their states `begun` (S, states) on, side by side, from the intervals `first` (S,) of each.
+
+        columns: of slopes: 0, those of the states, or with the unknowns.  forces: those of the same steps of a motion
+        nearby.  Beyond the record the last step is repeated.
+        """
+        S, x, whole = len(begun), self.states, columns > self.states
+        first, steps = self.substeps * first, intervals * self.substeps
+        compiled = compiled_laws(self.laws)
+        if compiled is not None:
+            known: list[Real | None] = [None, None]
+            if all(step in forces for step in range(steps)):
+                known = [np.stack([forces[step][part] for step in range(steps)]) for part in range(2)]
+            at = (first, np.ascontiguousarray(begun), steps, self.substeps, columns, whole, *known)
+            states, slopes, a, z = compiled.follow(*self._compiled, *at)
+            return Followed(states, slopes if whole else slopes[0], dict(enumerate(zip(a, z, strict=True))))
+        state, slope = begun, np.zeros((S, x, columns))
+        slope[:, range(min(x, columns)), range(min(x, columns))] = 1.0
+        every, along, found = [state], [slope], dict[int, PointForces]()
+        for step in range(steps):
+            index = np.minimum(first + step, len(self.force) - 1)
+            stepped = self.advance(state, slope, index, whole, forces.get(step))
+            state, slope, found[step] = stepped.state, stepped.slope, stepped.forces
+            if (step + 1) % self.substeps == 0:
+                every.append(state)
+                if whole:
+                    along.append(slope)
+        return Followed(np.array(every), np.array(along) if whole else slope, found)
+
+    @cached_property
+    def _compiled(self) -> tuple[Any, ...]:
+        """What the kernel's `follow` needs of the rig and its inputs."""
+        model, step = self.model, self.step
+        power = [-1 if e.force_law is not None else e.law.power for e in model.elements]
+        numbers = (
+            WITHIN, self.grown, self.driven, self.pulled, self.reach_d, self.reach_v, self.offset_moved, self.forced,
+            self.moved_d, self.moved_v, self.force, self.inputs, model.B, model.D, model.T, self.p, self.constants,
+            model.constants_map[0], *step.both[:2], step.inertia,
+        )  # fmt: skip
+        return (
+            step.h,
+            *(np.ascontiguousarray(each, dtype=np.float64) for each in numbers),
+            *(np.ascontiguousarray(each, dtype=np.int64) for each in (power, model.nonlinear)),
+        )
 
     def input_loads(self) -> list[InputLoads]:
         """What the coefficients of the inputs' cubics do in each of the steps between two samples."""

@@ -408,22 +408,12 @@ class _Chain:
 
     def run(self, whole: bool) -> None:
         """One pass over all segments from their own states."""
-        machine, (S, x) = self.machine, self.begun.shape
+        machine = self.machine
         first = segments_of(machine.drive.intervals, self.length)
-        state, slope = self.begun, np.zeros((S, x, x + (machine.directions if whole else 0)))
-        slope[:, range(x), range(x)] = 1.0
-        states, along = [state], [slope]
-        last = machine.drive.intervals * machine.substeps - 1
-        for step in range(self.length * machine.substeps):
-            index = np.minimum(first * machine.substeps + step, last)
-            stepped = machine.advance(state, slope, index, whole, self.forces.get(step))
-            state, slope, self.forces[step] = stepped.state, stepped.slope, stepped.forces
-            if (step + 1) % machine.substeps == 0:
-                states.append(state)
-                if whole:
-                    along.append(slope)
-        self.states, self.whole = np.array(states), whole
-        self.along = np.array(along) if whole else slope
+        columns = machine.states + (machine.directions if whole else 0)
+        followed = machine.follow(self.begun, first, self.length, columns, self.forces)
+        self.states, self.along, self.forces = followed.states, followed.slopes, followed.forces
+        self.whole = whole
 
     def motion(self) -> Real:
         """States at all samples, (samples, states)."""
@@ -455,12 +445,5 @@ class _Chain:
 
 def _marched(machine: Integrator, start: Real, length: int) -> Real:
     """States at the starts of the segments by one integration after another: slow, and never astray."""
-    state, begun, nothing = start[None], [], np.zeros((1, machine.states, 0))
-    for interval in range(machine.drive.intervals):
-        if interval % length == 0:
-            begun.append(state[0])
-        for sub in range(machine.substeps):
-            state = machine.advance(
-                state, nothing, np.array([interval * machine.substeps + sub]), False
-            ).state
-    return np.array(begun)
+    whole = machine.follow(start[None], np.zeros(1, dtype=np.int64), machine.drive.intervals, 0, {})
+    return whole.states[:-1:length, 0]

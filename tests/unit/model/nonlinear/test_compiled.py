@@ -1,4 +1,4 @@
-"""Harmonic balance in the compiled kernel against its twins in NumPy."""
+"""Harmonic balance, laws with a state and motions in time in the compiled kernel against their twins in NumPy."""
 
 from dataclasses import replace
 from typing import Any
@@ -10,7 +10,7 @@ from dashpot.arrays import Real
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear import harmonic_balance
-from dashpot.model.nonlinear.alternating import compiled_rig
+from dashpot.model.nonlinear.alternating import alternate, compiled_laws, compiled_rig, rated_states
 from dashpot.model.nonlinear.force_law import Constant, ForceLaw, force_law
 from dashpot.model.nonlinear.harmonic_balance import (
     harmonic_unit_forces,
@@ -19,6 +19,8 @@ from dashpot.model.nonlinear.harmonic_balance import (
     truncation,
 )
 from dashpot.model.nonlinear.harmonics import Drive
+from dashpot.model.nonlinear.integration import Integrator, Motion, forcing
+from dashpot.model.nonlinear.shooting import integrate
 from dashpot.numerics.kernel import using
 from tests.kernels import apart, compiled, instruction_sets, instructions
 from tests.nonlinear_rigs import LAWS, chain
@@ -138,24 +140,118 @@ def test_every_function_of_expressions_is_that_of_numpy(law: str) -> None:
     _require_twins(model, np.array([4600.0, 20.0, 300.0, *values.values()]), instruction_sets()[-1])
 
 
-def test_laws_with_a_state_and_kernels_without_harmonic_balance_are_left_to_numpy(
+def test_balance_of_laws_with_a_state_and_kernels_without_it_are_left_to_numpy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     kernel = compiled()
     assert compiled_rig(chain("jenkins", 1)[0]) is None
     monkeypatch.delattr(kernel, "NonlinearRig")
+    monkeypatch.delattr(kernel, "StateLaws")
     model, theta = chain("cubic", 1)
     assert compiled_rig(model) is None
+    assert compiled_laws(model.laws) is None
     assert np.all(_results(model, theta)["converged"])
 
 
-def test_the_kernel_refuses_programs_that_are_none() -> None:
-    kernel = compiled()
-    model, _ = chain("cubic", 1)
-    arrays = model.B, model.D, model.S, model.nonlinear.astype(np.int64), np.zeros(2, dtype=np.int64)
-    steps = np.array([0, 1]), np.array([99]), np.array([0]), np.array([0.0])
-    with pytest.raises(ValueError, match="no such step"):
-        kernel.NonlinearRig(*map(np.ascontiguousarray, arrays), *steps)
-    steps = np.array([0, 1]), np.array([5]), np.array([0]), np.array([0.0])
-    with pytest.raises(ValueError, match="lacks an operand"):
-        kernel.NonlinearRig(*map(np.ascontiguousarray, arrays), *steps)
+RATED = {
+    "bouc-wen": {"gamma": 800.0, "delta": -300.0, "nu": 1.4},
+    "maxwell": {"tau": 0.02},
+    "lugre": {"slip": 2e-4, "ratio": 1.6, "vs": 0.02, "tau": 1e-3},
+}
+
+
+@pytest.mark.parametrize("name", instruction_sets())
+@pytest.mark.parametrize("law", RATED)
+def test_states_in_dwells_and_along_histories_are_those_of_numpy(law: str, name: str) -> None:
+    """Newton's method ends within 1e-11 of the elongation in dwells and within 1e-9 along a history."""
+    compiled()
+    own = force_law(law, [Constant(key) for key in RATED[law]])
+    model = Model((), (Input("u"),), (_bent("q", Kind.SPRING, "u", "ground", own),))
+    rng = np.random.default_rng(4)
+    q = 1e-3 * rng.standard_normal((5, 1, 9)) / (1 + np.arange(9)) ** 2
+    omega, values = 2 * np.pi * FREQUENCIES, np.array([*RATED[law].values()])
+    constants = values * np.exp(rng.uniform(-0.2, 0.2, (5, len(values))))
+    time = np.arange(501) / 500
+    d = 1e-3 * np.sin(2 * np.pi * (3 * time + 4 * time**2))
+    v = np.gradient(d, time)
+
+    def found() -> list[Real]:
+        at = alternate(model, constants, omega, q, 128)
+        near = alternate(model, constants, omega, 1.01 * q, 128, start=at, slopes=False)
+        parts = (at.a, at.slope, at.by_constant[0], at.states[0], near.a, near.states[0])
+        return [*parts, rated_states(own, d, v, 1 / 500, values)[None]]
+
+    with using("numpy"):
+        twins = found()
+    with instructions(name), using("compiled"):
+        for values_, twin in zip(found(), twins, strict=True):
+            assert values_.shape == twin.shape
+            assert apart(values_, twin) < 1e-8
+
+
+MOVING = {
+    "cubic": ({}, 1e9, Kind.SPRING),
+    "coulomb": ({"v0": 0.01}, 4.0, Kind.DAMPER),
+    "jenkins": ({"slip": 3e-4}, 4000.0, Kind.SPRING),
+    "backlash": ({"gap": 3e-4}, 3000.0, Kind.SPRING),
+    **{law: (RATED[law], 3000.0, Kind.SPRING) for law in RATED},
+}
+
+
+def _motion(laws: tuple[str, ...], count: int) -> list[Motion]:
+    """Two masses on a shaken base, or none, with the laws: from rest, from that motion, and from a slower one."""
+    points = [f"x{k}" for k in range(1, count + 1)]
+    links = list(zip(["u", *points][: count + 1], [*points, "ground"], strict=True))
+    elements = [mass(f"m{k}", point) for k, point in enumerate(points)]
+    elements += [between(f"k{k}", Kind.SPRING, *link) for k, link in enumerate(links)]
+    elements += [between(f"c{k}", Kind.DAMPER, *link) for k, link in enumerate(links)]
+    theta = [2.0] * count + [3000.0] * len(links) + [8.0] * len(links)
+    for k, law in enumerate(laws):
+        constants, p, kind = MOVING[law]
+        given = force_law(law, [Constant(name) for name in constants], damper=kind is Kind.DAMPER)
+        elements.append(_bent(f"q{k}", kind, *links[k % len(links)], given))
+        theta += [p, *constants.values()]
+    pushed = (Input("f", "force", {points[0]: 1.0}),) if count else ()
+    model = Model(tuple(points), (Input("u"), *pushed), tuple(elements))
+    time = np.arange(150) / 200
+    shaken = 1e-3 * np.sin(2 * np.pi * (3 * time + 4 * time**2))
+    drive = forcing(1 / 200, np.column_stack([shaken, *(3 * np.cos(20 * time) for _ in pushed)]))
+    order = [names.index(u.name) for names in [_names(elements, laws)] for u in model.unknowns]
+    machine = Integrator(model, np.array(theta)[order], drive, 2, np.full(len(pushed), 0.1))
+    first = integrate(machine, np.zeros(machine.states), slopes=True)
+    start = np.full(machine.states, 1e-5)
+    return [first, integrate(machine, start, first, slopes=True), integrate(machine, 0 * start, first)]
+
+
+def _names(elements: list[Element], laws: tuple[str, ...]) -> list[str]:
+    """Of all parameters in the order of `_motion`."""
+    linear = [element.name for element in elements[: len(elements) - len(laws)]]
+    return linear + [
+        name
+        for k, law in enumerate(laws)
+        for name in (f"q{k}", *(f"q{k}.{constant}" for constant in MOVING[law][0]))
+    ]
+
+
+@pytest.mark.parametrize("name", instruction_sets())
+@pytest.mark.parametrize(
+    ("laws", "count"),
+    [*(((law,), 1) for law in MOVING), (("lugre",), 0), (("jenkins", "coulomb", "bouc-wen"), 2)],
+)
+def test_motions_and_their_slopes_are_those_of_numpy(laws: tuple[str, ...], count: int, name: str) -> None:
+    compiled()
+    with using("numpy"):
+        twins = _motion(laws, count)
+    with instructions(name), using("compiled"):
+        found = _motion(laws, count)
+    for motion, twin in zip(found, twins, strict=True):
+        assert motion.closed
+        assert twin.closed
+        size = 1 / (np.max(np.abs(twin.state), axis=0) + 1e-300)
+        assert apart(motion.state, twin.state, size) < 1e-8
+        assert (motion.slope is None) == (twin.slope is None)
+        if motion.slope is not None and twin.slope is not None:
+            largest = np.max(np.abs(twin.slope), axis=0)
+            assert (
+                np.max(np.abs(motion.slope - twin.slope) / (largest + 1e-9 * np.max(largest) + 1e-300)) < 1e-6
+            )
