@@ -355,7 +355,9 @@ def integrate(
         with np.errstate(all="ignore"):
             closed = chain.close(slopes)
             if near is None and not closed:
-                chain.begun, chain.forces = _marched(machine, start, length), {}
+                # One integration after another, from sample to sample: slow, and never astray
+                alone = machine.follow(start[None], first[:1], machine.drive.intervals, 0, {})
+                chain.begun, chain.forces = alone.states[:-1:length, 0], {}
                 closed = chain.close(slopes)
             slope = chain.slopes() if closed and slopes else None
     except np.linalg.LinAlgError:  # the forces of a step have no one answer for such parameters
@@ -441,9 +443,3 @@ class _Chain:
         body = total[:, :-1].reshape(S * self.length, x, Q)[:intervals]
         last = intervals - (S - 1) * self.length
         return np.concatenate([body, total[-1, last][None]])
-
-
-def _marched(machine: Integrator, start: Real, length: int) -> Real:
-    """States at the starts of the segments by one integration after another: slow, and never astray."""
-    whole = machine.follow(start[None], np.zeros(1, dtype=np.int64), machine.drive.intervals, 0, {})
-    return whole.states[:-1:length, 0]
