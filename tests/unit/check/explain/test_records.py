@@ -132,12 +132,12 @@ def test_a_sensor_that_ends_drifts_or_spikes_is_named_first(
 def test_a_slip_of_few_samples_is_mended_and_not_left_out() -> None:
     """Its size comes from the channel itself, which a fit without the channel does not have."""
     model, truth = chain(2, 0.03, base=True, seed=3)
-    test = record_of(model, truth, "random", decay_times=5, seed=2)
+    test = record_of(model, truth, "random", samples_per_cycle=10, decay_times=5, seed=2)
     record = test.noisy(np.random.default_rng(5), 0.01 * test.size * np.array([1, 1, 0]))
     step = float(record.time[1] - record.time[0])
-    first = dashpot.identify(model, slipped(record, 8), diagnose=True).assessment.findings[0]
+    first = dashpot.identify(model, slipped(record, 4), diagnose=True).assessment.findings[0]
     assert (first.kind, first.of) == ("time", ("x2_dis",))
-    assert first.number == pytest.approx(8 * step, abs=0.5 * step)  # s; slips are tried by half steps
+    assert first.number == pytest.approx(4 * step, abs=0.5 * step)  # s; slips are tried by half steps
 
 
 def test_a_body_that_the_rig_lacks_is_named_in_a_whole_record() -> None:
@@ -148,7 +148,9 @@ def test_a_body_that_the_rig_lacks_is_named_in_a_whole_record() -> None:
         between("cb", Kind.DAMPER, "body", "x2", value=0.5),
     )
     larger = replace(model, coordinates=(*model.coordinates, "body"), elements=(*model.elements, *parts))
-    test = record_of(larger, truth, "random", decay_times=6, seen=model.coordinates, seed=2)
+    test = record_of(
+        larger, truth, "random", samples_per_cycle=10, decay_times=6, seen=model.coordinates, seed=2
+    )
     record = test.noisy(np.random.default_rng(5), 0.01 * test.size * [1, 1, 0])
     first = dashpot.identify(model, record, diagnose=True).assessment.findings[0]
     assert (first.kind, first.of) == ("oscillator", ("x2",))
