@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -57,25 +57,30 @@ class SeenData:
 
     timed  whether samples have times, or need none
     sure   whether no other drive is as likely
+    renamed  {file: {channel: its column}} of files that hold the channels of the first file under other names
     """
 
     columns: tuple[SeenColumn, ...]
     drive: Drive
     sure: bool
     timed: bool
+    renamed: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
 
 def seen_data(inspections: Sequence[Inspection]) -> SeenData:
     """What files seem to hold.  Raises UsageError if they hold no channel, or too many."""
     by_name: dict[str, SeenColumn] = {}
-    parts = [part for inspection in inspections for part in inspection.parts]
-    for channel in (each for part in parts for each in part.channels):
-        if channel.name.lower() not in RESERVED_NAMES:
-            stated = channel.unit if channel.unit and is_unit(channel.unit) else None
-            unit, quantity, of_base = recognised(channel.name, stated)
-            of_base |= channel.of_input and quantity != "force"
-            by_name.setdefault(channel.name, SeenColumn(channel.name, unit, quantity, of_base, channel.decay))
+    renamed, first = dict[str, Mapping[str, str]](), list[SeenColumn]()
+    for inspection in inspections:
+        mine = _columns(inspection)
+        first = first or mine
+        if names := _renamed(first, mine):
+            renamed[inspection.source] = names
+            continue
+        for column in mine:
+            by_name.setdefault(column.name, column)
     columns = tuple(by_name.values())
+    parts = [part for inspection in inspections for part in inspection.parts]
     if not columns or len(columns) > MOST_MASSES:
         what = f"{len(columns)} channels" if columns else "no channel in these data"
         raise UsageError(what, cure=f"start from files with 1 to {MOST_MASSES} channels, or with dashpot new")
@@ -87,12 +92,41 @@ def seen_data(inspections: Sequence[Inspection]) -> SeenData:
         travel = [c for c in (*bases, *others) if c.quantity == "displacement"]
         stand = len(forces) == 1 and len(columns) == 2 and len(travel) == 1
         stand = stand and not any(part.complexes for part in parts)
-        return SeenData(columns, "stand" if stand else "force", bool(others) and not stand, timed)
+        return SeenData(columns, "stand" if stand else "force", bool(others) and not stand, timed, renamed)
     if bases and others:
-        return SeenData(columns, "base", True, timed)
+        return SeenData(columns, "base", True, timed, renamed)
     decays = [c.decay for c in columns if np.isfinite(c.decay)]
     let_go = bool(decays) and max(decays) < DECAYED
-    return SeenData(columns, "release" if let_go else "base", let_go, timed)
+    return SeenData(columns, "release" if let_go else "base", let_go, timed, renamed)
+
+
+def _columns(inspection: Inspection) -> list[SeenColumn]:
+    """The columns of a file that may be channels."""
+    found: dict[str, SeenColumn] = {}
+    for channel in (each for part in inspection.parts for each in part.channels):
+        if channel.name.lower() not in RESERVED_NAMES:
+            stated = channel.unit if channel.unit and is_unit(channel.unit) else None
+            unit, quantity, of_base = recognised(channel.name, stated)
+            of_base |= channel.of_input and quantity != "force"
+            found.setdefault(channel.name, SeenColumn(channel.name, unit, quantity, of_base, channel.decay))
+    return list(found.values())
+
+
+def _renamed(first: Sequence[SeenColumn], other: Sequence[SeenColumn]) -> dict[str, str]:
+    """{channel: column} where another file holds what drives and what moves in the same order, all under other names.
+
+    Quantities, units and numbers in the names agree: sensors that were moved, a1 and then a4, are other channels.
+    """
+    if len(first) != len(other) or {c.name for c in first} & {c.name for c in other}:
+        return {}
+    for a, b in zip(first, other, strict=True):
+        same = [re.findall(r"\d+", named_unit(c.name)[0])[-1:] for c in (a, b)]
+        scales = [factors(c.unit or "", c.quantity or "time") for c in (a, b)]
+        alike = a.quantity == b.quantity is not None and a.of_base == b.of_base and scales[0] == scales[1]
+        if not alike or (all(same) and same[0] != same[1]):
+            return {}
+    driven = any(c.of_base or c.quantity == "force" for c in first)
+    return {a.name: b.name for a, b in zip(first, other, strict=True)} if driven else {}
 
 
 def _same_point(column: SeenColumn, columns: Sequence[SeenColumn], points: Mapping[str, str]) -> str | None:

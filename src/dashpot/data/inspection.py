@@ -53,7 +53,8 @@ _BASE = re.compile(
 )
 _BASE_LETTERS = re.compile(r"([auw]?[_ ]?(base|table|ground)|u\d*|w\d*|[axv]?0)$", re.IGNORECASE)
 _COUNTER = re.compile(
-    r"(unnamed: 0|(frame|sample|scan|row|index|counter|bild)?[_ ]?(number|no|nr|index|id|#)?\.?)", re.IGNORECASE
+    r"(unnamed: 0|(frame|sample|scan|row|index|counter|bild)?[_ ]?(number|no|nr|index|id|#)?\.?)",
+    re.IGNORECASE,
 )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
@@ -16,6 +16,7 @@ from dashpot.app.data_files import reading_of
 from dashpot.app.workers import progress
 from dashpot.errors import DashpotError, UsageError
 from dashpot.io.atomic import write_text
+from dashpot.io.toml_document import PLACEHOLDER, toml_key
 from dashpot.io.words import quoted
 
 if TYPE_CHECKING:
@@ -69,7 +70,6 @@ def command(
     from dashpot.data.inspection import inspect_named
     from dashpot.data.readers.manifest import files_named, is_manifest
     from dashpot.data.readers.modes import holds_modes
-    from dashpot.io.toml_document import PLACEHOLDER
     from dashpot.model.rigfile.writer import STAND_IN, starter_text
     from dashpot.present.data import inspection_document
     from dashpot.present.document import say
@@ -114,18 +114,10 @@ def command(
         places = click.Choice((*(f"x{i + 1}" for i in range(chain.masses)), PLACEHOLDER))
         chain = replace(chain, at=ask("Mass that the force acts on", PLACEHOLDER, places))
     data = list(files)
-    if not seen.timed and not any(map(is_manifest, files)):
-        rate = rate or ask("Sampling rate, Hz", PLACEHOLDER, opt.FREQUENCY.or_words(PLACEHOLDER))
-        number = quoted(rate) if isinstance(rate, str) else f"{rate!r}"
-        entries = (
-            f"[[files]]\nname = {quoted(os.path.relpath(path, Path(manifest).parent))}\nrate_hz = {number}\n"
-            for path in paths
-        )
-        write_text(manifest, "\n".join(entries))
-        stated = (
-            "where the sampling rate has to be written" if rate == PLACEHOLDER else "with the sampling rate"
-        )
-        click.echo(f"Written: {manifest}, {stated}.")
+    if (seen.renamed or not seen.timed) and not any(map(is_manifest, files)):
+        if not seen.timed:
+            rate = rate or ask("Sampling rate, Hz", PLACEHOLDER, opt.FREQUENCY.or_words(PLACEHOLDER))
+        _write_manifest(manifest, list(map(str, paths)), None if seen.timed else rate, seen.renamed)
         data = [manifest]
     text = starter_text(chain)
     write_text(out, text)
@@ -140,6 +132,31 @@ def command(
             "the file if it is wrong."
         )
     _tell(out, picture, text, data)
+
+
+def _write_manifest(
+    manifest: str, paths: Sequence[str], rate: float | str | None, renamed: Mapping[str, Mapping[str, str]]
+) -> None:
+    """A manifest of the files with their rate (None: they have times) and columns, and what it says of them."""
+    of_all = os.path.commonpath([Path(path).resolve().parent for path in paths])
+    folder = os.path.relpath(of_all, Path(manifest).resolve().parent)
+    entries = [f"folder = {quoted(Path(folder).as_posix())}\n"] if folder != "." else []
+    for path in paths:
+        lines = ["[[files]]", f"name = {quoted(Path(path).resolve().relative_to(of_all).as_posix())}"]
+        if rate is not None:
+            lines.append(f"rate_hz = {quoted(rate) if isinstance(rate, str) else repr(rate)}")
+        if names := renamed.get(path):
+            pairs = ", ".join(f"{toml_key(name)} = {quoted(column)}" for name, column in names.items())
+            lines.append(f"columns = {{ {pairs} }}")
+            click.echo(
+                f"{path} names its columns otherwise than {paths[0]}; they are taken to be the same channels: {pairs}."
+            )
+        entries.append("\n".join(lines) + "\n")
+    write_text(manifest, "\n".join(entries))
+    where = (
+        "in it the sampling rate has to be written" if rate == PLACEHOLDER else "correct it if it is wrong"
+    )
+    click.echo(f"Written: {manifest}; {where}.")
 
 
 def _tell(out: str, picture: str, text: str, data: Sequence[str]) -> None:

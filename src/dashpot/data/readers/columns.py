@@ -172,10 +172,11 @@ class Columns(ABC):
             return at
         lower = {column.lower(): column for column in self.header}
         near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.6)
-        known = f"there are {listed(self.names)}{f'; {cure}' if cure else ''}"
-        if near:
-            known = f"did you mean {shown(lower[near[0]])}?"
-        raise DataError(f"column {shown(name)}: missing{why}", self.heading, known)
+        known = (
+            f"did you mean {shown(lower[near[0]])}? Else " if near else f"there are {listed(self.names)}; "
+        )
+        cure = f"{known}{cure}" if cure else known.removesuffix("; ").removesuffix(" Else ")
+        raise DataError(f"column {shown(name)}: missing{why}", self.heading, cure)
 
     def error(self, index: int, column: int, cause: str, cure: str) -> DataError:
         """The DataError at a row and a column."""

@@ -31,6 +31,7 @@ from dashpot.data.readers.columns import (
 from dashpot.data.readers.text import write_rows
 from dashpot.data.record import Record, samples_at_limit
 from dashpot.errors import DataError
+from dashpot.io.toml_document import toml_key
 from dashpot.io.words import listed, shown, written
 from dashpot.notices import Notice
 
@@ -61,7 +62,10 @@ def read_records(
     notes = list(columns.notes)
     time_at = time_column(columns, channels, circumstances.rate_hz is not None)
     f_at, experiment_at = frequency_column(columns, channels), columns.find(EXPERIMENT)
-    at = [columns.need(channel.name, " (the rig file lists it as a channel)") for channel in channels]
+    at = []
+    for channel in channels:
+        cure = f'if it is called otherwise here, write a manifest: columns = {{ {toml_key(channel.name)} = "…" }}'
+        at.append(columns.need(channel.name, " (the rig file lists it as a channel)", cure))
     scales = [columns.scale(column, channel) for column, channel in zip(at, channels, strict=True)]
     channels = tuple(map(columns.described, at, channels))
     numeric = None if circumstances.named else experiment_at

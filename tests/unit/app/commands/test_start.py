@@ -52,8 +52,18 @@ def written() -> dict:
             {"x1": "x1", "a1": "x1", "base": "u"},
         ),
         ("t,hammer [N],a [m/s^2]", [STEADY, STEADY], {"f": "force"}, {"hammer": "f", "a": "x1"}),
-        ("t,u_mm,x1_mm,x2_mm", [STEADY] * 3, {"u": "displacement"}, {"u_mm": "u", "x1_mm": "x1", "x2_mm": "x2"}),
-        ("t,u_mm,x1_mm,a1_mps2", [STEADY] * 3, {"u": "displacement"}, {"u_mm": "u", "x1_mm": "x1", "a1_mps2": "x1"}),
+        (
+            "t,u_mm,x1_mm,x2_mm",
+            [STEADY] * 3,
+            {"u": "displacement"},
+            {"u_mm": "u", "x1_mm": "x1", "x2_mm": "x2"},
+        ),
+        (
+            "t,u_mm,x1_mm,a1_mps2",
+            [STEADY] * 3,
+            {"u": "displacement"},
+            {"u_mm": "u", "x1_mm": "x1", "a1_mps2": "x1"},
+        ),
         ("t,frame,top_mm", [np.arange(2000), DECAY], {}, {"top_mm": "x1"}),
         ("t,hammer_N,a1/g", [STEADY, STEADY], {"f": "force"}, {"hammer_N": "f", "a1/g": "x1"}),
         ("t,Stroke [mm],Load [kN]", [STEADY, STEADY], {"u": "displacement"}, {"Stroke": "u", "Load": "u"}),
@@ -131,6 +141,9 @@ def test_a_force_at_one_of_several_masses_and_samples_without_times(monkeypatch:
         "name": "data.csv",
         "rate_hz": 500.0,
     }
+    Path("rigs").mkdir()
+    assert start("--force-at", "x2", "--rate", "500", "-o", "rigs/rig.toml").exit_code == 0
+    assert CliRunner().invoke(cli, ["inspect", "rigs/rig-data.toml"], catch_exceptions=False).exit_code == 0
     assert start("--out", "other.toml").exit_code == 0
     with pytest.raises(dashpot.DataError, match="rate_hz"):
         CliRunner().invoke(cli, ["inspect", "other-data.toml"], catch_exceptions=False)
@@ -210,6 +223,29 @@ def test_a_manifest_names_the_channels() -> None:
     rig = dashpot.start("test.toml")
     assert [channel.name for channel in rig.channels] == ["acc", "table"]
     assert len(dashpot.read("test.toml", rig.channels).records) == 1
+
+
+def test_other_names_of_the_same_channels_are_put_into_a_manifest() -> None:
+    data("t,Table disp [mm],Floor1 disp [mm],Floor2 acc [m/s^2]", *[STEADY] * 3)
+    Path("data.csv").rename("low.csv")
+    data("t,u_mm,x1_mm,a2_mps2", *[STEADY] * 3)
+    done = CliRunner().invoke(cli, ["start", "low.csv", "data.csv"], catch_exceptions=False)
+    assert list(written()["channels"]) == ["Table disp", "Floor1 disp", "Floor2 acc"]
+    assert "rig-data.toml" in done.output
+    first, second = tomllib.loads(Path("rig-data.toml").read_text(encoding="utf-8"))["files"]
+    assert first == {"name": "low.csv"}
+    assert second["columns"] == {"Table disp": "u_mm", "Floor1 disp": "x1_mm", "Floor2 acc": "a2_mps2"}
+    rig = dashpot.read_rig("rig.toml")
+    assert len(dashpot.read("rig-data.toml", rig.channels).records) == 2
+    with pytest.raises(dashpot.DataError, match=r"manifest: columns = \{ \"Table disp\" = "):
+        dashpot.read(["low.csv", "data.csv"], rig.channels)
+    with pytest.raises(dashpot.UsageError, match="manifest"):
+        dashpot.start(["low.csv", "data.csv"])
+    data("t,hammer [N],a3 [g],a4 [g]", *[STEADY] * 3)  # the sensors were moved
+    Path("data.csv").rename("b.csv")
+    data("t,Kraft [N],a1 [g],a2 [g]", *[STEADY] * 3)
+    assert CliRunner().invoke(cli, ["start", "data.csv", "b.csv", "-o", "moved.toml"]).exit_code == 0
+    assert len(tomllib.loads(Path("moved.toml").read_text())["channels"]) == 6
 
 
 def test_a_column_that_ends_early_is_told_without_a_warning() -> None:

@@ -73,7 +73,9 @@ def test_units_become_si_and_columns_come_in_any_order(put):
     assert reading.notes[0].text.endswith("not read, because the rig file does not list them: junk")
 
 
-@pytest.mark.parametrize("name", ["Frequency_Hz", "FREQ_HZ", "f_Hz", "Freq", "frequency (Hz)", "drive freq [Hz]"])
+@pytest.mark.parametrize(
+    "name", ["Frequency_Hz", "FREQ_HZ", "f_Hz", "Freq", "frequency (Hz)", "drive freq [Hz]"]
+)
 def test_usual_names_of_the_drive_frequency(put, name):
     reading = read(put(f"{name},time_s,x1,u\n2,0,1,2\n2,0.1,3,4\n3,0,1,2\n3,0.1,3,4\n"), CHANNELS)
     assert [record.frequency_hz for record in reading.records] == [2, 3]
