@@ -297,34 +297,33 @@ def averaged_periods(record: Record, inputs: int = 0) -> tuple[Spectrum, Real] |
         return None
     # Which lines repeat. Their noise is their own scatter, or that of the lines beside where it is larger: of few
     # periods it may be small by chance.
-    moving = X[skip:, 1:]
-    periods, mean, beside = len(moving), np.mean(moving, axis=0), 2 * NEIGHBOURS + 1
-    scatter = np.var(moving, axis=0, ddof=1) / periods
+    settled = X[skip:, 1:]
+    periods, beside, size = len(settled), 2 * NEIGHBOURS + 1, np.abs(np.mean(settled, axis=0))
+    scatter = np.var(settled, axis=0, ddof=1) / periods
     noise = np.maximum(scatter, uniform_filter1d(scatter, beside, axis=0, mode="nearest"))
-    p = fdtrc(2, 2 * (periods - 1) * beside, np.minimum(np.abs(mean) ** 2 / np.maximum(noise, 1e-300), 1e12))
-    loud = np.abs(mean) > (DISTORTED if inputs else ROUNDING) * np.max(np.abs(mean), axis=0)
-    there = np.asarray((p < LEVEL / p.size) & loud)
+    p = fdtrc(2, 2 * (periods - 1) * beside, np.minimum(size**2 / np.maximum(noise, 1e-300), 1e12))
+    there = (p < LEVEL / p.size) & (size > (DISTORTED if inputs else ROUNDING) * np.max(size, axis=0))
     lines = np.flatnonzero(np.any(there[:, :inputs], axis=1) if inputs else np.all(there, axis=1)) + 1
-    # lines in every channel: fewer are a sine, a decay or their harmonics
-    size = np.abs(np.mean(X[skip:, 1:], axis=0))
     # A dwell has 0.3 of its strongest line at the fundamental in every channel.
     dwell = record.frequency_hz is not None and lines[:1].tolist() == [1]
     dwell = dwell and bool(np.all(size[0] > 0.3 * np.max(size, axis=0)))
+    # Fewer than 12 lines in every channel are a sine, a decay or their harmonics.
     if len(lines) < (1 if inputs else 12) or (dwell and not inputs):
         return None
     try:
-        mean = average_periods(record, samples * step, lines.tolist(), skip=skip, inputs=inputs)
+        averaged = average_periods(record, samples * step, lines.tolist(), skip=skip, inputs=inputs)
     except DataError:
         return None  # its stamps are uneven
-    driven = np.rint(mean.frequency_hz * samples * step).astype(np.int64)
+    driven = np.rint(averaged.frequency_hz * samples * step).astype(np.int64)
     between = np.setdiff1d(np.arange(driven[0], driven[-1]), driven)
     shares = distortion(X[skip:], driven, [between[between % 2 == parity] for parity in (0, 1)], inputs)
     start = f", the first {skip} left out" if skip else ""
     text = (
         f"{record.source}: the {'inputs repeat' if inputs else 'record repeats'} every {samples * step:.6g} s: "
-        f"{mean.lines} lines are means of {count - skip} periods{start}"
+        f"{averaged.lines} lines are means of {periods} periods{start}"
     )
-    return replace(mean, notes=(Notice("periods_averaged", text, (record.source,)), *mean.notes)), shares
+    notice = Notice("periods_averaged", text, (record.source,))
+    return replace(averaged, notes=(notice, *averaged.notes)), shares
 
 
 def period_of(values: Real) -> int | None:
