@@ -11,6 +11,9 @@ test whose answers happen to lie near the truth then decides no row.
 
 `--samples 8 11` makes dwells of so few samples, four a period at least; `--one` a test of one dwell, of one mass.
 
+`--converter` prints instead how often 95 % regions hold the amplitude of a sine that a coarse converter rounds, by its
+steps from end to end and noise in steps, and the milliseconds of processor time that a dwell takes.
+
 With `--kept FILE` each test is a line of that file, and those already in it are not done again: a long run may be cut
 and go on, or be shared out to processes of which each has its own `--tests` and `--seed`, and the table is of all.
 """
@@ -26,6 +29,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.special import fdtr
 
 from dashpot.arrays import Bools, Real
 from dashpot.channel import Channel
@@ -224,6 +228,32 @@ def show(tests: list[Tried], coverage: bool) -> None:
     print(f"{len(tests) - len(answered)} without an answer")
 
 
+def converter(tests: int) -> None:
+    """Rows of dwells of 1.5 to 40 periods of 12 to 40 samples, every second with a whole number of them in a period."""
+    print(f"{'steps':>6}{'noise':>7}{'coverage':>10}{'(error/sd)²':>13}{'ms':>6}")
+    channels = (Channel("x1", {"x1": 1}), Channel("u", {"u": 1}))
+    for noise in (0.02, 0.1, 0.3):
+        for steps in (1, 2, 4, 16, 64, 256, 1024, 4096):
+            rng, squares, held, took = np.random.default_rng([1, steps, int(100 * noise)]), [], [], 0.0
+            for k in range(tests):
+                periods, each = np.exp(rng.uniform(np.log(1.5), np.log(40))), rng.uniform(12, 40)
+                each = round(each) if k % 2 else each
+                t = np.arange(int(periods * each)) / (4.0 * each)
+                size = steps / 2 * np.exp(1j * rng.uniform(0, 2 * np.pi))
+                values = np.real(np.exp(8j * np.pi * t)[:, None] * np.array([size, 1.0]))
+                values[:, 0] = np.round(
+                    values[:, 0] + rng.uniform(-0.5, 0.5) + noise * rng.normal(size=len(t))
+                )
+                values[:, 1] += 1e-3 * rng.normal(size=len(t))
+                took -= time.process_time()
+                lines = spectrum([Record(channels, t, values, 4.0)], transients="none", refine="none")
+                took += time.process_time()
+                squares.append(abs(lines.amplitudes[0, 0] - size) ** 2 / lines.covariance[0, 0, 0].real)
+                held.append(fdtr(2, lines.dof[0], squares[-1]) < 0.95)
+            row = f"{steps:6}{noise:7}{100 * np.mean(held):9.1f}%{np.mean(squares):13.2f}"
+            print(f"{row}{1e3 * took / tests:6.0f}", flush=True)
+
+
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--tests", type=int, default=60)
@@ -239,7 +269,11 @@ def main() -> None:
     )
     options.add_argument("--kept", type=Path, help="file of tests done, which is added to")
     options.add_argument("--minutes", type=float, default=60.0, help="after which no other test is begun")
+    options.add_argument("--converter", action="store_true", help="amplitudes that a coarse converter rounds")
     settings = options.parse_args()
+    if settings.converter:
+        converter(settings.tests)
+        return
     done: list[Tried] = []
     if settings.kept is not None and settings.kept.exists():
         done = [Tried(**json.loads(line)) for line in settings.kept.read_text().splitlines()]

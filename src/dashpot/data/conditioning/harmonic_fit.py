@@ -372,7 +372,7 @@ def _with_significant(record: Record, f: float, terms: Terms) -> Terms:
     candidates = [order for order in range(1, highest + 1) if order not in terms.orders]
     every = replace(terms, orders=tuple(sorted({*terms.orders, *candidates})))
     try:
-        solution = solve_harmonics(record, f, every) if candidates else None
+        solution = solve_harmonics(record, f, every, sizes=False) if candidates else None
     except DataError:
         return terms  # the record cannot tell them apart
     if solution is None:

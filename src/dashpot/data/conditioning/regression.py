@@ -18,7 +18,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.special import fdtrc, log_ndtr
 
 from dashpot.arrays import Bools, Complex, Real
-from dashpot.data.record import Record, kept
+from dashpot.data.record import ABOVE, BELOW, MISSING, Record, kept
 from dashpot.errors import DataError
 
 CHUNK = 1 << 15  # samples whose design matrix is held at a time
@@ -219,7 +219,7 @@ def blocks_of_regressors(record: Record, f: float, terms: Terms) -> Iterator[tup
         yield rows, terms.columns(record.time[rows], f, *window(record.time))
 
 
-def solve_harmonics(record: Record, f: float, terms: Terms) -> HarmonicSolution:
+def solve_harmonics(record: Record, f: float, terms: Terms, *, sizes: bool = True) -> HarmonicSolution:
     """Least squares of some terms over the samples.
 
     A record at its own frequency is factored once for all terms that are usual; of repeats the columns alone are.
@@ -247,7 +247,7 @@ def solve_harmonics(record: Record, f: float, terms: Terms) -> HarmonicSolution:
     )
     rounded = False if record.cell is None else record.cell > 0
     some = np.flatnonzero(~record.whole_channels | rounded).tolist()
-    return _with_partly_measured(record, f, whole, some) if some else whole
+    return _with_partly_measured(record, f, whole, some, sizes) if some else whole
 
 
 def triangle(pieces: Iterable[Real]) -> Real:
@@ -323,37 +323,37 @@ def _of_repeats(record: Record, f: float, terms: Terms) -> HarmonicSolution:
 
 
 def _with_partly_measured(
-    record: Record, f: float, found: HarmonicSolution, some: Sequence[int]
+    record: Record, f: float, found: HarmonicSolution, some: Sequence[int], sizes: bool
 ) -> HarmonicSolution:
     """The solution with those channels of which samples are not measured solved for by themselves."""
     P, free, in_cells = np.array(found.P), found.free.copy(), found.in_cells.copy()
     coefficients, variance = found.coefficients.copy(), np.diagonal(found.covariance[0]).copy()
     for c in some:
-        its = partly_measured(record, c, f, found.terms)
+        its = partly_measured(record, c, f, found.terms, sizes=sizes)
         if its is not None:
             P[c], free[c], in_cells[c] = its.P, its.free, its.in_cells
             coefficients[0, :, c], variance[c] = its.coefficients, its.variance
     if np.array_equal(free, found.free) and not np.any(in_cells):
         return found
     found = replace(found, P=P, coefficients=coefficients, free=free, in_cells=in_cells)
-    # Correlations of what is measured of both, as those of the coefficients are, and the variances found above
-    squares = np.zeros_like(found.squares)
+    # The variances found above, with correlations of what is measured of both, as those of the coefficients are; a
+    # channel in cells is rounded by itself
+    squares = np.zeros_like(found.squares[0])
     for _, _, e in replace(found, in_cells=np.zeros_like(in_cells)).residuals(record, f):
-        squares += np.swapaxes(e, 1, 2) @ e
-    size = np.sqrt(variance * free / np.maximum(np.diagonal(squares[0]), 1e-300))
-    own = np.diag(variance * free)  # of channels in cells, each of which is rounded by itself
-    squares = np.where(in_cells[:, None] | in_cells, own, squares * size[:, None] * size)
-    return replace(found, squares=squares)
+        squares += e[0].T @ e[0]
+    size, sd = np.sqrt(np.maximum(np.diagonal(squares), 1e-300)), np.sqrt(variance * free)
+    squares = np.where(in_cells[:, None] | in_cells, 0.0, squares / np.outer(size, size)) * np.outer(sd, sd)
+    np.fill_diagonal(squares, sd**2)
+    return replace(found, squares=squares[None])
 
 
 FAR = 1e4  # standard deviations: what is beyond counts as that
-TURNS = 50  # of Newton's method, of which five to ten are needed
+TURNS = 50  # of Newton's method, and sizes of the noise, of which three to ten are needed
 DITHERED = 0.7  # residual in steps of a converter from which on rounding is noise like the rest
 BEGUN = 0.25  # noise in steps with which the search begins where the residual is rounding alone
 INSIDE = 8.0  # standard deviations from both ends of its cell, from which on a sample says nothing more
 UNKNOWN = 3.0  # standard deviations of the noise to which codes tell the motion: less, and the noise is as good as none
-SIZES = 40  # of the noise, of which three to ten are needed
-APART = 1.2  # from one size to the next, and standard deviations of ln σ between them, at most
+ENOUGH = 50.0  # degrees of freedom with which the likeliest size of the noise stands for all
 UNLIKELY = 4.0  # log-likelihood below the highest from which on other sizes are not looked at
 
 Climb = Callable[[Real, float, int], tuple[Real, float, float, Real | None]]
@@ -370,7 +370,9 @@ class PartlyMeasured:
     in_cells: bool
 
 
-def partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMeasured | None:
+def partly_measured(
+    record: Record, c: int, f: float, terms: Terms, *, sizes: bool = True
+) -> PartlyMeasured | None:
     """A channel with samples that are clipped, missing or rounded to cells; None where all are as good as measured.
 
     Of a sample in a cell from a to b it is known that the noise is between: ln(Φ(τ b − A γ) − Φ(τ a − A γ)) with
@@ -378,8 +380,10 @@ def partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMea
     46; Burridge 1981, JRSS B 43).  Newton's method goes along η = δγ − β δτ, so that β changes by η/(τ + δτ) and the
     inverse of the information is P.  The degrees of freedom that β takes are taken off.
 
-    Codes may leave σ open, and a small one makes of the likelihood the box of all that gives these codes.  Their mean
-    and covariance are therefore those over all σ; the variance is that of one unrounded sample that tells as much.
+    Codes may leave σ open, and a small one makes of the likelihood the box of all that gives these codes.  Mean and
+    covariance are then those over all β and σ; the variance is that of one unrounded sample that tells as much.
+    Without `sizes` they are those of least squares there, with rounding that is at worst alike until the code changes
+    and in every period: in the box a test of many terms would find what is not there.
     """
     y = record.values[:, c]
     status = np.zeros(len(y)) if record.status is None else record.status[:, c]
@@ -398,8 +402,11 @@ def partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMea
         cell = 0.0
     if not cell and np.all(seen):
         return None
-    least = 1e-13 * float(np.max(np.abs(y)))
-    tau = 1 / max(np.sqrt(max(variance - cell**2 / 12, (BEGUN * cell) ** 2)), least)
+    largest = float(np.max(np.abs(y)))
+    tau = 1 / max(np.sqrt(max(variance - cell**2 / 12, (BEGUN * cell) ** 2)), 1e-13 * largest)
+    exact, far = seen & (cell == 0), 1e9 * max(largest, cell)  # as good as no end
+    under = np.where((status == BELOW) | (status == MISSING), -far, -cell / 2)
+    over = np.where((status == ABOVE) | (status == MISSING), far, cell / 2)
 
     def at(beta: Real, tau: float) -> tuple[float, Real, Real]:
         """Log-likelihood, its slope along (η, τ) and its information."""
@@ -407,46 +414,49 @@ def partly_measured(record: Record, c: int, f: float, terms: Terms) -> PartlyMea
         total, slope, info = sharp * np.log(tau), np.zeros(k + 1), np.zeros((k + 1, k + 1))
         slope[-1], info[-1, -1] = sharp / tau, sharp / tau**2
         for rows, A in columns():
-            e, side = y[rows] - A @ beta, status[rows]
-            if not cell:
-                B, exact = A[side == 0], e[side == 0]
-                along, square = B.T @ exact, float(exact @ exact)
-                total -= tau**2 * square / 2
-                slope += tau * np.append(along, -square)
-                info += np.block([[B.T @ B, -along[:, None]], [-along, square]])
-            low, high = np.where(side < 0, -np.inf, e - cell / 2), np.where(side > 0, np.inf, e + cell / 2)
-            within = np.abs(side) <= 1 if cell else np.abs(side) == 1
-            within &= (tau * low > -INSIDE) | (tau * high < INSIDE)
-            A, low, high, side = A[within], low[within], high[within], side[within]
-            L, a, b, aa, ab, bb = in_between(tau * low, tau * high)
-            low, high = np.where(side < 0, 0.0, low), np.where(side > 0, 0.0, high)
-            cross = A.T @ (aa * low + ab * (low + high) + bb * high)
-            square = -float(np.sum(aa * low**2 + 2 * ab * low * high + bb * high**2))
-            total += float(np.sum(L))
-            slope += np.append(A.T @ (a - b), np.sum(b * high - a * low))
-            info += np.block([[A.T @ (-(aa + 2 * ab + bb)[:, None] * A), cross[:, None]], [cross, square]])
+            e, known = y[rows] - A @ beta, exact[rows]
+            low, high = e + under[rows], e + over[rows]
+            within = ~known & ((tau * low > -INSIDE) | (tau * high < INSIDE))
+            L, a, b, aa, ab, bb = in_between(tau * low[within], tau * high[within])
+            E, to_low, to_high = (
+                np.column_stack([-A[of], end[of]]) for of, end in ((known, e), (within, low), (within, high))
+            )
+            total += float(np.sum(L) - np.sum((tau * e[known]) ** 2) / 2)
+            slope += b @ to_high - a @ to_low - tau * e[known] @ E
+            info += E.T @ E - to_low.T @ (aa[:, None] * to_low + ab[:, None] * to_high)
+            info -= to_high.T @ (ab[:, None] * to_low + bb[:, None] * to_high)
         return float(total), slope, info
 
+    least_squares, changes = beta, max(int(np.count_nonzero(np.diff(y))), 1)
+    alike = f * record.duration_s * len(y) / changes
     wide = R[:k, :k] * (cell > 0) / (UNKNOWN * np.sqrt(count))
     climbed = partial(_climbed, at, wide)
     beta, tau, _, inverse = climbed(beta, tau, k + 1)
-    free = 0.0 if inverse is None else float(tau**2 / (2 * inverse[-1, -1]))
-    over = _over_sizes(climbed, beta, tau, k, free) if cell else None
-    if over is not None:
-        beta, covariance = over
-        variance = float(np.trace(R[:k, :k] @ covariance @ R[:k, :k].T)) / k
-        # What is log-concave within a cell has no larger variance than what is even there
-        most = (cell**2 / 12 + 1 / tau**2) * count / k
-        covariance, variance = covariance * min(1.0, most / variance), min(variance, most)
-        return PartlyMeasured(beta, covariance / variance, variance, float(max(count - k, 1)), in_cells=True)
-    if inverse is None:
+    free, covariance = 0.0, None
+    if inverse is not None:
+        free = float(tau**2 / (2 * inverse[-1, -1]))
+        covariance = (inverse + inverse.T)[:-1, :-1] / (2 * tau**2)
+    if cell and free >= ENOUGH and covariance is not None:
+        covariance = covariance * free / max(free - k, free / 2)
+    elif cell and not sizes:
+        rounding = max(variance, cell**2 / 12) * max(alike, 1.0)
+        return PartlyMeasured(least_squares, P, rounding, float(max(count - k, 1)), in_cells=True)
+    elif cell:
+        beta, covariance = _over_sizes(climbed, beta, tau, k, free)
+    if covariance is None:
         raise DataError(
             f"the valid samples of {record.channels[c].name} cannot determine its motion at {f:g} Hz",
             record.source,
             "leave the channel out, or widen its range",
         )
-    P = (inverse + inverse.T)[:-1, :-1] / 2
-    return PartlyMeasured(beta, P, 1 / tau**2, free, in_cells=False)
+    if not cell:
+        return PartlyMeasured(beta, covariance * tau**2, 1 / tau**2, free, in_cells=False)
+    variance = float(np.trace(R[:k, :k] @ covariance @ R[:k, :k].T)) / k
+    # What is log-concave within a cell has no larger variance than what is even there
+    most = min(1.0, (cell**2 / 12 + 1 / tau**2) * count / k / variance)
+    return PartlyMeasured(
+        beta, covariance / variance, most * variance, float(max(count - k, 1)), in_cells=True
+    )
 
 
 def _climbed(
@@ -478,35 +488,36 @@ def _climbed(
     return beta, tau, total, inverse
 
 
-def _over_sizes(climbed: Climb, beta: Real, tau: float, k: int, free: float) -> tuple[Real, Real] | None:
+def _over_sizes(climbed: Climb, beta: Real, tau: float, k: int, free: float) -> tuple[Real, Real | None]:
     """Mean and covariance of k coefficients over all sizes of the noise, about 1/τ, known with so many degrees of
-    freedom; None where none tells them.
+    freedom; no covariance where none tells them.
 
-    Given a size they are Gaussian about the likeliest (Laplace), and sizes as likely as their share of it, β and ln σ
-    being so beforehand.  From where the noise is smaller than what is known of the motion, the box is as it is there.
+    Given a size they are Gaussian about the likeliest (Laplace); β and σ are as likely beforehand.  From where the
+    noise is smaller than what is known of the motion, the box is as it is there.
     """
 
     def given(beta: Real, tau: float) -> tuple[float, float, Real, Real] | None:
         likeliest, _, total, inverse = climbed(beta, tau, k)
         if inverse is None:
             return None
-        weight = total + float(np.linalg.slogdet(inverse)[1]) / 2 - k * np.log(tau)
+        weight = total + float(np.linalg.slogdet(inverse)[1]) / 2 - (k + 1) * np.log(tau)
         return float(np.log(tau)), weight, likeliest, inverse / tau**2
 
-    apart = min(np.log(APART), APART / np.sqrt(2 * max(free, 1.0)))
-    sizes = (given(beta, tau / np.exp(i * apart)) for i in range(SIZES))
+    # Between sizes 1.6 standard deviations of ln σ, with which sums are exact to 1 in 1,000, and a factor at most
+    apart = min(1.6 / np.sqrt(2 * max(free, 1.0)), np.log(1.5))
+    sizes = (given(beta, tau / np.exp(i * apart)) for i in range(TURNS))
     first = next((size for size in sizes if size is not None), None)
     if first is None:
-        return None
+        return beta, None
     found, smallest = [first], 0.0
     for way in (-apart, apart):
         last = first
-        while last[1] > max(size[1] for size in found) - UNLIKELY and len(found) < SIZES:
+        while last[1] > max(size[1] for size in found) - UNLIKELY and len(found) < TURNS:
             size = given(last[2], float(np.exp(last[0] + way)))
             if size is not None:
                 last = size
                 found.append(size)
-            elif way < apart / 5:
+            elif way < apart / 2:
                 smallest = float(way > 0)
                 break
             else:
