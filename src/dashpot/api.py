@@ -416,7 +416,7 @@ def start(
         if sensor.of == PLACEHOLDER:
             cure = "give base=, the column of the base, or another driven_by="
             raise UsageError(f"cannot tell what the column {sensor.column} measures", cure=cure)
-        if sensor.raw:
+        if sensor.gain == PLACEHOLDER:
             what = f"the column {sensor.column} is in {sensor.unit}, without a sensitivity"
             raise UsageError(what, cure="give it in a unit of what it measures")
     return parse_rig(starter_text(chain))

@@ -36,6 +36,7 @@ ACCELERATION: Dimension = (1, 0, -2, 0, 0, 0)
 TURNING: Dimension = (0, 0, -1, 1, 0, 0)
 VOLTAGE: Dimension = (0, 0, 0, 0, 1, 0)
 COUNT: Dimension = (0, 0, 0, 0, 0, 1)
+PIXELS = ("px", "pixel", "pixels")
 SHARE = "FS"  # of the full scale: a number without unit, as counts are
 
 
@@ -112,7 +113,7 @@ _TABLE: tuple[tuple[str, Symbol], ...] = (
     ("ips", Symbol(_INCH, (1, 0, -1, 0, 0, 0))),
     ("V", Symbol(1.0, VOLTAGE, "nµmk")),
     ("count counts Counts ct cts lsb LSB", Symbol(1.0, COUNT)),
-    ("px pixel pixels", Symbol(1.0, COUNT)),  # of a camera
+    (" ".join(PIXELS), Symbol(1.0, COUNT)),  # of a camera
     (SHARE, Symbol(1.0, COUNT)),
 )
 WORDS = {
@@ -202,6 +203,8 @@ def scale(unit: str, quantity: str, angular: bool = False, uncalibrated: bool = 
     if dimension[4] or dimension[5]:
         if dimension in (VOLTAGE, COUNT):
             cure = f'say gain = "unknown" to estimate it, or a sensitivity, or use {wanted.accepted}'
+            if unit in PIXELS:
+                cure = 'say gain = "4.2 px/mm", or gain = 1 in every channel where one camera shows them all'
         else:
             cure = f'a sensitivity belongs in gain, with unit = "V"; or use {wanted.accepted}'
     else:

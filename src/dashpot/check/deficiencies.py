@@ -220,7 +220,10 @@ def _scaled(one: Deficiency, found: Structure, model: Model, give: str) -> tuple
         together = f"the scale of the forces is not fixed: only the ratios of {_named(names)} can be found"
         return f"no mass, stiffness or force is known{driven}, so {together}", cure
     if even and not elements:
-        return f"only the ratios of {_named(names)} can be found", give
+        return (
+            f"only the ratios of {_named(names)} can be found",
+            f"{give}, such as 1; no other value depends on it",
+        )
     if even:
         return f"the forces of {_named(names)} scale together: only their ratios can be found", cure
     only = combinations_in_words(one)

@@ -18,6 +18,7 @@ from dashpot.errors import UsageError
 from dashpot.io.toml_document import PLACEHOLDER
 from dashpot.io.words import listed
 from dashpot.model.rigfile.writer import MOST_MASSES, Chain, ChannelLine, Drive
+from dashpot.units import PIXELS
 
 DECAYED = 0.5  # rms of the last quarter of a record over that of its first, below which the rig was let go
 
@@ -179,6 +180,7 @@ def first_rig(
         raise UsageError(
             f"{len(moving)} columns are motions", "--driven-by", "a test stand needs exactly one"
         )
+    camera = all(column.unit in PIXELS for column in data.columns)  # one scale, which no value depends on
     for column in data.columns:
         if column in forces:
             number = forces.index(column) + 1
@@ -189,11 +191,9 @@ def first_rig(
             of = points.setdefault(
                 column.name, _same_point(column, data.columns, points) or f"x{len(set(points.values())) + 1}"
             )
-        sensors.append(
-            ChannelLine(
-                column.name, of, column.quantity or PLACEHOLDER, column.unit or PLACEHOLDER, column.raw
-            )
-        )
+        gain = (1 if camera else PLACEHOLDER) if column.raw else None
+        quantity, unit = column.quantity or PLACEHOLDER, column.unit or PLACEHOLDER
+        sensors.append(ChannelLine(column.name, of, quantity, unit, gain))
     masses = len(set(points.values()))
     if drive == "base" and not bases and sensors:  # the base is one of the columns, and nothing states which
         sensors[-1] = replace(sensors[-1], of=PLACEHOLDER)

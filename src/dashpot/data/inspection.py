@@ -36,7 +36,7 @@ from dashpot.errors import DashpotError, DataError
 from dashpot.io.toml_document import PLACEHOLDER, toml_key
 from dashpot.io.words import quoted
 from dashpot.notices import Notice
-from dashpot.units import QUANTITIES
+from dashpot.units import PIXELS, QUANTITIES
 
 Loaded = TypeVar("Loaded")
 MOST_SAMPLES = 1 << 22  # of a column of which the resolution is sought
@@ -361,7 +361,7 @@ def guessed_quantity(name: str, unit: str | None) -> str | None:
     for quantity, words in WORDS.items():
         if any(lower.startswith(word) for word in words):
             return quantity.value
-    return Quantity.DISPLACEMENT.value if unit in ("px", "pixel", "pixels") else None
+    return Quantity.DISPLACEMENT.value if unit in PIXELS else None
 
 
 def recognised(column: str, unit: str | None) -> tuple[str | None, str | None, bool]:

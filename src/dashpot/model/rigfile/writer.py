@@ -336,12 +336,14 @@ class ChannelLine:
     of: str
     quantity: str
     unit: str
-    raw: bool = False  # volts or counts, which want a sensitivity
+    gain: str | float | None = None  # of volts or counts, which want a sensitivity
 
     @property
     def line(self) -> str:
         """Its line in [channels]."""
-        gain = f', gain = "{PLACEHOLDER}"' if self.raw else ""
+        gain = (
+            "" if self.gain is None else f", gain = {self.gain if self.gain == 1 else quoted(str(self.gain))}"
+        )
         fields = (
             f"of = {quoted(self.of)}, quantity = {quoted(self.quantity)}, unit = {quoted(self.unit)}{gain}"
         )

@@ -102,6 +102,20 @@ def test_names_mean_the_same_to_all_commands(tmp_path: Path) -> None:
     assert [(each.name, each.scale) for each in given.channels] == [("u_mm", 1e-3), ("x1_mm", 1e-3)]
 
 
+def test_one_camera_needs_no_scale() -> None:
+    data("t,top_px,mid_px", DECAY, 0.5 * DECAY)
+    done = start()
+    assert "Identifiable" in done.output
+    assert [entry["gain"] for entry in written()["channels"].values()] == [1, 1]
+    text = Path("rig.toml").read_text(encoding="utf-8")
+    Path("rig.toml").write_text(text.replace("gain = 1", 'gain = "unknown"'), encoding="utf-8")
+    with pytest.raises(dashpot.DashpotError, match="a value, such as 1"):
+        CliRunner().invoke(cli, ["check", "rig.toml"], catch_exceptions=False)
+    Path("rig.toml").write_text(text.replace(", gain = 1", ""), encoding="utf-8")
+    with pytest.raises(dashpot.DashpotError, match="gain = 1 in every channel"):
+        CliRunner().invoke(cli, ["check", "rig.toml"], catch_exceptions=False)
+
+
 def test_what_nobody_says_is_a_placeholder_that_commands_name() -> None:
     data("t,ch1,ch2 [V]", STEADY, STEADY)
     result = start()
