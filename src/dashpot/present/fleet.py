@@ -135,7 +135,7 @@ def track_document(track: Track, level: float = 0.95) -> Document:
             when = "", ""
         else:
             early, late = (plain(time) for time in change.time95_s)
-            when = plain(change.time_s), f"{early} … {late}"
+            when = plain(change.time_s), early if early == late else f"{early} … {late}"
         rows.append(
             (
                 change.name,
@@ -182,9 +182,8 @@ def track_document(track: Track, level: float = 0.95) -> Document:
 def change_line(change: TrackedChange) -> str:
     """One sentence without its full stop."""
     verb = "fell" if change.size < 0 else "rose"
-    size, sd = (
-        short(abs(100 * part), 3) for part in (change.relative, change.sd * change.relative / change.size)
-    )
+    share = 100 * abs(change.relative)
+    size, sd = value_and_sd(share, share * change.sd / abs(change.size))
     if change.kind == "gradual":
         return f"{change.name} {verb} by {size} ± {sd} % gradually (p ≤ {probability(change.p)})"
     early, late = (plain(time) for time in change.time95_s)
