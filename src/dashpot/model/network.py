@@ -675,7 +675,8 @@ class Model:
         for j, unknown in enumerate(self.unknowns):
             value = values.get(unknown.name, unknown.nominal)
             if value is None:
-                cure = f"give it one, such as {unknown.name}=1.0, or a guess"
+                give = f"give it one ({unknown.name}=1.0; of a command --set {unknown.name}=1.0)"
+                cure = f"{give}, or a guess in the rig file"
                 raise ModelError(f"{unknown.name} has no value", cure=cure)
             theta[j] = value
         others = sorted(set(values) - set(self.unknown_names))

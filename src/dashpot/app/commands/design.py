@@ -253,6 +253,8 @@ def _releases(
     for name, given in (driven | dict(others)).items():
         if given is not None:
             cure = "leave it out, or add an input to the rig file"
+            if name == "--after":
+                cure = "give --estimate FILE.json for the values; earlier tests do not count in plans of releases"
             raise UsageError(f"{name} is for driven rigs, and this rig has no input", cure=cure)
     criterion, target = _criterion(wanted.aim, wanted.target)
     if criterion.targets is not None or criterion.kind == "D":
