@@ -64,7 +64,7 @@ from dashpot.model.observation import measures_input
 from dashpot.model.rigfile import Rig, default_channels, parse_rig, read_rig
 from dashpot.numerics.blas_threads import one_blas_thread
 from dashpot.quantities import frequencies as frequencies_of
-from dashpot.quantities import quantity
+from dashpot.quantities import quantity, quantity_of_unit
 
 if TYPE_CHECKING:
     from dashpot.export.identified_rig import IdentifiedRig
@@ -282,7 +282,7 @@ def check(
 @one_blas_thread()
 def simulate(
     rig: Rig,
-    values: Mapping[str, float | Value],
+    values: Mapping[str, float | str | Value],
     frequencies: Any = None,
     *,
     release: Mapping[str, float] | None = None,
@@ -295,8 +295,8 @@ def simulate(
 ) -> tuple[Record, ...]:
     """Simulate the records of a rig, with the noise stated for its channels.
 
-    values       by name, SI units, or `estimate.parameters()`: the unknowns, and known values to be replaced;
-                 anything missing is taken from the values and guesses of the rig file
+    values       by name, SI units or text such as "9 kN/m", or `estimate.parameters()`: the unknowns, and known
+                 values to be replaced; anything missing is taken from the values and guesses of the rig file
     frequencies  Hz, one per dwell: a sequence, or text as on the command line ("1:10:0.5", "1:10/25"); or the motion of
                  the inputs, starting from rest: a Record, or columns by name with `time_s`, in one or more stretches
     release      instead of frequencies: the displacement at which each coordinate is held, m or rad, before it is let
@@ -313,8 +313,10 @@ def simulate(
 
     # The rig with known values as stated, and its unknowns, (unknowns,); what is tied follows them
     rig = rig.in_experiment(experiment)
+    units = {each.name: rig.model.unit(each) for each in rig.model.elements}
+    units |= {unknown.name: unknown.unit for unknown in rig.model.unknowns}
     numbers = {
-        name: float(_numbers(value.value if isinstance(value, Value) else value, name))
+        name: _in_si(value.value if isinstance(value, Value) else value, name, units.get(name, ""))
         for name, value in values.items()
     }
     rig = _with_known(rig, numbers)
@@ -608,14 +610,15 @@ def predicted_motion(
     return tuple(replace(record, sd=sd) for record, sd in predicted)
 
 
-def with_exact_values(estimate: Estimate, changes: Mapping[str, float]) -> Estimate:
+def with_exact_values(estimate: Estimate, changes: Mapping[str, float | str]) -> Estimate:
     """The estimate with these values exact and the rest as it was: `Estimate.with_values`."""
     if not changes:
         return estimate
     if estimate.values.ndim != 1:
         raise UsageError("a batch of estimates has no values to change", cure="take one of them")
-    given = {name: float(_numbers(value, name)) for name, value in changes.items()}
     known = {name: (value, unit) for name, value, unit in estimate.known}
+    units = dict(zip(estimate.names, estimate.units, strict=True)) | {name: known[name][1] for name in known}
+    given = {name: _in_si(value, name, units.get(name, "")) for name, value in changes.items()}
     for name in given.keys() - {*estimate.names, *known}:
         raise UsageError(
             f"{name} is not a parameter of the estimate that can be changed",
@@ -991,6 +994,17 @@ def _numbers(value: Any, name: str) -> Real:
     if isinstance(value, bool | bytes | str) or not np.all(np.isfinite(numbers)):
         raise UsageError(f"{name} is {value!r}", cure="give a finite number")
     return numbers
+
+
+def _in_si(value: Any, name: str, unit: str) -> float:
+    """A finite number, or one with a unit as text, "9 kN/m", in the SI unit of a parameter.  Raises UsageError."""
+    kind = quantity_of_unit(unit)
+    if not isinstance(value, str) or kind is None:
+        return float(_numbers(value, name))
+    try:
+        return quantity(value, *kind)
+    except UsageError as error:
+        raise UsageError(f"{name}: {error.problems[0].what}", cure=error.problems[0].cure) from None
 
 
 def _model(rig: Rig | Model) -> Model:

@@ -21,6 +21,7 @@ from dashpot.errors import UsageError
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
+_SHOWN = (type(None), str, bytes, int, float, complex, tuple, list, dict)  # others are named by their type
 
 
 def call(function: str, *arguments: Any, **options: Any) -> Any:
@@ -47,8 +48,10 @@ def refusing(function: Callable[Arguments, Result]) -> Callable[Arguments, Resul
                 except NameError:
                     kind = Any
                 if not _fits(value, kind):
-                    what = f"{function.__name__}: {name} is {reprlib.repr(value)}"
-                    raise UsageError(what, cure=f"it must be {hint}") from error
+                    shown = reprlib.repr(value) if isinstance(value, _SHOWN) else f"a {type(value).__name__}"
+                    paths = hint in ("AnyPath", "str | os.PathLike[str]")
+                    cure = "give the name of a file" if paths else f"it must be {hint}"
+                    raise UsageError(f"{function.__name__}: {name} is {shown}", cure=cure) from error
             raise
 
     return called

@@ -4,6 +4,7 @@ import inspect
 import math
 import pickle
 import re
+import types
 from dataclasses import replace
 from pathlib import Path
 
@@ -326,6 +327,21 @@ def test_arguments_of_other_types_are_named(wrong: object, rig: Rig) -> None:
         assert "\n" not in str(refused.value)
     with pytest.raises(dashpot.UsageError, match="identify: conditioning is 3"):
         rig.identify("data.csv", conditioning=3)
+
+
+def test_arguments_are_refused_in_words_and_take_units(rig: Rig) -> None:
+    frame = types.SimpleNamespace(columns=["x1"])
+    with pytest.raises(dashpot.UsageError, match=r"path is a SimpleNamespace; give the name of a file"):
+        dashpot.read_rig(frame)  # type: ignore[arg-type]
+    estimate = rig.identify("data.csv")
+    with pytest.raises(dashpot.UsageError, match="give the name of a file"):
+        estimate.report(None)
+    assert estimate.with_values(c1="25 N·s/m", m1="4000 g")["m1"].value == pytest.approx(4.0)
+    with pytest.raises(dashpot.UsageError, match=r"c1: .*unit of damping"):
+        estimate.with_values(c1="25 kg")
+    given, same = ({**VALUES, "m2": mass} for mass in ("4000 g", 4.0))
+    pair = [dashpot.simulate(rig, values, [2.0], seed=1)[0] for values in (given, same)]
+    assert pair[0].values == pytest.approx(pair[1].values)
 
 
 def test_public_functions_are_found_again_by_pickle_and_leave_faults_of_their_own() -> None:

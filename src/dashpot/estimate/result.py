@@ -591,7 +591,7 @@ class Estimate(Printable):
         return cast("tuple[Cycle, ...]", call("cycles", self, amplitudes, frequencies_hz, rig))
 
     def with_values(self, **changes: Any) -> Estimate:
-        """The estimate with these values, SI units, taken as exact and all others unchanged.
+        """The estimate with these values, in SI units or as "9 kN/m", taken as exact and all others unchanged.
 
         The modes are recomputed if the rig is known.  Raises UsageError for a name that is neither an unknown nor a
         known parameter, and for a value that is not finite.
