@@ -293,12 +293,15 @@ def _share_change(of: _Histories, shape: Real) -> tuple[float, float, float, boo
     e, parts = of.residual, np.arange(8)  # of a record, each with a share of its own
     edges = np.linspace(0, len(e), len(parts) + 1).astype(np.int64)
     size = np.add.reduceat(shape**2, edges[:-1])
-    if not np.all(size > 0):
+    with np.errstate(
+        all="ignore"
+    ):  # a search that was lost predicts motion whose squares are beyond all numbers
+        share = np.add.reduceat(e * shape, edges[:-1]) / size
+        left_over = (e - np.repeat(share, np.diff(edges)) * shape) * shape
+        # The noise may be louder where the motion is: each part tells its own.
+        variance = of.each * np.add.reduceat(left_over**2, edges[:-1]) / size**2
+    if not (np.all(size > 0) and np.all(np.isfinite(variance))):
         return None
-    share = np.add.reduceat(e * shape, edges[:-1]) / size
-    left_over = (e - np.repeat(share, np.diff(edges)) * shape) * shape
-    # The noise may be louder where the motion is: each part tells its own.
-    variance = of.each * np.add.reduceat(left_over**2, edges[:-1]) / size**2
     weight = 1 / np.maximum(variance, TINY)
 
     def explained(*shapes: Real) -> tuple[float, Real]:
