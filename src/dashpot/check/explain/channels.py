@@ -14,7 +14,7 @@ from dashpot import units
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, by_size, plainly
-from dashpot.check.explain.problem import DERIVATIVES, FitProblem, LineProblem, TimeProblem
+from dashpot.check.explain.problem import FitProblem, LineProblem, TimeProblem
 from dashpot.data.readers.columns import factors
 from dashpot.errors import DashpotError
 from dashpot.estimate.assessment import Finding
@@ -217,13 +217,20 @@ def derivative(baseline: Baseline) -> Iterator[Effect]:
 
 
 def _derived(chosen: tuple[int, ...], problem: LineProblem | TimeProblem, power: float) -> FitProblem:
+    channels = list(problem.channels)
     for c in chosen:
-        problem = problem.derived(c, int(power))
-    return problem
+        channels[c] = replace(channels[c], quantity=_derivative(channels[c], power))
+    return problem.of_rig(problem.model, tuple(channels))
+
+
+def _derivative(channel: Channel, power: float) -> Quantity:
+    """The quantity of motion that is so many derivatives above the one of a channel."""
+    every = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
+    return every[channel.quantity.derivative + int(power)]
 
 
 def _other_quantity(model: Model, channels: list[Channel], power: float) -> Phrase:
-    true = DERIVATIVES[channels[0].quantity.derivative + int(power)]
+    true = _derivative(channels[0], power)
     mended = tuple(replace(channel, quantity=true, unit="", scale=1.0) for channel in channels)
     stated = channels[0].quantity.value
     if len(channels) == 1:

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices, zeros_for_nan
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import Channel
 from dashpot.check.residuals import blocks_of
 from dashpot.data.conditioning.unmeasured import with_likely
 from dashpot.data.modal_data import ModalData
@@ -57,7 +57,6 @@ NEAR_INPUTS = 1.0  # of an input's size: changes of it that are taken to first o
 LATEST = 0.1  # of a record, within which a late channel is late by a part of it
 FINER = 8  # times as many steps, with which a motion is not integrated to be looked at: it is far too fast
 SLOWER = 3  # times as many iterations are done where a motion is integrated for each
-DERIVATIVES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 
 
 @dataclass(frozen=True)
@@ -217,10 +216,6 @@ class LineProblem:
         spectrum = replace(shifted.spectrum, stretches=tuple(stretches))
         data = replace(shifted.data, spectrum=spectrum)
         return replace(shifted, data=data, given_up=given_up).of_rig(self.model, tuple(channels))
-
-    def derived(self, channel: int, power: int) -> LineProblem:
-        """With one channel as the derivative of the motion that is `power` higher."""
-        return self.scaled(channel, ((1j * self.omega) ** -float(power)).astype(np.complex128))
 
     def exchanged(self, first: int, second: int, by_column: bool) -> LineProblem:
         """With two channels exchanged: their columns, each read in the unit of the other, or what they show."""
@@ -825,14 +820,6 @@ class TimeProblem:
     def late(self, channel: int, late: float) -> TimeProblem:
         """With one channel that much (s) earlier than measured."""
         return self.scaled(channel, np.exp(1j * self.omega * late).astype(np.complex128))
-
-    def derived(self, channel: int, power: int) -> TimeProblem:
-        """With one channel as the derivative of the motion that is `power` higher."""
-        stated = self.channels[channel]
-        other = replace(stated, quantity=DERIVATIVES[stated.quantity.derivative + power])
-        return self.of_rig(
-            self.model, tuple(other if c == channel else each for c, each in enumerate(self.channels))
-        )
 
     def exchanged(self, first: int, second: int, by_column: bool) -> TimeProblem:
         """With two channels exchanged: their columns, each read in the unit of the other, or what they show."""
