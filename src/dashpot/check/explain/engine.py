@@ -312,9 +312,9 @@ def begun_at(
 def _baseline(
     problem: FitProblem, fits: Sequence[FittedProblem], silent: Mapping[str, str], of_samples: bool
 ) -> Baseline:
-    """Of fits of the problem, of it without each channel, and of others, whose ends are starts as well."""
-    kept: list[Real] = []  # ends that differ by more than a per cent in some unknown, in their order
-    for psi in (fit.psi for fit in fits if np.all(np.isfinite(fit.psi))):
+    """Of fits of the problem, of it without each channel, and of others, whose ends are starts as well as its own."""
+    kept: list[Real] = []  # those that differ by more than a per cent in some unknown, in their order
+    for psi in (psi for psi in (*(fit.psi for fit in fits), *problem.starts) if np.all(np.isfinite(psi))):
         near = (np.abs(psi - each) <= 0.01 * np.maximum(np.abs(psi), np.abs(each)) for each in kept)
         if not any(map(np.all, near)):
             kept.append(psi)

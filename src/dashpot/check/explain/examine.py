@@ -107,27 +107,28 @@ def explained(
                 spectrum, method = with_record_noise(model, spectrum, method)
             except DashpotError:
                 return None
-        psi, sign = _begun_at(prepare(model, spectrum, states=False), estimate, seed)
+        starts, sign = _begun_at(prepare(model, spectrum, states=False), estimate, seed)
         if isinstance(method, MaximumLikelihood) and method.start:  # where the search for the noise has ended
-            psi, sign = np.array(method.start), np.array(method.start_sign)
-        return explained_records(model, spectrum, psi, sign, silent=silent, seed=seed)
+            starts, sign = (np.array(method.start), *starts), np.array(method.start_sign)
+        return explained_records(model, spectrum, starts, sign, silent=silent, seed=seed)
     if not spectrum.noise_known:
         spectrum = _with_supposed_noise(model, spectrum)
     silent = silent_channels(model, spectrum)
     data = prepare(model, spectrum)
-    psi, sign = _begun_at(data, estimate, seed)
+    starts, sign = _begun_at(data, estimate, seed)
     of_samples = set(spectrum.noise) <= OF_SAMPLES
-    return explain(LineProblem(data, sign, (psi,)), silent=silent, of_samples=of_samples, seed=seed)
+    return explain(LineProblem(data, sign, starts), silent=silent, of_samples=of_samples, seed=seed)
 
 
-def _begun_at(data: Prepared, estimate: Estimate | None, seed: int) -> tuple[Real, Real]:
-    """ψ (M,) and the signs of all channels (channels,) of the estimate, or of a typical rig if there is none."""
+def _begun_at(data: Prepared, estimate: Estimate | None, seed: int) -> tuple[tuple[Real, ...], Real]:
+    """ψ (M,) of the estimate, if there is one, and of a typical rig as the file describes it: a wrong rig may have led
+    anywhere.  With them the signs of all channels (channels,)."""
     (psi, *_), (sign, *_) = candidates(data, 1, random_generator(seed))
     if estimate is None or not np.all(np.isfinite(estimate.values)):
-        return psi, sign
+        return (psi,), sign
     for name, value in estimate.signs.items():
         sign[data.spectrum.index(name)] = float(value)
-    return estimate.values, sign
+    return (estimate.values, psi), sign
 
 
 def _with_supposed_noise(model: Model, spectrum: Spectrum) -> Spectrum:

@@ -53,13 +53,13 @@ Clipped = tuple[float, Complex] | None  # where a channel ends in a record, and 
 def explained_records(
     model: Model,
     spectrum: Spectrum,
-    psi: Real,
+    starts: tuple[Real, ...],
     sign: Real,
     *,
     silent: dict[str, str] | None = None,
     seed: int = 0,
 ) -> Explanation | None:
-    """Likely causes if whole records (no batch axes) do not fit, from ψ (M,) and the channels' signs (channels,) on.
+    """Likely causes if whole records (no batch axes) do not fit, begun at values of ψ (M,) and signs (channels,).
 
     None if they cannot be sought.
 
@@ -68,8 +68,8 @@ def explained_records(
     """
     quiet = spectrum
     if RESIDUAL in spectrum.noise:
-        weighed = LineProblem(prepare(model, spectrum, states=False), sign, (psi,), False)
-        residual = weighed.y - _as_fitted(weighed, psi)
+        weighed = LineProblem(prepare(model, spectrum, states=False), sign, starts, False)
+        residual = weighed.y - _as_fitted(weighed, starts[0])
         share = share_without_misfit(spectrum, weighed.view.inputs_alone, residual)
         variance = np.minimum(working_noise(spectrum), weighed.variance * share)
         quiet = replace(spectrum, covariance=diagonal_matrices(variance))
@@ -79,9 +79,9 @@ def explained_records(
         power = np.sum(np.abs(np.nan_to_num(quiet.amplitudes)) ** 2 / noise, axis=1)
         chosen = loudest(quiet.frequency_hz, power, MOST_LINES // 30)
     try:
-        lines = LineProblem(prepare(model, steady_lines(model, spectrum)), sign, (psi,), False)
-        whole = LineProblem(prepare(model, quiet, states=False), sign, (psi,), False)
-        part = LineProblem(prepare(model, quiet.select(chosen), states=False), sign, (psi,), False)
+        lines = LineProblem(prepare(model, steady_lines(model, spectrum)), sign, starts, False)
+        whole = LineProblem(prepare(model, quiet, states=False), sign, starts, False)
+        part = LineProblem(prepare(model, quiet.select(chosen), states=False), sign, starts, False)
         in_time = partial(channels_in_time, whole, chosen, partial(_by_all_others, whole))
         of_records = ((CHANGED_CHANNEL, in_time), (UNDRIVEN, tones), (HELD, between_samples))
         return explain_records(lines, part, of_records, silent=silent, seed=seed)
