@@ -88,3 +88,14 @@ def test_hum_is_named_and_is_no_misfit() -> None:
     assert notice.of == ("x",)
     assert "50 Hz" in notice.text
     assert standing_out(left, lines, OUTPUTS) == []
+
+
+def test_what_a_wrong_rig_leaves_about_50_hz_is_no_hum() -> None:
+    noise = white(np.random.default_rng(15))
+    left, lines = record(noise)
+    f = left.frequency_hz + 20
+    near = np.abs(f - 50) < 2
+    measured = np.where(near[:, None], 20 * left.measured, left.measured)
+    normalised = np.where(near[:, None], 20 * left.normalised, left.normalised)
+    left = replace(left, frequency_hz=f, measured=measured, normalised=normalised)
+    assert hum_notices(left, OUTPUTS, mains_hum(left, replace(lines, frequency_hz=f))) == []
