@@ -15,6 +15,7 @@ from dashpot.estimate.linear.instrumental_variables import FreeMatrices
 from dashpot.estimate.result import MISFIT, RESIDUALS, Cycle, Estimate, Fit, ModeValues
 from dashpot.io.words import joined
 from dashpot.model.matrix_elements import Letter
+from dashpot.notices import Notice
 from dashpot.present.document import (
     Document,
     Paragraph,
@@ -69,8 +70,9 @@ def estimate_document(
     warnings = [f"Warning: {text}" for text in warnings_in_words(estimate, untried=untried, coded=True)]
     if estimate.basis == MISFIT:
         warnings.insert(0, f"Warning: {basis_in_words(estimate)} [model_misfit]")
-    # The verdict in per cent of the motion, then its other reasons, each with its code
-    fit = estimate.fit
+    # The verdict in per cent of the motion, then what else speaks against the fit, each with its code: before the
+    # values where no cause is known, else behind them
+    fit, misfit = estimate.fit, list[str]()
     if assessment is None:
         style = ("red" if bool(fit.rejected) else "green") if is_tested(fit) else ""
         verdict = Paragraph(fit_in_words(fit), style)
@@ -78,7 +80,11 @@ def estimate_document(
         said, _, style = VERDICTS[assessment.verdict]
         missed = _share_missed(assessment)
         said = f"{said}{missed and ': '}{missed}."
-        verdict = Paragraph(" ".join([said, *reasons_in_words(estimate, assessment)]), style)
+        if causes:
+            misfit = [f"Misfit: {sentence(each.text)} [{each.code}]" for each in _other_reasons(assessment)]
+        else:
+            said = " ".join([said, *reasons_in_words(estimate, assessment)])
+        verdict = Paragraph(said, style)
     sections = [
         section("", *failed, verdict, *(Paragraph(line, "cyan") for line in causes)),
         section(
@@ -89,6 +95,7 @@ def estimate_document(
         section("Signs", signs_in_words(estimate)),
         section("Modes", mode_columns(estimate.modes) if has_modes(estimate) else None),
         section(CYCLES, *((CYCLES_TEXT, cycle_columns(estimate.cycles)) if estimate.cycles else ())),
+        section("Misfit", *(Paragraph(text, style) for text in misfit)),
         section("Warnings", *(Paragraph(text, "yellow") for text in warnings)),
     ]
     if verbose:
@@ -101,9 +108,13 @@ def estimate_document(
 
 def reasons_in_words(estimate: Estimate, assessment: Assessment) -> list[str]:
     """Reasons of the verdict beside the share of the motion and χ², each with its code."""
-    reasons = [r for r in assessment.reasons if r.code not in ("chi2", "discrepancy")]
+    reasons = _other_reasons(assessment)
     names = {*estimate.names, *assessment.relative_residual, *(name for r in reasons for name in r.of)}
     return [f"{capitalised(sentence(reason.text), names)} [{reason.code}]" for reason in reasons]
+
+
+def _other_reasons(assessment: Assessment) -> list[Notice]:
+    return [reason for reason in assessment.reasons if reason.code not in ("chi2", "discrepancy")]
 
 
 def _share_missed(assessment: Assessment) -> str:
