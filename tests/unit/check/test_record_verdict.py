@@ -15,7 +15,7 @@ from dashpot.model.network import Model
 from dashpot.notices import Notice
 from tests.driven_rigs import coulomb, cubic
 from tests.nonlinear_rigs import motions
-from tests.unit.estimate.nonlinear.test_whole_record import record
+from tests.unit.estimate.nonlinear.test_whole_record import chaotic, record
 
 
 @pytest.fixture(scope="module")
@@ -80,3 +80,15 @@ def test_an_element_that_is_missing_is_named_beside_noise_of_the_base() -> None:
     assessment = assess_records(rig, [record], fitted.estimate(), fitted)
     assert assessment.verdict == "does not fit"
     assert "friction" in assessment.findings[0].text
+
+
+@pytest.mark.long
+def test_a_record_that_is_cut_into_segments_is_judged_by_them() -> None:
+    """For longer no motion can be followed: what a search from its start leaves has no cause."""
+    model, _, data = chaotic(1000)
+    fitted = fit_records(model, [data])
+    assessment = assess_records(model, [data], fitted.estimate(), fitted)
+    assert fitted.problem.pieces > 1
+    assert assessment.verdict == "cannot tell"
+    assert assessment.findings == ()
+    assert assessment.relative_residual["x"] == pytest.approx(0.01, rel=0.15)

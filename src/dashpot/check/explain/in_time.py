@@ -104,13 +104,15 @@ def assess_records(
     uncertain = fitted is not None and fitted.problem.inputs is not None and not cut
     converged = bool(estimate.converged)
     certain, trails = list[ScoredElement](), list[FollowedRecord]()
-    if uncertain and fitted is not None:
+    if fitted is not None and (uncertain or cut):
         trails = followed_records(fitted.problem, fitted.psi)
-        certain = elements_of_uncertain(fitted.problem, fitted.psi) if converged else []
     elif not cut:
         with suppress(DataError):  # no motion can be followed
             trails = [followed_record(model, estimate, record) for record in records]
-        certain = elements_called_for(model, trails) if trails and converged else []
+    if uncertain and fitted is not None:
+        certain = elements_of_uncertain(fitted.problem, fitted.psi) if converged else []
+    elif trails and converged:
+        certain = elements_called_for(model, trails)
     against += [_reason(model, each) for each in certain[:1]]
     doubts = [] if against else powerless(estimate)
     found, in_place = None, list[ScoredElement]()
@@ -193,9 +195,15 @@ def _explained(
 
 
 def _worst_part(records: Sequence[Record], trails: Sequence[FollowedRecord]) -> Record:
-    """The part of a record, MOST_SAMPLES at most, of which most is left over, over the sizes of the channels."""
-    best, most = records[0].part(slice(0, MOST_SAMPLES)), -1.0
-    for record, trail in zip(records, trails, strict=False):
+    """The part of a record, MOST_SAMPLES at most, of which most is left over, over the sizes of the channels.
+
+    trails: of all records, or of the segments that each was cut into because no motion can be followed for longer.
+    """
+    best, most, begins = records[0].part(slice(0, MOST_SAMPLES)), -1.0, 0
+    segments = max(len(trails) // len(records), 1)
+    for number, trail in enumerate(trails):
+        record = records[number // segments]
+        begins = begins if number % segments else 0
         size = np.std(trail.data.outputs, axis=0)
         left = np.sum((trail.residual / np.where(size > 0, size, np.inf)) ** 2, axis=1)
         so_far = np.concatenate([[0.0], np.cumsum(left)])
@@ -203,7 +211,8 @@ def _worst_part(records: Sequence[Record], trails: Sequence[FollowedRecord]) -> 
         of_parts = so_far[width:] - so_far[:-width]
         if np.max(of_parts) > most:
             first, most = int(np.argmax(of_parts)), float(np.max(of_parts))
-            best = record.part(slice(first, first + width))
+            best = record.part(slice(begins + first, begins + first + width))
+        begins += len(left)
     return best
 
 
