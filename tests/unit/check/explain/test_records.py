@@ -379,3 +379,55 @@ def test_a_wrong_unit_that_leaves_a_flat_valley_is_named() -> None:
         assert estimate.assessment.verdict == "does not fit"
         causes = estimate.assessment.findings
     assert (causes[0].kind, causes[0].of) == ("unit", ("x1_dis",))
+
+
+def recorded(
+    model: Model, theta: Real, channels: tuple[Channel, ...], drive: Real, rate: float, noise: float
+) -> Record:
+    """What channels (inputs the last) show of a rig from rest, four times as finely driven (samples, 1)."""
+    p = model.parameters(theta)
+    motion = integrator(model, p, 1 / rate).motion(drive, np.zeros(2 * model.n))
+    values = channel_samples(observation_model(model, channels, np.ones(1)), p, motion)[::4]
+    sd = noise * values.std(axis=0) * (np.arange(len(channels)) < len(channels) - 1)
+    values = values + np.random.default_rng(1).normal(size=values.shape) * sd
+    return Record(channels, 4 / rate * np.arange(len(values)), values)
+
+
+def test_a_relative_acceleration_that_is_declared_a_displacement_is_named() -> None:
+    """The ends of the base's own motion are in it, so that the lines of a record alone do not turn it into one."""
+    elements = (
+        mass("m1", "x1"), mass("m2", "x2", value=171.0),
+        between("k1", Kind.SPRING, "x1", "u", value=6.3e6), between("k2", Kind.SPRING, "x2", "x1"),
+        between("c1", Kind.DAMPER, "x1", "u"), between("c2", Kind.DAMPER, "x2", "x1", value=1630.0),
+    )  # fmt: skip
+    model = Model(("x1", "x2"), (Input("u"),), elements)
+    drive = 1e-3 * excitation("random", np.arange(4001) / 4000, 8.0, 80.0, np.random.default_rng(3))[:, None]
+    channels = (
+        Channel("v2", {"x2": 1.0}, Quantity.VELOCITY),
+        Channel("relative", {"x2": 1.0, "u": -1.0}, Quantity.ACCELERATION),
+        Channel("u", {"u": 1.0}),
+    )
+    record = recorded(model, np.array([62.0, 2.27e6, 2040.0]), channels, drive, 4000, 0.01).part(
+        slice(200, 800)
+    )
+    stated = (channels[0], replace(channels[1], quantity=Quantity.DISPLACEMENT), channels[2])
+    first = dashpot.identify(model, replace(record, channels=stated), diagnose=True).assessment.findings[0]
+    assert (first.kind, first.of) == ("quantity", ("relative",))
+
+
+def test_a_cause_is_found_from_the_rig_of_the_file_where_the_wrong_one_has_run_away() -> None:
+    """The only sensor sits on the other mass, so that a rigid spring k2 leaves least."""
+    elements = (
+        mass("m1", "x1"), mass("m2", "x2", value=21.75),
+        between("k1", Kind.SPRING, "x1", "ground", guess=2.4e6), between("k2", Kind.SPRING, "x2", "x1", guess=3.7e6),
+        between("c1", Kind.DAMPER, "x1", "ground"), between("c2", Kind.DAMPER, "x2", "x1", value=2312.0),
+    )  # fmt: skip
+    model = Model(("x1", "x2"), (Input("f", "force", {"x2": 1.0}),), elements)
+    drive = excitation("random", np.arange(8001) / 4000, 15.0, 120.0, np.random.default_rng(3))[:, None]
+    channels = Channel("d2", {"x1": 1.0}), Channel("f", {"f": 1.0}, Quantity.FORCE)
+    record = recorded(model, np.array([24.0, 2.17e6, 3.66e6, 611.0]), channels, drive, 4000, 0.02)
+    stated = replace(record, channels=(replace(channels[0], of={"x2": 1.0}), channels[1]))
+    estimate = dashpot.identify(model, stated, diagnose=True)
+    assert estimate["k2"].value > 1e7
+    first = estimate.assessment.findings[0]
+    assert (first.kind, first.of) == ("place", ("d2",))
