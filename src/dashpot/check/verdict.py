@@ -500,14 +500,17 @@ def unstable_by_chance(estimate: Estimate) -> list[Notice]:
 
 
 def _growing(estimate: Estimate, deviations: float) -> tuple[str, bool]:
-    """Modes whose damping ratio is negative by more than so many standard deviations, in words; whether several."""
+    """Modes whose damping ratio is negative by more than so many standard deviations, as their table numbers them;
+    whether several."""
     modes = estimate.modes
     if modes is None:
         return "", False
     grows = modes.damping_ratio < np.minimum(-deviations * np.nan_to_num(modes.damping_sd), -1e-9)
-    where = joined(f"{frequency:.3g}" for frequency in modes.frequency_hz[grows])
-    several = bool(np.sum(grows) > 1)
-    return (f"the mode{'s' if several else ''} at {where} Hz" if where else ""), several
+    found = [
+        f"{k + 1} ({modes.frequency_hz[k]:.3g} Hz)" if modes.eigenvalues[k].imag else f"{k + 1}"
+        for k in np.flatnonzero(grows).tolist()
+    ]
+    return (f"mode{'s' if len(found) > 1 else ''} {joined(found)}" if found else ""), len(found) > 1
 
 
 def _unheard(left: Residuals, motions: Bools, lines: Bools) -> list[Notice]:
