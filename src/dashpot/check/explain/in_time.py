@@ -30,7 +30,7 @@ from dashpot.check.explain.laws import (
     laws_in_words,
     with_open_constants,
 )
-from dashpot.check.explain.problem import TimeProblem, fitted_from_starts, replaced
+from dashpot.check.explain.problem import FittedProblem, TimeProblem, fitted_from_starts, replaced
 from dashpot.check.explain.records import CHANGED_CHANNEL, channels_in_time
 from dashpot.check.explain.rigs import missing_elements, points_of
 from dashpot.check.explain.score import APART, PARTS, steadiness, sums_of_parts
@@ -66,6 +66,7 @@ FELT = 1e-3  # of a channel's motion, that it must explain: exact data leave err
 TOGETHER = 4  # candidates that are integrated at once: each step solves for the forces of all
 MOST_NUMBERS = 20_000_000  # in the slopes
 MOST_SAMPLES = 1000  # of a record that the engine looks at
+SENSITIVE = 30.0  # times that an error of the start grows over a record; in proportion to time it is eight
 MOST_CALLED_FOR = 3  # elements of which the scores leave no doubt that are weighed
 
 
@@ -183,7 +184,7 @@ def _explained(
     if model.n > LARGEST or not np.all(np.isfinite(estimate.values)):
         return None
     try:
-        baseline = _begun(model, _worst_part(records, trails), estimate)
+        baseline = _baseline(model, records, trails, estimate)
         if not (np.isfinite(baseline.as_is.chi2) and (against or baseline.as_is.reduced > ENOUGH)):
             return None
         chosen = np.arange(len(baseline.problem.y))
@@ -192,6 +193,35 @@ def _explained(
         return explain_in_time(baseline, ((CHANGED_CHANNEL, of_channel), laws[0]), laws[1:])
     except (DashpotError, np.linalg.LinAlgError):
         return None
+
+
+def _baseline(
+    model: Model, records: Sequence[Record], trails: Sequence[FollowedRecord], estimate: Estimate
+) -> Baseline:
+    """The part of which most is left over, fitted: of records that were cut a segment, or where segments leave more
+    than noise a longer part, if its motion can be followed."""
+    part = _begun(model, _worst_part(records, trails), estimate)
+    if len(trails) > len(records):
+        outputs = [not measures_input(model, channel) for channel in part.problem.channels]
+        assert isinstance(part.problem, TimeProblem)
+        left = np.concatenate([trail.residual for trail in trails]) / part.problem.noise[outputs]
+        if np.mean(left**2) > ENOUGH:
+            longer = _begun(model, records[0].part(slice(0, MOST_SAMPLES)), estimate)
+            return part if _is_sensitive(longer.as_is) else longer
+    return part
+
+
+def _is_sensitive(fit: FittedProblem) -> bool:
+    """Whether an error of the start grows from the first to the last eighth of a record as it does in chaos."""
+    assert isinstance(fit.problem, TimeProblem)
+    slopes = fit.problem.body.residual(0, fit.psi)[1]
+    if slopes is None:
+        return True
+    starts = [name.startswith("start ") for name in fit.problem.names]
+    size = np.linalg.norm(slopes[..., starts], axis=1)
+    eighth = max(len(size) // 8, 1)
+    grown = np.max(size[-eighth:], axis=0) / np.maximum(np.max(size[:eighth], axis=0), 1e-300)
+    return bool(np.max(grown) > SENSITIVE)
 
 
 def _worst_part(records: Sequence[Record], trails: Sequence[FollowedRecord]) -> Record:
