@@ -18,6 +18,7 @@ from dashpot.estimate.registry import method_class
 
 if TYPE_CHECKING:
     from dashpot.data.conditioning.settings import Conditioning
+    from dashpot.data.inspection import Inspection
     from dashpot.data.readers import Reading
     from dashpot.data.spectrum import Spectrum
     from dashpot.estimate.result import Estimate
@@ -223,6 +224,22 @@ def reading_of(paths: Sequence[str]) -> str:
     """What is being read, in a few words."""
     name = printable(os.path.basename(paths[0]))
     return f"reading {name[:40]}" + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
+
+
+def inspected(files: Sequence[str]) -> list[Inspection]:
+    """What files hold, or those of manifests, each said as soon as it is read."""
+    from dashpot.data.inspection import inspect_named
+    from dashpot.present.data import inspection_document
+    from dashpot.present.document import say
+
+    every: list[Inspection] = []
+    for name in files:
+        with progress(reading_of([name])):
+            found = inspect_named(name)
+        for inspection in found:
+            say(inspection_document(inspection))
+        every += found
+    return every
 
 
 def part_of(reading: Reading, part: tuple[float, float]) -> Reading:

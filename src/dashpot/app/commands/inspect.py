@@ -7,8 +7,7 @@ from typing import Annotated
 import click
 
 from dashpot.app import options as opt
-from dashpot.app.data_files import reading_of
-from dashpot.app.workers import progress
+from dashpot.app.data_files import inspected
 from dashpot.io.atomic import write_text
 
 
@@ -27,17 +26,9 @@ def command(
 
     A [channels] table for a rig file is suggested at the end; say in it what each column measures.
     """
-    from dashpot.data.inspection import inspect_named, suggested_channels
-    from dashpot.present.data import inspection_document
-    from dashpot.present.document import say
+    from dashpot.data.inspection import suggested_channels
 
-    inspections = []
-    for name in files:
-        with progress(reading_of([name])):
-            found = inspect_named(name)
-        for inspection in found:
-            say(inspection_document(inspection))
-        inspections += found
+    inspections = inspected(files)
     table = suggested_channels(inspections)
     if channels is not None:
         write_text(channels, table)
