@@ -27,7 +27,10 @@ class Quantity(StrEnum):
     @property
     def derivative(self) -> int:
         """How often the displacement is differentiated (motions only)."""
-        return {"displacement": 0, "velocity": 1, "acceleration": 2}[self.value]
+        return MOTIONS.index(self)
+
+
+MOTIONS = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 
 
 @dataclass(frozen=True)

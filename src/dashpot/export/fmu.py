@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 
 from dashpot.arrays import Ints, Real
+from dashpot.channel import MOTIONS
 from dashpot.errors import UsageError, printable
 from dashpot.export.formats import ExportOptions, Written, distinct, xml_tag
 from dashpot.export.identified_rig import IdentifiedRig
-from dashpot.export.state_space import DERIVATIVES, MOTIONS, StateSpace, state_space_of
+from dashpot.export.state_space import DERIVATIVES, StateSpace, state_space_of
 from dashpot.io.atomic import scratch, write_bytes
 from dashpot.model.observation import observation_model
 from dashpot.units import si_unit

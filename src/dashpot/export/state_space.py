@@ -21,7 +21,7 @@ from typing import Any, cast
 import numpy as np
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
-from dashpot.channel import Quantity
+from dashpot.channel import MOTIONS, Quantity
 from dashpot.errors import UsageError
 from dashpot.export.formats import ExportOptions, Written
 from dashpot.export.identified_rig import IdentifiedRig
@@ -33,7 +33,6 @@ from dashpot.model.observation import ObservationModel, channel_unit, observatio
 from dashpot.units import si_unit
 
 DERIVATIVES = {"K": 0, "C": 1, "M": 2}
-MOTIONS = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 SUFFIXES = ("", "_rate", "_acceleration")  # of an input's name, by what is given of it
 
 Matrix = np.ndarray[Any, Any]  # real, or complex where a slope is taken by a complex step

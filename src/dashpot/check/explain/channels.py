@@ -12,7 +12,7 @@ import numpy as np
 
 from dashpot import units
 from dashpot.arrays import Complex, Real
-from dashpot.channel import Channel, Quantity
+from dashpot.channel import MOTIONS, Channel, Quantity
 from dashpot.check.explain.effect import Baseline, Effect, Phrase, by_size, plainly
 from dashpot.check.explain.problem import FitProblem, LineProblem, TimeProblem
 from dashpot.data.readers.columns import factors
@@ -219,18 +219,13 @@ def derivative(baseline: Baseline) -> Iterator[Effect]:
 def _derived(chosen: tuple[int, ...], problem: LineProblem | TimeProblem, power: float) -> FitProblem:
     channels = list(problem.channels)
     for c in chosen:
-        channels[c] = replace(channels[c], quantity=_derivative(channels[c], power))
+        true = MOTIONS[channels[c].quantity.derivative + int(power)]
+        channels[c] = replace(channels[c], quantity=true)
     return problem.of_rig(problem.model, tuple(channels))
 
 
-def _derivative(channel: Channel, power: float) -> Quantity:
-    """The quantity of motion that is so many derivatives above the one of a channel."""
-    every = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
-    return every[channel.quantity.derivative + int(power)]
-
-
 def _other_quantity(model: Model, channels: list[Channel], power: float) -> Phrase:
-    true = _derivative(channels[0], power)
+    true = MOTIONS[channels[0].quantity.derivative + int(power)]
     mended = tuple(replace(channel, quantity=true, unit="", scale=1.0) for channel in channels)
     stated = channels[0].quantity.value
     if len(channels) == 1:
