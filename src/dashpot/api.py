@@ -56,7 +56,7 @@ from dashpot.estimate.result import Cycle, Estimate, Origin, Value
 from dashpot.free import MOST_MODES
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
-from dashpot.io.toml_document import PLACEHOLDER, toml_key
+from dashpot.io.toml_document import PLACEHOLDER, inline_texts
 from dashpot.io.words import listed, names_in
 from dashpot.model.modes import Modes, eigenmodes
 from dashpot.model.network import Model
@@ -394,8 +394,9 @@ def start(
     )
     for source, names in seen.renamed.items():
         what = f"{source}: its columns have other names than those of the first file"
-        cure = ", ".join(f'{toml_key(name)} = "{column}"' for name, column in names.items())
-        raise UsageError(what, cure=f"write a manifest with columns = {{ {cure} }}, or read one file")
+        raise UsageError(
+            what, cure=f"write a manifest with columns = {inline_texts(names)}, or read one file"
+        )
     stated = units or {}
     si = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²", "force": "N"}
     columns = []

@@ -350,6 +350,11 @@ def toml_key(name: str) -> str:
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else quoted(name)
 
 
+def inline_texts(entries: Mapping[str, str]) -> str:
+    """An inline table of texts: { u = "base, mm" }."""
+    return f"{{ {', '.join(f'{toml_key(name)} = {quoted(text)}' for name, text in entries.items())} }}"
+
+
 def _unix(text: str) -> str:
     return text.replace("\r\n", "\n")
 

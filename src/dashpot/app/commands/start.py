@@ -12,15 +12,14 @@ import click
 
 from dashpot.app import options as opt
 from dashpot.app.commands.new import CHAIN, DRIVES, UNKNOWN, WEIGHED, ask_for
-from dashpot.app.data_files import reading_of
-from dashpot.app.workers import progress
+from dashpot.app.data_files import inspected
 from dashpot.errors import DashpotError, UsageError
 from dashpot.io.atomic import write_text
-from dashpot.io.toml_document import PLACEHOLDER, toml_key
+from dashpot.io.toml_document import PLACEHOLDER, inline_texts
 from dashpot.io.words import quoted
 
 if TYPE_CHECKING:
-    from dashpot.data.inspection import Inspection
+    pass
 
 DRIVEN = click.Choice((*DRIVES, "stand"), case_sensitive=False)
 
@@ -67,12 +66,9 @@ def command(
     It asks for what the data do not show.  Without a terminal it writes "?", and the next command names the line.
     """
     from dashpot.check.first_rig import first_rig, seen_data
-    from dashpot.data.inspection import inspect_named
     from dashpot.data.readers.manifest import files_named, is_manifest
     from dashpot.data.readers.modes import holds_modes
     from dashpot.model.rigfile.writer import STAND_IN, starter_text
-    from dashpot.present.data import inspection_document
-    from dashpot.present.document import say
 
     manifest, picture = (str(Path(out).with_name(Path(out).stem + end)) for end in ("-data.toml", ".svg"))
     for beside in filter(os.path.exists, (manifest, picture)):
@@ -80,16 +76,10 @@ def command(
             "a file of this name exists", beside, "choose another name for --out, or remove this one"
         )
     paths = [path for name in files for path in files_named(name)]
-    inspections: list[Inspection] = []
     for path in filter(holds_modes, paths):
         cure = "write a rig file by hand or with dashpot new; identify reads the modes"
         raise UsageError("this file contains modes, no channels", str(path), cure)
-    for name in files:
-        with progress(reading_of([name])):
-            found = inspect_named(name)
-        for inspection in found:
-            say(inspection_document(inspection))
-        inspections += found
+    inspections = inspected(files)
     seen, ask = seen_data(inspections), ask_for()
     columns = []
     for column in seen.columns:
@@ -146,11 +136,10 @@ def _write_manifest(
         if rate is not None:
             lines.append(f"rate_hz = {quoted(rate) if isinstance(rate, str) else repr(rate)}")
         if names := renamed.get(path):
-            pairs = ", ".join(f"{toml_key(name)} = {quoted(column)}" for name, column in names.items())
-            lines.append(f"columns = {{ {pairs} }}")
-            click.echo(
-                f"{path} names its columns otherwise than {paths[0]}; they are taken to be the same channels: {pairs}."
-            )
+            columns = inline_texts(names)
+            lines.append(f"columns = {columns}")
+            taken = f"they are taken to be the same channels: {columns}"
+            click.echo(f"{path} names its columns otherwise than {paths[0]}; {taken}.")
         entries.append("\n".join(lines) + "\n")
     write_text(manifest, "\n".join(entries))
     where = (
