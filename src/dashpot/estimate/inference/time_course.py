@@ -293,9 +293,8 @@ def _share_change(of: _Histories, shape: Real) -> tuple[float, float, float, boo
     e, parts = of.residual, np.arange(8)  # of a record, each with a share of its own
     edges = np.linspace(0, len(e), len(parts) + 1).astype(np.int64)
     size = np.add.reduceat(shape**2, edges[:-1])
-    with np.errstate(
-        all="ignore"
-    ):  # a search that was lost predicts motion whose squares are beyond all numbers
+    # A search that was lost predicts motion whose squares are beyond all numbers.
+    with np.errstate(all="ignore"):
         share = np.add.reduceat(e * shape, edges[:-1]) / size
         left_over = (e - np.repeat(share, np.diff(edges)) * shape) * shape
         # The noise may be louder where the motion is: each part tells its own.
