@@ -43,6 +43,9 @@ from dashpot.model.observation import (
     transfer,
 )
 
+UNBOUNDED = (
+    np.finfo(float).max ** 0.25
+)  # of a response: the variance of a squared residual overflows beyond it
 EXACT = 1e-9  # relative noise that exact channels are given, beside which that of all others is large
 
 Calibrations = Mapping[str, float]
@@ -122,7 +125,7 @@ def channel_response(
     view = observation_model(model, channels, omega, experiment)
     psi, sign = of_channels(view, np.zeros(view.m), calibrations)
     G = transfer(view, p).G
-    if not np.all(np.isfinite(G)):
+    if not np.all(np.abs(G) < UNBOUNDED):
         raise no_steady_response()
     return calibration_factors(view, psi, sign)[..., None] * G
 
@@ -237,7 +240,7 @@ def projection(
     alike = noise * weight[:, :, None] * weight[:, None] + diagonal_matrices(np.where(noisy, 1e-13, 1.0))
     root = np.linalg.solve(np.linalg.cholesky(alike), diagonal_matrices(weight).astype(np.complex128))
     white = root @ G
-    scale = np.linalg.norm(white, axis=1, keepdims=True)
+    scale = np.max(np.abs(white), axis=1, keepdims=True)  # squares of a wrong rig's response may overflow
     scale = np.where(scale > 0, scale, 1.0)
     by_channel = np.linalg.pinv(white / scale, rcond=EXACT) / np.swapaxes(scale, 1, 2) @ root
     v = np.einsum("lqc,lc->lq", by_channel, np.where(seen, y - transients, 0.0))
@@ -534,7 +537,10 @@ def discrepancies(
 
 @dataclass(frozen=True)
 class _ChannelBlocks:
-    """|a|² of one channel in blocks, its noise, and E over the motion's energy, (blocks,) each; noise over motion."""
+    """|⟨ŷ, r⟩|² / |ŷ|² of one channel in blocks and its noise, over the motion's energy; the block's part of |ŷ|².
+
+    (blocks,) each; noise over motion.  The size of ŷ, which of a wrong rig may be any, does not enter.
+    """
 
     square: Real
     noise: Real
@@ -544,24 +550,22 @@ class _ChannelBlocks:
     @staticmethod
     def of(left: Residuals, c: int, block: Ints, known_noise: bool) -> _ChannelBlocks | None:
         """None where blocks of enough lines hold less than half of the motion."""
-        seen = (
-            np.isfinite(left.measured[:, c])
-            & np.isfinite(left.variance[:, c])
-            & (np.abs(left.predicted[:, c]) > 0)
-        )
+        there = np.isfinite(left.measured[:, c]) & np.isfinite(left.variance[:, c])
+        shape = left.predicted[:, c] / np.max(np.abs(left.predicted[there, c]), initial=np.finfo(float).tiny)
+        seen = there & (np.abs(shape) ** 2 > np.finfo(float).tiny)
         if not np.any(np.abs(left.measured[seen, c]) > 0):
             return None
-        y, v, motion = left.predicted[seen, c], left.variance[seen, c], np.abs(left.measured[seen, c]) ** 2
-        r, block = left.measured[seen, c] - y, block[seen]
+        y, v, motion = shape[seen], left.variance[seen, c], np.abs(left.measured[seen, c]) ** 2
+        r, block = left.measured[seen, c] - left.predicted[seen, c], block[seen]
         number, lines = np.unique(block, return_inverse=True, return_counts=True)[1:]
 
         def summed(values: Real) -> Real:
             return np.bincount(number, values, len(lines)).astype(np.float64)
 
-        power = np.abs(y) ** 2
-        energy, noisy, motions = summed(power), summed(power * v), summed(motion)
-        product = np.conj(y) * r
-        a = (summed(product.real) + 1j * summed(product.imag)) / energy
+        energy, motions = summed(np.abs(y) ** 2), summed(motion)
+        y = y / np.sqrt(energy)[number]
+        noisy, product = summed(np.abs(y) ** 2 * v), np.conj(y) * r
+        a = summed(product.real) + 1j * summed(product.imag)
         if not known_noise:
             enough = lines >= LINES_OF_A_BLOCK
             if np.sum(motions[enough]) < np.sum(motions) / 2:
@@ -575,8 +579,8 @@ class _ChannelBlocks:
             a, energy, noisy, motions = a[enough], energy[enough], noisy[enough], motions[enough]
         # Where residuals tell the noise, they tell more of it where the rig moves most and is most wrong.
         typical = np.mean(v) if known_noise else np.median(v)
-        weight, relative = energy / np.sum(motions), float(np.sqrt(typical / np.mean(motion)))
-        return _ChannelBlocks(np.abs(a) ** 2, noisy / energy**2, weight, relative)
+        total, relative = np.sum(motions), float(np.sqrt(typical / np.mean(motion)))
+        return _ChannelBlocks(np.abs(a) ** 2 / total, noisy / total, energy / np.sum(energy), relative)
 
     def bounded(self, free: float, asked: float | None) -> Discrepancy:
         """The share with one-sided bounds: Patnaik's approximation of the weighted sum of noncentral χ².
@@ -584,9 +588,8 @@ class _ChannelBlocks:
         The upper bound is that of CLs (Read 2002, J. Phys. G 28:2693): residuals that are small by chance do not make
         a rig better than the data can show.
         """
-        w, n = self.weight, free * self.noise
-        total = float(w @ self.square)
-        mean, spread = float(w @ n), (float(w**2 @ n**2), float(2 * w**2 @ n))
+        n, total = free * self.noise, float(np.sum(self.square))
+        mean, spread = float(np.sum(n)), (float(n @ n), float(2 * self.weight @ n))
 
         def tail(square: float, upper: bool) -> float:
             """Chance that so large a sum, or a larger (a smaller) one, comes of a share whose square is given."""

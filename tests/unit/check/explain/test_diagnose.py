@@ -17,7 +17,7 @@ from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.score import score_tests
 from dashpot.check.verdict import assess
 from dashpot.data.spectrum import Spectrum
-from dashpot.errors import IdentifiabilityError
+from dashpot.errors import IdentifiabilityError, ModelError
 from dashpot.estimate.assessment import Finding, applied, assessment_from
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.global_search import candidates
@@ -236,6 +236,22 @@ def test_a_search_that_ends_at_a_rig_without_response_is_diagnosed_as_any_other(
     assessment = examined(model, wrong, replace(estimate, values=lost, converged=np.array(False))).assessment
     assert assessment.verdict == "does not fit"
     assert (assessment.findings[0].kind, assessment.findings[0].of) == ("unit", (wrong.channels[1].name,))
+
+
+@pytest.mark.parametrize("value", [1e300, -1e160, 1e80, 1e-300, 0.0])
+def test_wherever_a_search_was_lost_there_is_a_verdict(value: float):
+    """Squares of a response of 1e283 overflow, those of 1e-283 vanish, on some processors in other places."""
+    model, spectrum = seen_at_three_of_four(np.random.default_rng(2))
+    estimate = identify(model, spectrum)
+    for lost in range(len(model.unknowns)):
+        values = np.where(np.arange(len(estimate.values)) == lost, value, estimate.values)
+        try:
+            assessment = assess(model, spectrum, replace(estimate, values=values))
+        except ModelError:  # a rig without any steady response
+            continue
+        shares = [share for share in assessment.discrepancy.values() if share is not None]
+        assert shares
+        assert all(np.isfinite([share.value, share.lower95, share.upper95]).all() for share in shares)
 
 
 def test_a_clean_test_fits_and_nothing_is_named():
