@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
+from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.model.dynamics import matrices
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.modes import eigenmodes
@@ -24,6 +25,13 @@ from tests import rigs
 
 FINER = 8  # samples of the integration in one of the record
 DWELLS = 8  # of a stepped sine
+
+
+def with_ends(lines: Spectrum, *, polynomial: int, loads: bool = True) -> Spectrum:
+    """The lines of a whole record with another number of polynomial columns, and with loads at its ends or without."""
+    (record,) = lines.stretches
+    assert isinstance(record, WholeRecord)
+    return replace(lines, stretches=(replace(record, polynomial=polynomial, loads=loads),))
 
 
 @dataclass(frozen=True)

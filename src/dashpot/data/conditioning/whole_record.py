@@ -137,8 +137,6 @@ def whole_record(
     *,
     band_hz: tuple[float, float] | None = None,
     still: Still | None = None,
-    polynomial: int = POLYNOMIAL,
-    loads: bool = True,
     ramp: bool = False,
 ) -> Spectrum:
     """Lines k/T, k ≥ 1, of one evenly sampled record, peak amplitudes (2/N) Σ x e^{−jωt}, SI units.
@@ -203,10 +201,9 @@ def whole_record(
             WholeRecord(
                 duration,
                 samples,
-                loads,
-                polynomial,
+                polynomial=POLYNOMIAL,
                 # A drift is felt in the ten lowest lines, and 200 can spare a column for it
-                ramp and first <= 10 and lines >= 200,
+                ramp=ramp and first <= 10 and lines >= 200,
                 unmeasured=unmeasured,
             ),
         ),

@@ -13,7 +13,7 @@ from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.preparation import Prepared, prepare
 from dashpot.model.dynamics import dynamic_stiffness, stiffness
 from dashpot.model.observation import observation_model
-from tests.whole_rigs import WholeTest, chain, record_of
+from tests.whole_rigs import WholeTest, chain, record_of, with_ends
 
 
 def two_records(*, noisy_base: bool = True, seed: int = 1) -> tuple[WholeTest, Spectrum]:
@@ -29,7 +29,7 @@ def two_records(*, noisy_base: bool = True, seed: int = 1) -> tuple[WholeTest, S
         sd = 0.05 * test.size
         sd[-1] *= noisy_base
         record = test.noisy(rng, sd)
-        lines = whole_record(record, band_hz=(0.2, 40.0), polynomial=2 + k)
+        lines = with_ends(whole_record(record, band_hz=(0.2, 40.0)), polynomial=2 + k)
         V = np.broadcast_to(np.diag(4 * sd**2 / len(record.time)).astype(complex), lines.covariance.shape)
         spectra.append(replace(lines, covariance=V, noise=("given",) * lines.lines))
     return test, concatenate(spectra)

@@ -20,7 +20,7 @@ from dashpot.estimate.preparation import prepare
 from dashpot.model.observation import ObservationModel, observation_model
 from dashpot.numerics.kernel import using
 from tests.kernels import apart, compiled, instruction_sets, instructions
-from tests.whole_rigs import WholeTest, chain, record_of
+from tests.whole_rigs import WholeTest, chain, record_of, with_ends
 
 TWINS = 1e-12
 
@@ -183,7 +183,7 @@ def test_many_records_whose_lines_stand_in_any_order(exact: bool) -> None:
         for k in range(4):
             first, last = k * len(record.time) // 4, (k + 1) * len(record.time) // 4
             part = replace(record, time=record.time[first:last], values=record.values[first:last])
-            parts.append(whole_record(part, polynomial=2 + k % 2, loads=k != 3))
+            parts.append(with_ends(whole_record(part), polynomial=2 + k % 2, loads=k != 3))
         together = concatenate(parts)
         return together.select(np.random.default_rng(0).permutation(together.lines))
 
