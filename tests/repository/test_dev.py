@@ -4,9 +4,11 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 import dev
 
@@ -215,3 +217,13 @@ def test_the_kernel_carries_its_licence_and_says_what_a_build_lacks(tmp_path: Pa
     )  # fmt: skip
     assert done.returncode
     assert "no C++ compiler: install one" in " ".join((done.stdout + done.stderr).split())
+
+
+def test_the_extra_takes_the_kernel_of_this_copy() -> None:
+    tables = [
+        tomllib.loads(path.read_text("utf-8"))["project"]
+        for path in (dev.ROOT / "pyproject.toml", dev.KERNELS / "pyproject.toml")
+    ]
+    (wanted,) = map(Requirement, tables[0]["optional-dependencies"]["fast"])
+    assert wanted.name == tables[1]["name"]
+    assert wanted.specifier.contains(tables[1]["version"])
