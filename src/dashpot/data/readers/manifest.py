@@ -377,9 +377,9 @@ def _inside(folder: Path, relative: str, place: str) -> Path:
 
 
 def _below(folder: Path, name: str, place: str) -> set[str]:
-    """What lies below a folder and may fit a pattern; hidden names and links to folders are left out by ** and *.
+    """What lies below a folder and may fit a pattern; hidden names are left out by ** and *, links to folders by **.
 
-    Raises DataError if that is too much to look through.
+    Raises DataError if that is too much to look through, or a link leads out of the folder.
     """
     steps = re.sub(r"\*\*/(?:\*\*/)+", "**/", name).split("/")
     if "**" in steps and os.path.realpath(folder) == Path(os.path.realpath(folder)).anchor:
@@ -398,6 +398,7 @@ def _below(folder: Path, name: str, place: str) -> set[str]:
             continue
         if deep:
             ahead.append((at, number + 1, depth))
+        _inside(folder, at, place)
         fits = re.compile("[^.].*" if deep else _regex(step))
         with suppress(OSError, ValueError), os.scandir(folder / at) as inside:
             for entry in inside:
