@@ -248,8 +248,13 @@ def main() -> None:
             # A terminal that knows no ± or χ² shows ? rather than ending the run.
             if hasattr(stream, "reconfigure"):
                 stream.reconfigure(errors="replace")
-        if not os.environ.get("COLUMNS", "").strip("0"):
-            os.environ.pop("COLUMNS", None)  # a width of 0 is none
+        for name in (
+            "COLUMNS",
+            "LINES",
+        ):  # a size of a terminal, or none: rich takes digits of any script and number
+            given = os.environ.get(name, "")
+            if not (given.isascii() and given.isdecimal() and len(given) < 10 and int(given)):
+                os.environ.pop(name, None)
         for name in ("MPLBACKEND", "SOURCE_DATE_EPOCH"):  # figures have no window and say no date
             os.environ.pop(name, None)
         one_thread()

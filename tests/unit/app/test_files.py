@@ -193,6 +193,13 @@ def test_a_terminal_of_no_width(dashpot: Command, monkeypatch: pytest.MonkeyPatc
     assert (done.code, done.err) == (0, [])
 
 
+def test_a_terminal_of_nonsense_sizes(data: Path) -> None:
+    around = os.environ | {"COLUMNS": "²", "LINES": "9" * 5000}
+    words = [sys.executable, "-m", "dashpot", "check", "rig.toml"]
+    done = subprocess.run(words, capture_output=True, text=True, env=around, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_control_characters_of_names_labels_and_files_are_shown_escaped(dashpot: Command, data: Path) -> None:
     evil = "\u202eevil\x1b[31m\ufffe"
     rig = Path("rig.toml")
