@@ -460,16 +460,16 @@ def local_response(
         records=tuple(parts),
     )
     # From the first to the last line at which an output moves with an input. Of noise alone |H|² is its variance in
-    # the mean; four times that, in the mean of a few windows, is no chance.
+    # the mean; four times that, in the mean of a few windows on either side, is no chance.
     variance = np.diagonal(found.covariance, axis1=1, axis2=2).real
     shows = np.abs(found.values.reshape(variance.shape)) ** 2 / np.maximum(variance, 1e-300)
-    there = np.flatnonzero(np.max(_mean_beside(shows, 2 * int(np.median(found.apart))), axis=1) > 4)
+    aside = 2 * int(np.median(found.apart))
+    below, above = (_mean_beside(shows, aside, *sides) for sides in ((True, False), (False, True)))
+    there = np.flatnonzero(np.max(np.minimum(below, above), axis=1) > 4)
     if not len(there):
         f = found.frequency_hz
         inputs, outputs = (joined(c.name for c in some) for some in (found.inputs, found.outputs))
-        what = (
-            f"from {f[0]:.4g} to {f[-1]:.4g} Hz {outputs} does not respond to {inputs}: no excitation there"
-        )
+        what = f"from {f[0]:.4g} to {f[-1]:.4g} Hz {outputs} {'does' if len(found.outputs) == 1 else 'do'} not respond to {inputs}: no excitation there"
         raise DataError(
             what, cure="choose another band, drive the rig harder, or check which channels are inputs"
         )
@@ -555,11 +555,12 @@ def _lines_of(part: RecordLines, first: RecordLines, half: int) -> int:
     return 2 * max(3, round(half * part.duration_s / first.duration_s)) + 1
 
 
-def _mean_beside(values: Real, half: int) -> Real:
-    """Mean over 2·half + 1 neighbouring lines (axis 0), fewer at the ends."""
+def _mean_beside(values: Real, half: int, below: bool = True, above: bool = True) -> Real:
+    """Mean over each line and `half` neighbours below and above it (axis 0), fewer at the ends."""
     lines = len(values)
     sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
-    first, last = np.maximum(np.arange(lines) - half, 0), np.minimum(np.arange(lines) + half + 1, lines)
+    first = np.maximum(np.arange(lines) - half * below, 0)
+    last = np.minimum(np.arange(lines) + half * above + 1, lines)
     mean: Real = (sums[last] - sums[first]) / (last - first).reshape(-1, *[1] * (values.ndim - 1))
     return mean
 
@@ -587,7 +588,7 @@ def pooled_noise(noise: Complex, apart: int) -> Complex:
     Lines that are `apart` share no data.  Noise goes on over frequency; what a local model misses does not.
     """
     q = noise.shape[1]
-    alone = noise[::apart] * (1 + 1e-9 * np.eye(q)) + 1e-300 * np.eye(q)
+    alone = invertible(noise[::apart])
     enough = [half for half in doubled(1, len(alone) // 2) if 2 * half * SPARE > 2 * q]  # for an inverse
     levels = (
         (half, smoothed(alone, half)) for half in [*enough, len(alone)] if len(alone) > 2 * q / SPARE + 1
@@ -597,6 +598,15 @@ def pooled_noise(noise: Complex, apart: int) -> Complex:
         for half, level in levels
     ]
     return smoothed(noise, max(scores)[1] * apart if scores else len(noise))
+
+
+LEAST_APART = 1e-9  # share of an output's noise power that no other has: a column given twice is one output
+
+
+def invertible(noise: Complex) -> Complex:
+    """Noise (…, q, q) of which each output has at least LEAST_APART to itself."""
+    one = np.eye(noise.shape[-1])
+    return noise * (1 + LEAST_APART * one) + 1e-300 * one
 
 
 def doubled(first: int, end: int) -> list[int]:

@@ -55,6 +55,19 @@ def test_records_of_random_excitation(inputs: int, seconds: tuple[float, ...]) -
     assert np.all(found.coherence <= 1)
 
 
+def test_responses_end_where_the_drive_does() -> None:
+    rng, bench = np.random.default_rng(1), Bench((4.0, 9.0), (0.01, 0.02))
+    force = np.fft.rfft(rng.standard_normal((60_000, 1)), axis=0)
+    hz = np.fft.rfftfreq(60_000, 1e-3)
+    force[(hz < 1) | (hz > 20)] = 0
+    test = bench.record(np.fft.irfft(force, axis=0), rng, 0.02)
+    found = dashpot.frf(test, "u0", "a0,a1")
+    assert found.frequency_hz[0] == pytest.approx(1, abs=0.5)
+    assert found.frequency_hz[-1] == pytest.approx(20, abs=0.2)
+    true = bench.accelerance(found.frequency_hz, 1)
+    assert np.max(np.abs(found.values)) < 1.2 * np.max(np.abs(true))
+
+
 def test_local_models_are_the_textbooks_least_squares() -> None:
     """Windows solved slowly: where no denominator is worth having, H is that of the local polynomial method."""
     rng = np.random.default_rng(0)
