@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze
@@ -25,12 +26,14 @@ from dashpot.data.readers import Reading
 from dashpot.errors import DataError
 from dashpot.free import MOST_MODES
 from dashpot.free.response import (
+    LEAST_APART,
     Band,
     MeasuredResponse,
     Parted,
     RecordLines,
     doubled,
     in_units,
+    invertible,
     likelihood_by_others,
     line_noise,
     local_response,
@@ -260,10 +263,12 @@ class _Set:
 
     @cached_property
     def precision(self) -> Complex:
-        """Inverse of the noise, which is at least the rounding of each line."""
+        """Inverse of the noise, which is at least the rounding of each line, and of no combination of outputs none."""
         floor = 1e-24 * np.mean(np.abs(self.outputs) ** 2, axis=1) + 1e-300
-        noise = self.noise + floor[:, None, None] * np.eye(self.noise.shape[-1])
-        return np.linalg.inv(noise).astype(np.complex128)
+        size = np.sqrt(np.diagonal(self.noise, axis1=1, axis2=2).real + floor[:, None])
+        spread, directions = np.linalg.eigh(self.noise / (size[:, :, None] * size[:, None, :]))
+        root = directions / np.sqrt(np.maximum(spread, LEAST_APART))[:, None, :] / size[:, :, None]
+        return np.asarray(root @ np.conj(np.swapaxes(root, 1, 2)), dtype=np.complex128)
 
     @property
     def s(self) -> Complex:
@@ -308,7 +313,8 @@ RESIDUAL_POWERS = (
     (0,),
     (),
 )  # of s, real: modes below, direct or between, and above
-ENDS = 3  # real polynomial terms 1, s, s² of a record's ends
+ROUNDING = 1e-15  # of sums over lines, relative to their size, for each unknown
+ENDS = 4  # terms of a record's ends beside those of poles: 1, s, s², and a drift's 1/(1 − e^{−sΔ})
 
 
 @dataclass(frozen=True)
@@ -366,11 +372,10 @@ def _design(sets: Sequence[_Set], poles: Complex, powers: Sequence[int]) -> list
         of_input = np.concatenate([plain.reshape(lines, -1), s ** np.array(powers, dtype=float)], axis=1)
         blocks = [one.inputs[:, c, None] * of_input for c in range(one.inputs.shape[1])]
         for record in range(records):
-            own = (
-                np.concatenate([ends.reshape(lines, -1), s ** np.arange(ENDS)], axis=1)
-                if one.step
-                else of_input
-            )
+            own = of_input
+            if one.step:
+                drift = 1 / (1 - np.exp(-s * one.unit * one.step))
+                own = np.concatenate([ends.reshape(lines, -1), s ** np.arange(ENDS - 1), drift], axis=1)
             blocks.append(own if one.step and record == number else np.zeros_like(own))
         number += bool(one.step)
         designs.append(
@@ -455,15 +460,13 @@ def _solved(
     data = 2 * q * sum(len(one.s) for one in sets)
     covariance = np.zeros((0, 0))
     if full:
-        poles_alone = np.linalg.inv(S + 1e-14 * np.diag(np.diagonal(S)))
-        joint = np.block(
-            [
-                [poles_alone, -poles_alone @ tied.T],
-                [-tied @ poles_alone, inverse + tied @ poles_alone @ tied.T],
-            ]
-        )
-        back = np.concatenate([np.ones(2 * m), np.tile(1 / size, q)])
-        covariance = joint * np.outer(back, back) / 2
+        # What the lines do not tell stays uncertain by the rounding of sums: never a variance of 0 or below
+        joint = np.block([[pp, lp.T], [lp, N * np.outer(scale, scale)]])
+        back = np.sqrt(np.maximum(np.diagonal(joint), 1e-300))
+        told = joint / np.outer(back, back) + ROUNDING * len(joint) * np.eye(len(joint))
+        root = solve_triangular(np.linalg.cholesky(told), np.eye(len(joint)), lower=True)
+        back *= np.concatenate([np.ones(2 * m), np.tile(size, q)])
+        covariance = root.T @ root / np.outer(back, back) / 2
     unknowns = 2 * m + q * count
     fit = _Fit(poles, theta / size, chi2, data, unknowns, residuals, powers, covariance, count)
     return fit, np.column_stack([S, gradient]) if m else np.zeros((0, 1))
@@ -669,7 +672,7 @@ def _with_noise_of(sets: Sequence[_Set], fit: _Fit) -> list[_Set]:
     for one, e, taken in zip(sets, fit.residuals, _taken(sets, fit), strict=True):
         floor = 1e-24 * np.mean(np.abs(one.outputs) ** 2) + 1e-300
         outer = np.einsum("li,lj->lij", e, np.conj(e)) + taken * (fit.chi2 / fit.dof)
-        shown.append(outer + floor * np.eye(e.shape[1]))
+        shown.append(invertible(outer + floor * np.eye(e.shape[1])))
     longest, q = max(map(len, shown)), shown[0].shape[1]
     apart: list[Complex] = [np.diagonal(outer, axis1=1, axis2=2)[..., None, None] for outer in shown]
     choices = []

@@ -469,7 +469,7 @@ def local_response(
     if not len(there):
         f = found.frequency_hz
         inputs, outputs = (joined(c.name for c in some) for some in (found.inputs, found.outputs))
-        what = f"from {f[0]:.4g} to {f[-1]:.4g} Hz {outputs} {'does' if len(found.outputs) == 1 else 'do'} not respond to {inputs}: no excitation there"
+        what = f"from {f[0]:.4g} to {f[-1]:.4g} Hz no response of {outputs} to {inputs}: no excitation there"
         raise DataError(
             what, cure="choose another band, drive the rig harder, or check which channels are inputs"
         )

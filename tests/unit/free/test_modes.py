@@ -286,6 +286,25 @@ def test_shapes_are_drawn_on_a_rig_and_what_is_not_measured_rests() -> None:
         dashpot.draw(rig, found, mode=3)
 
 
+def test_a_drift_and_a_column_given_twice_leave_sound_deviations() -> None:
+    rng = np.random.default_rng(3)
+    test = TWO.record(TWO.noise(rng, 30.0, 1), rng, 0.02)
+    drifting = test.values.copy()
+    drifting[:, 1] += 5 + 6 * np.std(test.values[:, 1]) * np.linspace(0, 1, len(drifting))
+    found = dashpot.modes(replace(test, values=drifting), "u0")
+    assert np.max(np.abs(np.concatenate(errors(found, TWO)[:2]))) < 4
+    assert np.all(found.shape_sd < 1)
+    twice = replace(
+        test,
+        values=np.column_stack([test.values, test.values[:, -1]]),
+        channels=(*test.channels, replace(test.channels[-1], name="again")),
+    )
+    found, once = dashpot.modes(twice, "u0"), dashpot.modes(test, "u0")
+    assert found.shapes[:, 2] == pytest.approx(found.shapes[:, 1], abs=1e-4)
+    assert found.frequency_sd == pytest.approx(once.frequency_sd, rel=0.1)
+    assert np.all(np.abs(found.frequency_hz - once.frequency_hz) < once.frequency_sd)
+
+
 def test_real_shapes_and_no_modes() -> None:
     rng = np.random.default_rng(5)
     test = TWO.record(TWO.noise(rng, 30.0, 1), rng, 0.02)
