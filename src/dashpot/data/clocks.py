@@ -408,7 +408,7 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
         cure = "give it; a record without one needs sensors on one clock"
         raise DataError("the drive frequency is not known", source, cure)
     parts, settings, notes = treated(OF_SENSORS, joint.parts, settings)
-    cells = [replace(part, cell=rounding_steps([part])) for part in parts]
+    cells = [replace(part, cell=rounding_steps([part])[0]) for part in parts]
     each = [settled_lines(part, settings, settings.wanted)[0] for part in cells]
     X = np.concatenate([one.amplitudes for one in each], axis=-1)
     V, first = np.zeros((*X.shape, X.shape[-1]), dtype=np.complex128), 0

@@ -159,25 +159,28 @@ FINEST = 1e-7  # of the largest value: finer steps are digits of a text, not of 
 
 
 def rounding_steps(records: Sequence[Record]) -> Real:
-    """The step of each channel in the units of its values, (channels,); 0 where it is finer than FINEST.
+    """The step of each channel of each record in the units of its values, (records, channels); 0: finer than FINEST.
 
-    All values of a quantised channel are a whole number of steps apart.
+    All values of a quantised channel are a whole number of steps apart.  Each record may have a range of its own; where
+    its codes are so few that a finer converter might skip those between by chance, those of all records count together,
+    if a step is common to them.
     """
-    if not records:
-        return np.zeros(0)
-    channels = records[0].values.shape[-1]
-    steps = np.zeros(channels)
-    for c in range(channels):
-        values = np.concatenate([r.values.reshape(-1, channels)[:4096, c] for r in records])
-        steps[c] = _common_step(np.unique(values), float(np.max(np.abs(values), initial=0.0)))
+    codes = [[np.unique(c[:4096]) for c in r.values.reshape(-1, r.values.shape[-1]).T] for r in records]
+    steps = np.array([[_common_step(own) for own in of_record] for of_record in codes])
+    few = np.array([[2.0 ** (1 - len(own)) > SIGNIFICANT for own in of_record] for of_record in codes])
+    for c in np.flatnonzero(np.any(few, axis=0)).tolist() if len(records) > 1 else ():
+        steps[few[:, c], c] = (
+            _common_step(np.unique(np.concatenate([own[c] for own in codes]))) or steps[few[:, c], c]
+        )
     return steps
 
 
-def _common_step(codes: Real, largest: float) -> float:
+def _common_step(codes: Real) -> float:
     """The greatest step of which all distances of ascending codes are multiples; 0 where there is none to speak of.
 
     Euclid's algorithm on the smallest distances, with the rounding of floating point as its zero.
     """
+    largest = float(np.max(np.abs(codes), initial=0.0))
     apart = np.diff(codes)
     # A converter has one number for each code: a sine that was computed, at few phases, comes back by its last digits.
     if not len(apart) or np.min(apart) < FINEST * largest:

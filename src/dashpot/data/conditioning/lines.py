@@ -385,9 +385,8 @@ def _as_unsettled(dwells: Sequence[Record], settings: Conditioning) -> Spectrum 
 def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Conditioning) -> Spectrum:
     """The lines of settled dwells, which were `given` as recorded, of the multiples that were driven."""
     notes: list[Notice] = []
-    steps = rounding_steps(dwells)
-    if np.any(steps > 0):
-        dwells = [replace(of, cell=steps) if of.values.ndim == 2 else of for of in dwells]
+    steps = zip(dwells, rounding_steps(dwells), strict=True)
+    dwells = [replace(of, cell=cell) if np.any(cell) and of.values.ndim == 2 else of for of, cell in steps]
     driven = [settings.wanted] * len(dwells)
     if settings.orders == "auto" and not settings.moments:
         driven, notes = driven_orders(dwells, settings)

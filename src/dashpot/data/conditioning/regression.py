@@ -245,7 +245,9 @@ def solve_harmonics(record: Record, f: float, terms: Terms, *, sizes: bool = Tru
     whole = HarmonicSolution(
         terms, P, each, coefficients[None], (left.T @ left)[None], free, _largest(record), in_cells
     )
-    rounded = False if record.cell is None else record.cell > 0
+    rounded = (
+        False if record.cell is None else np.diagonal(whole.covariance[0]) < (DITHERED * record.cell) ** 2
+    )
     some = np.flatnonzero(~record.whole_channels | rounded).tolist()
     return _with_partly_measured(record, f, whole, some, sizes) if some else whole
 

@@ -86,7 +86,7 @@ def _with_missing(record: Record, notices: list[Notice]) -> Record:
         if np.count_nonzero(trial) > MOST_MISSING * len(column):
             continue
         motion, scatter = _motion_there(record, c, trial)
-        step, missed = rounding_steps([record])[c], []
+        step, missed = rounding_steps([record])[0, c], []
         for begin, end in runs:
             away = np.abs(column[begin:end] - motion[begin:end])
             value, expected = column[begin], float(np.mean(motion[begin:end]))
@@ -147,7 +147,7 @@ def _with_clipped(record: Record, perhaps: Ints, motion: Motion, text: str, noti
         clipped, column, name = np.abs(perhaps[:, c]) == 1, record.values[:, c], record.channels[c].name
         expected = motion(c, np.where(clipped, MISSING, perhaps[:, c]))
         beyond = perhaps[clipped, c] * (expected - column)[clipped]
-        least = max(DEPTH * float(np.ptp(column)), float(rounding_steps([record])[c]) / 2)
+        least = max(DEPTH * float(np.ptp(column)), float(rounding_steps([record])[0, c]) / 2)
         if np.nansum(beyond) > least * len(beyond):  # others rest at it
             count = counted(int(np.sum(clipped)), "sample")
             notices.append(Notice("unclipped", text.format(name, count), (name,)))

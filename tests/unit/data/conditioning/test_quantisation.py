@@ -58,6 +58,16 @@ def test_a_sine_that_was_computed_at_few_phases_is_no_converter() -> None:
     np.testing.assert_allclose(rounding_steps([Record((X1, U), t, codes, 4.0)]), 0.5)
 
 
+def test_each_dwell_has_the_step_of_its_own_range() -> None:
+    fine, coarse = dwell(2.0, 0.3), dwell(2.0, 1.1)
+    values = np.array(coarse.values)
+    values[:, 0] = np.round(values[:, 0] / (10 * STEP)) * 10 * STEP
+    resting, odd = dwell(2.0, 0.001), replace(fine, values=fine.values * np.array([np.e, 1.0]))
+    steps = rounding_steps([fine, replace(coarse, values=values), resting])
+    np.testing.assert_allclose(steps[:, 0], [STEP, 10 * STEP, STEP])
+    np.testing.assert_allclose(rounding_steps([fine, odd])[:, 0], [STEP, np.e * STEP])
+
+
 def test_noise_that_dithers_is_left_as_the_residual_shows_it() -> None:
     noisy = [dwell(2.0, 0.3 + 0.1 * k, noise=0.02) for k in range(2)]
     fine = [
