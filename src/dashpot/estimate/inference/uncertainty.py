@@ -306,6 +306,7 @@ def with_uncertainty(of_rig: Modes, slope: Complex, covariance: Real) -> ModeVal
     frequency = grow / (2 * np.pi)
     damping = -slope.real / size + values.real[:, None] * grow / size**2
     jacobian = np.stack([frequency, damping])
+    jacobian[np.abs(jacobian) <= 1e-13 * np.abs(slope) / size] = 0.0  # no damper: its slope is rounding
     variance = ((jacobian @ covariance) * jacobian).sum(axis=-1)
     reach = np.abs(jacobian)
     terms = ((reach @ np.abs(covariance)) * reach).sum(axis=-1)

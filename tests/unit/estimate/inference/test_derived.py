@@ -56,6 +56,19 @@ def test_modes_of_one_mass_are_the_formula(damping: float) -> None:
         np.testing.assert_allclose(modes.frequency_sd / modes.frequency_hz, 0.01 / np.sqrt(2), rtol=1e-12)
 
 
+def test_no_damping_is_known_exactly() -> None:
+    points = ("x", "y", "z")
+    masses = (mass(f"m{p}", p) for p in points)
+    springs = (
+        between(f"k{p}", Kind.SPRING, p, to) for p, to in zip(points, ("y", "z", "ground"), strict=True)
+    )
+    model = Model(points, (Input("F", "force", {"x": 1.0}),), (*masses, *springs))
+    theta = np.array([1.0, 2.0, 3.0, 4000.0, 5000.0, 6000.0])
+    modes = mode_values(model, theta, np.diag((0.01 * theta) ** 2))
+    assert np.all(modes.damping_sd == 0)
+    assert np.all(modes.frequency_sd > 1e-3 * modes.frequency_hz)
+
+
 def test_what_the_kernel_leaves_to_numpy() -> None:
     """A coordinate without mass, and a rigid-body motion: the same modes by either choice."""
     kernel = compiled()
