@@ -341,7 +341,9 @@ def simulate(
         rng = random_generator(seed)
         drives = _inputs(rig, frequencies)
         return tuple(simulation.driven_record(model, theta, rig.channels, drive, rng) for drive in drives)
-    chosen: Sequence[float] = frequencies_of(frequencies) if isinstance(frequencies, str) else frequencies
+    if isinstance(frequencies, str):
+        frequencies = frequencies_of(frequencies)
+    chosen = np.atleast_1d(_numbers(frequencies, "frequencies"))
     if rig.shaker is not None:
         amplitudes = simulation.amplitudes_within(model, theta, rig.shaker, chosen, amplitudes or {})
     test = simulation.dwells(model, chosen, samples, amplitudes=amplitudes, periods=periods, rate=rate)

@@ -374,6 +374,11 @@ def test_counts_and_lists_that_cannot_be_are_refused(rig: Rig) -> None:
         lambda: dashpot.simulate_spectrum(rig.model, p, rig.channels, test, rng, drift=-1),
         lambda: dashpot.concatenate([]),
         lambda: rig.identify([]),
+        lambda: rig.simulate({**VALUES, b"m": 3.0}, [2.0]),  # type: ignore[dict-item]
+        lambda: rig.simulate(VALUES, b"2:14"),
+        lambda: rig.simulate(VALUES, ["a"]),
+        lambda: rig.simulate(VALUES, []),
+        lambda: rig.simulate(VALUES, 1e-320),
         lambda: dashpot.Channel("x1", None),  # type: ignore[arg-type]
         lambda: dashpot.Record(None, None, None),  # type: ignore[arg-type]
         lambda: dashpot.Record(rig.channels, [0, 1], [[1, 2], [3]]),  # type: ignore[arg-type]

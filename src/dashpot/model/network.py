@@ -679,7 +679,7 @@ class Model:
                 cure = f"{give}, or a guess in the rig file"
                 raise ModelError(f"{unknown.name} has no value", cure=cure)
             theta[j] = value
-        others = sorted(set(values) - set(self.unknown_names))
+        others = sorted(map(str, set(values) - set(self.unknown_names)))
         if others:
             cure = f"its unknowns are {', '.join(self.unknown_names)}"
             raise ModelError(f"{', '.join(others)} is not an unknown of this rig", cure=cure)

@@ -52,6 +52,7 @@ from dashpot.model.observation import (
     unknown_calibrations,
 )
 from dashpot.model.rigfile.rig import ShakerLimits
+from dashpot.quantities import LARGEST, SMALLEST
 
 # The motion of a rig under a record of its inputs, as its channels would show it.
 
@@ -302,11 +303,10 @@ class Dwells:
 
     def __post_init__(self) -> None:
         freeze(self)
-        bad = ~(np.isfinite(self.frequency_hz) & (self.frequency_hz > 0))
+        bad = ~((self.frequency_hz >= SMALLEST) & (self.frequency_hz <= LARGEST))
         if np.any(bad):
-            raise DataError(
-                f"frequency {self.frequency_hz[bad][0]:g} Hz", cure="frequencies must be positive and finite"
-            )
+            cure = f"frequencies must be from {SMALLEST:g} to {LARGEST:g} Hz"
+            raise DataError(f"frequency {self.frequency_hz[bad][0]:g} Hz", cure=cure)
         if np.any(self.samples < 1) or not np.all((self.periods > 0) & np.isfinite(self.periods)):
             raise DataError("a dwell without samples or without time", cure="give it at least one sample")
 
@@ -339,6 +339,8 @@ def dwells(
     """
     frequencies = np.atleast_1d(np.asarray(frequency_hz, dtype=float))
     lines = len(frequencies)
+    if not lines:
+        raise DataError("a test without frequencies", cure="give it at least one")
     given: Mapping[str, complex | Complex] = {} if amplitudes is None else amplitudes
     names = [source.name for source in model.inputs]
     for name in given:
@@ -365,7 +367,7 @@ def amplitudes_within(
     model: Model,
     theta: Real,
     limits: ShakerLimits,
-    frequency_hz: Sequence[float],
+    frequency_hz: Sequence[float] | Real,
     given: Mapping[str, complex | Complex],
 ) -> dict[str, complex | Complex]:
     """Amplitudes by name: those that are given, all others together as large as the shaker can at each frequency.
