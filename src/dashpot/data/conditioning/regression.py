@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -358,7 +357,11 @@ UNKNOWN = 3.0  # standard deviations of the noise to which codes tell the motion
 ENOUGH = 50.0  # degrees of freedom with which the likeliest size of the noise stands for all
 UNLIKELY = 4.0  # log-likelihood below the highest from which on other sizes are not looked at
 
-Climb = Callable[[Real, float, int], tuple[Real, float, float, Real | None]]
+APART = 1.5  # standard deviations from one to the next of what is summed along a direction
+STEEP = 2.5  # log-likelihood that it may fall from one to the next
+
+Likelihood = Callable[[Real, float], tuple[float, Real, Real]]  # of (β, τ), with slope and information
+Summand = tuple[float, float, Real, Real]  # where it is, ln of what it has, mean and covariance
 
 
 @dataclass(frozen=True)
@@ -432,8 +435,7 @@ def partly_measured(
     least_squares, changes = beta, max(int(np.count_nonzero(np.diff(y))), 1)
     alike = f * record.duration_s * len(y) / changes
     wide = R[:k, :k] * (cell > 0) / (UNKNOWN * np.sqrt(count))
-    climbed = partial(_climbed, at, wide)
-    beta, tau, _, inverse = climbed(beta, tau, k + 1)
+    beta, tau, _, inverse = _climbed(at, wide, beta, tau, k + 1)
     free, covariance = 0.0, None
     if inverse is not None:
         free = float(tau**2 / (2 * inverse[-1, -1]))
@@ -444,7 +446,7 @@ def partly_measured(
         rounding = max(variance, cell**2 / 12) * max(alike, 1.0)
         return PartlyMeasured(least_squares, P, rounding, float(max(count - k, 1)), in_cells=True)
     elif cell:
-        beta, covariance = _over_sizes(climbed, beta, tau, k, free)
+        beta, covariance = _over_sizes(at, wide, beta, tau, free, terms.degree >= 0)
     if covariance is None:
         raise DataError(
             f"the valid samples of {record.channels[c].name} cannot determine its motion at {f:g} Hz",
@@ -462,7 +464,7 @@ def partly_measured(
 
 
 def _climbed(
-    at: Callable[[Real, float], tuple[float, Real, Real]], wide: Real, beta: Real, tau: float, moved: int
+    at: Likelihood, wide: Real, beta: Real, tau: float, moved: int
 ) -> tuple[Real, float, float, Real | None]:
     """(β, τ) where the first directions have moved to the likeliest, its log-likelihood, their inverse information.
 
@@ -490,16 +492,20 @@ def _climbed(
     return beta, tau, total, inverse
 
 
-def _over_sizes(climbed: Climb, beta: Real, tau: float, k: int, free: float) -> tuple[Real, Real | None]:
+def _over_sizes(
+    at: Likelihood, wide: Real, beta: Real, tau: float, free: float, offset: bool
+) -> tuple[Real, Real | None]:
     """Mean and covariance of k coefficients over all sizes of the noise, about 1/τ, known with so many degrees of
     freedom; no covariance where none tells them.
 
     Given a size they are Gaussian about the likeliest (Laplace); β and σ are as likely beforehand.  From where the
-    noise is smaller than what is known of the motion, the box is as it is there.
+    noise is smaller than what is known of the motion, the box is as it is there; where it goes on farther than the
+    parabola at the likeliest, as below the limit that two codes set, it is summed up (`_along_the_least_known`).
     """
+    k = len(beta)
 
-    def given(beta: Real, tau: float) -> tuple[float, float, Real, Real] | None:
-        likeliest, _, total, inverse = climbed(beta, tau, k)
+    def given(beta: Real, tau: float) -> Summand | None:
+        likeliest, _, total, inverse = _climbed(at, wide, beta, tau, k)
         if inverse is None:
             return None
         weight = total + float(np.linalg.slogdet(inverse)[1]) / 2 - (k + 1) * np.log(tau)
@@ -524,15 +530,68 @@ def _over_sizes(climbed: Climb, beta: Real, tau: float, k: int, free: float) -> 
                 break
             else:
                 way /= 2
-    found.sort(key=lambda size: size[0])
-    log_tau, weights = np.array([size[:2] for size in found]).T
-    width = np.gradient(log_tau) if len(found) > 1 else np.ones(1)
+    log_tau, _, likeliest, parabola = max(found, key=lambda size: size[1])
+    middle, box = _along_the_least_known(at, wide, likeliest, float(np.exp(log_tau)), parabola, offset)
+    if np.trace(wide @ (box - parabola) @ wide.T) > 0:
+        found = [(x, weight, mean + middle - likeliest, box) for x, weight, mean, _ in found]
+    return _summed(found, smallest)
+
+
+def _along_the_least_known(
+    at: Likelihood, wide: Real, beta: Real, tau: float, parabola: Real, offset: bool
+) -> tuple[Real, Real]:
+    """Mean and covariance of k coefficients given the noise, of which a parabola at the likeliest has one (k, k).
+
+    By sums along the direction in which the motion is known least, and by parabolas in all others, each about what is
+    likeliest there.  The motion beside its offset is as likely beforehand at each size, with all else in proportion.
+    """
+    k, first = len(beta), int(offset)
+    variances, axes = np.linalg.eigh(wide @ parabola @ wide.T)
+    basis, both = np.linalg.solve(wide, axes), np.eye(k + 1)
+    both[:k, :k] = basis
+
+    def turned(c: Real, tau: float) -> tuple[float, Real, Real]:
+        total, slope, info = at(beta + basis @ c, tau)
+        return total, both.T @ slope, both.T @ info @ both
+
+    def there(c: Real) -> tuple[Real, Summand] | None:
+        c, _, total, inverse = _climbed(turned, np.eye(k - 1), c, tau, k - 1)
+        if inverse is None:
+            return None
+        motion, others = beta + basis @ c, basis[:, :-1]
+        size = float(np.linalg.norm(wide[first:, first:] @ motion[first:]))
+        weight = total + float(np.linalg.slogdet(inverse)[1]) / 2 - (k - 1) * np.log(max(size, 1e-300))
+        return c, (float(c[-1]), float(weight), motion, others @ inverse @ others.T / tau**2)
+
+    middle = there(np.zeros(k))
+    if middle is None:
+        return beta, parabola
+    found, usual = [middle[1]], APART * float(np.sqrt(variances[-1]))
+    for step in (-usual, usual):
+        last = middle
+        while last[1][1] > middle[1][1] - UNLIKELY and len(found) < TURNS:
+            following = there(last[0] + np.append(np.zeros(k - 1), step))
+            if following is not None and following[1][1] > last[1][1] - STEEP:
+                last = following
+                found.append(last[1])
+            elif abs(step) > usual / 1000:  # a wall, as good as upright
+                step /= 2
+            else:
+                break
+    return _summed(found, 0.0)
+
+
+def _summed(found: Sequence[Summand], before: float) -> tuple[Real, Real]:
+    """Mean and covariance of a mixture along one direction, whose last counts for as much as `before` it beyond."""
+    found = sorted(found, key=lambda one: one[0])
+    x, weights = np.array([one[:2] for one in found]).T
+    width = np.gradient(x) if len(found) > 1 else np.ones(1)
     share = np.exp(weights - np.max(weights)) * width
-    share[-1] *= 1 + smallest / width[-1]
+    share[-1] *= 1 + before / width[-1]
     share = share / np.sum(share)
-    middles = np.array([size[2] for size in found])
+    middles = np.array([one[2] for one in found])
     mean = share @ middles
-    within = np.einsum("s,sij->ij", share, np.array([size[3] for size in found]))
+    within = np.einsum("s,sij->ij", share, np.array([one[3] for one in found]))
     away = middles - mean
     return mean, within + (share * away.T) @ away
 
