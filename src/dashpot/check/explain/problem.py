@@ -253,8 +253,12 @@ class LineProblem:
     def _of(self, model: Model, spectrum: Spectrum) -> LineProblem:
         """Of another rig, or of the same amplitudes otherwise described."""
         view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
-        seen = self.data.states is not None
-        states = states_if_seen(view, spectrum, self.data.covariance) if seen else None
+        states = self.data.states
+        alike = (model.coordinates, model.inputs) == (self.model.coordinates, self.model.inputs)
+        if states is not None and not (
+            alike and spectrum is self.spectrum
+        ):  # elements do not show in channels
+            states = states_if_seen(view, spectrum, self.data.covariance)
         return replace(self, data=replace(self.data, view=view, spectrum=spectrum, states=states))
 
     def shows(self, element: Element) -> bool:
@@ -1280,7 +1284,11 @@ def _own(problems: Sequence[LineProblem]) -> list[list[Real]]:
         part = some.data.spectrum.select(lines)
         spectrum = replace(part, amplitudes=Y, covariance=np.nan_to_num(V), moments=None)
         view = observation_model(some.model, part.channels, part.omega, part.experiment)
-        states = states_if_seen(view, spectrum, V) if len(lines) and view.model.n else None
+        states = some.data.states
+        if states is not None and len(rows) == 1:
+            states = states.lines(lines)
+        else:
+            states = states_if_seen(view, spectrum, V) if len(lines) and view.model.n else None
         if states is None or np.any(some.view.gain >= 0) or np.any(some.view.delay >= 0):
             continue
         with np.errstate(all="ignore"):
