@@ -430,12 +430,12 @@ def install_kernel() -> None:
             say(
                 "going on without the compiled kernel: there is no C++ compiler (NumPy does its work, more slowly)"
             )
-        else:
-            build_kernel()
-        write_stamp(KERNEL_STAMP, wanted)  # a build that failed would fail again
+        if compiler is None or build_kernel():
+            write_stamp(KERNEL_STAMP, wanted)
 
 
-def build_kernel() -> None:
+def build_kernel() -> bool:
+    """Whether the build ended by itself: one that failed would fail again, one that took too long may not."""
     say("building the compiled kernel, about a minute")
     command: list[str | Path] = [
         PYTHON, "-m", "pip", "--log", PIP_LOG, "install", "--no-deps", "--no-build-isolation", "--no-index",
@@ -450,6 +450,8 @@ def build_kernel() -> None:
         say(
             f"going on without the compiled kernel: it could not be built: {reason} (pip's own words: {PIP_LOG})"
         )
+        return not isinstance(failure.__cause__, subprocess.TimeoutExpired)
+    return True
 
 
 def install_beside(locked: Path, what: str) -> str:

@@ -172,6 +172,29 @@ def test_the_kernel_is_built_in_the_background_by_one_process(
     assert len(begun) == 1
 
 
+@pytest.mark.parametrize(("build", "tried"), [("time.sleep(9)", 2), ("raise SystemExit(1)", 1), ("", 1)])
+def test_a_build_of_the_kernel_that_took_too_long_is_tried_again(
+    build: str, tried: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[object] = []
+    monkeypatch.setattr(dev, "ROOT", tmp_path)
+    monkeypatch.setattr(dev, "KERNEL_STAMP", tmp_path / "stamp-kernel.json")
+    monkeypatch.setattr(dev, "KERNEL_SECONDS", 5.0 if "sleep" not in build else 0.1)
+    monkeypatch.setattr(dev, "find_compiler", lambda: "c++")
+    quietly = dev.quietly
+
+    def instead(command: list[object], seconds: float | None = None) -> str:
+        if seconds is None:
+            return ""
+        begun.append(command)
+        return quietly([sys.executable, "-c", f"import time; {build}"], seconds)
+
+    monkeypatch.setattr(dev, "quietly", instead)
+    dev.install_kernel()
+    dev.install_kernel()
+    assert len(begun) == tried
+
+
 def test_exit_codes_are_passed_on() -> None:
     assert dev.call([sys.executable, "-c", "raise SystemExit(3)"]) == 3
 
