@@ -53,6 +53,7 @@ class Finding:
     odds       of this cause after the data, among all that were tried and what was not; None if it has none
     explains   share of the misfit that it explains
     group      a number shared by causes that these data cannot tell apart; None if it stands alone
+    beside     whether it is the matter beside the first cause, not in its place
     """
 
     kind: str
@@ -66,13 +67,14 @@ class Finding:
     odds: float | None = None
     explains: float | None = None
     group: int | None = None
+    beside: bool = False
 
     def content(self) -> dict[str, Any]:
         """As the JSON of an estimate has it."""
         return {
             "kind": self.kind, "of": list(self.of), "text": self.text, "change": self.change,
             "remaining": self.remaining, "number": self.number, "odds": self.odds, "explains": self.explains,
-            "group": self.group,
+            "group": self.group, "beside": self.beside,
         }  # fmt: skip
 
 
@@ -161,6 +163,7 @@ def assessment_from(fit: Mapping[str, Any], diagnosis: Sequence[Mapping[str, Any
             odds=d.get("odds"),
             explains=d.get("explains"),
             group=d.get("group"),
+            beside=d.get("beside", False),
         )
         for d in diagnosis
     )

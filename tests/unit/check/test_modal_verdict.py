@@ -150,4 +150,5 @@ def test_two_mistakes_at_once_are_two_causes() -> None:
     model, data = clean()
     findings = assessed(model, in_g(turned(data))).findings
     assert {(each.kind, each.of) for each in findings[:2]} == {("sign", ("x2",)), ("unit", ("x3",))}
+    assert [each.beside for each in findings[:2]] == [False, True]
     assert all(each.odds is not None and 0 <= each.odds <= 1 for each in findings)

@@ -580,7 +580,8 @@ def _causes(rig: Rig, findings: Sequence[object]) -> list[dict[str, Any]]:
         if isinstance(finding, Finding):
             after = {"text_after": corrected(rig, finding)} if with_a_line([finding]) else {}
             if finding.odds is not None:
-                after["chance"] = percent_of_odds(finding.odds)
+                where = "beside the first, " if finding.beside else ""
+                after["chance"] = f"{where}{percent_of_odds(finding.odds)}"
             shown = ("text", "change", "kind", "odds", "explains")
             causes.append(
                 {**{name: getattr(finding, name) for name in shown}, "of": list(finding.of), **after}

@@ -161,6 +161,7 @@ class Cause:
     near      odds that it is something else of which this fit comes near
     explains  share of the misfit
     group     a number that causes share which the data cannot tell apart; None for one that stands alone
+    beside    whether it is the matter beside the first, not in its place
     """
 
     effect: Effect
@@ -174,6 +175,7 @@ class Cause:
     near: float = 0.0
     explains: float = 0.0
     group: int | None = None
+    beside: bool = False
 
     def same(self, other: Cause) -> bool:
         """Whether it is another one, with the same size."""
@@ -183,7 +185,8 @@ class Cause:
     def finding(self, noise_known: bool) -> Finding:
         """As an assessment has it."""
         left = self.fit.reduced if noise_known and np.isfinite(self.fit.reduced) else None
-        return self.effect.finding(self.size, left, odds=self.odds, explains=self.explains, group=self.group)
+        found = self.effect.finding(self.size, left, odds=self.odds, explains=self.explains, group=self.group)
+        return replace(found, beside=self.beside)
 
 
 @dataclass(frozen=True)
@@ -268,7 +271,7 @@ def explain_in_steps(baseline: Baseline, kinds: Kinds, *, laws: bool = False) ->
     more = [each for each in others if each.odds > 1 - LISTED]
     if not more:
         return first
-    both = replace(more[0], odds=best.odds * more[0].odds)
+    both = replace(more[0], odds=best.odds * more[0].odds, group=None, beside=True)
     beside = tuple(
         replace(each, odds=best.odds * each.odds, near=best.odds * each.near) for each in second.weighed
     )
