@@ -166,6 +166,14 @@ class TextType(click.ParamType[Any]):
         """The same type that also takes some words."""
         return TextType(self.name, self._parse, words)
 
+    def or_by_name(self, *words: str) -> TextType:
+        """One value for all or NAME=VALUE,…, or some words."""
+
+        def parsed(text: str) -> Any:
+            return _pairs(self._parse, text) if "=" in text else self._parse(text)
+
+        return TextType(self.name, parsed, words)
+
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The value, or one of `words` as it is; values that are not text were converted before."""
         if not isinstance(value, str):
@@ -254,20 +262,6 @@ def _pairs(parse: Callable[[str], Value], text: str) -> dict[str, Value]:
     return found
 
 
-def _amplitude(text: str) -> Amount | dict[str, Amount]:
-    return _pairs(quantities.amount, text) if "=" in text else _positive(quantities.amount, text)
-
-
-def _target(text: str) -> float | dict[str, float]:
-    share = partial(_positive, quantities.fraction)
-    return _pairs(share, text) if "=" in text else share(text)
-
-
-def _speed(text: str) -> float | dict[str, float]:
-    share = partial(_from_zero, quantities.fraction, "0%")
-    return _pairs(share, text) if "=" in text else share(text)
-
-
 def _sensors(text: str) -> tuple[int, tuple[str, ...]]:
     """ "pick 3 of a,b,c": how many, and of which (none: of all)."""
     match = re.fullmatch(r"\s*(?:pick\s+)?(\d{1,6})(?:\s+of\s+(.+))?\s*", text)
@@ -299,7 +293,7 @@ MASS = TextType("mass", partial(_positive, _mass))
 SETTLING = TextType("time", partial(_from_zero, _time, "0"), words=("auto", "none"))
 AMOUNT = TextType("quantity", partial(_positive, quantities.amount))  # in SI only where the rig is known
 AMOUNTS = TextType("name=value", partial(_pairs, quantities.amount))
-AMPLITUDE = TextType("quantity", _amplitude)
+AMPLITUDE = AMOUNT.or_by_name()
 SHARE = TextType("share", partial(_positive, quantities.fraction))
 SHARE_OR_ZERO = TextType("share", partial(_from_zero, quantities.fraction, "0%"))
 PART = TextType("share", _part)
@@ -307,8 +301,8 @@ NUMBER = TextType("number", _number)
 LEVEL = TextType("level", _level)
 ORDERS = TextType("orders", _whole_numbers, words=("auto",))
 HARMONICS = TextType("orders", _whole_numbers, words=("auto", "none"))
-TARGET = TextType("share", _target)
-SPEED = TextType("share", _speed, words=("auto",))
+TARGET = SHARE.or_by_name()
+SPEED = SHARE_OR_ZERO.or_by_name("auto")
 MODAL_SD = TextType("shares", _three_shares)
 SENSORS = TextType("choice", _sensors)
 INPUT_FILE = InputFile()

@@ -594,7 +594,10 @@ def _tried(
                 found.append(Trial(effect, prior, effect.values[0], effect.found))
                 continue
             there = begun.get(effect.subject) if begun and effect.unknown else None
-            for size in _sizes(baseline, effect):
+            sizes = effect.values[:1]  # in time slopes along an unknown lead from the first to the others
+            if not (effect.unknown and isinstance(baseline.problem, TimeProblem)):
+                sizes = (*effect.values, *_promised(baseline, effect))
+            for size in sizes:
                 with suppress(DashpotError):  # a rig or channels that cannot be
                     supposed = effect.act(baseline.problem, size)
                     if there is not None and len(there) == len(supposed.starts[0]):
@@ -618,13 +621,6 @@ def _at_best_sizes(
         if id(effect) not in best or end.roughly > best[id(effect)].fit.roughly:
             best[id(effect)] = Trial(effect, prior, size, end)
     return list(best.values())
-
-
-def _sizes(baseline: Baseline, effect: Effect) -> tuple[float, ...]:
-    """Sizes at which an effect is tried; in time the slopes along an unknown lead from its first to the others."""
-    if effect.unknown and isinstance(baseline.problem, TimeProblem):
-        return effect.values[:1]
-    return (*effect.values, *_promised(baseline, effect))
 
 
 def _promised(baseline: Baseline, effect: Effect) -> tuple[float, ...]:

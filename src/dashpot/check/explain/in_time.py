@@ -38,7 +38,7 @@ from dashpot.check.verdict import one_cause, powerless, rejected, settled_by_siz
 from dashpot.data.noise import smoothed
 from dashpot.data.record import Record
 from dashpot.errors import DashpotError, DataError
-from dashpot.estimate.assessment import Assessment, Finding, Judgement, Misfit
+from dashpot.estimate.assessment import Assessment, Judgement, Misfit
 from dashpot.estimate.nonlinear.input_levels import all_linearised, cleared, drawn_noise
 from dashpot.estimate.nonlinear.record_problem import RecordProblem
 from dashpot.estimate.nonlinear.records import RecordData, total_samples
@@ -135,15 +135,11 @@ def assess_records(
     if not estimate.fit.known_noise:  # what a remedy leaves has no measure
         findings = tuple(replace(each, remaining=None) for each in findings)
     if found is None:
-        findings = _findings(model, (*certain, *in_place))
+        called_for = (*certain, *in_place)
+        findings = tuple(each.effect(model).finding(each.value, explains=each.share) for each in called_for)
     motions = [motion.compared() for motion in trails]
     verdict: Judgement = "does not fit" if against else "cannot tell" if doubts else "fits"
     return Assessment(verdict, (*against, *doubts), _relative(motions), _worst(motions), findings)
-
-
-def _findings(model: Model, called_for: Sequence[ScoredElement]) -> tuple[Finding, ...]:
-    """Elements as causes, where the engine was not asked."""
-    return tuple(each.effect(model).finding(each.value, explains=each.share) for each in called_for)
 
 
 def _without_laws(model: Model, records: Sequence[Record]) -> list[ScoredElement]:

@@ -49,11 +49,9 @@ def diagnose_modes(
 def damping(baseline: Baseline) -> Iterator[Effect]:
     """Loss factors or per cent in the place of damping ratios."""
     if np.any(baseline.problem.kept[:, -1]):
-        yield Effect("damping", (), _damped, _damped_words, tuple(DAMPINGS))
-
-
-def _damped(problem: ModalProblem, number: float) -> ModalProblem:
-    return problem.at_rate(1.0, 1 / number)
+        yield Effect(
+            "damping", (), lambda at, size: at.at_rate(1.0, 1 / size), _damped_words, tuple(DAMPINGS)
+        )
 
 
 def _damped_words(number: float) -> Phrase:
