@@ -7,7 +7,7 @@ line (variable projection).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -159,12 +159,9 @@ def _measured(data: Prepared, softness: float) -> Measured:
 
 
 def directly_driven(view: ObservationModel, data: Measured) -> Measured | None:
-    """The data with inputs as the channels that measure nothing else show them, noise or not; None if none do.
-
-    Of whole records without what their ends add: logarithms lead near enough without.
-    """
+    """The data with inputs as the channels that measure nothing else show them, noise or not; None if none do."""
     if data.q is not None:
-        return replace(data, ends=None, root=None)
+        return data
     alone = view.inputs_alone & np.any(view.direct_q, axis=-1) & np.all(data.y != 0, axis=0)
     calibrated = view.calibration_known
     by_channel = inputs_by_channel(view, alone & calibrated)
