@@ -248,10 +248,8 @@ def main() -> None:
             # A terminal that knows no ± or χ² shows ? rather than ending the run.
             if hasattr(stream, "reconfigure"):
                 stream.reconfigure(errors="replace")
-        for name in (
-            "COLUMNS",
-            "LINES",
-        ):  # a size of a terminal, or none: rich takes digits of any script and number
+        # The size of a terminal, or none: rich takes digits of any script and number.
+        for name in ("COLUMNS", "LINES"):
             given = os.environ.get(name, "")
             if not (given.isascii() and given.isdecimal() and len(given) < 10 and int(given)):
                 os.environ.pop(name, None)

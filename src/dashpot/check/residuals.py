@@ -43,9 +43,8 @@ from dashpot.model.observation import (
     transfer,
 )
 
-UNBOUNDED = (
-    np.finfo(float).max ** 0.25
-)  # of a response: the variance of a squared residual overflows beyond it
+# Of a response: beyond it the variance of a squared residual overflows
+UNBOUNDED = np.finfo(float).max ** 0.25
 EXACT = 1e-9  # relative noise that exact channels are given, beside which that of all others is large
 
 Calibrations = Mapping[str, float]

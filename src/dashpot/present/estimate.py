@@ -571,7 +571,8 @@ def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
     for rank, finding in enumerate(told[:3]):  # the most probable and two beside it
         group = findings[0].group is not None and finding.group == findings[0].group
         lead = "Likely cause" if rank == 0 else "Or, fitting these data equally well" if group else "Or"
-        lead = "And beside it" if finding.beside else lead
+        if finding.beside:
+            lead = "And beside it"
         odds = "" if finding.odds is None else f" (odds {percent_of_odds(finding.odds)})"
         if finding.kind == "unexplained":
             lead, odds = ("An unlisted cause", odds) if len(findings) > 1 else ("No cause found", "")

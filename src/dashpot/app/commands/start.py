@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import Annotated, Any, cast
 
 import click
 
@@ -17,9 +17,6 @@ from dashpot.errors import DashpotError, UsageError
 from dashpot.io.atomic import write_text
 from dashpot.io.toml_document import PLACEHOLDER, inline_texts
 from dashpot.io.words import quoted
-
-if TYPE_CHECKING:
-    pass
 
 DRIVEN = click.Choice((*DRIVES, "stand"), case_sensitive=False)
 
