@@ -166,12 +166,13 @@ def rounding_steps(records: Sequence[Record]) -> Real:
     if a step is common to them.
     """
     codes = [[np.unique(c[:4096]) for c in r.values.reshape(-1, r.values.shape[-1]).T] for r in records]
-    steps = np.array([[_common_step(own) for own in of_record] for of_record in codes])
     few = np.array([[2.0 ** (1 - len(own)) > SIGNIFICANT for own in of_record] for of_record in codes])
+    common = np.zeros(few.shape[1:])
     for c in np.flatnonzero(np.any(few, axis=0)).tolist() if len(records) > 1 else ():
-        steps[few[:, c], c] = (
-            _common_step(np.unique(np.concatenate([own[c] for own in codes]))) or steps[few[:, c], c]
-        )
+        common[c] = _common_step(np.unique(np.concatenate([own[c] for own in codes])))
+    steps = np.array(np.broadcast_to(common, few.shape))
+    for r, c in np.argwhere(~few | (common == 0)).tolist():
+        steps[r, c] = _common_step(codes[r][c])
     return steps
 
 
