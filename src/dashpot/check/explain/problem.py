@@ -254,10 +254,9 @@ class LineProblem:
         """Of another rig, or of the same amplitudes otherwise described."""
         view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
         states = self.data.states
+        # What the channels show of a motion does not depend on the elements.
         alike = (model.coordinates, model.inputs) == (self.model.coordinates, self.model.inputs)
-        if states is not None and not (
-            alike and spectrum is self.spectrum
-        ):  # elements do not show in channels
+        if states is not None and not (alike and spectrum is self.spectrum):
             states = states_if_seen(view, spectrum, self.data.covariance)
         return replace(self, data=replace(self.data, view=view, spectrum=spectrum, states=states))
 
@@ -1278,18 +1277,20 @@ def _own(problems: Sequence[LineProblem]) -> list[list[Real]]:
         groups.setdefault((id(each.view), whole.tobytes() + each.kept[whole].tobytes()), []).append(t)
     for rows in groups.values():
         some = problems[rows[0]]
-        lines = np.flatnonzero(_whole_lines(some.kept))
-        Y = np.stack([problems[t].data.spectrum.amplitudes[0][lines] for t in rows])
-        V = np.stack([problems[t].V[lines] for t in rows])
-        part = some.data.spectrum.select(lines)
-        spectrum = replace(part, amplitudes=Y, covariance=np.nan_to_num(V), moments=None)
-        view = observation_model(some.model, part.channels, part.omega, part.experiment)
+        lines, calibrated = np.flatnonzero(_whole_lines(some.kept)), (some.view.gain, some.view.delay)
+        if not len(lines) or not some.model.n or any(np.any(each >= 0) for each in calibrated):
+            continue
         states = some.data.states
         if states is not None and len(rows) == 1:
             states = states.lines(lines)
         else:
-            states = states_if_seen(view, spectrum, V) if len(lines) and view.model.n else None
-        if states is None or np.any(some.view.gain >= 0) or np.any(some.view.delay >= 0):
+            Y = np.stack([problems[t].data.spectrum.amplitudes[0][lines] for t in rows])
+            V = np.stack([problems[t].V[lines] for t in rows])
+            part = some.data.spectrum.select(lines)
+            spectrum = replace(part, amplitudes=Y, covariance=np.nan_to_num(V), moments=None)
+            view = observation_model(some.model, part.channels, part.omega, part.experiment)
+            states = states_if_seen(view, spectrum, V)
+        if states is None:
             continue
         with np.errstate(all="ignore"):
             theta = compensated(some.model, states)
