@@ -21,6 +21,11 @@ def test_many_journeys_give_what_was_recorded() -> None:
     assert not different, f"{json.dumps(different, indent=1, ensure_ascii=False)}\n{ACCEPT}"
 
 
+def test_few_journeys_depend_on_the_processor() -> None:
+    recorded = journeys.reference().values()
+    assert sum(bool(result.get("by_processor")) for result in recorded) < 0.05 * len(recorded)
+
+
 def _result(value: float, text: str = "k 1.23 N/m") -> journeys.Result:
     return {
         "codes": [0],
