@@ -14,9 +14,9 @@
     python3 dev.py fuzz [ARGS]   damaged inputs of every kind; --minutes N, --inputs N, --seed S
     python3 dev.py docs [--serve] the manual as a site, docs/_build/html; --serve shows it on this machine until Ctrl-C
 
-The first call makes .venv from requirements/locked.txt, every file checked against its hash. `run` has the kernel
-built in the background, every other command waits for it. Later calls
-compare a stamp and start at once; a changed lock, another Python or a set-up cut short remakes .venv.
+The first call makes .venv from requirements/locked.txt, every file checked against its hash. `run` begins with what it
+needs itself and has the rest installed and the kernel built in the background; every other command waits for them.
+Later calls compare a stamp and start at once; a changed lock, another Python or a set-up cut short remakes .venv.
 """
 
 # Kept readable by Pythons from 3.7 on, so that they get the one line of version_complaint, not a SyntaxError.
@@ -51,6 +51,7 @@ PIP_LOG = VENV / "pip.log"
 KERNEL_LOG = VENV / "kernel.log"
 REQUIREMENTS = ROOT / "requirements"
 LOCKED = REQUIREMENTS / "locked.txt"
+RUN_LOCKED = REQUIREMENTS / "run-locked.txt"  # what `run` begins with; the rest comes in the background
 PEERS_LOCKED = REQUIREMENTS / "peers-locked.txt"
 DOCS_LOCKED = REQUIREMENTS / "docs-locked.txt"
 WEB_LOCKED = REQUIREMENTS / "web-locked.txt"
@@ -322,28 +323,40 @@ def write_stamp(path: Path, stamp: Mapping[str, str]) -> None:
     os.replace(part, path)
 
 
-def wanted_stamp() -> dict[str, str]:
+def wanted_stamp(locked: Path) -> dict[str, str]:
     return {
-        "packages": packages_stamp(LOCKED.read_bytes(), sys.version_info, str(ROOT)),
+        "packages": packages_stamp(locked.read_bytes(), sys.version_info, str(ROOT)),
         "project": project_stamp((ROOT / "pyproject.toml").read_text(encoding="utf-8")),
     }
 
 
-def ready(wanted: Mapping[str, str]) -> bool:
-    return PYTHON.exists() and read_stamp(STAMP) == wanted
+def ready(*locks: Path) -> bool:
+    return PYTHON.exists() and read_stamp(STAMP) in [wanted_stamp(locked) for locked in locks]
 
 
-def make_environment() -> None:
-    """Make .venv follow the lock and pyproject.toml; nothing to do when its stamp says it does."""
-    if ready(wanted_stamp()):
+def make_environment(*, begin: bool = False) -> None:
+    """Make .venv follow the lock and pyproject.toml; nothing to do when its stamp says it does.
+
+    To `begin`, what `run` needs is enough; the rest is added to it, also while it is used.
+    """
+    enough = (LOCKED, RUN_LOCKED) if begin else (LOCKED,)
+    if ready(*enough):
         return
     with only_one(ROOT / ".venv.lock"):
-        wanted = wanted_stamp()
-        if ready(wanted):
+        if ready(*enough):
             return
-        same_packages = PYTHON.exists() and read_stamp(STAMP).get("packages") == wanted["packages"]
-        if not same_packages:
-            say("making .venv from requirements/locked.txt, a minute or two")
+        locked = enough[-1]
+        wanted = wanted_stamp(locked)
+        packages = read_stamp(STAMP).get("packages") if PYTHON.exists() else None
+        if packages == wanted["packages"]:
+            say("pyproject.toml has changed, installing the project again")
+        elif packages == wanted_stamp(RUN_LOCKED)["packages"]:
+            say("adding what requirements/locked.txt has beside it to .venv, about a minute")
+            pip(PYTHON, *PIP_INSTALL_LOCKED, locked, log=PIP_LOG)
+        else:
+            say(
+                f"making .venv from requirements/{locked.name}, {'half a minute' if begin else 'a minute or two'}"
+            )
             # The stamp goes first and comes last: whatever cuts this short leaves an environment that is remade.
             STAMP.unlink(missing_ok=True)
             if VENV.is_symlink():
@@ -351,9 +364,7 @@ def make_environment() -> None:
             elif VENV.exists():
                 shutil.rmtree(VENV)
             make_venv(VENV)
-            pip(PYTHON, *PIP_INSTALL_LOCKED, LOCKED, log=PIP_LOG)
-        else:
-            say("pyproject.toml has changed, installing the project again")
+            pip(PYTHON, *PIP_INSTALL_LOCKED, locked, log=PIP_LOG)
         pip(PYTHON, "install", "--no-deps", "--no-build-isolation", "--no-index", "-e", ROOT, log=PIP_LOG)
         try:
             quietly([PYTHON, "-m", "pip", "check"])
@@ -389,15 +400,16 @@ def wanted_kernel(compiler: str | None) -> dict[str, str]:
     return {"kernel": kernel_stamp(kernel_sources(), str(compiler), packages)}
 
 
-def install_kernel_in_background() -> None:
-    """Let a process of its own build the kernel while this one goes on; other commands wait for it by the lock."""
-    if find_compiler() is None:
-        install_kernel()
-        return
-    if read_stamp(KERNEL_STAMP) == wanted_kernel(find_compiler()):
+def finish_in_background() -> None:
+    """Let a process of its own install the rest and build the kernel while this one goes on.
+
+    Other commands wait for it by the lock.
+    """
+    if ready(LOCKED) and read_stamp(KERNEL_STAMP) == wanted_kernel(find_compiler()):
         return
     say(
-        f"the compiled kernel is being built in the background ({KERNEL_LOG}); until then NumPy does its work"
+        "the rest is being installed and the compiled kernel built in the background "
+        f"({KERNEL_LOG}); until then NumPy does its work"
     )
     try:
         with only_one(ROOT / ".venv.lock", wait=False):
@@ -639,6 +651,10 @@ def lock(extra: list[str]) -> int:
         pip(binaries / PYTHON.name, "install", "uv", log=place / "pip.log")
         for output, inputs in (
             (LOCKED, ["pyproject.toml", "requirements/dev.in"]),
+            (
+                RUN_LOCKED,
+                ["pyproject.toml", "requirements/run.in", "--constraints", "requirements/locked.txt"],
+            ),
             (PEERS_LOCKED, ["requirements/peers.in", "--constraints", "requirements/locked.txt"]),
             (DOCS_LOCKED, ["requirements/docs.in", "--constraints", "requirements/locked.txt"]),
             (
@@ -679,9 +695,9 @@ def main(argv: Sequence[str]) -> int:
             return lock(extra)
         if command in ("lowest", "newest"):
             return other_versions(command, extra)
-        make_environment()
+        make_environment(begin=command == "run")
         if command == "run":
-            install_kernel_in_background()
+            finish_in_background()
         else:
             install_kernel()
         if command == "env":

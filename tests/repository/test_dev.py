@@ -139,7 +139,7 @@ def test_a_cut_or_missing_stamp_counts_as_none(tmp_path: Path) -> None:
     assert dev.read_stamp(path) == {}
 
 
-@pytest.mark.parametrize("file", [dev.LOCKED, dev.PEERS_LOCKED], ids=lambda path: path.name)
+@pytest.mark.parametrize("file", [dev.LOCKED, dev.RUN_LOCKED, dev.PEERS_LOCKED], ids=lambda path: path.name)
 def test_lock_files_pin_and_hash_every_package_and_name_no_place(file: Path) -> None:
     text = file.read_text()
     assert dev.addresses_in(text) == []
@@ -153,22 +153,56 @@ def test_places_in_a_lock_file_are_found() -> None:
     assert dev.addresses_in("\n".join(["a==1 \\", "    --hash=sha256:00", *lines])) == lines
 
 
-def test_the_kernel_is_built_in_the_background_by_one_process(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A clone of nothing but its metadata, whose environment is made by nobody."""
+    (tmp_path / "pyproject.toml").write_text("[project]\n")
+    for name in ("STAMP", "KERNEL_STAMP", "KERNEL_LOG"):
+        monkeypatch.setattr(dev, name, tmp_path / getattr(dev, name).name)
+    monkeypatch.setattr(dev, "ROOT", tmp_path)
+    monkeypatch.setattr(dev, "VENV", tmp_path / "venv")
+    monkeypatch.setattr(dev, "PYTHON", tmp_path / "venv" / "python")
+    monkeypatch.setattr(dev, "find_compiler", lambda: "c++")
+    monkeypatch.setattr(dev, "quietly", lambda _: "")
+    return tmp_path
+
+
+def test_a_run_begins_with_what_it_needs_and_the_rest_is_added_to_it(
+    clone: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[object] = []
+
+    def make_venv(place: Path) -> None:
+        done.append("made")
+        place.mkdir()
+        dev.PYTHON.touch()
+
+    def pip(_: Path, *words: object, log: Path) -> None:
+        if "-e" not in words:
+            done.append(words[-1])
+
+    monkeypatch.setattr(dev, "make_venv", make_venv)
+    monkeypatch.setattr(dev, "pip", pip)
+    for begin in (True, True, False, True, False):
+        dev.make_environment(begin=begin)
+    assert done == ["made", dev.RUN_LOCKED, dev.LOCKED]
+
+
+def test_the_rest_is_done_in_the_background_by_one_process(
+    clone: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun: list[list[str]] = []
-    monkeypatch.setattr(dev, "ROOT", tmp_path)
-    monkeypatch.setattr(dev, "STAMP", tmp_path / "stamp.json")
-    monkeypatch.setattr(dev, "KERNEL_STAMP", tmp_path / "stamp-kernel.json")
-    monkeypatch.setattr(dev, "KERNEL_LOG", tmp_path / "kernel.log")
-    monkeypatch.setattr(dev, "find_compiler", lambda: "c++")
     monkeypatch.setattr(dev.subprocess, "Popen", lambda command, **_: begun.append(command))
-    dev.install_kernel_in_background()
+    dev.VENV.mkdir()
+    dev.PYTHON.touch()
+    dev.write_stamp(dev.STAMP, dev.wanted_stamp(dev.RUN_LOCKED))
+    dev.finish_in_background()
     assert [command[-1] for command in begun] == ["env"]
-    with dev.only_one(tmp_path / ".venv.lock"):
-        dev.install_kernel_in_background()
+    with dev.only_one(clone / ".venv.lock"):
+        dev.finish_in_background()
+    dev.write_stamp(dev.STAMP, dev.wanted_stamp(dev.LOCKED))
     dev.write_stamp(dev.KERNEL_STAMP, dev.wanted_kernel("c++"))
-    dev.install_kernel_in_background()
+    dev.finish_in_background()
     assert len(begun) == 1
 
 
