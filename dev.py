@@ -251,11 +251,14 @@ def quietly(command: Sequence[str | Path], seconds: float | None = None) -> str:
     return done.stdout
 
 
-def pip(python: Path, *arguments: str | Path, log: Path) -> None:
+def pip(python: Path, *arguments: str | Path) -> None:
+    """Run pip; where it fails, what it said is kept (its own --log, of every link, is a fifth of its time)."""
     try:
-        quietly([python, "-m", "pip", "--log", log, *arguments])
+        quietly([python, "-m", "pip", *arguments])
     except SetupError as failure:
-        details = f" (pip's own words: {log})" if log.is_relative_to(ROOT) else ""
+        with contextlib.suppress(OSError):
+            PIP_LOG.write_text(str(failure), encoding="utf-8")
+        details = f" (pip's own words: {PIP_LOG})" if PIP_LOG.exists() else ""
         raise SetupError(pip_complaint(str(failure)) + details) from failure
 
 
@@ -352,7 +355,7 @@ def make_environment(*, begin: bool = False) -> None:
             say("pyproject.toml has changed, installing the project again")
         elif packages == wanted_stamp(RUN_LOCKED)["packages"]:
             say("adding what requirements/locked.txt has beside it to .venv, about a minute")
-            pip(PYTHON, *PIP_INSTALL_LOCKED, locked, log=PIP_LOG)
+            pip(PYTHON, *PIP_INSTALL_LOCKED, locked)
         else:
             say(
                 f"making .venv from requirements/{locked.name}, {'half a minute' if begin else 'a minute or two'}"
@@ -364,8 +367,8 @@ def make_environment(*, begin: bool = False) -> None:
             elif VENV.exists():
                 shutil.rmtree(VENV)
             make_venv(VENV)
-            pip(PYTHON, *PIP_INSTALL_LOCKED, locked, log=PIP_LOG)
-        pip(PYTHON, "install", "--no-deps", "--no-build-isolation", "--no-index", "-e", ROOT, log=PIP_LOG)
+            pip(PYTHON, *PIP_INSTALL_LOCKED, locked)
+        pip(PYTHON, "install", "--no-deps", "--no-build-isolation", "--no-index", "-e", ROOT)
         try:
             quietly([PYTHON, "-m", "pip", "check"])
         except SetupError as failure:
@@ -475,7 +478,7 @@ def install_beside(locked: Path, what: str) -> str:
     with only_one(ROOT / ".venv.lock"):
         say(f"installing {what}, requirements/{locked.name}")
         try:
-            pip(PYTHON, *PIP_INSTALL_LOCKED, locked, log=PIP_LOG)
+            pip(PYTHON, *PIP_INSTALL_LOCKED, locked)
         except SetupError as failure:
             return str(failure)
         write_stamp(stamp, wanted)
@@ -586,7 +589,7 @@ def other_versions(which: str, extra: list[str]) -> int:
         folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix=f"dashpot-{which}-")))
         make_venv(folder / "tools")
         tools = folder / "tools" / BIN.name
-        pip(tools / PYTHON.name, "install", "uv", log=folder / "pip.log")
+        pip(tools / PYTHON.name, "install", "uv")
         uv, python = tools / "uv", place / BIN.name / PYTHON.name
         resolution = ["--resolution", "lowest-direct" if which == "lowest" else "highest"]
         try:
@@ -648,7 +651,7 @@ def lock(extra: list[str]) -> int:
         place = Path(folder)
         make_venv(place)
         binaries = place / BIN.name
-        pip(binaries / PYTHON.name, "install", "uv", log=place / "pip.log")
+        pip(binaries / PYTHON.name, "install", "uv")
         for output, inputs in (
             (LOCKED, ["pyproject.toml", "requirements/dev.in"]),
             (

@@ -177,7 +177,7 @@ def test_a_run_begins_with_what_it_needs_and_the_rest_is_added_to_it(
         place.mkdir()
         dev.PYTHON.touch()
 
-    def pip(_: Path, *words: object, log: Path) -> None:
+    def pip(_: Path, *words: object) -> None:
         if "-e" not in words:
             done.append(words[-1])
 
