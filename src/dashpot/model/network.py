@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.channel import kind_of
@@ -382,6 +383,15 @@ class Model:
     def sparse_B(self) -> sparse.csr_array:
         """Incidence over the coordinates, sparse, (elements, n)."""
         return self._incidence(self.coordinates)
+
+    @cached_property
+    def connected(self) -> tuple[sparse.csr_array, Bools]:
+        """Parts that elements connect: their coordinates, (n, parts), and which inputs drive them, (parts, r + s)."""
+        B = abs(self.sparse_B)
+        count, part = connected_components(B.T @ B, directed=False)
+        member = sparse.csr_array((np.ones(self.n), (np.arange(self.n), part)), shape=(self.n, count))
+        driven = np.concatenate([B.T @ abs(self.D), abs(self.S)], axis=1)
+        return member, member.T @ driven > 0
 
     @cached_property
     def B(self) -> Real:

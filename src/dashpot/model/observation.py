@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.channel import Channel, Quantity
@@ -230,14 +229,13 @@ class ObservationModel:
         A channel sees an input that reaches its coordinates through elements; a force on another rig of the same
         model, or on a part that is connected only to moved inputs, it does not.
         """
-        model, B = self.model, abs(self.model.sparse_B)
-        count, part = connected_components(B.T @ B, directed=False)
-        member = sparse.csr_array((np.ones(model.n), (np.arange(model.n), part)), shape=(model.n, count))
-        driven = np.concatenate([B.T @ abs(model.D), abs(model.S)], axis=1)
-        looking = np.abs(self.on_x) + abs(self.force) @ B
-        direct = np.abs(self.on_q)
-        direct[:, : model.D.shape[1]] += abs(self.force) @ abs(model.D)
-        return ((looking @ member > 0).astype(float) @ (member.T @ driven > 0) > 0) | (direct > 0)
+        model = self.model
+        member, driven = model.connected
+        looking, direct = np.abs(self.on_x), np.abs(self.on_q)
+        if self.has_forces:
+            looking = looking + abs(self.force) @ abs(model.sparse_B)
+            direct[:, : model.D.shape[1]] += abs(self.force) @ abs(model.D)
+        return ((looking @ member > 0).astype(float) @ driven > 0) | (direct > 0)
 
     def at_lines(self, lines: slice) -> ObservationModel:
         """The same channels at some of the frequencies; made once for each."""

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import structural_rank
 
-from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices, hermitian, is_diagonal
+from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices, frozen, hermitian, is_diagonal
 from dashpot.estimate.likelihood.boundary_loads import (
     Projector,
     SampledLoads,
@@ -76,17 +76,17 @@ def inputs_seen(view: ObservationModel, present: Bools) -> Ints:
 
     present (lines, channels).
     """
-    patterns, which = np.unique(present, axis=0, return_inverse=True)
-    seen = (view.sees & pattern[:, None] for pattern in patterns)
-    return np.array([_generic_rank(each.tobytes(), each.shape) for each in seen], dtype=np.int64)[
-        which.ravel()
-    ]
+    return _inputs_seen(view.sees.tobytes(), view.sees.shape, present.tobytes())
 
 
-@lru_cache(maxsize=4096)
-def _generic_rank(entries: bytes, shape: tuple[int, int]) -> int:
-    """Of a matrix by where it has entries."""
-    return int(structural_rank(sparse.csr_array(np.frombuffer(entries, dtype=np.bool_).reshape(shape))))
+@lru_cache(maxsize=32)  # of suppositions about the same channels; a key has a byte for each amplitude
+def _inputs_seen(sees: bytes, shape: tuple[int, int], present: bytes) -> Ints:
+    shown = np.frombuffer(sees, dtype=np.bool_).reshape(shape)
+    patterns, which = np.unique(
+        np.frombuffer(present, dtype=np.bool_).reshape(-1, shape[0]), axis=0, return_inverse=True
+    )
+    ranks = [structural_rank(sparse.csr_array(shown & pattern[:, None])) for pattern in patterns]
+    return frozen(np.array(ranks)[which.ravel()], np.int64)
 
 
 def estimated_inputs(G: Complex, W: Complex, y: Complex) -> tuple[Complex, Complex]:
