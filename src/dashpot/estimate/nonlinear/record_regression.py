@@ -293,7 +293,7 @@ class WeakEquations:
         between = np.einsum("kia,ab,ljb->klij", carried, self.noise, carried)
         size = len(carried[0]) * len(self.products[0, 0])
         C = np.einsum("klij,klwv->iwjv", between, self.products).reshape(size, size)
-        rounding = EXACT * np.mean(np.diagonal(C)) * np.eye(size)
+        rounding = np.diag(np.full(size, EXACT * np.mean(np.diagonal(C))))
         whitener: Real = np.linalg.inv(np.linalg.cholesky(C + self.error + rounding))
         return whitener
 
