@@ -16,7 +16,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real, freeze, frozen, hermitian
+from dashpot.arrays import Complex, Ints, Real, freeze, frozen, hermitian, is_diagonal
 from dashpot.channel import Channel
 from dashpot.errors import DataError, ModelError, UsageError
 from dashpot.estimate.nonlinear.objective import FEWEST, DwellLines, NonlinearPart, WarmStart, evaluate
@@ -31,6 +31,7 @@ from dashpot.model.observation import (
     noise_sd,
     nominal_calibrations,
     observation_model,
+    slopes_by_unknown,
     transfer,
     unknown_calibrations,
 )
@@ -160,15 +161,16 @@ def outputs(model: Model, p: Real, channels: Sequence[Channel], omega: Real, dri
 def fisher(J: Complex, G: Complex, V: Complex, names: Sequence[str]) -> Real:
     """2 Re Jᴴ V⁻¹ J with the line's own unknowns (slopes G) projected out; (..., lines, parameters, parameters).
 
-    J (..., lines, channels, parameters), G (..., lines, channels, inputs), V (..., lines, channels, channels).  A
-    channel with zero variance is exact: it must not depend on the parameters (it fixes inputs).  Rows of zeros are
-    no measurement.  Raises UsageError for an exact channel that depends on them; `names` are the channels'.
+    J (..., lines, channels, parameters), G (..., lines, channels, inputs), V (..., lines, channels, channels), or the
+    variances (..., lines, channels, 1) of independent noise.  A channel with zero variance is exact: it must not depend
+    on the parameters (it fixes inputs).  Rows of zeros are no measurement.  Raises UsageError for an exact channel that
+    depends on them; `names` are the channels'.
     """
     lead = np.broadcast_shapes(*(part.shape[:-2] for part in (J, G, V)))
     flat = [np.broadcast_to(part, (*lead, *part.shape[-2:])) for part in (J, G, V)]
     J, G, V = (part.reshape(math.prod(lead), *part.shape[-2:]) for part in flat)
     silent = ~np.any(J != 0, axis=-1) & ~np.any(G != 0, axis=-1)
-    exact = (np.diagonal(V, axis1=-2, axis2=-1).real == 0) & ~silent
+    exact = (_variances(V) == 0) & ~silent
     kinds = np.concatenate([exact, silent], axis=-1)
     total = np.zeros((len(J), J.shape[-1], J.shape[-1]))
     for kind in (
@@ -191,19 +193,25 @@ def fisher(J: Complex, G: Complex, V: Complex, names: Sequence[str]) -> Real:
             _, s, Vh = np.linalg.svd(E / np.where(size > 0, size, 1.0), full_matrices=True)
             rank = int(np.min(np.sum(s > 1e-9, axis=-1)))
             free = hermitian(Vh[:, rank:])
-        W = V[alike][:, noisy][:, :, noisy]
+        W = V[alike][:, noisy]
+        W = W if W.shape[-1] == 1 else W[:, :, noisy]
         total[alike] = _projected(part[:, noisy], inputs[:, noisy] @ free, W)
     return total.reshape(*lead, *total.shape[1:])
 
 
+def _variances(V: Complex) -> Real:
+    """(..., channels) of `fisher`'s V."""
+    variances: Real = (V[..., 0] if V.shape[-1] == 1 else np.diagonal(V, axis1=-2, axis2=-1)).real
+    return variances
+
+
 def _projected(J: Complex, G: Complex, V: Complex) -> Real:
     """2 Re Jᴴ V⁻¹ J without the part that G explains."""
-    sd = np.sqrt(np.diagonal(V, axis1=-2, axis2=-1).real)
+    sd = np.sqrt(_variances(V))
     J, G = J / sd[..., None], G / sd[..., None]
-    R = V / (sd[..., :, None] * sd[..., None, :])
-    if np.any(R * (1 - np.eye(R.shape[-1])) != 0):
+    if not is_diagonal(V):
         try:
-            root = np.linalg.cholesky(R)
+            root = np.linalg.cholesky(V / (sd[..., :, None] * sd[..., None, :]))
         except np.linalg.LinAlgError:
             raise DataError(
                 "the noise of some channels is perfectly correlated", cure="leave one of them out"
@@ -235,7 +243,7 @@ def per_sample(model: Model, channels: Sequence[Channel], seen: Outputs) -> Real
         for c in channels
     ]
     seeing = (~(np.array(relative) & (sd == 0)))[..., None]
-    V = ((4 * sd**2)[..., None] * np.eye(len(channels))).astype(np.complex128)
+    V = (4 * sd**2)[..., None].astype(np.complex128)
     J, G = np.where(seeing, seen.by_parameter, 0.0), np.where(seeing, seen.by_input, 0.0)
     return fisher(J, G, V, [channel.name for channel in channels])
 
@@ -406,7 +414,8 @@ class TestSetup:
         model, channels, omega = self.model, self.channels, 2 * np.pi * frequency_hz
         lines, q, elements = len(omega), len(self.names), len(self.model.elements)
         scenarios = max(1, CHUNK // max(1, lines * (len(channels) * q + elements * model.n)))
-        at_once = max(1, CHUNK // max(1, min(scenarios, len(self.p)) * len(channels) * (q + elements)))
+        held = len(model.inputs) * q if slopes_by_unknown(model, channels) else elements
+        at_once = max(1, CHUNK // max(1, min(scenarios, len(self.p)) * len(channels) * (q + held)))
         parts = [np.zeros((0, lines, q, q))]
         for first in range(0, len(self.p), scenarios):
             some = slice(first, first + scenarios)

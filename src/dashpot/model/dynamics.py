@@ -6,6 +6,7 @@ parameters p, (..., elements), and on the amplitudes; `omega` is (lines,) in rad
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +27,12 @@ FROM = 300  # coordinates from which responses are computed in the sparse patter
 
 
 def solve_stiffness(model: Model, weight: Complex, right: Complex) -> Complex:
-    """D⁻¹ right with D = Bᵀ diag(weight) B, weight = p φ(ω) (elements,), right (n, k); NaN where D is singular.
+    """D⁻¹ right with D = Bᵀ diag(weight) B, weight = p φ(ω) (elements,), right (n, k); NaN where D is singular."""
+    return stiffness_solver(model, weight)(right)
+
+
+def stiffness_solver(model: Model, weight: Complex) -> Callable[[Complex], Complex]:
+    """`solve_stiffness` as a function of the right side, D being factorised once.
 
     SuperLU with the ordering of AᵀA's pattern is slow and full for these matrices; minimum degree on A + Aᵀ in
     symmetric mode, pivots staying on the diagonal, keeps a chain's factors as sparse as the chain.
@@ -34,9 +40,8 @@ def solve_stiffness(model: Model, weight: Complex, right: Complex) -> Complex:
     try:
         factors = factorised(assembled(model, weight))
     except RuntimeError:  # exactly singular
-        return np.full(right.shape, np.nan, dtype=np.complex128)
-    solved: Complex = factors.solve(np.asarray(right, dtype=np.complex128))
-    return solved
+        return lambda right: np.full(right.shape, np.nan, dtype=np.complex128)
+    return lambda right: np.asarray(factors.solve(np.asarray(right, dtype=np.complex128)))
 
 
 def assembled(model: Model, weight: Real | Complex) -> sparse.csc_array:

@@ -20,7 +20,7 @@ from scipy import sparse
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import DataError
-from dashpot.model.dynamics import solve_stiffness, stiffness
+from dashpot.model.dynamics import stiffness, stiffness_solver
 from dashpot.model.network import Model
 from dashpot.numerics.small_systems import solve_small
 from dashpot.units import si_unit
@@ -391,6 +391,7 @@ class Transfer:
     X (..., lines, n, r + s): coordinates per unit of each input
     E (..., lines, channels, elements): ∂y_c/∂p_i = E_ci a_i, the effect of an internal force in element i
     psi (..., M): the unknowns, where G and E hold κ; None if calibrations are left out
+    by_theta (..., lines, channels, r + s, unknowns): ∂G/∂θ in place of E, where that is less
     """
 
     view: ObservationModel
@@ -398,10 +399,12 @@ class Transfer:
     X: Complex
     E: Complex
     psi: Real | None = None
+    by_theta: Complex | None = None
 
     def calibrated(self, kappa: Complex, psi: Real) -> Transfer:
         """The same with calibrations κ (..., lines, channels, 1) at ψ."""
-        return Transfer(self.view, kappa * self.G, self.X, kappa * self.E, psi)
+        by_theta = None if self.by_theta is None else kappa[..., None] * self.by_theta
+        return Transfer(self.view, kappa * self.G, self.X, kappa * self.E, psi, by_theta)
 
     def amplitudes(self, q: Complex) -> Complex:
         """y = G q under inputs q (..., lines, r + s); (..., lines, channels)."""
@@ -418,9 +421,11 @@ class Transfer:
     def slopes(self, q: Complex) -> Complex:
         """∂y/∂ψ at fixed inputs q (..., lines, r + s), ∂y/∂θ without calibrations; (..., lines, channels, M)."""
         model = self.view.model
-        by_theta = _times(
-            self.E * self.unit_forces(q)[..., None, :], model.T if small(model) else model.sparse_T
-        )
+        if self.by_theta is None:
+            T = model.T if small(model) else model.sparse_T
+            by_theta = _times(self.E * self.unit_forces(q)[..., None, :], T)
+        else:
+            by_theta = np.einsum("...cqm,...q->...cm", self.by_theta, q)
         if self.psi is None or not (self.view.gains or self.view.delays):
             return by_theta
         by_calibration = calibration_slopes(self.view, self.psi, self.amplitudes(q))
@@ -431,7 +436,7 @@ def transfer(view: ObservationModel, p: Real) -> Transfer:
     """The channels at parameters p (..., elements); NaN where the rig has no steady response.
 
     ∂X/∂p_i = −D⁻¹ b_iᵀ a_i is never formed: one adjoint solve per channel, D being symmetric, gives all its slopes,
-    E = F − (B D⁻¹ cᵀ)ᵀ.
+    E = F − (B D⁻¹ cᵀ)ᵀ.  Of a large rig with more channels than unknowns, one solve per input and unknown does.
     """
     return _transfer_dense(view, p) if small(view.model) else _transfer_sparse(view, p)
 
@@ -450,6 +455,11 @@ def calibrated_transfer(view: ObservationModel, psi: Real, sign: Real) -> Transf
 def small(model: Model) -> bool:
     """Whether stacks of full matrices beat factorisations of the sparse pattern."""
     return model.n < SPARSE_FROM
+
+
+def slopes_by_unknown(model: Model, channels: Sequence[Channel]) -> bool:
+    """Whether `transfer` solves for the motions by each input and unknown, which are fewer than the channels."""
+    return not small(model) and len(model.inputs) * len(model.unknowns) < len(channels)
 
 
 def _transfer_dense(view: ObservationModel, p: Real) -> Transfer:
@@ -472,29 +482,34 @@ def _transfer_dense(view: ObservationModel, p: Real) -> Transfer:
 
 def _transfer_sparse(view: ObservationModel, p: Real) -> Transfer:
     model = view.model
-    B, D, lines, channels = model.sparse_B, model.D, len(view.omega), len(view.channels)
-    Bt, forces = B.T.tocsr(), np.flatnonzero(np.any(view.force, axis=-1))
+    B, D, T, lines, channels = model.sparse_B, model.D, model.sparse_T, len(view.omega), len(view.channels)
+    Bt, on_x, force = B.T.tocsr(), sparse.csr_array(view.on_x), sparse.csr_array(view.force)
     flat = p.reshape(-1, p.shape[-1])
     r, S = D.shape[1], model.S.astype(np.complex128)
+    forward = slopes_by_unknown(model, view.channels)
     G = np.empty((len(flat), lines, channels, r + S.shape[1]), dtype=np.complex128)
     X = np.empty((len(flat), lines, model.n, r + S.shape[1]), dtype=np.complex128)
-    E = np.empty((len(flat), lines, channels, len(model.elements)), dtype=np.complex128)
+    E = np.empty((len(flat), lines, channels, 0 if forward else len(model.elements)), dtype=np.complex128)
+    by_theta = np.empty((*G.shape, view.m if forward else 0), dtype=np.complex128)
     for line, factors in enumerate(view.factors):
-        direct_x, direct_q = (view.rates[line][:, None] * on for on in (view.on_x, view.on_q))
-        for k, weight in enumerate(flat * factors):
-            C_x, C_q = direct_x.copy(), direct_q.copy()
-            if len(forces):
-                rows = view.force[forces] * weight
-                C_x[forces] += rows @ B
-                C_q[forces, :r] += rows @ D
-            right = np.concatenate([C_x.T, -(Bt @ (weight[:, None] * D)), S], axis=1)
-            solved = solve_stiffness(model, weight, right)
-            X[k, line] = solved[:, channels:]
-            G[k, line] = C_q + C_x @ X[k, line]
-            E[k, line] = view.force - (B @ solved[:, :channels]).T
+        rates = view.rates[line][:, None]
+        for k, weights in enumerate(flat * factors):
+            solve, weight = stiffness_solver(model, weights), weights[:, None]
+            X[k, line] = solve(np.concatenate([-(Bt @ (weight * D)), S], axis=1))
+            delta = B @ X[k, line]
+            delta[:, :r] += D
+            G[k, line] = rates * (on_x @ X[k, line] + view.on_q) + force @ (weight * delta)
+            if not forward:
+                adjoint = solve(view.on_x.T * rates.T + Bt @ (weight * view.force.T))
+                E[k, line] = view.force - (B @ adjoint).T
+                continue
+            for j, a in enumerate((factors[:, None] * delta).T):
+                pushed = (T * a[:, None]).toarray()
+                moved = -solve(Bt @ pushed)
+                by_theta[k, line, :, j] = rates * (on_x @ moved) + force @ (weight * (B @ moved) + pushed)
     lead = p.shape[:-1]
-    G, X, E = (part.reshape(*lead, *part.shape[1:]) for part in (G, X, E))
-    return Transfer(view, G, X, E)
+    G, X, E, by_theta = (part.reshape(*lead, *part.shape[1:]) for part in (G, X, E, by_theta))
+    return Transfer(view, G, X, E, None, by_theta if forward else None)
 
 
 def _times(rows: Complex, matrix: Real | sparse.csr_array | sparse.csc_array) -> Complex:

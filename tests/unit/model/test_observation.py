@@ -194,6 +194,15 @@ def test_sparse_is_dense(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(sparse.slopes(q), dense.slopes(q), rtol=1e-6, atol=1e-12)
     one = transfer(view, p[1, 2])
     np.testing.assert_allclose(one.G, sparse.G[1, 2], rtol=1e-7, atol=1e-12)
+    # More channels than unknowns: their slopes are solved for the other way round
+    wide = transfer(observation_model(rig.model, chosen * 20, rig.omega), p)
+    assert wide.by_theta is not None
+    np.testing.assert_allclose(
+        wide.slopes(q)[..., : len(chosen), :],
+        dense.slopes(q),
+        rtol=1e-6,
+        atol=1e-9 * np.max(abs(dense.slopes(q))),
+    )
 
 
 def test_noise_is_a_floor_and_a_part_of_the_amplitude() -> None:
