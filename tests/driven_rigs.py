@@ -8,8 +8,8 @@ import numpy as np
 from dashpot.arrays import Real
 from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from dashpot.model.elements import Kind, between
+from dashpot.model.network import Model
 from dashpot.model.nonlinear.force_law import Constant, force_law
 from tests.networks import network
 
@@ -78,10 +78,7 @@ def on_base(law: str, value: float, samples: int = 800, *constants: Constant) ->
     x = moved(acceleration, samples)
     kind = Kind.SPRING if law == "cubic" else Kind.DAMPER
     element = replace(between("q", kind, "x", "u"), force_law=force_law(law, constants))
-    model = Model(
-        ("x",), (Input("u"),),
-        (mass("m", "x", value=m), between("k", Kind.SPRING, "x", "u"), between("c", Kind.DAMPER, "x", "u"), element),
-    )  # fmt: skip
+    model = network("x", "u", f"m@x={m} k:x-u c:x-u", element)
     channels = (Channel("x", {"x": 1.0}), Channel("u", {"u": 1.0}))
     values = np.column_stack([x, u[:: 2 * FINER]])
     record = Record(channels, np.arange(samples) / RATE, values)

@@ -1,5 +1,8 @@
 """Rigs of elements between points in a line of text."""
 
+from dataclasses import replace
+from typing import Any
+
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 
@@ -23,3 +26,8 @@ def network(coordinates: str, inputs: str, elements: str, *more: Element, name: 
             found.append(between(joint, KINDS[joint[0]], *ends.split("-"), value=known))
     forces = [Input(one, "force", {at: 1.0}) if at else Input(one) for one, _, at in given]
     return Model(tuple(coordinates.split()), tuple(forces), (*found, *more), name)
+
+
+def changed(model: Model, name: str, **what: Any) -> Model:
+    """The rig with something else stated of one element: changed(model, "k1", value=3.0)."""
+    return replace(model, elements=tuple(replace(e, **what) if e.name == name else e for e in model.elements))

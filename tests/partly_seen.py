@@ -15,6 +15,7 @@ from dashpot.data.spectrum import Spectrum
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.study.simulate import Dwells, clean_amplitudes
+from tests import rigs
 
 A, F = Quantity.ACCELERATION, Quantity.FORCE
 K, C, M = Kind.SPRING, Kind.DAMPER, Kind.MASS
@@ -103,16 +104,8 @@ class Bench:
         V = self.covariance(correlation)
         Y = self.shown(self.psi)
         if rng is not None:
-            values, vectors = np.linalg.eigh(V)
-            root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
-            shape = (() if draws is None else (draws,)) + V.shape[:-1]
-            white = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
-            Y = Y + (root @ white[..., None])[..., 0]
-        lines = self.lines
-        return Spectrum(
-            self.channels, self.frequency_hz, Y, V, np.ones(lines, dtype=int), np.full(lines, np.inf),
-            ("given",) * lines, np.zeros(lines, dtype=int),
-        )  # fmt: skip
+            Y = Y + rigs.complex_noise(rng, V, draws)
+        return rigs.stated(self.channels, self.frequency_hz, Y, V)
 
     def slopes(self, step: float = 1e-5) -> Complex:
         """∂(what is shown)/∂ψ by central differences with Richardson's correction, (lines, channels, unknowns)."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
@@ -313,12 +314,24 @@ def covariance(
 def perfect(rig: Rig, chosen: Sequence[Channel], V: Complex | None = None) -> Spectrum:
     """The noise-free spectrum; its stated covariance is V, 0 where not given."""
     Y = amplitudes(rig, chosen)
-    lines, count = Y.shape
-    V = np.zeros((lines, count, count)) if V is None else V
+    return stated(chosen, rig.frequency_hz, Y, np.zeros((*Y.shape, len(chosen))) if V is None else V)
+
+
+def stated(
+    chosen: Sequence[Channel], hz: ArrayLike, Y: Complex, V: Complex | Real, experiment: ArrayLike = 0
+) -> Spectrum:
+    """Amplitudes Y (…, lines, channels) at the lines, with the covariance V that they state."""
+    lines = Y.shape[-2]
     return Spectrum(
-        tuple(chosen), rig.frequency_hz, Y, V, np.ones(lines, dtype=int), np.full(lines, np.inf),
-        ("given",) * lines, np.zeros(lines, dtype=int),
+        tuple(chosen), np.asarray(hz), Y, V, np.ones(lines, dtype=int), np.full(lines, np.inf), ("given",) * lines,
+        np.broadcast_to(experiment, lines),
     )  # fmt: skip
+
+
+def of_unknown_noise(spectrum: Spectrum) -> Spectrum:
+    """The same amplitudes, of whose noise nothing is known."""
+    nothing = np.full_like(spectrum.covariance, np.nan)
+    return replace(spectrum, covariance=nothing, noise=("unknown",) * spectrum.lines)
 
 
 def complex_noise(rng: np.random.Generator, V: Complex, draws: int | None = None) -> Complex:

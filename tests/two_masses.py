@@ -1,7 +1,6 @@
 """Files that many tests share: two masses on a shaken base, a study of it, a rig whose springs are alike."""
 
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from dashpot.model.network import Model
 from dashpot.model.rigfile import Rig, parse_rig
 from tests.networks import network
 
@@ -103,19 +102,8 @@ def two_mass_rig(
 
 def pushed_pair(base: str) -> Model:
     """Two masses in a row on `base`, "u" or "ground", with a force on the first; true values are PUSHED."""
-    force = Input("f", "force", {"x1": 1.0})
-    return Model(
-        ("x1", "x2"),
-        (Input("u"), force) if base == "u" else (force,),
-        (
-            mass("m1", "x1"),
-            mass("m2", "x2"),
-            between("k1", Kind.SPRING, "x1", base),
-            between("k2", Kind.SPRING, "x1", "x2"),
-            between("c1", Kind.DAMPER, "x1", base),
-            between("c2", Kind.DAMPER, "x1", "x2"),
-        ),
-    )
+    inputs = "u f@x1" if base == "u" else "f@x1"
+    return network("x1 x2", inputs, f"m1@x1 m2@x2 k1:x1-{base} k2:x1-x2 c1:x1-{base} c2:x1-x2")
 
 
 def one_mass(

@@ -55,9 +55,7 @@ def test_where_chi2_is_a_parabola_nothing_changes() -> None:
     estimate = identify(paper.model, spectrum)
     assert with_profile_intervals(paper.model, spectrum, estimate) is estimate
     # Noise that is not known scales χ²: a parabola stays one.
-    unknown = replace(
-        spectrum, covariance=np.full_like(spectrum.covariance, np.nan), noise=("unknown",) * spectrum.lines
-    )
+    unknown = rigs.of_unknown_noise(spectrum)
     unknown, method = with_residual_noise(paper.model, unknown, automatic(paper.model, unknown))
     estimate = identify(paper.model, unknown, method)
     assert not np.any(bent_unknowns(paper.model, unknown, estimate))

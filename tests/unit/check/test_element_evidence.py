@@ -9,10 +9,11 @@ import pytest
 from dashpot.check.element_evidence import _Scored, compare_in_records, with_nothing
 from dashpot.data.record import Record
 from dashpot.estimate.nonlinear.whole_record import fit_records
-from dashpot.model.elements import Kind, between, mass
+from dashpot.model.elements import Kind, between
 from dashpot.model.network import Input, Model
 from dashpot.model.nonlinear.force_law import force_law
 from dashpot.study.simulate import driven_record
+from tests.networks import network
 from tests.nonlinear_rigs import motions
 
 TRUTH = np.array([1.0, 900.0, 2.0, 4e6])
@@ -23,10 +24,7 @@ def rig(*laws):
         replace(between(f"k{i}", Kind.SPRING, "x", "u"), force_law=force_law(law))
         for i, law in enumerate(laws)
     ]
-    parts = (
-        mass("m", "x", value=1.0), between("k", Kind.SPRING, "x", "u"), between("c", Kind.DAMPER, "x", "u"), *joints
-    )  # fmt: skip
-    return Model(("x",), (Input("u"),), parts)
+    return network("x", "u", "m@x=1 k:x-u c:x-u", *joints)
 
 
 def record(model, theta):

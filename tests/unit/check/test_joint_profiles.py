@@ -1,7 +1,5 @@
 """Intervals where χ² has several valleys: they reach as far as χ² is low, whichever profile found it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -15,6 +13,7 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.result import Estimate
 from dashpot.model.network import Model
 from tests import rigs
+from tests.networks import changed
 from tests.whole_rigs import four_seen_at_two
 
 SIGNS = (1.0, 1.0, 1.0)
@@ -32,10 +31,7 @@ def seen_at_two_of_four(draws: int) -> tuple[Model, Real, list[Spectrum]]:
 def rise_at_the_truth(model: Model, spectrum: Spectrum, estimate: Estimate, theta: Real, j: int) -> float:
     """χ² with one unknown held at the truth above that of the estimate, from two starts."""
     name = estimate.names[j]
-    held = replace(
-        model,
-        elements=tuple(replace(e, value=float(theta[j])) if e.name == name else e for e in model.elements),
-    )
+    held = changed(model, name, value=float(theta[j]))
     ends = [
         identify(held, spectrum, MaximumLikelihood(start=tuple(np.delete(start, j)), start_sign=SIGNS))
         for start in (theta, estimate.values)

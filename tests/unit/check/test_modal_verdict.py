@@ -12,6 +12,7 @@ from dashpot.estimate.assessment import Assessment
 from dashpot.estimate.modal import identify_modal
 from dashpot.model.elements import Kind, between
 from dashpot.model.network import Model
+from tests.networks import changed
 from tests.unit.estimate.modal.test_identify_modal import chain, measured
 
 Mistake = Callable[[ModalData], ModalData]
@@ -89,9 +90,7 @@ def test_other_units_of_modes_are_named_where_known_parts_show_them(mistake: Mis
 def test_stated_values_that_contradict_each_other_are_both_named() -> None:
     """Modes show ratios: a spring stated too stiff is a mass stated too heavy."""
     model, data = clean(k1={"value": 4000.0})
-    stated = replace(
-        model, elements=tuple(replace(e, value=5200.0) if e.name == "k1" else e for e in model.elements)
-    )
+    stated = changed(model, "k1", value=5200.0)
     findings = {finding.of: finding for finding in assessed(stated, data).findings[:2]}
     assert {finding.kind for finding in findings.values()} == {"value"}
     assert findings["k1",].number == pytest.approx(4000.0, rel=0.05)

@@ -15,7 +15,7 @@ from dashpot.model.elements import Kind, between
 from dashpot.model.nonlinear.continuation import followed, frequency_sweep
 from dashpot.model.nonlinear.force_law import Constant, force_law
 from dashpot.model.nonlinear.harmonics import Drive
-from tests.networks import network
+from tests.networks import changed, network
 from tests.nonlinear_rigs import LAWS, motions, settled, two_masses
 
 ALL = motions("x1", "x2", "u")
@@ -67,9 +67,7 @@ def test_laws_that_no_drive_tells_apart_and_elements_that_do_not_move_are_named(
 def test_data_are_refused_for_the_unknowns_that_cannot_be_told_apart_and_no_others():
     model, theta = two_masses("bilinear")
     spectrum = settled(model, theta, ALL, FREQUENCIES[::2], orders=(1, 2))
-    opened = replace(
-        model, elements=tuple(replace(e, value=None) if e.name == "k2" else e for e in model.elements)
-    )
+    opened = changed(model, "k2", value=None)
     with pytest.raises(IdentifiabilityError, match=r"k2, q, q\.ratio can change together"):
         require_identifiable(opened, ALL, "rig.toml", spectrum)
 

@@ -1,7 +1,5 @@
 """Profile likelihood: ends and bounds."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,8 @@ from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.table_noise import with_residual_noise
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
-from tests.rigs import channels, covariance, measured, paper_rig, perfect
+from tests.networks import changed
+from tests.rigs import channels, covariance, measured, of_unknown_noise, paper_rig, perfect
 
 
 def test_profile_of_a_parabola_is_the_normal_interval() -> None:
@@ -44,8 +43,7 @@ def test_profile_ends_are_where_a_search_with_the_value_fixed_says() -> None:
 
 def test_profile_stops_at_a_bound() -> None:
     rig = paper_rig([2.0, 4.0, 9.0])
-    elements = tuple(replace(e, lower=35.0) if e.name == "c2" else e for e in rig.model.elements)
-    bounded = replace(rig.model, elements=elements)
+    bounded = changed(rig.model, "c2", lower=35.0)
     spectrum = measured(rig, 0.15, seed=3)
     found = profile(bounded, spectrum, "c2", estimate=identify(bounded, spectrum, MaximumLikelihood()))
     assert found.lower == 35.0
@@ -54,9 +52,7 @@ def test_profile_stops_at_a_bound() -> None:
 def test_profile_where_the_noise_is_unknown_uses_the_residuals() -> None:
     rig = paper_rig()
     spectrum = measured(rig, 1e-3)
-    silent = replace(
-        spectrum, covariance=np.full_like(spectrum.covariance, np.nan), noise=("unknown",) * spectrum.lines
-    )
+    silent = of_unknown_noise(spectrum)
     silent, method = with_residual_noise(rig.model, silent, automatic(rig.model, silent))
     estimate = identify(rig.model, silent, method)
     found = profile(rig.model, silent, "m1", estimate=estimate)

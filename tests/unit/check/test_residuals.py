@@ -17,6 +17,7 @@ from dashpot import (
 )
 from dashpot.arrays import Real
 from dashpot.check.residuals import calibrations_of, channel_response, residuals
+from tests import rigs
 from tests.networks import network
 
 MODEL = network("x1 x2", "u", "m1@x1 m2@x2=2.7 k1:x1-x2 k2:x2-u=4600 c1:x1-x2 c2:x2-u")
@@ -126,9 +127,7 @@ def test_what_was_not_measured_has_no_residual_but_a_prediction() -> None:
 
 def test_unknown_noise_is_scaled_to_1() -> None:
     spectrum = simulated(9)
-    unknown = replace(
-        spectrum, covariance=np.full_like(spectrum.covariance, np.nan), noise=("unknown",) * spectrum.lines
-    )
+    unknown = rigs.of_unknown_noise(spectrum)
     estimate = identify(MODEL, unknown)
     found = residuals(MODEL, estimate.values, unknown)
     assert found.scaled

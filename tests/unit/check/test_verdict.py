@@ -19,9 +19,8 @@ from dashpot.estimate.automatic import identify_with_noise
 from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.diagnostics import wrong_signs
 from dashpot.model.dynamics import response
-from dashpot.model.elements import Kind, between, mass
 from dashpot.model.motion import channel_samples, integrator
-from dashpot.model.network import Input, Model
+from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
 from dashpot.notices import Notice
 from tests import rigs
@@ -142,13 +141,9 @@ def test_a_forgotten_mass_is_named() -> None:
 
 def bench(seed: int = 0) -> tuple[Model, Spectrum]:
     """Motor and load with a force that is late and a load that counts the other way, neither of them declared."""
-    names = ("motor", "load")
-    elements = (
-        mass("J1", "motor"), mass("J2", "load"), between("k", Kind.SPRING, *names), between("c", Kind.DAMPER, *names),
-        between("d1", Kind.DAMPER, "motor", "ground"), between("d2", Kind.DAMPER, "load", "ground"),
-    )  # fmt: skip
-    model = Model(names, (Input("torque", "force", {"motor": 1.0}),), elements)
-    truth = {"J1": 0.0048, "J2": 0.0048, "k": 550.0, "c": 0.012, "d1": 0.043, "d2": 0.092}
+    parts = "J1@motor J2@load k:motor-load c:motor-load c1:motor-ground c2:load-ground"
+    model = network("motor load", "torque@motor", parts)
+    truth = {"J1": 0.0048, "J2": 0.0048, "k": 550.0, "c": 0.012, "c1": 0.043, "c2": 0.092}
     hz = np.linspace(11, 250, 30)
     omega = 2 * np.pi * hz
     X = response(model, model.parameters(model.theta(truth)), omega, np.zeros((30, 0)), np.ones((30, 1)))
@@ -162,8 +157,7 @@ def bench(seed: int = 0) -> tuple[Model, Spectrum]:
     )  # fmt: skip
     V = np.zeros((30, 3, 3), dtype=complex)
     V[:, [0, 1], [0, 1]] = sd**2
-    count = np.ones(30, dtype=np.int64)
-    return model, Spectrum(channels, hz, Y, V, count, np.full(30, np.inf), ("given",) * 30, 0 * count)
+    return model, rigs.stated(channels, hz, Y, V)
 
 
 def test_a_motor_bench_without_its_sign_and_delay_does_not_fit() -> None:

@@ -10,6 +10,7 @@ from dashpot.data.noise import with_local_noise
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.model.dynamics import response
+from tests import rigs
 from tests.two_masses import PUSHED, pushed_pair
 
 RIG = pushed_pair("ground")
@@ -26,9 +27,7 @@ def functions(lines: int, relative: float, seed: int = 0, truth: dict[str, float
     sd = relative * np.sqrt(np.abs(X) ** 2 + 0.01 * np.mean(np.abs(X) ** 2, axis=0))
     X = X + sd / np.sqrt(2) * (rng.normal(size=X.shape) + 1j * rng.normal(size=X.shape))
     y = np.concatenate([X, np.ones((lines, 1))], axis=1)
-    unknown = np.full((lines, 3, 3), np.nan, dtype=complex)
-    count = np.ones(lines, dtype=np.int64)
-    return Spectrum(CHANNELS, hz, y, unknown, count, np.full(lines, np.inf), ("unknown",) * lines, 0 * count)
+    return rigs.of_unknown_noise(rigs.stated(CHANNELS, hz, y, np.zeros((lines, 3, 3), dtype=complex)))
 
 
 def test_the_noise_is_what_it_is() -> None:

@@ -34,7 +34,7 @@ from dashpot.model.network import Input, Model
 from dashpot.model.observation import calibration_names
 from tests.designs import light_setup, paper_setup
 from tests.nonlinear_rigs import motions, settled, two_masses
-from tests.rigs import Rig, channels, covariance, paper_rig, perfect, random_rig, states
+from tests.rigs import Rig, channels, covariance, paper_rig, perfect, random_rig, stated, states
 
 
 def test_settling_is_that_of_the_slowest_mode() -> None:
@@ -159,17 +159,7 @@ def test_few_sensors_as_maximum_likelihood_counts_them() -> None:
     )
     Y = outputs(rig.model, rig.p, chosen, rig.omega, rig.U).Y
     V = (0.01 * np.abs(Y) ** 2)[..., None] * np.eye(4) / 50
-    lines = len(Y)
-    spectrum = Spectrum(
-        chosen,
-        rig.frequency_hz,
-        Y,
-        V,
-        np.ones(lines, dtype=int),
-        np.full(lines, np.inf),
-        ("given",) * lines,
-        np.zeros(lines, dtype=int),
-    )
+    spectrum = stated(chosen, rig.frequency_hz, Y, V)
     estimate = identify(rig.model, spectrum, MaximumLikelihood())
     total = np.sum(information_of(rig, spectrum), axis=0)
     bound = np.sqrt(np.diagonal(np.linalg.inv(total)))

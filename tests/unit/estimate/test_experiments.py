@@ -18,6 +18,7 @@ from dashpot.errors import DataError, IdentifiabilityError
 from dashpot.estimate.identify import identify
 from dashpot.model.observation import observation_model, transfer
 from dashpot.model.rigfile import Rig, parse_rig
+from tests.rigs import stated
 from tests.two_masses import OPEN as SHAKEN
 from tests.two_masses import one_mass
 
@@ -41,16 +42,9 @@ def table(rig: Rig, experiment: str | None, rng: np.random.Generator, repeats: i
     own = {
         channel.column: channel for channel in rig.all_channels if channel.only == experiment and experiment
     }
-    return Spectrum(
-        tuple(own.get(channel.name, channel) for channel in rig.channels),
-        HZ,
-        noisy * gains,
-        np.broadcast_to(np.diag(2 * np.square(sd * gains)), (len(HZ), 3, 3)).astype(complex),
-        np.ones(len(HZ), dtype=int),
-        np.full(len(HZ), np.inf),
-        ("given",) * len(HZ),
-        np.full(len(HZ), kind * RUNS),
-    )
+    channels = [own.get(channel.name, channel) for channel in rig.channels]
+    V = np.broadcast_to(np.diag(2 * np.square(sd * gains)), (len(HZ), 3, 3)).astype(complex)
+    return stated(channels, HZ, noisy * gains, V, kind * RUNS)
 
 
 def by_hand(p: Mapping[str, float], extra: float, c1: float, gain: float) -> Complex:

@@ -15,6 +15,7 @@ from dashpot.model.network import Model
 from dashpot.model.observation import with_relative_noise
 from dashpot.model.rigfile import parse_rig
 from dashpot.study.simulate import dwells, simulate_spectrum
+from tests.networks import changed
 from tests.two_masses import RIG, VALUES
 
 READ = parse_rig(RIG)
@@ -41,13 +42,7 @@ def of_parts(parts: list[Spectrum], model: Model = READ.model) -> Merged:
 def with_prior(model: Model, sd: float) -> Model:
     """The first unknown is known beforehand, 2 % too large, with a standard deviation of `sd` of it."""
     name = model.unknown_names[0]
-    elements = tuple(
-        replace(element, guess=None, value=1.02 * TRUTH[0], sd=sd * TRUTH[0])
-        if element.name == name
-        else element
-        for element in model.elements
-    )
-    return replace(model, elements=elements)
+    return changed(model, name, guess=None, value=1.02 * TRUTH[0], sd=sd * TRUTH[0])
 
 
 def test_parts_merged_are_all_data_at_once() -> None:

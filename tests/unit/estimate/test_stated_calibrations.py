@@ -16,6 +16,7 @@ from dashpot.model.rigfile import Rig, parse_rig
 from dashpot.study.montecarlo import Task, repeats_of, summarise
 from dashpot.study.scenario import Scenario
 from dashpot.study.simulate import Dwells, dwells, simulate_spectrum
+from tests import rigs
 from tests.two_masses import OPEN, one_mass
 
 RIG = one_mass("f", "value = 2", of={"x": "noise = 2e-4, GAIN", "f": ""})
@@ -117,8 +118,7 @@ def test_noise_that_is_not_given_is_found_before_the_prior_weighs(noise: str) ->
     of = rig('gain = { value = 1.02, sd = "1 %" }')
     data = seen(of, 1.03)
     if noise == "unknown":
-        nothing = np.full_like(data.covariance, np.nan)
-        data = replace(data, covariance=nothing, noise=("unknown",) * data.lines)
+        data = rigs.of_unknown_noise(data)
     found = identify(of.model, data)
     assert found["k"].value == pytest.approx(TRUE["k"], rel=0.02)
     assert 0 < found["x.gain"].sd < 0.0102

@@ -23,6 +23,7 @@ from dashpot.free.response import (
     pooled_noise,
     write_response,
 )
+from tests import rigs
 from tests.unit.free.bench import RIG, Bench
 
 TWO = Bench((4.0, 9.0), (0.01, 0.02))
@@ -201,16 +202,7 @@ def test_rows_are_the_maximum_of_the_likelihood_of_noise_on_both_sides() -> None
         + np.einsum("rij,rj->ri", half, rng.normal(size=(rows, 3)) + 1j * rng.normal(size=(rows, 3))) / 2**0.5
     )
     channels = tuple(Channel(name, {name: 1.0}) for name in ("u", "a", "b"))
-    spectrum = Spectrum(
-        channels,
-        np.full(rows, 5.0),
-        z,
-        V,
-        np.ones(rows, dtype=np.int64),
-        np.full(rows, np.inf),
-        ("given",) * rows,
-        np.arange(rows),
-    )
+    spectrum = rigs.stated(channels, np.full(rows, 5.0), z, V, np.arange(rows))
     found = dashpot.frf(spectrum, "u", "a,b")
 
     def away(x: Real) -> Real:
@@ -249,15 +241,9 @@ def test_two_inputs_from_two_tests() -> None:
     U = rng.normal(size=(2, 3, 2)) + 1j * rng.normal(size=(2, 3, 2))
     Y = np.einsum("foi,tfi->tfo", truth, U)
     channels = tuple(Channel(n, {n: 1.0}) for n in ("u0", "u1", "a0", "a1"))
-    spectrum = Spectrum(
-        channels,
-        np.tile(f, 2),
-        np.concatenate([U, Y], axis=2).reshape(6, 4),
-        np.full((6, 4, 4), np.nan, dtype=complex),
-        np.ones(6, dtype=np.int64),
-        np.full(6, np.inf),
-        ("unknown",) * 6,
-        np.repeat([0, 1], 3),
+    amplitudes = np.concatenate([U, Y], axis=2).reshape(6, 4)
+    spectrum = rigs.of_unknown_noise(
+        rigs.stated(channels, np.tile(f, 2), amplitudes, np.zeros((6, 4, 4), complex), np.repeat([0, 1], 3))
     )
     found = dashpot.frf(spectrum, ["u0", "u1"], ["a0", "a1"])
     assert found.values == pytest.approx(truth)

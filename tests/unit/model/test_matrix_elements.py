@@ -5,7 +5,6 @@ import pytest
 from scipy import sparse
 
 from dashpot.channel import Channel, Quantity
-from dashpot.data.spectrum import Spectrum
 from dashpot.errors import ModelError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
@@ -13,6 +12,7 @@ from dashpot.model.dynamics import FROM, matrices, response
 from dashpot.model.elements import Kind, mass
 from dashpot.model.matrix_elements import block_elements
 from dashpot.model.network import Input, Model
+from tests.rigs import stated
 
 POINTS = ("a", "b", "c", "d")
 
@@ -103,10 +103,7 @@ def test_a_frame_in_space_is_identified_from_few_sensors():
     rng = np.random.default_rng(7)
     Y = Y + sd * (rng.standard_normal(Y.shape) + 1j * rng.standard_normal(Y.shape))
     channels = (*(Channel(names[k], {names[k]: 1.0}) for k in seen), Channel("F", {"F": 1.0}, Quantity.FORCE))
-    spectrum = Spectrum(
-        channels, hz, Y, 2 * sd[:, :, None] ** 2 * np.eye(4), np.ones(12, int), np.full(12, np.inf), ("given",) * 12,
-        np.zeros(12, int),
-    )  # fmt: skip
+    spectrum = stated(channels, hz, Y, 2 * sd[:, :, None] ** 2 * np.eye(4))
     estimate = identify(model, spectrum, MaximumLikelihood())
     assert bool(estimate.converged)
     assert estimate.names == ("posts", "braces", "loss")

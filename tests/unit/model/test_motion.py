@@ -8,23 +8,15 @@ from dashpot.errors import ModelError
 from dashpot.model.dynamics import response
 from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.motion import channel_samples, integrator
-from dashpot.model.network import Input, Model
+from dashpot.model.network import Model
 from dashpot.model.observation import observation_model
+from tests.networks import network
 
 M, C, K = 2.0, 3.0, 800.0
 
 
 def single(c: float = C) -> Model:
-    return Model(
-        ("x",),
-        (Input("u"), Input("f", "force", {"x": 1.0})),
-        (
-            mass("m", "x", value=M),
-            between("k", Kind.SPRING, "x", "u", value=K),
-            between("c", Kind.DAMPER, "x", "u", value=c),
-            between("b", Kind.INERTER, "x", "u", value=0.5),
-        ),
-    )
+    return network("x", "u f@x", f"m@x={M} k:x-u={K} c:x-u={c} b:x-u=0.5")
 
 
 def test_free_decay() -> None:

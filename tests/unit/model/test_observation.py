@@ -9,8 +9,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.errors import DataError
 from dashpot.model import observation
 from dashpot.model.dynamics import response, unit_forces
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from dashpot.model.network import Input
 from dashpot.model.observation import (
     calibrated_transfer,
     calibration_factors,
@@ -25,19 +24,15 @@ from dashpot.model.observation import (
     transfer,
     with_relative_noise,
 )
+from tests.networks import network
 from tests.partly_seen import calibrations, reaction
 from tests.rigs import random_rig
 
 FORCE = Quantity.FORCE
-MODEL = Model(
-    ("x1", "x2"),
-    (Input("u"), Input("v"), Input("f", "force", {"x1": 1.0, "x2": -0.5})),
-    (
-        mass("m1", "x1"), mass("m2", "x2"), between("k1", Kind.SPRING, "x1", "x2"),
-        between("k2", Kind.SPRING, "x2", "u"), between("c1", Kind.DAMPER, "x1", "v"),
-        between("h", Kind.HYSTERETIC, "x2", "v"),
-    ),
-)  # fmt: skip
+MODEL = replace(
+    network("x1 x2", "u v f@x1", "m1@x1 m2@x2 k1:x1-x2 k2:x2-u c1:x1-v h:x2-v"),
+    inputs=(Input("u"), Input("v"), Input("f", "force", {"x1": 1.0, "x2": -0.5})),
+)
 P = np.array([3.0, 2.7, 4600.0, 3800.0, 20.0, 150.0])
 OMEGA = 2 * np.pi * np.array([1.0, 4.0, 7.0, 11.0])
 CHANNELS = (

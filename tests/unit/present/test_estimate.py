@@ -3,7 +3,6 @@
 import io
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from rich.console import Console
 
@@ -20,6 +19,7 @@ from dashpot.present.estimate import (
     parameter_rows,
     warnings_in_words,
 )
+from tests import rigs
 from tests.unit.present.conftest import RIG, measured
 
 
@@ -78,11 +78,7 @@ def test_what_the_fit_says_is_said_once(good: Estimate, bad: Estimate) -> None:
     """Warnings of what the sentence on the fit says are left out by their code; others are shown."""
     assert "model_misfit" in {warning.code for warning in bad.warnings}
     assert warnings_in_words(bad) == ()
-    unknown = measured()
-    unknown = replace(
-        unknown, covariance=np.full_like(unknown.covariance, np.nan), noise=("unknown",) * unknown.lines
-    )
-    blind = identify(RIG.model, unknown)
+    blind = identify(RIG.model, rigs.of_unknown_noise(measured()))
     assert [warning.code for warning in blind.warnings] == ["unknown_noise"]
     assert warnings_in_words(blind) == ()
     assert "noise is not known" in fit_in_words(blind.fit)

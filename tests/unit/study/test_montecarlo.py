@@ -8,25 +8,18 @@ import pytest
 
 from dashpot.channel import Quantity
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
 from dashpot.study import montecarlo
 from dashpot.study.blocks import BlockStore
 from dashpot.study.montecarlo import Repeats, rehearse, run_study, summarise
 from dashpot.study.scenario import ScenarioGrid, Study, TrueRig, scenarios, share_out, with_unknowns
 from dashpot.study.simulate import standard_channels
+from tests.networks import network
 
 MOTION = (Quantity.DISPLACEMENT, Quantity.VELOCITY)
 
 
 def one_mass():
-    elements = (
-        mass("m", "x"),
-        between("c", Kind.DAMPER, "x", "u"),
-        between("c0", Kind.DAMPER, "x", "ground"),
-        between("k", Kind.SPRING, "x", "u", value=4600.0),
-    )
-    model = Model(("x",), (Input("u"),), elements)
+    model = network("x", "u", "m@x c:x-u c0:x-ground k:x-u=4600")
     return TrueRig(model, {"m": 3.0, "c": 30.0, "c0": 50.0}, standard_channels(model, MOTION))
 
 

@@ -8,23 +8,16 @@ import pytest
 from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning import lines as harmonics
 from dashpot.errors import DataError, UsageError
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
 from dashpot.model.observation import noise_sd, with_relative_noise
 from dashpot.study import simulate as sim
+from tests.networks import network
 
 MOTION = (Quantity.DISPLACEMENT, Quantity.VELOCITY)
 
 
 @pytest.fixture
 def rig():
-    elements = (
-        mass("m", "x"),
-        between("k", Kind.SPRING, "x", "u", value=4600.0),
-        between("c", Kind.DAMPER, "x", "u"),
-        between("c0", Kind.DAMPER, "x", "ground"),
-    )
-    return Model(("x",), (Input("u"),), elements)
+    return network("x", "u", "m@x k:x-u=4600 c:x-u c0:x-ground")
 
 
 @pytest.fixture

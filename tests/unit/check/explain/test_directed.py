@@ -84,8 +84,6 @@ def test_clean_data_raise_no_alarm() -> None:
 
 def test_what_has_no_noise_size_is_not_tested() -> None:
     spectrum = clean(1)
-    unknown = replace(
-        spectrum, covariance=np.full_like(spectrum.covariance, np.nan), noise=("unknown",) * spectrum.lines
-    )
+    unknown = rigs.of_unknown_noise(spectrum)
     model: Model = RIG.model
     assert directed(model, unknown, identify(model, unknown)) == ()

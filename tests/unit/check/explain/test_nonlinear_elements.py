@@ -16,10 +16,10 @@ from dashpot.check.explain.problem import LineProblem
 from dashpot.estimate.assessment import applied
 from dashpot.estimate.identify import identify
 from dashpot.estimate.preparation import prepare
-from dashpot.model.elements import Element, Kind, between, mass
-from dashpot.model.network import Input, Model
+from dashpot.model.elements import Element, Kind
 from dashpot.model.nonlinear.force_law import force_law
 from tests import rigs
+from tests.networks import network
 from tests.nonlinear_rigs import chain, motions, noisy, settled, two_masses
 
 ALL = motions("x1", "x2", "u")
@@ -58,18 +58,13 @@ def test_the_element_that_the_data_call_for_is_named_and_mends_the_fit(law, orde
 
 def rubber_mount(frequencies, orders, amplitude=1e-3):
     """A mass on a shaken mount that stiffens, without that spring, and dwells of it beside its fold."""
-    parts = (
-        mass("m", "x1", value=1.5),
-        between("k", Kind.SPRING, "x1", "u"),
-        between("c", Kind.DAMPER, "x1", "u"),
-    )
     cubic = Element("k3", Kind.SPRING, {"x1": 1.0, "u": -1.0}, force_law=force_law("cubic"))
-    model = Model(("x1",), (Input("u"),), (*parts, cubic))
+    model = network("x1", "u", "m@x1=1.5 k:x1-u c:x1-u", cubic)
     spectrum = settled(
         model, np.array([2500, 6, 2e7]), motions("x1", "u"), frequencies, orders=orders, amplitude=amplitude,
         noise=1e-3, input_noise=1e-3, rng=np.random.default_rng(3),
     )  # fmt: skip
-    return replace(model, elements=parts), spectrum
+    return replace(model, elements=model.elements[:-1]), spectrum
 
 
 def test_harmonics_beside_a_fold_call_for_the_element_at_its_place():

@@ -21,10 +21,11 @@ from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.assessment import Finding, applied
 from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.result import Estimate
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from dashpot.model.elements import Kind, between
+from dashpot.model.network import Model
 from dashpot.model.nonlinear.force_law import Constant, force_law
 from dashpot.model.rigfile import Rig, read_rig
+from tests.networks import network
 
 Law = Callable[[float, float], float]
 STEP, SAMPLES = 1 / 50, 1500
@@ -42,12 +43,7 @@ CHANNELS = (Channel("x", {"x": 1.0}), Channel("u", {"u": 1.0}))
 
 def shaken() -> Model:
     """One mass, known, on a shaken base."""
-    parts = (
-        mass("m", "x", value=2.0),
-        between("k", Kind.SPRING, "x", "u"),
-        between("c", Kind.DAMPER, "x", "u"),
-    )
-    return Model(("x",), (Input("u"),), parts)
+    return network("x", "u", "m@x=2 k:x-u c:x-u")
 
 
 def recorded(law: Law | None, noise: float = 0.01, sweep: bool = False) -> Record:

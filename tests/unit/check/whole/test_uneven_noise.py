@@ -8,23 +8,16 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.record import Record
 from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import matrices
-from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Model
+from tests.networks import network
 
 STEP, SAMPLES = 1 / 200, 1000
 
 
 def rig(stated_k1: float | None = None) -> Model:
     """Two masses, one weighed, on two springs with dampers beside them."""
-    parts = (
-        mass("m1", "x1", value=2.0),
-        mass("m2", "x2"),
-        between("k1", Kind.SPRING, "x1", "ground", value=stated_k1),
-        between("k2", Kind.SPRING, "x1", "x2"),
-        between("c1", Kind.DAMPER, "x1", "ground"),
-        between("c2", Kind.DAMPER, "x1", "x2"),
-    )
-    return Model(("x1", "x2"), (), parts)
+    stated = f"={stated_k1}" if stated_k1 else ""
+    return network("x1 x2", "", f"m1@x1=2 m2@x2 k1:x1-ground{stated} k2:x1-x2 c1:x1-ground c2:x1-x2")
 
 
 def decay(seed: int) -> Record:

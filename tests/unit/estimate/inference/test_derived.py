@@ -9,6 +9,7 @@ from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.numerics.kernel import using
 from tests.kernels import compiled
+from tests.networks import network
 from tests.rigs import random_rig
 
 PARTS = ("eigenvalues", "frequency_hz", "damping_ratio", "frequency_sd", "damping_sd")
@@ -43,8 +44,7 @@ def test_modes_of_the_kernel_are_those_of_numpy(seed: int) -> None:
 def test_modes_of_one_mass_are_the_formula(damping: float) -> None:
     """m = 2 kg, k = 800 N/m: λ = (−c ± √(c² − 4 m k)) / 2 m, two real ones above critical damping."""
     compiled()
-    elements = (mass("m", "x"), between("c", Kind.DAMPER, "x", "u"), between("k", Kind.SPRING, "x", "u"))
-    model = Model(("x",), (Input("u"),), elements)
+    model = network("x", "u", "m@x c:x-u k:x-u")
     theta = np.array([2.0, damping, 800.0])
     with using("compiled"):
         modes = mode_values(model, theta, np.diag((0.01 * theta) ** 2))
@@ -72,21 +72,8 @@ def test_no_damping_is_known_exactly() -> None:
 def test_what_the_kernel_leaves_to_numpy() -> None:
     """A coordinate without mass, and a rigid-body motion: the same modes by either choice."""
     kernel = compiled()
-    free = (
-        mass("m1", "x"),
-        mass("m2", "y"),
-        between("k", Kind.SPRING, "x", "y"),
-        between("c", Kind.DAMPER, "x", "y"),
-    )
-    massless = (
-        mass("m", "x"),
-        between("k1", Kind.SPRING, "x", "y"),
-        between("k2", Kind.SPRING, "y", "ground"),
-    )
-    massless += (between("c", Kind.DAMPER, "x", "ground"),)
-    for elements in (free, massless):
-        model = Model(("x", "y"), (Input("F", "force", {"x": 1.0}),), elements)
-        theta = np.array([2.0, 3.0, 500.0, 4.0])[: len(elements)]
+    for parts in ("m1@x m2@y k:x-y c:x-y", "m@x k1:x-y k2:y-ground c:x-ground"):
+        model, theta = network("x y", "F@x", parts), np.array([2.0, 3.0, 500.0, 4.0])
         covariance = np.diag((0.01 * theta) ** 2)
         assert kernel.mode_values(model.B, model.letters, model.T, model.p0, theta, covariance) is None
         modes, twin = _both(model, theta, covariance)

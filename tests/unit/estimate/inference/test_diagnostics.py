@@ -13,6 +13,8 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.diagnostics import dead_channels
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.model.observation import measures_input
+from tests import rigs
+from tests.networks import changed
 from tests.partly_seen import two
 
 
@@ -27,9 +29,8 @@ def told(found, word: str) -> list[str]:
 def test_nothing_is_suspected_of_good_data():
     """20 draws; a prior that is right lies more than 4 sd off in 1 draw of 16,000."""
     model = two(full=True).model
-    elements = tuple(replace(e, value=20.0, sd=1.0) if e.name == "c1" else e for e in model.elements)
     for seed in range(20):
-        found = identify(replace(model, elements=elements), measured(seed))
+        found = identify(changed(model, "c1", value=20.0, sd=1.0), measured(seed))
         assert found.warnings == ()
 
 
@@ -37,8 +38,7 @@ def test_the_same_data_twice():
     once = measured()
     model = two(full=True).model
     assert told(identify(model, once + once), "14 of 28 lines repeat another line")
-    unknown = replace(once, covariance=np.full_like(once.covariance, np.nan), noise=("unknown",) * 14)
-    assert told(identify(model, concatenate([unknown, unknown])), "14 of 28 lines repeat")
+    assert told(identify(model, concatenate([rigs.of_unknown_noise(once)] * 2)), "14 of 28 lines repeat")
     assert not told(identify(model, once + measured(2)), "repeat")
 
 
@@ -54,9 +54,7 @@ def test_a_channel_that_shows_nothing_is_named():
 def test_a_test_in_which_nothing_moves_is_refused(method):
     """Any rig that stands still fits such a table, and its noise has no size: no number is divided by it."""
     model = two(full=True).model
-    once = replace(
-        measured(), covariance=np.full_like(measured().covariance, np.nan), noise=("unknown",) * 14
-    )
+    once = rigs.of_unknown_noise(measured())
     moved = np.array([measures_input(model, channel) for channel in once.channels])
     with pytest.raises(IdentifiabilityError, match="show no motion at any line"):
         identify(model, replace(once, amplitudes=once.amplitudes * moved), method)
@@ -77,8 +75,7 @@ def test_a_statement_that_the_data_contradict_is_named(off):
     free = identify(model, data)
     s = 3 * free["c1"].sd
     stated = free["c1"].value + off * np.hypot(s, free["c1"].sd)
-    prior = tuple(replace(e, value=stated, sd=s) if e.name == "c1" else e for e in model.elements)
-    found = identify(replace(model, elements=prior), data)
+    found = identify(changed(model, "c1", value=stated, sd=s), data)
     words = told(found, "c1 is stated as")
     assert bool(words) == (off > 4)  # standard deviations
     if words:

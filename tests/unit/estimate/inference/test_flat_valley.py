@@ -17,20 +17,15 @@ from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.objective import measured
 from dashpot.estimate.linear.instrumental_variables import OptimalIV
 from dashpot.estimate.preparation import prepare
-from dashpot.model.elements import Kind, between, mass
-from dashpot.model.network import Input, Model
+from dashpot.model.network import Model
 from tests import rigs
+from tests.networks import changed, network
 from tests.whole_rigs import chain, record_of
 
 SEEN = (Channel("a2", {"x2": 1.0}, Quantity.ACCELERATION), Channel("u", {"u": 1.0}))
-MASSES = (mass("m1", "x1", value=1.0), mass("m2", "x2", value=1.0))
-JOINTS = (
-    between("k1", Kind.SPRING, "x1", "u"), between("k2", Kind.SPRING, "x2", "x1"),
-    between("c1", Kind.DAMPER, "x1", "u"), between("c2", Kind.DAMPER, "x2", "x1"),
-)  # fmt: skip
 # Springs of 2 : 1 bring the resonances of two equal masses as near to each other as springs can: what lies nearer,
 # by noise, has its best fit there, where two solutions have merged.
-FOLD = Model(("x1", "x2"), (Input("u"),), MASSES + JOINTS)
+FOLD = network("x1 x2", "u", "m1@x1=1 m2@x2=1 k1:x1-u k2:x2-x1 c1:x1-u c2:x2-x1")
 AT_FOLD = np.array([8000.0, 4000.0, 10.0, 6.0])
 
 
@@ -62,8 +57,7 @@ def test_a_draw_beyond_the_fold_has_the_intervals_of_its_likelihood(seed: int) -
     assert np.all(high[:2] - low[:2] < 0.1 * AT_FOLD[:2])
     # χ² at the ends of an interval lies the square of 1.96 above its minimum.
     for end in (low[0], high[0]):
-        held = replace(JOINTS[0], value=float(end))
-        rest = Model(FOLD.coordinates, FOLD.inputs, (*MASSES, held, *JOINTS[1:]))
+        rest = changed(FOLD, "k1", value=float(end))
         best = min(
             float(identify(rest, spectrum, start_at(start)).fit.chi2)
             for start in (followed.values[1:], [16e6 / end * 2, *AT_FOLD[2:]])

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel, Quantity
-from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.descent import Likelihood
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
@@ -15,8 +14,9 @@ from dashpot.estimate.likelihood.measured import compiled_cost, compiled_local, 
 from dashpot.estimate.likelihood.objective import directly_driven, local, measured, per_line
 from dashpot.estimate.preparation import prepare
 from dashpot.numerics.kernel import using
+from tests import rigs
 from tests.kernels import apart, compiled, instruction_sets, instructions
-from tests.networks import network
+from tests.networks import changed, network
 from tests.partly_seen import BENCHES, Bench, noisy_base
 
 TWINS = 1e-12
@@ -28,8 +28,7 @@ def _case(make: Callable[[], Bench]) -> tuple[Bench, Likelihood, np.ndarray, np.
     bench, rng = make(), np.random.default_rng(3)
     name = bench.model.unknowns[0].name
     known = {"value": 1.1 * bench.truth[name], "sd": 0.2 * bench.truth[name], "guess": None}
-    elements = tuple(replace(e, **known) if e.name == name else e for e in bench.model.elements)
-    bench = replace(bench, model=replace(bench.model, elements=elements))
+    bench = replace(bench, model=changed(bench.model, name, **known))
     likelihood = Likelihood.of(prepare(bench.model, bench.spectrum(rng, COUNT)), MaximumLikelihood().effort)
     psi = bench.psi * rng.uniform(0.7, 1.4, (COUNT, len(bench.psi)))
     sign = np.ones((COUNT, len(likelihood.view.channels)))
@@ -85,11 +84,9 @@ def test_rows_are_exchanged_where_a_pivot_vanishes(name: str) -> None:
     lines = len(hz)
     quantities = (("x1", Quantity.DISPLACEMENT), ("x2", Quantity.ACCELERATION), ("u", Quantity.DISPLACEMENT))
     V = np.diag([1e-4, 1e-4, 0.0]) * np.ones((lines, 1, 1))
-    spectrum = Spectrum(
-        tuple(Channel(f"of {point}", {point: 1.0}, quantity) for point, quantity in quantities), hz,
-        np.array([[1.0 + 0.1j, 2.0, 1.0], [0.5, 1.5 - 0.2j, 1.0], [0.9, 2.1, 1.0]]), V, np.ones(lines, dtype=int),
-        np.full(lines, np.inf), ("given",) * lines, np.zeros(lines, dtype=int),
-    )  # fmt: skip
+    channels = [Channel(f"of {point}", {point: 1.0}, quantity) for point, quantity in quantities]
+    Y = np.array([[1.0 + 0.1j, 2.0, 1.0], [0.5, 1.5 - 0.2j, 1.0], [0.9, 2.1, 1.0]])
+    spectrum = rigs.stated(channels, hz, Y, V)
     likelihood = Likelihood.of(prepare(model, spectrum), MaximumLikelihood().effort)
     psi, sign = np.array([[1.0, 3.0, 1.0]]), np.ones((1, 3))  # k1 − ω² m1 = 0 at two of the lines
     with using("numpy"):

@@ -35,8 +35,7 @@ def table(seed: int, nu: float, *, known: bool) -> tuple[Model, Real, Spectrum]:
     V = np.broadcast_to(np.diag(size**2).astype(complex), exact.covariance.shape)
     if known:
         return rig.model, rig.theta, replace(exact, amplitudes=noisy, covariance=V)
-    unknown = replace(exact, covariance=np.full_like(V, np.nan), noise=("unknown",) * exact.lines)
-    return rig.model, rig.theta, replace(unknown, amplitudes=noisy)
+    return rig.model, rig.theta, rigs.of_unknown_noise(replace(exact, amplitudes=noisy))
 
 
 def test_degrees_of_freedom_are_the_likeliest() -> None:

@@ -16,6 +16,7 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.unknowns import Unknown
+from tests.networks import changed
 from tests.partly_seen import Bench, calibrations, noisy_base, pitch_and_bounce, reaction, two
 
 ML = MaximumLikelihood()
@@ -112,8 +113,9 @@ def test_a_prior_is_one_more_row_and_comes_out_updated():
 def test_a_prior_makes_up_for_the_scale_that_nothing_else_gives():
     """Without forces a base gives ratios alone; a mass known to 5 % gives all, each 5 % wide and more."""
     bench = two(known="")
-    elements = tuple(replace(e, value=1.02, sd=0.05) if e.name == "m2" else e for e in bench.model.elements)
-    found = identify(replace(bench.model, elements=elements), bench.spectrum(np.random.default_rng(9)), ML)
+    found = identify(
+        changed(bench.model, "m2", value=1.02, sd=0.05), bench.spectrum(np.random.default_rng(9)), ML
+    )
     assert found["m2"].value == pytest.approx(1.02, rel=1e-5)
     assert found["m2"].sd == pytest.approx(0.05, rel=1e-3)
     assert all(value.sd / value.value > 0.049 * 0.98 for value in found)
@@ -402,10 +404,7 @@ def test_a_statement_has_no_doubt_about_its_own_size(share):
     doubtful = replace(sure, dof=np.full(sure.lines, 8.0))
     alone = identify(bench.model, sure)["c3"]
     s = alone.sd * np.sqrt(share / (1 - share))
-    elements = tuple(
-        replace(e, value=alone.value, sd=s) if e.name == "c3" else e for e in bench.model.elements
-    )
-    found = identify(replace(bench.model, elements=elements), doubtful)
+    found = identify(changed(bench.model, "c3", value=alone.value, sd=s), doubtful)
     low, high = found.interval()
     if share < 0.01:
         assert high[0] - low[0] == pytest.approx(2 * 1.95996 * s, rel=1e-3)

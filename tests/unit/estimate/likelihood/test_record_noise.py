@@ -16,6 +16,7 @@ from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.record_noise import share_without_misfit, with_record_noise
 from dashpot.model.elements import Kind
+from tests.networks import changed
 from tests.record_draws import CASES
 from tests.whole_rigs import WholeTest, chain, record_of
 
@@ -51,11 +52,7 @@ def test_what_a_wrong_rig_leaves_is_no_noise() -> None:
     record = whole_record(test.noisy(np.random.default_rng(5), sd))
     true = test.theta[test.model.unknown_names.index("k1")]
     for factor, most in ((1.0, 1.1), (1.05, 1.3)):
-        stated = tuple(
-            replace(element, value=factor * true) if element.name == "k1" else element
-            for element in test.model.elements
-        )
-        rig = replace(test.model, elements=stated)
+        rig = changed(test.model, "k1", value=factor * true)
         known, method = with_record_noise(rig, record, MaximumLikelihood())
         left = residuals_of(rig, known, identify(rig, known, method))
         inputs = np.array([channel.name == "u" for channel in record.channels])

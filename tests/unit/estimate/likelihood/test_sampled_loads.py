@@ -7,10 +7,9 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.estimate.likelihood.boundary_loads import sampled_loads, shows_sampled_loads
-from dashpot.model.elements import Kind, between, mass
 from dashpot.model.modes import eigenmodes
-from dashpot.model.network import Model
 from dashpot.model.observation import calibrated_transfer, observation_model
+from tests.networks import network
 from tests.whole_rigs import chain, sampled_free_motion
 
 MOTIONS = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
@@ -80,10 +79,5 @@ def test_channels_of_which_it_is_not_known() -> None:
     )
     view = observation_model(model, odd, np.array([10.0]))
     assert shows_sampled_loads(view).tolist() == [False, False, True, False]
-    hung = (
-        mass("m1", "x1"),
-        between("k1", Kind.SPRING, "x1", "x2"),
-        between("c2", Kind.DAMPER, "x2", "ground"),
-    )
-    massless = Model(("x1", "x2"), (), hung)
+    massless = network("x1 x2", "", "m1@x1 k1:x1-x2 c2:x2-ground")
     assert not np.any(shows_sampled_loads(observation_model(massless, CHANNELS, np.array([10.0]))))

@@ -22,7 +22,18 @@ from dashpot.estimate.registry import method
 from dashpot.model import dynamics
 from dashpot.model.network import Model
 from tests.networks import network
-from tests.rigs import Rig, channels, complex_noise, covariance, noisy, paper_rig, perfect, random_rig, states
+from tests.rigs import (
+    Rig,
+    channels,
+    complex_noise,
+    covariance,
+    noisy,
+    of_unknown_noise,
+    paper_rig,
+    perfect,
+    random_rig,
+    states,
+)
 
 DRAWS = 2000
 
@@ -167,9 +178,7 @@ def test_compensation_of_unknown_noise_is_refused() -> None:
     rig = paper_rig()
     ch = channels(rig)
     spectrum = noisy(rig, ch, covariance(rig, ch, 0.03), np.random.default_rng(2))
-    unknown = replace(
-        spectrum, covariance=np.full_like(spectrum.covariance, np.nan), noise=("unknown",) * rig.lines
-    )
+    unknown = of_unknown_noise(spectrum)
     with pytest.raises(UsageError, match="use tls"):
         identify(rig.model, unknown, CompensatedLeastSquares())
     assert bool(identify(rig.model, unknown, TotalLeastSquares()).converged)
