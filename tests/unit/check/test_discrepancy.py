@@ -20,6 +20,7 @@ from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
 from dashpot.model.rigfile import parse_rig, write_rig
 from tests import rigs
+from tests.networks import changed
 from tests.whole_rigs import WholeTest, chain, record_of
 
 PAPER = rigs.paper_rig()
@@ -108,15 +109,8 @@ def test_whole_records_fit_without_a_record_at_rest(shaken: WholeTest) -> None:
 
 def test_a_whole_record_of_another_rig_does_not_fit(shaken: WholeTest) -> None:
     """A known mass that is 10 % too small, hidden from χ², which has no power there."""
-    lighter = tuple(
-        replace(element, value=0.9 * element.value) if element.name == "m1" and element.value else element
-        for element in shaken.model.elements
-    )
-    heavier = tuple(
-        replace(element, value=float(shaken.theta[0])) if element.name == "m2" else element
-        for element in lighter
-    )
-    wrong = replace(shaken.model, elements=heavier)
+    m1 = next(element.value for element in shaken.model.elements if element.name == "m1")
+    wrong = changed(changed(shaken.model, "m1", value=0.9 * m1), "m2", value=float(shaken.theta[0]))
     data = _whole(shaken, 0.01, 0)
     assessment = assess(wrong, data, identify(wrong, data))
     assert assessment.verdict == "does not fit"
@@ -141,19 +135,20 @@ def test_little_that_chi2_rejects_fits_and_much_does_not() -> None:
     exact = rigs.perfect(PAPER, CHANNELS)
     V = np.zeros_like(exact.covariance)
     V[..., MOTIONS, MOTIONS] = (1e-4 * np.abs(exact.amplitudes[:, MOTIONS])) ** 2
-    verdicts = []
-    for size in (0.002, 0.1):
+
+    def rounded(size: float) -> tuple[Spectrum, Estimate]:
         rng = random_generator(5)
         shape = exact.amplitudes.shape
         away = size * (rng.normal(size=shape) + 1j * rng.normal(size=shape)) * MOTIONS
         data = replace(
             exact, amplitudes=exact.amplitudes * (1 + away), covariance=V, noise=("given",) * exact.lines
         )
-        estimate = _judged(PAPER.model, data)
+        estimate = identify(PAPER.model, data)
         assert float(estimate.fit.p) < 0.01
-        assert estimate.assessment is not None
-        verdicts.append(estimate.assessment.verdict)
-    assert verdicts == ["fits", "does not fit"]
+        return data, estimate
+
+    assert examined(PAPER.model, *rounded(0.002)).assessment.verdict == "fits"
+    assert assess(PAPER.model, *rounded(0.1)).verdict == "does not fit"
 
 
 def test_a_rig_file_says_within_what() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import runpy
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from dashpot.estimate.assessment import Finding, applied, assessment_from
 from dashpot.estimate.identify import identify
 from dashpot.estimate.likelihood.global_search import candidates
 from dashpot.estimate.preparation import prepare
+from dashpot.estimate.result import Estimate
 from dashpot.model.elements import Kind
 from dashpot.model.network import Model
 from tests import partly_seen, rigs
@@ -111,14 +113,18 @@ def test_gallery_of_sixty_mistakes():
     assert sum(rank is not None and rank < 3 for rank in ranks.values()) >= 0.97 * len(cases), missed
 
 
-def test_the_change_mends_the_fit():
+def test_the_change_mends_the_fit_and_the_json_carries_verdict_and_diagnosis_and_reads_back():
     """The rig as the first finding would have it, applied to the same raw numbers, fits."""
     model, spectrum = clean("paper", np.random.default_rng(3))
     wrong = spectrum.channels[0].name
     turned = np.where(np.array([channel.name for channel in spectrum.channels]) == wrong, -1.0, 1.0)
     raw = replace(spectrum, amplitudes=spectrum.amplitudes * turned)
-    finding = diagnose(model, raw)[0]
+    estimate = examined(model, raw, identify(model, raw))
+    finding = estimate.assessment.findings[0]
     assert (finding.kind, finding.of) == ("sign", (wrong,))
+    again = Estimate.from_json(estimate.to_json()).assessment
+    assert again.verdict == estimate.assessment.verdict == "does not fit"
+    assert [f.content() for f in again.findings] == [f.content() for f in estimate.assessment.findings]
     mended_model, channels = applied(model, raw.channels, finding)
     assert [channel.sign for channel in channels if channel.name == wrong] == [-1.0]
     assert mended_model == model
@@ -167,11 +173,8 @@ def responses(order: int, *, given: bool = True) -> tuple[Model, Spectrum]:
         Channel("x2", {"x2": 1.0}),
         Channel("f", {"f": 1.0}, Quantity.FORCE),
     )
-    V = 2 * (sd**2)[:, :, None] * np.eye(3)
-    return model, Spectrum(
-        channels, hz, Y + noise, V if given else np.full_like(V, np.nan), np.ones(40, dtype=int), np.full(40, np.inf),
-        ("given" if given else "unknown",) * 40, np.zeros(40, dtype=int),
-    )  # fmt: skip
+    spectrum = rigs.stated(channels, hz, Y + noise, 2 * (sd**2)[:, :, None] * np.eye(3))
+    return model, spectrum if given else rigs.of_unknown_noise(spectrum)
 
 
 @pytest.mark.parametrize(("order", "given"), [(1, False), (2, True)])
@@ -369,29 +372,11 @@ def test_a_force_that_counts_backwards_is_named_though_it_changes_no_chi2():
     sd = 0.01 * np.abs(Y)
     noise = (rng.normal(size=Y.shape) + 1j * rng.normal(size=Y.shape)) * sd
     channels = (Channel("x", {"x": 1.0}), Channel("f", {"f": 1.0}, Quantity.FORCE))
-    spectrum = Spectrum(
-        channels, hz, Y + noise, 2 * (sd**2)[:, :, None] * np.eye(2), np.ones(14, dtype=int), np.full(14, np.inf),
-        ("given",) * 14, np.zeros(14, dtype=int),
-    )  # fmt: skip
+    spectrum = rigs.stated(channels, hz, Y + noise, 2 * (sd**2)[:, :, None] * np.eye(2))
     estimate = examined(model, spectrum, identify(model, spectrum))
     assert estimate.assessment.verdict == "does not fit"
     assert [(f.kind, f.of) for f in estimate.assessment.findings] == [("sign", ("f",))]
     assert "reversed_phase" not in {notice.code for notice in estimate.warnings}
-
-
-def test_the_json_carries_verdict_and_diagnosis_and_reads_back():
-    from dashpot.estimate.result import Estimate
-
-    model, spectrum = clean("paper", np.random.default_rng(6))
-    Y = spectrum.amplitudes.copy()
-    Y[:, 0] *= 1.2
-    spectrum = replace(spectrum, amplitudes=Y)
-    estimate = examined(model, spectrum, identify(model, spectrum))
-    again = Estimate.from_json(estimate.to_json())
-    assert again.assessment.verdict == estimate.assessment.verdict == "does not fit"
-    assert [f.content() for f in again.assessment.findings] == [
-        f.content() for f in estimate.assessment.findings
-    ]
 
 
 def test_a_gain_between_the_usual_ones_is_named_where_nothing_else_shows_the_channel():
@@ -406,11 +391,7 @@ def test_a_gain_between_the_usual_ones_is_named_where_nothing_else_shows_the_cha
     V = np.zeros((len(f), 2, 2), dtype=complex)
     V[:, 0, 0] = 2 * noise**2
     channels = (Channel("x1", {"x1": 1.0}), Channel("u", {"u": 1.0}))
-    count = np.ones(len(f), dtype=int)
-    spectrum = Spectrum(
-        channels, f, Y, V, 100 * count, np.full(len(f), np.inf), ("given",) * len(f), 0 * count
-    )
-    finding = diagnose(model, spectrum)[0]
+    finding = diagnose(model, rigs.stated(channels, f, Y, V))[0]
     assert (finding.kind, finding.of) == ("gain", ("x1",))
     assert finding.number == pytest.approx(1.05, rel=2e-3)
     assert finding.remaining < 2.0
@@ -505,6 +486,15 @@ THREE_VALUES = {
 }  # fmt: skip
 
 
+def pushed(
+    model: Model, truth: Mapping[str, float], channels: Sequence[Channel], hertz: np.ndarray, noise: float,
+    newtons: float = 1.0,
+) -> partly_seen.Bench:  # fmt: skip
+    """A rig under a force of exact size, noise in all that moves."""
+    f = np.full((len(hertz), 1), newtons)
+    return partly_seen.Bench("", model, truth, tuple(channels), hertz, f[:, :0], f, {"": noise, "f": 0.0})
+
+
 def test_a_body_whose_resonance_lies_between_two_lines_is_found_where_it_is() -> None:
     coordinates, values = "bed table head", {"mb": 0.08, "kb": 0.08 * (2 * np.pi * 20.2) ** 2, "cb": 0.4}
     true = network(f"{coordinates} body", "f@bed", f"{THREE} mb@body kb:body-table cb:body-table")
@@ -513,10 +503,7 @@ def test_a_body_whose_resonance_lies_between_two_lines_is_found_where_it_is() ->
         Channel("f", {"f": 1.0}, Quantity.FORCE),
     )
     hertz = np.geomspace(15.7, 139.8, 22)
-    pushed, noise = np.ones((len(hertz), 1)), {"": 0.003, "f": 0.0}
-    bench = partly_seen.Bench(
-        "", true, THREE_VALUES | values, channels, hertz, 0 * pushed[:, :0], pushed, noise
-    )
+    bench = pushed(true, THREE_VALUES | values, channels, hertz, 0.003)
     first = diagnose(network(coordinates, "f@bed", THREE), bench.spectrum(np.random.default_rng(4)))[0]
     assert (first.kind, first.of) == ("oscillator", ("table",))
     assert first.number == pytest.approx(values["kb"], rel=0.1)
@@ -532,11 +519,8 @@ def test_a_stated_damper_whose_damping_is_hysteretic_is_replaced_by_that(point: 
         *(Channel(x, {x: 1.0}, Quantity.ACCELERATION) for x in names.split()),
         Channel("f", {"f": 1.0}, Quantity.FORCE),
     )
-    pushed = np.ones((len(hertz), 1))
     true = network(names, "f@bed", f"{rest} hb:{point}-ground")
-    bench = partly_seen.Bench(
-        "", true, values, channels, hertz, 0 * pushed[:, :0], pushed, {"": 0.002, "f": 0.0}
-    )
+    bench = pushed(true, values, channels, hertz, 0.002)
     stated = network(names, "f@bed", f"{rest} cb:{point}-ground=130")
     first = diagnose(stated, bench.spectrum(np.random.default_rng(4)))[0]
     assert (first.kind, first.of) == ("hysteretic", (point, "ground"))
@@ -551,11 +535,7 @@ def one_mass(hertz: np.ndarray, noise: float) -> tuple[Model, partly_seen.Bench]
         Channel("bed", {"bed": 1.0}, Quantity.VELOCITY),
         Channel("f", {"f": 1.0}, Quantity.FORCE),
     )
-    pushed = np.ones((len(hertz), 1))
-    values = {"k": 70e3, "c": 300.0}
-    return model, partly_seen.Bench(
-        "", model, values, channels, hertz, 0 * pushed[:, :0], pushed, {"": noise, "f": 0.0}
-    )
+    return model, pushed(model, {"k": 70e3, "c": 300.0}, channels, hertz, noise)
 
 
 def test_noise_that_a_share_would_take_along_is_no_cross_talk() -> None:
@@ -598,11 +578,7 @@ def test_cross_talk_into_the_channel_that_tells_a_part_alone_is_among_the_causes
         Channel("a_table", {"table": 1.0}, Quantity.ACCELERATION),
         Channel("f", {"f": 1.0}, Quantity.FORCE),
     )
-    hertz = np.geomspace(12.0, 40.0, 13)
-    pushed = np.full((len(hertz), 1), 1000.0)
-    bench = partly_seen.Bench(
-        "", model, truth, channels, hertz, 0 * pushed[:, :0], pushed, {"": 0.01, "f": 0.0}
-    )
+    bench = pushed(model, truth, channels, np.geomspace(12.0, 40.0, 13), 0.01, 1000.0)
     spectrum = bench.spectrum(np.random.default_rng(1))
     Y = np.array(spectrum.amplitudes)
     Y[:, 1] += 3.0 * Y[:, 0]

@@ -1,5 +1,6 @@
 """Clocks and gains of single channels that step in the course of a record, to which a fit of all channels gives way."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,21 +14,20 @@ from dashpot.check.explain.steady_lines import working_noise
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import IdentifiabilityError
+from dashpot.estimate.assessment import Finding
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.motion import channel_samples, integrator
 from dashpot.model.network import Input, Model
 from dashpot.model.observation import observation_model, transfer
+from tests.networks import network
 from tests.whole_rigs import chain, excitation, record_of
 
 
 @pytest.fixture(scope="module")
 def test_of_three() -> tuple[Model, Record]:
     """Three masses on a shaken base with 1 % noise."""
-    model, _ = chain(3, 0.03, base=True, seed=3)
-    test = record_of(
-        *chain(3, 0.03, base=True, seed=3), "random", samples_per_cycle=10, decay_times=5, seed=2
-    )
-    record = test.record
+    model, truth = chain(3, 0.03, base=True, seed=3)
+    record = record_of(model, truth, "random", samples_per_cycle=10, decay_times=5, seed=2).record
     noise = np.random.default_rng(5).normal(size=record.values.shape) * [1, 1, 1, 0]
     return model, replace(record, values=record.values + 0.01 * record.values.std(axis=0) * noise)
 
@@ -38,6 +38,11 @@ def slipped(record: Record, samples: int) -> Record:
     middle = len(values) // 2
     values[middle:, 1] = record.values[middle - samples : len(values) - samples, 1]
     return replace(record, values=values)
+
+
+def first_cause(model: Model, record: Record) -> Finding:
+    """What the diagnosis names first."""
+    return dashpot.identify(model, record, diagnose=True).assessment.findings[0]
 
 
 def main_hz(record: Record) -> float:
@@ -71,8 +76,7 @@ def test_a_gain_that_steps_is_no_slip(test_of_three: tuple[Model, Record]) -> No
     model, record = test_of_three
     values = np.array(record.values)
     values[len(values) // 2 :, 1] *= 0.7
-    estimate = dashpot.identify(model, replace(record, values=values), diagnose=True)
-    first = estimate.assessment.findings[0]
+    first = first_cause(model, replace(record, values=values))
     assert (first.kind, first.of) == ("time", ("x2_dis",))
     assert first.text.startswith("the gain of x2_dis changes by a factor of 0.7")
 
@@ -89,8 +93,7 @@ def test_the_ends_of_acceleration_records_are_no_change_of_a_channel() -> None:
 
 def test_a_record_without_a_step_has_none(test_of_three: tuple[Model, Record]) -> None:
     model, record = test_of_three
-    estimate = dashpot.identify(model, record, diagnose=True)
-    assert estimate.assessment.findings == ()
+    assert dashpot.identify(model, record, diagnose=True).assessment.findings == ()
 
 
 @pytest.mark.long
@@ -138,7 +141,7 @@ def test_a_slip_of_few_samples_is_mended_and_not_left_out() -> None:
     test = record_of(model, truth, "random", samples_per_cycle=10, decay_times=5, seed=2)
     record = test.noisy(np.random.default_rng(5), 0.01 * test.size * np.array([1, 1, 0]))
     step = float(record.time[1] - record.time[0])
-    first = dashpot.identify(model, slipped(record, 4), diagnose=True).assessment.findings[0]
+    first = first_cause(model, slipped(record, 4))
     assert (first.kind, first.of) == ("time", ("x2_dis",))
     assert first.number == pytest.approx(4 * step, abs=0.5 * step)  # s; slips are tried by half steps
 
@@ -155,7 +158,7 @@ def test_a_body_that_the_rig_lacks_is_named_in_a_whole_record() -> None:
         larger, truth, "random", samples_per_cycle=10, decay_times=6, seen=model.coordinates, seed=2
     )
     record = test.noisy(np.random.default_rng(5), 0.01 * test.size * [1, 1, 0])
-    first = dashpot.identify(model, record, diagnose=True).assessment.findings[0]
+    first = first_cause(model, record)
     assert (first.kind, first.of) == ("oscillator", ("x2",))
     assert first.number == pytest.approx(0.15 * 60.0**2, rel=0.1)
 
@@ -171,8 +174,7 @@ def test_a_low_pass_filter_far_above_the_motion_is_no_delay_and_no_held_input() 
     passed = np.fft.rfft(values[:, 0], 2 * len(values)) / (1 + 1j * lines_hz / corner_hz)
     values[:, 0] = np.fft.irfft(passed, 2 * len(values))[: len(values)]
     noise = np.random.default_rng(5).normal(size=values.shape) * 0.003 * values.std(axis=0) * [1, 0]
-    estimate = dashpot.identify(model, replace(test.record, values=values + noise), diagnose=True)
-    first = estimate.assessment.findings[0]
+    first = first_cause(model, replace(test.record, values=values + noise))
     assert (first.kind, first.of) == ("filter", ("x1_dis",))
     assert first.number == pytest.approx(corner_hz, rel=0.2)
 
@@ -193,8 +195,7 @@ def test_a_channel_that_passes_no_slow_motion_is_not_taken_for_a_late_one(seed: 
     values, step = np.array(record.values), float(record.time[1] - record.time[0])
     corner_hz = 0.5 / (record.time[-1] - record.time[0])
     values[:, 1] = lfilter(*butter(1, 2 * step * corner_hz, "high"), values[:, 1])
-    estimate = dashpot.identify(model, replace(record, values=values), diagnose=True)
-    first = estimate.assessment.findings[0]
+    first = first_cause(model, replace(record, values=values))
     assert (first.kind, first.of) == ("filter", ("x2_dis",))
     assert first.number == pytest.approx(corner_hz, rel=0.2)
 
@@ -211,9 +212,7 @@ def test_a_time_base_that_is_off_by_one_per_cent_is_named_where_one_mass_is_seen
         replace(each, value=own[each.name]) if each.name in ("k1", "k3") else each for each in model.elements
     ]
     seen = Record([record.channels[k] for k in (1, 3)], record.time * rate, record.values[:, [1, 3]])
-    first = dashpot.identify(replace(model, elements=tuple(known)), seen, diagnose=True).assessment.findings[
-        0
-    ]
+    first = first_cause(replace(model, elements=tuple(known)), seen)
     assert (first.kind, first.of) == ("frequency", ())
     assert first.number == pytest.approx(rate, abs=0.002)
 
@@ -223,10 +222,7 @@ def test_a_small_gain_is_named_where_noise_is_most_of_what_is_left(
     test_of_three: tuple[Model, Record],
 ) -> None:
     model, record = test_of_three
-    estimate = dashpot.identify(
-        model, replace(record, values=record.values * [1.0, 1.01, 1.0, 1.0]), diagnose=True
-    )
-    first = estimate.assessment.findings[0]
+    first = first_cause(model, replace(record, values=record.values * [1.0, 1.01, 1.0, 1.0]))
     assert (first.kind, first.of) == ("gain", ("x2_dis",))
     assert first.number == pytest.approx(1.01, abs=0.002)
 
@@ -281,9 +277,7 @@ def test_a_tone_in_one_channel_is_told_from_a_force_that_moves_all(
     truth = chain(3, 0.03, base=True, seed=3)[1]
     frequency_hz = 1.37 * main_hz(record)
     amplitudes = 0.1 * record.values[:, 1].std() * np.eye(4)[1] * np.exp(0.7j)
-    first = dashpot.identify(
-        model, with_a_tone(record, amplitudes, frequency_hz), diagnose=True
-    ).assessment.findings[0]
+    first = first_cause(model, with_a_tone(record, amplitudes, frequency_hz))
     assert (first.kind, first.of) == ("tone", ("x2_dis",))
     assert f"{frequency_hz:.4g} Hz" in first.text
 
@@ -291,9 +285,7 @@ def test_a_tone_in_one_channel_is_told_from_a_force_that_moves_all(
     view = observation_model(pushed, record.channels, np.array([2 * np.pi * frequency_hz]))
     (by_force,) = transfer(view, pushed.parameters(truth)).G[..., -1]
     by_force = 0.1 * record.values[:, 1].std() * by_force / np.abs(by_force[1])
-    first = dashpot.identify(
-        model, with_a_tone(record, by_force, frequency_hz), diagnose=True
-    ).assessment.findings[0]
+    first = first_cause(model, with_a_tone(record, by_force, frequency_hz))
     assert (first.kind, first.of) == ("input", ("x1",))
     assert f"{frequency_hz:.4g} Hz" in first.text
 
@@ -302,23 +294,13 @@ def held_test(straight: bool) -> tuple[Model, Record]:
     """One mass under a force that is held from sample to sample, or straight in between, seen as an acceleration."""
     m, k, c, step, count = 2.0, 800.0, 4.0, 0.05, 1500
     force = np.random.default_rng(1).normal(size=count)
-    state, drive, shown = (
-        np.array([[0, 1], [-k / m, -c / m]]),
-        np.array([[0], [1 / m]]),
-        np.array([[-k / m, -c / m]]),
-    )
-    system = cont2discrete((state, drive, shown, np.array([[1 / m]])), step, "foh" if straight else "zoh")
+    moved, pushed = np.array([[0, 1], [-k / m, -c / m]]), np.array([[0], [1 / m]])
+    system = cont2discrete((moved, pushed, moved[1:], pushed[1:]), step, "foh" if straight else "zoh")
     acceleration = dlsim(system, force)[1][:, 0]
-    elements = (
-        mass("m", "x"),
-        between("k", Kind.SPRING, "x", "ground"),
-        between("c", Kind.DAMPER, "x", "ground"),
-    )
-    model = Model(("x",), (Input("f", "force", {"x": 1.0}),), elements)
     channels = (Channel("a", {"x": 1.0}, Quantity.ACCELERATION), Channel("f", {"f": 1.0}, Quantity.FORCE))
     noise = 0.01 * acceleration.std() * np.random.default_rng(2).normal(size=count)
     values = np.stack([acceleration + noise, force], axis=1)
-    return model, Record(channels, step * np.arange(count), values)
+    return network("x", "f@x", "m@x k:x-ground c:x-ground"), Record(channels, step * np.arange(count), values)
 
 
 @pytest.mark.parametrize(
@@ -330,33 +312,38 @@ def held_test(straight: bool) -> tuple[Model, Record]:
 )
 def test_what_an_input_does_between_its_samples_is_told_by_its_images(straight: bool, word: str) -> None:
     """The sampling rate is 16 times the resonance; a delay of half a step explains less."""
-    first = dashpot.identify(*held_test(straight), diagnose=True).assessment.findings[0]
+    first = first_cause(*held_test(straight))
     assert (first.kind, first.of) == ("hold", ("f",))
     assert word in first.text
     assert first.remaining is None or first.remaining < 1.5
 
 
+def recorded(
+    model: Model, theta: Real, channels: Sequence[Channel], drive: Real, rate: float, noise: Sequence[float],
+    rng: np.random.Generator,
+) -> Record:  # fmt: skip
+    """What channels show of a rig from rest, four times as finely driven (samples, 1), with a share of noise each."""
+    p = model.parameters(theta)
+    motion = integrator(model, p, 1 / rate).motion(drive, np.zeros(2 * model.n))
+    values = channel_samples(observation_model(model, channels, np.ones(1)), p, motion)[::4]
+    values = values + rng.normal(size=values.shape) * noise * values.std(axis=0)
+    return Record(tuple(channels), 4 / rate * np.arange(len(values)), values)
+
+
 @pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.long), 3])
 def test_a_channel_that_a_fit_takes_for_noise_is_looked_at(seed: int) -> None:
     """A velocity declared as a displacement, beside a force that tells the rig: all of it was noise of 100 %."""
-    elements = (
-        mass("m1", "x1", value=62.0), mass("m2", "x2", value=171.0),
-        between("k1", Kind.SPRING, "x1", "u"), between("k2", Kind.SPRING, "x2", "x1"),
-        between("c1", Kind.DAMPER, "x1", "u"), between("c2", Kind.DAMPER, "x2", "x1", value=1630.0),
-    )  # fmt: skip
-    model, rng = Model(("x1", "x2"), (Input("u"),), elements), np.random.default_rng(seed)
-    p, time = model.parameters(np.array([6.3e6, 2.27e6, 2040.0])), np.arange(4001) / 4000.0
-    base = 1e-3 * excitation("random", time, 8.0, 80.0, rng)[:, None]
-    motion = integrator(model, p, float(time[1])).motion(base, np.zeros(4))
+    rng = np.random.default_rng(seed)
+    model = network("x1 x2", "u", "m1@x1=62 m2@x2=171 k1:x1-u k2:x2-x1 c1:x1-u c2:x2-x1=1630")
     channels = (
         Channel("v1", {"x1": 1.0}, Quantity.VELOCITY),
         Channel("r", {"u": 1.0}, Quantity.FORCE),
         Channel("u", {"u": 1.0}, Quantity.DISPLACEMENT),
     )
-    values = channel_samples(observation_model(model, channels, np.ones(1)), p, motion)[::4]
-    values = values + rng.normal(size=values.shape) * [0.01, 0.008, 0.0] * values.std(axis=0)
+    base = 1e-3 * excitation("random", np.arange(4001) / 4000, 8.0, 80.0, rng)[:, None]
+    record = recorded(model, np.array([6.3e6, 2.27e6, 2040.0]), channels, base, 4000, (0.01, 0.008, 0.0), rng)
     stated = (replace(channels[0], quantity=Quantity.DISPLACEMENT), *channels[1:])
-    assessment = dashpot.identify(model, Record(stated, time[::4], values), diagnose=True).assessment
+    assessment = dashpot.identify(model, replace(record, channels=stated), diagnose=True).assessment
     assert assessment.verdict == "does not fit"
     assert (assessment.findings[0].kind, assessment.findings[0].of) == ("quantity", ("v1",))
 
@@ -370,48 +357,30 @@ def test_a_wrong_unit_that_leaves_a_flat_valley_is_named() -> None:
     test = record_of(model, theta, "random", decay_times=4, seed=1)
     record = test.noisy(np.random.default_rng(1), 0.005 * test.size * [1, 1, 0])
     try:
-        estimate = dashpot.identify(
+        assessment = dashpot.identify(
             model, replace(record, values=record.values * [1000.0, 1, 1]), diagnose=True
-        )
+        ).assessment
     except IdentifiabilityError as refused:
         causes = refused.causes
     else:
-        assert estimate.assessment.verdict == "does not fit"
-        causes = estimate.assessment.findings
+        assert assessment.verdict == "does not fit"
+        causes = assessment.findings
     assert (causes[0].kind, causes[0].of) == ("unit", ("x1_dis",))
-
-
-def recorded(
-    model: Model, theta: Real, channels: tuple[Channel, ...], drive: Real, rate: float, noise: float
-) -> Record:
-    """What channels (inputs the last) show of a rig from rest, four times as finely driven (samples, 1)."""
-    p = model.parameters(theta)
-    motion = integrator(model, p, 1 / rate).motion(drive, np.zeros(2 * model.n))
-    values = channel_samples(observation_model(model, channels, np.ones(1)), p, motion)[::4]
-    sd = noise * values.std(axis=0) * (np.arange(len(channels)) < len(channels) - 1)
-    values = values + np.random.default_rng(1).normal(size=values.shape) * sd
-    return Record(channels, 4 / rate * np.arange(len(values)), values)
 
 
 def test_a_relative_acceleration_that_is_declared_a_displacement_is_named() -> None:
     """The ends of the base's own motion are in it, so that the lines of a record alone do not turn it into one."""
-    elements = (
-        mass("m1", "x1"), mass("m2", "x2", value=171.0),
-        between("k1", Kind.SPRING, "x1", "u", value=6.3e6), between("k2", Kind.SPRING, "x2", "x1"),
-        between("c1", Kind.DAMPER, "x1", "u"), between("c2", Kind.DAMPER, "x2", "x1", value=1630.0),
-    )  # fmt: skip
-    model = Model(("x1", "x2"), (Input("u"),), elements)
+    model = network("x1 x2", "u", "m1@x1 m2@x2=171 k1:x1-u=6.3e6 k2:x2-x1 c1:x1-u c2:x2-x1=1630")
     drive = 1e-3 * excitation("random", np.arange(4001) / 4000, 8.0, 80.0, np.random.default_rng(3))[:, None]
     channels = (
         Channel("v2", {"x2": 1.0}, Quantity.VELOCITY),
         Channel("relative", {"x2": 1.0, "u": -1.0}, Quantity.ACCELERATION),
         Channel("u", {"u": 1.0}),
     )
-    record = recorded(model, np.array([62.0, 2.27e6, 2040.0]), channels, drive, 4000, 0.01).part(
-        slice(200, 800)
-    )
+    theta, rng = np.array([62.0, 2.27e6, 2040.0]), np.random.default_rng(1)
+    record = recorded(model, theta, channels, drive, 4000, (0.01, 0.01, 0.0), rng).part(slice(200, 800))
     stated = (channels[0], replace(channels[1], quantity=Quantity.DISPLACEMENT), channels[2])
-    first = dashpot.identify(model, replace(record, channels=stated), diagnose=True).assessment.findings[0]
+    first = first_cause(model, replace(record, channels=stated))
     assert (first.kind, first.of) == ("quantity", ("relative",))
 
 
@@ -425,7 +394,8 @@ def test_a_cause_is_found_from_the_rig_of_the_file_where_the_wrong_one_has_run_a
     model = Model(("x1", "x2"), (Input("f", "force", {"x2": 1.0}),), elements)
     drive = excitation("random", np.arange(8001) / 4000, 15.0, 120.0, np.random.default_rng(3))[:, None]
     channels = Channel("d2", {"x1": 1.0}), Channel("f", {"f": 1.0}, Quantity.FORCE)
-    record = recorded(model, np.array([24.0, 2.17e6, 3.66e6, 611.0]), channels, drive, 4000, 0.02)
+    theta, rng = np.array([24.0, 2.17e6, 3.66e6, 611.0]), np.random.default_rng(1)
+    record = recorded(model, theta, channels, drive, 4000, (0.02, 0.0), rng)
     stated = replace(record, channels=(replace(channels[0], of={"x2": 1.0}), channels[1]))
     estimate = dashpot.identify(model, stated, diagnose=True)
     assert estimate["k2"].value > 1e7
