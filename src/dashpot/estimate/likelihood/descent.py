@@ -168,7 +168,8 @@ class Stage:
         rows = self.data.rows_of(len(psi)) if rows is None else rows
         with np.errstate(all="ignore"):
             if output is None:
-                total = self.model_at(psi, sign, rows).cost
+                data = self.data.pick(rows)
+                total = local(self.view, data, psi, sign, self.weight, slopes=False).cost
             else:
                 total = compiled_cost(output, psi, sign, rows, self.weight)
         return np.where(np.isfinite(total), total, np.inf)

@@ -14,7 +14,14 @@ from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.estimate.likelihood import record_passes, record_sums
 from dashpot.estimate.likelihood import record_passes as record_pieces
 from dashpot.estimate.likelihood.measured import Measured
-from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, per_line, predict
+from dashpot.estimate.likelihood.objective import (
+    directly_driven,
+    local,
+    measured,
+    nuisance_columns,
+    per_line,
+    predict,
+)
 from dashpot.estimate.likelihood.record_sums import compiled_passes, shown_by_ends
 from dashpot.estimate.preparation import prepare
 from dashpot.model.observation import ObservationModel, observation_model
@@ -160,6 +167,27 @@ def test_as_line_by_line(n: int, noise: str) -> None:
     test = record_of(model, theta, "random", decay_times=2, input_quantity=base, seed=n)
     share = exact_inputs(test) if noise == "inputs exact" else np.full(len(test.size), 0.05)
     require_twins(case(test, share, joined=noise == "correlated"))
+
+
+@pytest.mark.parametrize("joined", [False, True])
+def test_logarithms_as_line_by_line(joined: bool) -> None:
+    """With slopes and without, under noise that channels share as well, which logarithms do not know."""
+    model, theta = chain(2, 0.02, seed=2)
+    test = record_of(model, theta, "random", decay_times=2, seed=2)
+    given = case(test, exact_inputs(test), joined=joined)
+    data = directly_driven(given.view, given.data)
+    assert data is not None
+    at = given.psi, given.sign, np.random.default_rng(1).random(data.y.shape[1:]) * (data.y[0] != 0)
+    slow = predict(given.view, data, given.psi, given.sign)
+    shown = np.where(data.y != 0, data.y - slow.r, 1.0)
+    rho = np.log(np.where(data.y != 0, data.y, 1.0) / shown)
+    stretch, J = np.sqrt(1 + np.abs(rho) ** 2 / 0.25), slow.J / shown[..., None]
+    cost = np.sum(at[-1] * (stretch - 1), axis=(1, 2))
+    gradient = 2 * np.einsum("klcm,klc->km", np.conj(J), at[-1] / stretch * rho).real
+    found = local(given.view, data, *at)
+    np.testing.assert_allclose(found.cost, cost, rtol=1e-9)
+    np.testing.assert_allclose(found.gradient, gradient, rtol=0, atol=1e-7 * np.max(np.abs(gradient)))
+    np.testing.assert_allclose(local(given.view, data, *at, slopes=False).cost, found.cost, rtol=1e-12)
 
 
 def test_free_decay_and_unknown_calibrations() -> None:
