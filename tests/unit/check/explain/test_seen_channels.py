@@ -14,7 +14,7 @@ from tests.mistakes import times
 from tests.networks import changed
 from tests.nonlinear_rigs import motions, settled, two_masses
 
-FREQUENCIES = np.linspace(4, 12, 8)
+FREQUENCIES = np.linspace(4, 12, 14)
 
 
 def measured(law, wrong=None, factor=1.0):
