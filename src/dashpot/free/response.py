@@ -21,7 +21,7 @@ from dashpot.channel import Channel
 from dashpot.data.conditioning.clock import even_step
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
 from dashpot.data.conditioning.settings import Conditioning
-from dashpot.data.conditioning.unmeasured import SHORTEST
+from dashpot.data.conditioning.unmeasured import SHORTEST, marked_whole, with_likely
 from dashpot.data.conditioning.whole_record import at_rest, refuse_rest, without_gaps
 from dashpot.data.noise import moderated, smoothed, with_local_noise
 from dashpot.data.periods import averaged_periods
@@ -198,7 +198,10 @@ def parted(reading: Reading, inputs: Sequence[str], outputs: Sequence[str]) -> P
         repeated = averaged_periods(record, len(inputs)) if inputs else None
         if repeated is None:
             pieces, said = without_gaps(record, split=True)
-            whole, told = [*whole, *pieces], [*told, *said]
+            told += said
+            for piece in pieces:
+                parts, said = marked_whole(piece)
+                whole, told = [*whole, *parts], [*told, *said]
             continue
         refuse_rest(record, len(inputs))
         spectra.append(repeated[0])
@@ -213,7 +216,7 @@ def parted(reading: Reading, inputs: Sequence[str], outputs: Sequence[str]) -> P
         raise DataError(
             f"no gapless part of the data has {SHORTEST} samples", cure="record longer, or without gaps"
         )
-    return Parted(len(inputs), tuple(spectra), tuple(whole), distortion, tuple(told))
+    return Parted(len(inputs), tuple(spectra), _completed(whole, len(inputs)), distortion, tuple(told))
 
 
 def response_of(data: Parted, band_hz: Band | None = None) -> MeasuredResponse:
@@ -226,6 +229,51 @@ def response_of(data: Parted, band_hz: Band | None = None) -> MeasuredResponse:
         found = _of_lines(lines, data.inputs, band_hz, "periods" if data.distortion else "dwells")
     notes = tuple(dict.fromkeys((*data.notes, *found.notes)))
     return replace(found, distortion=data.distortion, notes=notes)
+
+
+TURNS = 4  # of samples and models made by each other: each leaves of an error the share of samples that are missed
+
+
+def _completed(records: Sequence[Record], nu: int) -> tuple[Record, ...]:
+    """The records with the likeliest values for samples that are not measured: what local models of all others expect,
+    and of noise what goes on around them (expectation-maximisation, Dempster, Laird and Rubin 1977)."""
+    found = [with_likely(record)[0] for record in records]
+    for _ in range(TURNS if any(record.status is not None for record in records) else 0):
+        expected = _expected(found, nu)
+        away = (
+            replace(record, values=record.values - motion)
+            for record, motion in zip(records, expected, strict=True)
+        )
+        found = [
+            replace(one, values=with_likely(one)[0].values + motion)
+            for one, motion in zip(away, expected, strict=True)
+        ]
+    return tuple(replace(record, status=None) for record in found)
+
+
+def _expected(records: Sequence[Record], nu: int) -> list[Real]:
+    """The outputs as local models show them, (samples, channels), 0 of the inputs."""
+    lines = [record_lines(record, nu) for record in records]
+    order = np.argsort([-part.duration_s for part in lines])
+    parts = [lines[k] for k in order]
+    first, half = parts[0], _smallest_half(parts)
+    grid, chunk = np.arange(0, len(first.frequency_hz), max(1, half // 2)), _at_once(parts, half)
+    shown = [np.zeros((part.samples // 2 + 1, len(records[0].channels)), np.complex128) for part in lines]
+    for k in range(0, len(grid), chunk):
+        r, U, Y, owner = _window_rows(parts, grid[k : k + chunk], half)
+        motion = Y - _fitted(r, U, Y, owner, nu, Y.shape[2])[3]
+        frequency = first.frequency_hz[grid[k : k + chunk], None] + r * half / first.duration_s
+        for row in np.argsort(
+            -np.median(np.abs(r), axis=0)
+        ):  # that nearest to the middle of a window comes last
+            number = order[owner[row]]
+            at = np.rint(frequency[:, row] * lines[number].duration_s).astype(np.int64)
+            shown[number][at, nu:] = motion[:, row]
+    for record, part, one in zip(records, lines, shown, strict=True):
+        one[1 : len(part.frequency_hz) + 1] /= (
+            calibration(record.channels, part.frequency_hz) * 2 / part.samples**0.5
+        )
+    return [fft.irfft(one, part.samples, axis=0) for one, part in zip(shown, lines, strict=True)]
 
 
 def _of_channels(data: Data, inputs: Sequence[str], outputs: Sequence[str]) -> Data:
@@ -647,8 +695,9 @@ def _window_rows(parts: Sequence[RecordLines], grid: Ints, width: int) -> tuple[
 
 def _fitted(
     r: Real, U: Complex, Y: Complex, owner: Ints, nu: int, ny: int
-) -> tuple[Complex, Complex, Complex]:
-    """H at r = 0 (lines, ny, nu), its covariance over that of the noise (lines, ny, nu, ny, nu), noise (lines, ny, ny).
+) -> tuple[Complex, Complex, Complex, Complex]:
+    """H at r = 0 (lines, ny, nu), its covariance over that of the noise (lines, ny, nu, ny, nu), the noise (lines, ny,
+    ny), and what is left of Y.
 
     Y = Σ_k r^k (G_k U + T_k) / (1 + d₁ r + d₂ r²), k = 0, 1, 2, with T of each record and d of each output: linear
     least squares (Levy), then Gauss-Newton as long as the errors fall.  Where chance could do what the denominator does
@@ -663,7 +712,7 @@ def _fitted(
     tail = r[..., None] ** np.array([1, 2])
     H, residual = np.empty((lines, ny, nu), dtype=np.complex128), np.empty_like(Y)
     S = np.zeros((lines, ny, nu, rows), dtype=np.complex128)  # what an error of a line does to H
-    free = rows - linear.shape[2] - 2
+    free = np.full((lines, ny), rows - linear.shape[2] - 2)
     plain, smoother = _least_squares(linear, Y)
     plain_residual = Y - linear @ plain
     for i in range(ny):
@@ -685,13 +734,16 @@ def _fitted(
             now = kept + np.where(better[:, None], step[..., 0], 0)
         H[:, i] = kept[:, :nu]
         square = np.sum(np.abs(plain_residual[..., i]) ** 2, axis=1)
-        more = (square / np.maximum(best, 1e-300) - 1) * free / 2
-        even = fdtrc(4, 2 * free, np.maximum(more, 0)) > 1e-3  # also where nothing better was found
+        more = (square / np.maximum(best, 1e-300) - 1) * free[:, i] / 2
+        even = fdtrc(4, 2 * free[:, i], np.maximum(more, 0)) > 1e-3  # also where nothing better was found
         H[even, i] = plain[even, :nu, i]
-        residual[even, :, i] = plain_residual[even, :, i] * (free / (free + 2)) ** 0.5  # by its own freedom
+        residual[even, :, i] = plain_residual[even, :, i]
         S[even, i] = smoother[even, :nu]
-    noise = np.einsum("lri,lrj->lij", residual, np.conj(residual)) / free
-    return H, np.einsum("licr,ljdr->licjd", S, np.conj(S)), noise
+        free[even, i] += 2
+    noise = np.einsum("lri,lrj->lij", residual, np.conj(residual)) / np.sqrt(
+        free[:, :, None] * free[:, None, :]
+    )
+    return H, np.einsum("licr,ljdr->licjd", S, np.conj(S)), noise, residual
 
 
 def _nearest(ordered: Real, values: Real) -> Ints:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -303,6 +304,32 @@ def test_a_drift_and_a_column_given_twice_leave_sound_deviations() -> None:
     assert found.shapes[:, 2] == pytest.approx(found.shapes[:, 1], abs=1e-4)
     assert found.frequency_sd == pytest.approx(once.frequency_sd, rel=0.1)
     assert np.all(np.abs(found.frequency_hz - once.frequency_hz) < once.frequency_sd)
+
+
+def held(x: Real, rng: np.random.Generator) -> Real:
+    at = np.arange(len(x))
+    return np.where((at > len(x) // 2) & (at <= len(x) // 2 + 150), x[len(x) // 2], x)
+
+
+def clipped(x: Real, rng: np.random.Generator) -> Real:
+    return np.clip(x, *np.quantile(x, [0.04, 0.96]))
+
+
+def spiky(x: Real, rng: np.random.Generator) -> Real:
+    at = rng.integers(100, len(x) - 100, 5)
+    return x + 30 * np.std(x) * np.isin(np.arange(len(x)), at)
+
+
+@pytest.mark.parametrize("spoiled", [held, clipped, spiky])
+def test_samples_that_are_not_measured_bend_no_mode(spoiled: Callable[..., Real]) -> None:
+    """As they were taken, shapes were up to 11 standard deviations away, and nothing was said."""
+    rng = np.random.default_rng(4)
+    test = TWO.record(TWO.noise(rng, 40.0, 1), rng, 0.01)
+    values = test.values.copy()
+    values[:, 2] = spoiled(values[:, 2], rng)
+    found = dashpot.modes(replace(test, values=values), "u0")
+    assert np.max(np.abs(np.concatenate(errors(found, TWO)))) < 4
+    assert {note.code for note in found.notes} & {"held_samples", "dropouts", "unclipped"}
 
 
 def test_real_shapes_and_no_modes() -> None:
