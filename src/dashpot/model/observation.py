@@ -458,8 +458,8 @@ def small(model: Model) -> bool:
 
 
 def slopes_by_unknown(model: Model, channels: Sequence[Channel]) -> bool:
-    """Whether `transfer` solves for the motions by each input and unknown, which are fewer than the channels."""
-    return not small(model) and len(model.inputs) * len(model.unknowns) < len(channels)
+    """Whether `transfer` solves for the motions by each input and unknown, far fewer than the channels."""
+    return not small(model) and 2 * len(model.inputs) * len(model.unknowns) < len(channels)
 
 
 def _transfer_dense(view: ObservationModel, p: Real) -> Transfer:

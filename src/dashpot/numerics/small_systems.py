@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 from typing import cast
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
-from dashpot.arrays import Bools, Complex, Ints, Real, zeros_for_nan
+from dashpot.arrays import Bools, Complex, Ints, Real, hermitian, zeros_for_nan
 from dashpot.numerics.kernel import kernel_function
 
 # Least squares on nuisance columns that may depend on each other, for stacks of problems.
@@ -99,6 +103,61 @@ def whitening_steps(B: Real, precision: Real) -> tuple[Real, Real]:
 FREE = 0.97  # step from which on a column that is known beforehand takes a degree of freedom: known to a thousandth
 
 
+SPARSE_FROM = 48  # rows: above it matrices that are nearly all zeros are taken as sparse
+
+
+def mostly_zeros(stack: Complex | Real) -> bool:
+    """Whether a stack of large matrices (..., n, k) holds few numbers beside zeros, and none that is not finite."""
+    if min(stack.shape[-2:]) < SPARSE_FROM or 8 * np.count_nonzero(stack) > stack.size:
+        return False
+    return bool(np.isfinite(np.sum(stack)))
+
+
+def block_diagonal(stack: Complex | Real) -> sparse.csr_array:
+    """The matrices of a stack (..., n, k) along the diagonal of one sparse matrix."""
+    n, k = stack.shape[-2:]
+    flat = stack.reshape(-1, n, k)
+    block, row, column = flat.nonzero()
+    shape = (len(flat) * n, len(flat) * k)
+    return sparse.csr_array((flat[block, row, column], (block * n + row, block * k + column)), shape=shape)
+
+
+def product(left: Complex | Real, right: Complex) -> Complex:
+    """left @ right of stacks (..., n, k) and (..., k, j), in the pattern of `left` where that is sparse."""
+    if not mostly_zeros(left):
+        return left @ right
+    lead, (n, k), j = np.broadcast_shapes(left.shape[:-2], right.shape[:-2]), left.shape[-2:], right.shape[-1]
+    wide: Complex = np.broadcast_to(left, (*lead, n, k))
+    sides: Complex = np.broadcast_to(right, (*lead, k, j))
+    if not mostly_zeros(sides):
+        return np.asarray(block_diagonal(wide) @ sides.reshape(-1, j)).reshape(*lead, n, j)
+    found = (block_diagonal(wide) @ block_diagonal(sides)).tocoo()
+    result = np.zeros((math.prod(lead), n, j), dtype=found.dtype)
+    result[found.row // n, found.row % n, found.col % j] = found.data
+    return result.reshape(*lead, n, j)
+
+
+def summed_products(left: Complex, right: Complex) -> Real:
+    """2 Re Σ_l leftᴴ right of (..., lines, n, m) and (..., lines, n, k); (..., m, k)."""
+    rows = left.shape[-3] * left.shape[-2]
+    left, right = (part.reshape(*part.shape[:-3], rows, part.shape[-1]) for part in (left, right))
+    if right.shape[:-2] != left.shape[:-2] or not mostly_zeros(right):
+        return 2 * (hermitian(left) @ right).real
+    pairs = zip(left.reshape(-1, *left.shape[-2:]), right.reshape(-1, *right.shape[-2:]), strict=True)
+    found = [(sparse.csr_array(b).conj().T @ a).real.T for a, b in pairs]
+    return 2 * np.reshape(found, (*left.shape[:-2], left.shape[-1], right.shape[-1]))
+
+
+def _solve_sparse(matrix: Complex, right: Complex) -> Complex:
+    """As `solve_small`, by one factorisation of all.  Raises RuntimeError where some matrix is exactly singular."""
+    lead, (n, k) = np.broadcast_shapes(matrix.shape[:-2], right.shape[:-2]), right.shape[-2:]
+    whole = block_diagonal(np.broadcast_to(matrix, (*lead, n, n))).tocsc()
+    kind = np.result_type(matrix, right)
+    sides = np.broadcast_to(right, (*lead, n, k)).reshape(-1, k).astype(kind, copy=False)
+    solved: Complex = splu(whole.astype(kind), permc_spec="MMD_AT_PLUS_A").solve(sides)
+    return solved.reshape(*lead, n, k)
+
+
 def solve_small(matrix: Complex, right: Complex) -> Complex:
     """matrix⁻¹ right for stacks of small matrices (..., n, n) and right sides (..., n, k); NaN where singular.
 
@@ -106,6 +165,9 @@ def solve_small(matrix: Complex, right: Complex) -> Complex:
     of LAPACK.
     """
     n = matrix.shape[-1]
+    if mostly_zeros(matrix):
+        with contextlib.suppress(RuntimeError):
+            return _solve_sparse(matrix, right)
     if n == 0 or n > 2:
         try:
             return cast("Complex", np.linalg.solve(matrix, right))

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from dashpot.numerics.kernel import using
-from dashpot.numerics.small_systems import scaled_inverse
+from dashpot.numerics.small_systems import (
+    mostly_zeros,
+    product,
+    scaled_inverse,
+    solve_small,
+    summed_products,
+)
 from tests.kernels import apart, compiled
 
 
@@ -35,3 +41,27 @@ def test_singular_matrices_are_nan_and_leave_their_neighbours_alone(choice: str)
         inverse = scaled_inverse(stack)
     assert np.isnan(inverse[1:4]).all()
     np.testing.assert_allclose(inverse[[0, 4]], [np.eye(3), np.eye(3) / 2], rtol=1e-15)
+
+
+def test_matrices_of_few_numbers_are_taken_as_such() -> None:
+    """Banded stacks, solved and multiplied in their pattern, as NumPy does it in full; a singular one is NaN alone."""
+    rng = np.random.default_rng(1)
+    band = np.abs(np.subtract.outer(np.arange(60), np.arange(60))) < 2
+    A, B = (
+        (rng.standard_normal((2, 3, 60, 60)) + 1j * rng.standard_normal((2, 3, 60, 60))) * band for _ in "AB"
+    )
+    full = rng.standard_normal((2, 3, 60, 7))
+    assert mostly_zeros(A)
+    assert not mostly_zeros(np.where(np.eye(60) > 0, np.nan, A))
+    np.testing.assert_allclose(product(A, B), A @ B, atol=1e-12)
+    np.testing.assert_allclose(product(A[0], B), A[0] @ B, atol=1e-12)
+    np.testing.assert_allclose(product(A, full), A @ full, atol=1e-12)
+    both = np.sum(2 * (A.conj().swapaxes(-1, -2) @ B).real, axis=-3)
+    np.testing.assert_allclose(summed_products(A, B), both, atol=1e-12)
+    A = A + 4 * np.eye(60)
+    np.testing.assert_allclose(solve_small(A, full), np.linalg.solve(A, full), atol=1e-10)
+    np.testing.assert_allclose(solve_small(A[0], full), np.linalg.solve(A[0], full), atol=1e-10)
+    A[1, 2, 5] = 0.0
+    alone = solve_small(A, full)
+    assert np.all(np.isnan(alone[1, 2]))
+    np.testing.assert_allclose(alone[0], np.linalg.solve(A[0], full[0]), atol=1e-10)

@@ -18,7 +18,7 @@ from dashpot.model.network import Model
 from dashpot.model.observation import small
 from dashpot.numerics.kernel import kernel, threads
 from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel
-from dashpot.numerics.small_systems import solve_small
+from dashpot.numerics.small_systems import product, solve_small, summed_products
 
 # The equation of motion in the compiled kernel: twins of `starts`, `equation_by_line`, `_sums` and
 # `search`.
@@ -104,11 +104,7 @@ def weighted_normal(Psi: Complex, Se: Complex, Phi: Complex) -> tuple[Complex, R
     elements.  The factor 2 makes it the inverse of a covariance, since Se is E[e eᴴ] of a complex amplitude.
     """
     Q = solve_small(Se, Psi)
-    m = Psi.shape[-1]
-    rows = Psi.shape[-3] * Psi.shape[-2]
-    left = Q.reshape(*Q.shape[:-3], rows, m)
-    right = Phi.reshape(*Phi.shape[:-3], rows, Phi.shape[-1])
-    return Q, 2 * (hermitian(left) @ right).real
+    return Q, summed_products(Q, Phi)
 
 
 # The auxiliary model: what the amplitudes would be without noise, were θ true (paper eq. 18; THEORY §4).
@@ -165,8 +161,8 @@ def _equation_noise(model: Model, p: Real, data: States) -> tuple[Complex, Compl
     if model.S.shape[1]:
         S = np.broadcast_to(-model.S.astype(complex), (*H.shape[:-1], model.S.shape[1]))
         H = np.concatenate([H, S], axis=-1)
-    spread = data.covariance @ hermitian(H)
-    Se = H @ spread
+    spread = product(data.covariance, hermitian(H))
+    Se = product(H, spread)
     # Channels that are exact beside noisy ones would make Se singular: a floor far below the noise keeps it regular.
     variance = np.diagonal(Se, axis1=-2, axis2=-1).real
     floor = 1e-13 * np.where(variance > 0, variance, np.max(variance, axis=-1, keepdims=True, initial=0.0))
@@ -223,9 +219,4 @@ def normal_equations(model: Model, at: Auxiliary, Phi: Complex) -> tuple[Real, R
     """(N of the instruments w with the measured Φ, N of w with itself, gradient −Re Ψᴴ Ω e · 2)."""
     Psi = regressors(model, at.w)
     Q, symmetric = weighted_normal(Psi, at.Se, Psi)
-    rows = Q.shape[-3] * Q.shape[-2]
-    left = hermitian(Q.reshape(*Q.shape[:-3], rows, Q.shape[-1]))
-    mixed = 2 * (left @ Phi.reshape(*Phi.shape[:-3], rows, Phi.shape[-1])).real
-    e = at.e.reshape(*at.e.shape[:-2], rows, 1)
-    gradient = -2 * (left @ e).real[..., 0]
-    return mixed, symmetric, gradient
+    return summed_products(Q, Phi), symmetric, -summed_products(Q, at.e[..., None])[..., 0]

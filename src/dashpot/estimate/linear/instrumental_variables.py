@@ -38,6 +38,7 @@ from dashpot.estimate.result import Estimate
 from dashpot.model.dynamics import amplitudes, unit_forces
 from dashpot.model.matrix_elements import LETTERS, Letter
 from dashpot.model.network import Model
+from dashpot.model.observation import small
 from dashpot.numerics.kernel import threads
 from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult, QuadraticModel, minimise
 from dashpot.numerics.small_systems import solve_scaled
@@ -146,7 +147,7 @@ class OptimalIV(Method):
         if len(model.nonlinear):
             require_direct(data)
             return MaximumLikelihood(max_iterations=self.max_iterations, tolerance=self.tolerance).solve(data)
-        first, *others = starts(model, states)
+        first, *others = starts(model, states) if small(model) else likelier_first(model, states)
         from_start = partial(search, model, states, limit=self.max_iterations, tolerance=self.tolerance)
         ends = from_start(first, np.arange(len(first)))
         dof = (
@@ -163,6 +164,21 @@ class OptimalIV(Method):
             ends = ends.improved(astray, from_start(start, astray))
         covariance = equation_sums(model, states, ends.x).inverse
         return Solution(ends.x, covariance, ends.converged, ends.iterations, ends.history)
+
+
+def likelier_first(model: Model, states: States) -> list[Real]:
+    """The `starts` and the guesses, each (K, unknowns), the likeliest of each repeat first.
+
+    In long chains least squares may begin far off.
+    """
+    tries = list(starts(model, states))
+    guess = [unknown.nominal for unknown in model.unknowns]
+    if None not in guess:
+        tries.append(np.broadcast_to(np.array(guess, dtype=float), tries[0].shape))
+    with np.errstate(all="ignore"):
+        costs = np.stack([auxiliary(model, model.parameters(theta), states).cost() for theta in tries])
+    order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), axis=0, kind="stable")
+    return list(np.take_along_axis(np.stack(tries), order[..., None], axis=0))
 
 
 def search(

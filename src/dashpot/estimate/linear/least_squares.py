@@ -25,7 +25,7 @@ from dashpot.estimate.preparation import Prepared, States, reconstruction, unsee
 from dashpot.model.dynamics import unit_forces
 from dashpot.model.network import Model
 from dashpot.numerics.kernel import threads
-from dashpot.numerics.small_systems import scaled_inverse, solve_scaled, solve_small
+from dashpot.numerics.small_systems import product, scaled_inverse, solve_scaled, solve_small
 
 # The paper's methods work on samples: a_i(t) from the channel that measures the right derivative (eq.
 # 7-15).
@@ -34,6 +34,8 @@ from dashpot.numerics.small_systems import scaled_inverse, solve_scaled, solve_s
 # or, as in the paper's J(ω), from −ω² x. All sums over samples are bilinear in q(t) = (channels, cos ωt,
 # sin ωt), so the second moments Σ q qᵀ of the Spectrum hold them; without moments they are those of whole
 # periods, N/2 Re(w̄ a).
+
+CHUNK = 2_000_000  # complex numbers at once
 
 
 @dataclass(frozen=True)
@@ -488,13 +490,19 @@ def without_noise(
 
 def noise_sums(model: Model, data: States, Se: Complex) -> tuple[Real, Real]:
     """What noise adds to 2 Re ΦᴴΩΦ and to 2 Re ΦᴴΩh, by (G): (B Ω Bᵀ) ∘ E[ā aᵀ], (K, unknowns, unknowns or none)."""
-    q = data.n + data.r
-    reading = model.factors(data.omega, data.experiment)[:, :, None] * np.concatenate(
-        [model.B, model.D], axis=1
-    )
-    meeting = model.B @ solve_small(Se, np.broadcast_to(np.eye(model.n, dtype=complex), Se.shape))
-    spread = reading @ data.covariance[..., :q, :]
-    crossed = np.conj(spread[..., :q] @ hermitian(reading))
-    pairs = 2 * np.sum(((meeting @ model.B.T) * crossed).real, axis=-3)
-    forces = 2 * np.sum(((meeting @ model.S) * np.conj(spread[..., q:])).real, axis=(-1, -3))
+    q, E = data.n + data.r, len(model.elements)
+    span, factors = np.concatenate([model.B, model.D], axis=1), model.factors(data.omega, data.experiment)
+    pairs, forces = np.zeros((E, E)), np.zeros(E)
+    at_once = max(1, CHUNK // max(1, len(Se) * E**2))
+    for first in range(0, len(factors), at_once):
+        few = slice(first, first + at_once)
+        reading = factors[few, :, None] * span
+        some = Se[..., few, :, :]
+        weight = solve_small(some, np.broadcast_to(np.eye(model.n, dtype=complex), some.shape))
+        B = np.broadcast_to(model.B, (*some.shape[:-2], *model.B.shape))
+        meeting = product(B, weight)
+        spread = product(reading, data.covariance[..., few, :q, :])
+        crossed = product(spread[..., :q], hermitian(reading))
+        pairs = pairs + 2 * np.sum((product(B, np.swapaxes(meeting, -1, -2)) * crossed).real, axis=-3)
+        forces = forces + 2 * np.sum(((meeting @ model.S) * np.conj(spread[..., q:])).real, axis=(-1, -3))
     return model.T.T @ pairs @ model.T, (forces - pairs @ model.p0) @ model.T
