@@ -741,8 +741,9 @@ def band_stability(frequency_hz: Real, information: Real, scores: Real, prior: R
     total = np.sum(information, axis=1) + prior
     # 1 where a line belongs to a part, (K, lines, parts): ascending in frequency, with equal shares of information
     share = np.einsum("klij,kji->kl", information, scaled_inverse(total))
+    share = np.where(np.isfinite(share), np.maximum(share, 0.0), 0.0)
     order = np.argsort(frequency_hz, kind="stable")
-    run = np.cumsum(np.maximum(np.nan_to_num(share[:, order]), 0.0), axis=1)
+    run = np.cumsum(share[:, order], axis=1)
     parts = min(6, len(order))
     part = np.empty(share.shape, dtype=np.int64)
     part[:, order] = np.minimum((parts * run / np.maximum(run[:, -1:], 1e-300)).astype(int), parts - 1)

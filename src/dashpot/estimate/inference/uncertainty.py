@@ -517,6 +517,7 @@ def _of_equation(data: Prepared, solution: Solution) -> Linearised:
     )
 
 
+@np.errstate(all="ignore")  # what the data know nothing of is infinite
 def uncertainty(data: Prepared, solution: Solution, around: Linearised, traits: Traits) -> Uncertainty:
     """Covariance, bound and χ².
 
@@ -602,8 +603,7 @@ def _noise(information: Real, quality: NoiseQuality, bread: Real, prior: Real) -
         degrees = interval_dof(shared, quality.dof, np.diagonal(stated, axis1=-2, axis2=-1))
         return bread @ summed @ bread + stated, degrees
     each = bread[:, None]
-    with np.errstate(invalid="ignore"):  # noise of which nothing is known is infinite, times information of 0
-        shares = each @ (information * quality.inflation[..., None, None]) @ each
+    shares = each @ (information * quality.inflation[..., None, None]) @ each
     exact = np.diagonal(stated, axis1=-2, axis2=-1)
     degrees = interval_dof(np.diagonal(shares, axis1=-2, axis2=-1), quality.dof, exact)
     return np.sum(shares, axis=-3) + stated, degrees
