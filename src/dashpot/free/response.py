@@ -231,7 +231,8 @@ def response_of(data: Parted, band_hz: Band | None = None) -> MeasuredResponse:
     return replace(found, distortion=data.distortion, notes=notes)
 
 
-TURNS = 4  # of samples and models made by each other: each leaves of an error the share of samples that are missed
+TURNS = 6  # at the most, of samples and models made by each other
+SETTLED = 0.05  # of what else local models leave of a channel (rms), by which no sample moves any more
 
 
 def _completed(records: Sequence[Record], nu: int) -> tuple[Record, ...]:
@@ -239,15 +240,16 @@ def _completed(records: Sequence[Record], nu: int) -> tuple[Record, ...]:
     and of noise what goes on around them (expectation-maximisation, Dempster, Laird and Rubin 1977)."""
     found = [with_likely(record)[0] for record in records]
     for _ in range(TURNS if any(record.status is not None for record in records) else 0):
-        expected = _expected(found, nu)
-        away = (
-            replace(record, values=record.values - motion)
-            for record, motion in zip(records, expected, strict=True)
-        )
-        found = [
-            replace(one, values=with_likely(one)[0].values + motion)
-            for one, motion in zip(away, expected, strict=True)
-        ]
+        moved = 0.0
+        for k, motion in enumerate(_expected(found, nu)):
+            away = with_likely(replace(records[k], values=records[k].values - motion))[0].values
+            missed, last = records[k].marks() != 0, found[k].values
+            found[k] = replace(records[k], values=away + motion)
+            rms = np.sqrt(np.mean(np.where(missed, 0.0, away) ** 2, axis=0))
+            moves = np.max(np.abs(found[k].values - last) * missed, axis=0)
+            moved = max(moved, float(np.max(moves / np.maximum(rms, np.finfo(float).tiny))))
+        if moved < SETTLED:
+            break
     return tuple(replace(record, status=None) for record in found)
 
 
@@ -257,7 +259,7 @@ def _expected(records: Sequence[Record], nu: int) -> list[Real]:
     order = np.argsort([-part.duration_s for part in lines])
     parts = [lines[k] for k in order]
     first, half = parts[0], _smallest_half(parts)
-    grid, chunk = np.arange(0, len(first.frequency_hz), max(1, half // 2)), _at_once(parts, half)
+    grid, chunk = np.arange(0, len(first.frequency_hz), half), _at_once(parts, half)
     shown = [np.zeros((part.samples // 2 + 1, len(records[0].channels)), np.complex128) for part in lines]
     for k in range(0, len(grid), chunk):
         r, U, Y, owner = _window_rows(parts, grid[k : k + chunk], half)
