@@ -277,9 +277,9 @@ def _three_shares(text: str) -> tuple[float, float, float]:
     return shares[0], shares[1], shares[2]
 
 
-def names(text: str) -> tuple[str, ...]:
-    """Names separated by commas."""
-    return tuple(names_in(text))
+def names(*texts: str) -> tuple[str, ...]:
+    """Names separated by commas, of an option that is given several times all."""
+    return tuple(name for text in texts for name in names_in(text))
 
 
 _time = partial(quantities.quantity, kind="time")
@@ -585,13 +585,13 @@ Dask = Annotated[
 ]
 CHANNELS = "Channels"
 InputColumns = Annotated[
-    str | None,
-    Option("--input NAME,…", None, CHANNELS),
+    tuple[str, ...],
+    Option("--input NAME,…", None, CHANNELS, multiple=True),
     "Columns that drive the rig.  [default: those of --rig]",
 ]
 OutputColumns = Annotated[
-    str | None,
-    Option("--output NAME,…", None, CHANNELS),
+    tuple[str, ...],
+    Option("--output NAME,…", None, CHANNELS, multiple=True),
     "Columns that show its motion.  [default: those of --rig, else all others]",
 ]
 ChannelsOfRig = Annotated[

@@ -57,7 +57,7 @@ def command(
     content = structure_content(model, channels, verdict)
     found = None
     if verdict.identifiable and spectrum is not None:
-        wanted = [name for text in profiled for name in opt.names(text)]
+        wanted = list(opt.names(*profiled))
         with progress("check", quiet):
             estimate = identify(read, spectrum, seed=seed, judge=False)
             judged_by = spectrum if estimate.origin is None else estimate.origin.spectrum or spectrum

@@ -47,7 +47,7 @@ def command(
     from dashpot.present.response import response_document
 
     require_each_once(data)
-    driven, shown = (None if text is None else opt.names(text) for text in (inputs, outputs))
+    driven, shown = (opt.names(*texts) if texts else None for texts in (inputs, outputs))
     with progress(reading_of(data), quiet):
         read = None if rig is None else read_rig(rig)
         found = frf(data, driven, shown, rig=read, band=band, frequency_hz=frequency)

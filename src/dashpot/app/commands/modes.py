@@ -58,7 +58,7 @@ def command(
     require_each_once(data)
     if shapes is not None and rig is None:
         raise UsageError("mode shapes are drawn on a rig", "--shapes", "give its file with --rig")
-    driven, shown = (None if text is None else opt.names(text) for text in (inputs, outputs))
+    driven, shown = (opt.names(*texts) if texts else None for texts in (inputs, outputs))
     with progress(reading_of(data), quiet):
         read = None if rig is None else read_rig(rig)
         found = modes(data, driven, shown, rig=read, band=band, frequency_hz=frequency, most=most, real=real)

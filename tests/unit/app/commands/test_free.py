@@ -32,7 +32,8 @@ def table(dashpot: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_responses_keep_to_the_contract(dashpot: Command, table: Path) -> None:
     done = dashpot(
-        "frf", "t.csv", "--input", "f", "--output", "a1,a2", "--json", "r.json", "--figure", "r.png"
+        *("frf", "t.csv", "--input", "f", "--output", "a1", "--output", "a2"),
+        *("--json", "r.json", "--figure", "r.png"),
     )
     assert done.code == 0, done.err
     assert "a2/f" in done.out
