@@ -42,7 +42,7 @@ from dashpot.free.response import (
     response_of,
 )
 from dashpot.io.json_document import data_frame
-from dashpot.io.words import counted
+from dashpot.io.words import counted, joined
 from dashpot.notices import Notice
 
 HIGHEST_DAMPING = 0.8  # of what is reported as a mode: broader poles stand for what lies outside the band
@@ -203,6 +203,8 @@ def measured_modes(
         found = response_of(data, band_hz) if isinstance(data, Parted) else data
         inputs_of, outputs_of, notes, sets = found.inputs, found.outputs, found.notes, _of_response(found)
     fit, stabilisation, first = _by_evidence(sets, most)
+    if isinstance(data, Parted) and data.records and not data.inputs:
+        _require_decay(sets, fit, outputs_of)
     kept, left = _modes_among(fit, sets)
     if not len(kept):
         f = sets[0].frequency_hz
@@ -239,6 +241,22 @@ def measured_modes(
         real,
         tuple(dict.fromkeys(notes)),
     )
+
+
+FREELY = 0.1  # of a channel's power, that a free decay explains at the least: buried in noise of three times its size
+
+
+def _require_decay(sets: Sequence[_Set], fit: _Fit, outputs: Sequence[Channel]) -> None:
+    """Raises DataError where poles explain next to nothing of any record without inputs: something drove the rig."""
+    power = sum(np.sum(np.abs(one.outputs) ** 2, axis=0) for one in sets)
+    left = sum(np.sum(np.abs(r.reshape(-1, len(outputs))) ** 2, axis=0) for r in fit.residuals)
+    most = float(np.max(1 - left / np.maximum(power, np.finfo(float).tiny)))
+    if most < FREELY:
+        raise DataError(
+            f"{joined(channel.name for channel in outputs)} do not move as in a free decay: it explains "
+            f"{100 * max(most, 0.0):.0f} % of the motion",
+            cure="name what drives the rig as an input, or record while it moves freely",
+        )
 
 
 # The data: lines of records with their inputs and ends, or responses, whose input is 1.

@@ -196,6 +196,15 @@ def test_free_decays() -> None:
     assert found.participation.shape == (2, 0)
 
 
+def test_a_driven_motion_is_no_free_decay() -> None:
+    """It had one mode, with an interval of less than a per cent, that is none of the rig's."""
+    rng = np.random.default_rng(6)
+    test = TWO.record(TWO.noise(rng, 20.0, 1), rng, 0.01)
+    with pytest.raises(DataError, match=r"do not move as in a free decay: it explains \d % of the motion"):
+        dashpot.modes(test, outputs=[channel.name for channel in test.channels])
+    assert len(dashpot.modes(decays(TWO, rng, 2, 20.0, 1.0)).frequency_hz) == 2
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("case", ["random", "close", "damping", "decays", "responses"])
 def test_coverage(case: str) -> None:
@@ -341,7 +350,7 @@ def test_real_shapes_and_no_modes() -> None:
     noise = replace(test, values=rng.standard_normal(test.values.shape))
     with pytest.raises(DataError, match="no excitation"):
         dashpot.modes(noise, "u0")
-    with pytest.raises(DataError, match="no mode"):
+    with pytest.raises(DataError, match="do not move as in a free decay"):
         dashpot.modes(noise, [], "a0,a1")
 
 
