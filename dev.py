@@ -528,9 +528,7 @@ def test(extra: list[str]) -> int:
     # One BLAS thread in each worker: two workers with two threads each fight over two cores.
     # worksteal keeps neighbouring tests together, so fixtures of a module are mostly made once.
     return call(
-        [PYTHON, "-m", "pytest", "-q", "-n", "2", "--dist", "worksteal", *extra],
-        cwd=ROOT,
-        **variables,
+        [PYTHON, "-m", "pytest", "-q", "-n", "2", "--dist", "worksteal", *extra], cwd=ROOT, **variables
     )
 
 

@@ -90,11 +90,7 @@ def sequential(model: Model, data: Spectrum, rng: np.random.Generator) -> Spectr
             pass  # the data say nothing yet: design for the guesses
         total = int(np.sum(data.samples))
         test = shortest(
-            own,
-            Criterion("minimax"),
-            0.98 * TARGET,
-            Budget(samples=total),
-            band_grid(own, *BAND),
+            own, Criterion("minimax"), 0.98 * TARGET, Budget(samples=total), band_grid(own, *BAND)
         )
         if test is None:
             test_f, share, wanted = [float(np.mean(BAND))], np.ones(1), 16.0

@@ -85,14 +85,7 @@ PAIRS = (
     ("rig.toml", "test.toml"), ("rig.toml", "matlab.mat"), ("rig.toml", "uff.uff"), ("rig.toml", "modes.uff"),
     ("forced.toml", "forced.csv"),  # for maximum likelihood, which takes longer
 )  # fmt: skip
-MOST_COSTLY = {
-    "report",
-    "figure",
-    "drawn_progress",
-    "profiled",
-    "robust",
-    "doubt",
-}  # rarely drawn
+MOST_COSTLY = {"report", "figure", "drawn_progress", "profiled", "robust", "doubt"}  # rarely drawn
 
 
 @dataclass(frozen=True)

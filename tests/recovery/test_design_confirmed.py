@@ -11,13 +11,7 @@ from dashpot.data.conditioning.lines import spectrum as conditioned
 from dashpot.data.spectrum import Spectrum
 from dashpot.design.allocation import Criterion
 from dashpot.design.plan import Budget, plan, sample_noise, unsettled_dwells
-from dashpot.design.test_setup import (
-    Schedule,
-    ShakerLimits,
-    TestSetup,
-    band_grid,
-    nominal_setup,
-)
+from dashpot.design.test_setup import Schedule, ShakerLimits, TestSetup, band_grid, nominal_setup
 from dashpot.estimate.identify import identify
 from dashpot.estimate.method import Method
 from dashpot.study.simulate import dwells, simulate_spectrum

@@ -15,9 +15,7 @@ from typing import Any
 import numpy as np
 
 from dashpot.arrays import Real
-from dashpot.check.explain.laws import (
-    SOFT_NONLINEAR_ELEMENTS as SOFT,
-)
+from dashpot.check.explain.laws import SOFT_NONLINEAR_ELEMENTS as SOFT
 from dashpot.check.explain.laws import (
     Motions,
     candidate_elements,

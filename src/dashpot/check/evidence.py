@@ -453,8 +453,7 @@ def _from_slopes(
 ) -> Real:
     base = chi2_surface(model, spectrum, estimate)
     freed = replace(
-        model,
-        elements=tuple(replace(e, value=None) if e.name in exact else e for e in model.elements),
+        model, elements=tuple(replace(e, value=None) if e.name in exact else e for e in model.elements)
     )
     prepared = prepare(freed, spectrum)
     view = prepared.view

@@ -19,12 +19,7 @@ from dashpot.estimate.identify import identify
 from dashpot.estimate.inference.uncertainty import flat_valley
 from dashpot.estimate.likelihood.descent import Stage
 from dashpot.estimate.likelihood.measured import Measured
-from dashpot.estimate.likelihood.objective import (
-    bounds,
-    local,
-    measured,
-    per_line,
-)
+from dashpot.estimate.likelihood.objective import bounds, local, measured, per_line
 from dashpot.estimate.preparation import prepare
 from dashpot.estimate.registry import AUTOMATIC  # those that end in the minimum of χ²
 from dashpot.estimate.result import MISFIT, Estimate

@@ -21,11 +21,7 @@ from dashpot.data.record import calibration, real_factor
 from dashpot.data.spectrum import Spectrum
 from dashpot.estimate.assessment import Discrepancy, Misfit
 from dashpot.estimate.likelihood.boundary_loads import with_means_of_unmeasured
-from dashpot.estimate.likelihood.objective import (
-    FLOOR,
-    measured,
-    predict,
-)
+from dashpot.estimate.likelihood.objective import FLOOR, measured, predict
 from dashpot.estimate.likelihood.record_sums import shown_by_ends
 from dashpot.estimate.nonlinear.objective import predicted_lines
 from dashpot.estimate.preparation import Prepared, working_covariance

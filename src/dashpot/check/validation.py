@@ -177,8 +177,7 @@ def _predicted(
     view = observation_model(model, spectrum.channels, spectrum.omega, spectrum.experiment)
     if inputs_by_channel(view, np.isfinite(spectrum.amplitudes) & view.inputs_alone & view.is_direct) is None:
         raise DataError(
-            "some input is not measured, so the motion cannot be predicted",
-            cure="record the inputs as well",
+            "some input is not measured, so the motion cannot be predicted", cure="record the inputs as well"
         )
     shown, _, H = projection(model, theta, spectrum, V, found)
     of_inputs = np.where(~outputs[:, None] & ~outputs, np.nan_to_num(spectrum.covariance), 0.0)

@@ -300,10 +300,7 @@ IN_TIME = {
         "Lost samples, a clock reset, or an unsynchronised clock?",
         'split the record there into two, and give one part delay = "unknown"',
     ),
-    SPIKES: (
-        "Loose contact?",
-        "remove those samples: the record is then used in segments",
-    ),
+    SPIKES: ("Loose contact?", "remove those samples: the record is then used in segments"),
     JUMP: (
         "Lost samples, a spike, or an impact that no input channel measured?",
         "split the record there into two",

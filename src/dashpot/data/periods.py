@@ -148,9 +148,7 @@ def samples_of_period(record: Record, period_s: float) -> int:
     time, step = record.time, record.step_s
     if np.max(np.abs(time - time[0] - step * np.arange(len(time)))) > UNEVEN * step * len(time) ** 0.5:
         raise DataError(
-            "the samples are not evenly spaced",
-            record.source,
-            f"periods cannot be averaged: {UNAVERAGED}",
+            "the samples are not evenly spaced", record.source, f"periods cannot be averaged: {UNAVERAGED}"
         )
     each = round(period_s / step) if np.isfinite(period_s) and period_s > 0 else 0
     if each < 2 or abs(each * step - period_s) * len(time) / each > UNEVEN * step * len(time) ** 0.5:

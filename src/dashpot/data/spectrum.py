@@ -153,9 +153,7 @@ class LinesInTime:
         return np.fft.rfft(history, axis=0)[self.order] * (2 / self.samples)
 
 
-def joined_stretches(
-    parts: Sequence[tuple[Ints, tuple[Stretch, ...]]],
-) -> tuple[Ints, tuple[Stretch, ...]]:
+def joined_stretches(parts: Sequence[tuple[Ints, tuple[Stretch, ...]]]) -> tuple[Ints, tuple[Stretch, ...]]:
     """Stretches of several spectra put one after another, (lines of all,).
 
     Records and dwells stay apart, even where they are alike; lines that stand for themselves share one stretch.

@@ -226,8 +226,7 @@ def choose(
     ranking = sorted(((c, figures[c]) for c in sets if np.isfinite(figures[c])), key=lambda entry: entry[1])
     if not ranking:
         raise IdentifiabilityError(
-            f"no {count} of these sensors determine the unknowns",
-            cure="add sensors, or state a parameter",
+            f"no {count} of these sensors determine the unknowns", cure="add sensors, or state a parameter"
         )
     return Choice(tuple(ranking), complete)
 

@@ -146,11 +146,7 @@ def estimation_plan(
 
 
 def estimate_by_plan(
-    model: Model,
-    spectrum: Spectrum,
-    method: Method,
-    *,
-    progress: Callable[[int, int], None] | None = None,
+    model: Model, spectrum: Spectrum, method: Method, *, progress: Callable[[int, int], None] | None = None
 ) -> Estimate:
     """The estimate that a plan comes to.  Raises as `identify`."""
     flat = flattened(spectrum)

@@ -287,8 +287,7 @@ def state_space_of(rig: IdentifiedRig, given: str | Mapping[str, str] | None = N
     model, channels = rig.model, rig.outputs
     if not channels:
         raise UsageError(
-            "all channels measure inputs only, so there is no output",
-            cure="list channels of the coordinates",
+            "all channels measure inputs only, so there is no output", cure="list channels of the coordinates"
         )
     view = observation_model(model, channels, np.zeros(1))
     asked = dict.fromkeys(model.displacement_inputs, given) if isinstance(given, str) else dict(given or {})

@@ -57,12 +57,7 @@ def factorised(matrix: sparse.csc_array) -> Any:
 
 
 def sparse_amplitudes(
-    model: Model,
-    p: Real,
-    omega: Real,
-    U: Complex,
-    f: Complex | None = None,
-    experiment: Ints | None = None,
+    model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None, experiment: Ints | None = None
 ) -> Complex:
     """As `dynamics.amplitudes`, line by line in the sparse pattern: X (..., lines, n), NaN without steady response."""
     B, D, factors = model.sparse_B, model.sparse_D, model.factors(omega, experiment)
@@ -177,12 +172,7 @@ def no_steady_response() -> ModelError:
 
 
 def amplitudes(
-    model: Model,
-    p: Real,
-    omega: Real,
-    U: Complex,
-    f: Complex | None = None,
-    experiment: Ints | None = None,
+    model: Model, p: Real, omega: Real, U: Complex, f: Complex | None = None, experiment: Ints | None = None
 ) -> Complex:
     """As `response`, (..., lines, n), with NaN where there is no steady response: searches pass through anything."""
     if model.n >= FROM:

@@ -84,8 +84,7 @@ def release_document(plan: ReleasePlan) -> Document:
             section("", said, f"Expected relative standard deviation: {percent(plan.figure, 1.0)} %."),
             section("Expected", columns_of(["parameter", "value>", "±>", "unit", "± %>"], texts)),
             section(
-                "Single releases",
-                columns_of(["held at", f"deflection, {unit}>", "record, s>", "± %>"], rows),
+                "Single releases", columns_of(["held at", f"deflection, {unit}>", "record, s>", "± %>"], rows)
             ),
             section("", *notes),
         ),

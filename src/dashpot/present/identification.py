@@ -10,13 +10,7 @@ from matplotlib.figure import Figure
 
 from dashpot.channel import Channel
 from dashpot.check.evidence import Collinearity, Evidence, doubtful, evidence_of, undetermined
-from dashpot.check.residuals import (
-    DwellHistory,
-    Residuals,
-    correlation,
-    residuals_of,
-    responses_of_channels,
-)
+from dashpot.check.residuals import DwellHistory, Residuals, correlation, residuals_of, responses_of_channels
 from dashpot.check.validation import RecordPrediction
 from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.spectrum import Spectrum

@@ -354,13 +354,7 @@ def dwells(
     )
     counts = np.broadcast_to(np.asarray(samples, dtype=np.int64), (lines,))
     cycles = frequencies * counts / rate if rate is not None else np.asarray(periods, dtype=float)
-    return Dwells(
-        frequencies,
-        counts,
-        np.broadcast_to(cycles, (lines,)),
-        U,
-        f,
-    )
+    return Dwells(frequencies, counts, np.broadcast_to(cycles, (lines,)), U, f)
 
 
 def amplitudes_within(
@@ -402,11 +396,7 @@ def standard_channels(model: Model, quantities: Sequence[Quantity]) -> tuple[Cha
 
 
 def with_constant_noise(
-    model: Model,
-    p: Real,
-    channels: Sequence[Channel],
-    level: float,
-    reference: Dwells,
+    model: Model, p: Real, channels: Sequence[Channel], level: float, reference: Dwells
 ) -> tuple[Channel, ...]:
     """Channels whose noise has one size at all frequencies: level × rms amplitude of the channel over `reference`.
 

@@ -84,10 +84,7 @@ def test_an_option_means_the_same_in_every_command() -> None:
     assert {name: found for name, found in kinds.items() if len(found) > 1} == {
         "--out": {"file, flag: False", "folder, flag: False"},
         "-o": {"file, flag: False", "folder, flag: False"},
-        "--input": {
-            "file, flag: False",
-            "text, flag: False",
-        },  # a file, or a channel
+        "--input": {"file, flag: False", "text, flag: False"},  # a file, or a channel
     }
 
 

@@ -10,15 +10,7 @@ from dashpot import parse_rig
 from dashpot.channel import Channel, Quantity
 from dashpot.check import identifiability
 from dashpot.check.identifiability import Structure, determines, nonlinear_structure, structure
-from dashpot.check.structure import (
-    LinePattern,
-    LinesAtHand,
-    enough_lines,
-    exact,
-    floating,
-    lines_of,
-    nominal,
-)
+from dashpot.check.structure import LinePattern, LinesAtHand, enough_lines, exact, floating, lines_of, nominal
 from dashpot.errors import IdentifiabilityError
 from dashpot.numerics import finite_field as field
 from tests.rigs import channels, paper_rig, perfect, random_rig

@@ -5,16 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dashpot import (
-    Channel,
-    Input,
-    Quantity,
-    Spectrum,
-    dwells,
-    identify,
-    method,
-    simulate_spectrum,
-)
+from dashpot import Channel, Input, Quantity, Spectrum, dwells, identify, method, simulate_spectrum
 from dashpot.arrays import Real
 from dashpot.check.residuals import calibrations_of, channel_response, residuals
 from tests import rigs

@@ -3,18 +3,7 @@
 import numpy as np
 import pytest
 
-from dashpot import (
-    Channel,
-    Input,
-    Kind,
-    Model,
-    Quantity,
-    between,
-    mass,
-    matrices,
-    modes,
-    response,
-)
+from dashpot import Channel, Input, Kind, Model, Quantity, between, mass, matrices, modes, response
 from dashpot.check.structure import free_scales
 
 FORCE = Quantity.FORCE

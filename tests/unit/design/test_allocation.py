@@ -56,12 +56,7 @@ def test_a_band_that_tells_too_little() -> None:
     )
     f = np.array([3.0, 4.0])  # 4 numbers for 6 unknowns
     with pytest.raises(IdentifiabilityError, match="no test in this"):
-        optimise(
-            own,
-            Criterion("A").terms(own),
-            1,
-            FrequencyGrid(f, np.zeros(2, dtype=int)),
-        )
+        optimise(own, Criterion("A").terms(own), 1, FrequencyGrid(f, np.zeros(2, dtype=int)))
 
 
 @pytest.mark.parametrize("criterion", [Criterion("A"), Criterion("minimax"), Criterion("D")], ids=str)

@@ -116,8 +116,7 @@ def without_information(estimate: Estimate) -> Estimate:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
-    [(changed_names, "different unknowns"), (without_information, "does not determine")],
+    ("change", "said"), [(changed_names, "different unknowns"), (without_information, "does not determine")]
 )
 def test_what_cannot_be_merged_is_refused(change: object, said: str) -> None:
     first, second = (identify(READ.model, part, "ml") for part in spectra(np.random.default_rng(7))[:2])

@@ -13,14 +13,7 @@ from dashpot.errors import DataError, ModelError, UsageError
 from dashpot.export.identified_rig import identified_rig
 from dashpot.export.state_space import state_space_of
 from dashpot.model.rigfile import parse_rig
-from tests.unit.export.exported import (
-    TWO_MASSES,
-    VARIANTS,
-    expected_response,
-    hysteretic,
-    lever,
-    two_masses,
-)
+from tests.unit.export.exported import TWO_MASSES, VARIANTS, expected_response, hysteretic, lever, two_masses
 
 OMEGA = 2 * np.pi * np.array([0.5, 2.0, 5.0, 9.0, 20.0])
 

@@ -7,13 +7,7 @@ import pytest
 from scipy.stats import binom
 
 from dashpot.arrays import Real
-from dashpot.numerics.random_walk import (
-    RandomWalk,
-    Windows,
-    likeliest_walk,
-    smoothed_walks,
-    trajectory,
-)
+from dashpot.numerics.random_walk import RandomWalk, Windows, likeliest_walk, smoothed_walks, trajectory
 
 
 def drawn(

@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 from dashpot.numerics.kernel import using
-from dashpot.numerics.small_systems import (
-    mostly_zeros,
-    product,
-    scaled_inverse,
-    solve_small,
-    summed_products,
-)
+from dashpot.numerics.small_systems import mostly_zeros, product, scaled_inverse, solve_small, summed_products
 from tests.kernels import apart, compiled
 
 

@@ -7,11 +7,7 @@ import pytest
 from dashpot.errors import DataError, UsageError
 from dashpot.io import ledger
 from dashpot.present.document import printed
-from dashpot.present.reproduction import (
-    findings_in_words,
-    reproduction_document,
-    write_reproduction,
-)
+from dashpot.present.reproduction import findings_in_words, reproduction_document, write_reproduction
 from dashpot.reproduce.yamane1989 import reproduce
 
 

@@ -135,9 +135,7 @@ class DesignOptions:
         "Inputs that move together, in phase or (with -) in antiphase.  May be repeated.",
     ]
     doubt: Annotated[
-        float | None,
-        opt.Option("--doubt 30%", opt.SHARE, ROBUST),
-        "Uncertainty of the values to design for.",
+        float | None, opt.Option("--doubt 30%", opt.SHARE, ROBUST), "Uncertainty of the values to design for."
     ]
     robust: Annotated[
         Literal["worst", "average"] | None,

@@ -10,12 +10,7 @@ import click
 import numpy as np
 
 from dashpot.app import options as opt
-from dashpot.app.options import (
-    changed_values,
-    coordinate_amounts,
-    input_amplitudes,
-    parameter_values,
-)
+from dashpot.app.options import changed_values, coordinate_amounts, input_amplitudes, parameter_values
 from dashpot.app.workers import progress
 from dashpot.errors import DataError, UsageError, printable
 from dashpot.quantities import Amount

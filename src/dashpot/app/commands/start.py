@@ -42,9 +42,7 @@ def command(
         "Unit of the columns that state none, such as mm or g.",
     ],
     known: Annotated[
-        float | None,
-        opt.Option("--first-mass KG", opt.MASS, CHAIN),
-        "The first mass, if it was weighed.",
+        float | None, opt.Option("--first-mass KG", opt.MASS, CHAIN), "The first mass, if it was weighed."
     ],
     at: Annotated[
         str | None, opt.Option("--force-at NAME", None, CHAIN), "The mass that the force acts on, such as x1."

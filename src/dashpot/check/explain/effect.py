@@ -11,13 +11,7 @@ import numpy as np
 
 from dashpot.arrays import Bools, Complex, Real
 from dashpot.channel import Channel
-from dashpot.check.explain.problem import (
-    FitProblem,
-    FittedProblem,
-    LineProblem,
-    ModalProblem,
-    TimeProblem,
-)
+from dashpot.check.explain.problem import FitProblem, FittedProblem, LineProblem, ModalProblem, TimeProblem
 from dashpot.errors import DashpotError, Problem
 from dashpot.estimate.assessment import Finding
 from dashpot.model.elements import Element

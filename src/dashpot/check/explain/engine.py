@@ -233,11 +233,7 @@ class Explanation:
 
 @np.errstate(all="ignore")  # what is supposed may be absurd
 def explain(
-    problem: LineProblem,
-    *,
-    silent: Mapping[str, str] | None = None,
-    of_samples: bool = False,
-    seed: int = 0,
+    problem: LineProblem, *, silent: Mapping[str, str] | None = None, of_samples: bool = False, seed: int = 0
 ) -> Explanation:
     """What may be otherwise, so that the rig describes the data.
 
@@ -488,13 +484,7 @@ def mistakes_of_data(problem: LineProblem) -> Explanation:
     return _step(baseline, tuple((1 / len(OF_DATA), kind) for kind in OF_DATA), judged, laws=False)
 
 
-def _step(
-    baseline: Baseline,
-    kinds: Kinds,
-    fit: Fitter = fitted,
-    *,
-    laws: bool = False,
-) -> Explanation:
+def _step(baseline: Baseline, kinds: Kinds, fit: Fitter = fitted, *, laws: bool = False) -> Explanation:
     """All effects of some kinds tried once on a problem."""
     tried = _tried(baseline, kinds, fit)
     if laws:

@@ -21,12 +21,7 @@ from dashpot.check.explain.engine import (
     explain,
     explain_beside_laws,
 )
-from dashpot.check.explain.laws import (
-    ScoredElement,
-    called_for,
-    called_for_in_records,
-    in_place_of_laws,
-)
+from dashpot.check.explain.laws import ScoredElement, called_for, called_for_in_records, in_place_of_laws
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.record_channels import mistakes_by_equation
 from dashpot.check.explain.records import explained_records

@@ -82,10 +82,7 @@ LAWS = (
     TriedLaw(Kind.DAMPER, "coulomb", "fc", "friction", "v0", 0.1),
 )
 # Tried where elements are compared
-FURTHER = (
-    TriedLaw(Kind.SPRING, "d**4", "k4", "quartic"),
-    TriedLaw(Kind.DAMPER, "d**2*v", "c3", "growing"),
-)
+FURTHER = (TriedLaw(Kind.SPRING, "d**4", "k4", "quartic"), TriedLaw(Kind.DAMPER, "d**2*v", "c3", "growing"))
 ONE_SIDED = "one-sided"  # a law that may act either way
 FEW = 4  # coordinates up to which any two points are tried, and not only those that an element joins
 # Times the usual size of a constant inside a law: others that are tried.

@@ -118,10 +118,7 @@ def channels_in_time(
 
 
 def _shown(
-    whole: LineProblem | TimeProblem,
-    c: int,
-    predicted: Complex | None,
-    ends: Sequence[Clipped],
+    whole: LineProblem | TimeProblem, c: int, predicted: Complex | None, ends: Sequence[Clipped]
 ) -> tuple[str, Phrase]:
     """The kind of error of channel c, against what all others make of it, in words; ends: where it clips, by record."""
     name = whole.channels[c].name

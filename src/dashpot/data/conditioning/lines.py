@@ -391,8 +391,7 @@ def _of_settled(dwells: Sequence[Record], given: Sequence[Record], settings: Con
     if settings.orders == "auto" and not settings.moments:
         driven, notes = driven_orders(dwells, settings)
     each, told, other = zip(
-        *(settled_lines(record, settings, of) for record, of in zip(dwells, driven, strict=True)),
-        strict=True,
+        *(settled_lines(record, settings, of) for record, of in zip(dwells, driven, strict=True)), strict=True
     )
     notes.insert(0, account_of_dwells(given, each, settings))
     lines = concatenate(each)

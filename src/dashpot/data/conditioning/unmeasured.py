@@ -299,13 +299,7 @@ def marked_whole(record: Record) -> tuple[list[Record], tuple[Notice, ...]]:
             which = (
                 f"{channel.name} has {counted(len(spikes), 'spike')}, first at {record.time[spikes[0]]:.6g} s"
             )
-            notes.append(
-                Notice(
-                    "dropouts",
-                    f"{record.source}: {which}: treated as missing",
-                    (channel.name,),
-                )
-            )
+            notes.append(Notice("dropouts", f"{record.source}: {which}: treated as missing", (channel.name,)))
     edges = [0, *(np.flatnonzero(np.diff(held)) + 1).tolist(), len(held)]
     spiky = replace(record, status=status) if np.any(status) else record
     parts = [spiky.part(slice(a, b)) for a, b in pairwise(edges) if not held[a] and b - a >= SHORTEST]
@@ -388,10 +382,7 @@ def _runs_held(column: Real) -> list[tuple[int, int]]:
 
 def _moves_around(column: Real, begin: int, end: int, least: float) -> bool:
     """Whether a channel moves by more than `least` from sample to sample around a run that is not at a limit."""
-    sides = (
-        np.diff(column[max(begin - AROUND, 0) : begin]),
-        np.diff(column[end : end + AROUND]),
-    )
+    sides = (np.diff(column[max(begin - AROUND, 0) : begin]), np.diff(column[end : end + AROUND]))
     usual = min(float(np.sqrt(np.mean(part**2))) if len(part) else 0.0 for part in sides)
     return column[begin] not in (column.min(), column.max()) and usual > least
 

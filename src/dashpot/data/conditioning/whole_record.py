@@ -193,10 +193,7 @@ def whole_record(
         (kind,) * lines,
         np.full(lines, record.experiment),
         stretch=np.zeros(lines, dtype=np.int64),
-        notes=(
-            *aliased,
-            *driven_note(record.source, lines, first + np.flatnonzero(driven_lines(X))),
-        ),
+        notes=(*aliased, *driven_note(record.source, lines, first + np.flatnonzero(driven_lines(X)))),
         stretches=(
             WholeRecord(
                 duration,

@@ -185,9 +185,7 @@ def _first_text(values: Any) -> tuple[int, str] | None:
 
 
 def array_columns(
-    source: str,
-    variables: Mapping[str, Any],
-    units: Mapping[str, str | None] | None = None,
+    source: str, variables: Mapping[str, Any], units: Mapping[str, str | None] | None = None
 ) -> ArrayColumns:
     """Columns, held or streamed, of one length.
 

@@ -257,10 +257,7 @@ class Columns(ABC):
         if channel.gain is None and not raw:
             return channel.scale  # an unknown gain takes every unit
         if unit == SHARE:
-            what, known = (
-                "in shares of the full scale (FS)",
-                'full_scale = the value of 1, such as "50 g",',
-            )
+            what, known = ("in shares of the full scale (FS)", 'full_scale = the value of 1, such as "50 g",')
         else:
             what, known = (
                 f"in {shown(unit)}",

@@ -22,24 +22,14 @@ from dashpot.estimate.inference.time_course import (
 from dashpot.estimate.likelihood.descent import NEAR_END, ROUGH, Stage
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.measured import Measured
-from dashpot.estimate.likelihood.objective import (
-    local,
-    measured,
-    nuisance_columns,
-    per_line,
-)
+from dashpot.estimate.likelihood.objective import local, measured, nuisance_columns, per_line
 from dashpot.estimate.likelihood.record_noise import RESIDUAL
 from dashpot.estimate.likelihood.table_noise import doubts_of_weights
 from dashpot.estimate.linear.gram import equation_by_line, equation_sums, sums_of_lines
 from dashpot.estimate.linear.instrumental_variables import likeliest
 from dashpot.estimate.method import Method, Solution, Traits
 from dashpot.estimate.nonlinear.objective import NonlinearPart
-from dashpot.estimate.preparation import (
-    NoiseQuality,
-    Prepared,
-    interval_dof,
-    noise_quality,
-)
+from dashpot.estimate.preparation import NoiseQuality, Prepared, interval_dof, noise_quality
 from dashpot.estimate.result import ModeValues
 from dashpot.io.words import joined, with_values
 from dashpot.model.modes import Modes, eigenmodes

@@ -199,18 +199,7 @@ class Stage:
         if output is not None:
             start, sign = (np.ascontiguousarray(part, dtype=np.float64) for part in (start, sign))
             ended = output.descend(
-                start,
-                sign,
-                rows,
-                self.weight,
-                low,
-                high,
-                longest,
-                log,
-                limit,
-                tolerance,
-                patience,
-                threads(),
+                start, sign, rows, self.weight, low, high, longest, log, limit, tolerance, patience, threads()
             )
             return compiled_result(ended)
 

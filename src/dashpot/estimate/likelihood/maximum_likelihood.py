@@ -55,9 +55,7 @@ FROM = 400  # coordinates from which the search is on a basis
 LINES = 20  # at which motions are computed
 
 
-def reduced_search(
-    likelihood: Likelihood,
-) -> tuple[Likelihood, OptimizeResult, Real, tuple[Notice, ...]]:
+def reduced_search(likelihood: Likelihood) -> tuple[Likelihood, OptimizeResult, Real, tuple[Notice, ...]]:
     """The minimum of one repeat of a large rig, with the likelihood on the basis there.
 
     Returns that likelihood, the minimum, the signs of its channels (1, channels), and a notice where it is not unique.

@@ -41,12 +41,7 @@ from dashpot.estimate.likelihood.record_sums import (
 from dashpot.estimate.nonlinear.objective import nonlinear_part, predict_harmonics
 from dashpot.estimate.preparation import Prepared
 from dashpot.model.matrix_elements import free_names
-from dashpot.model.observation import (
-    ObservationModel,
-    Transfer,
-    calibrated_transfer,
-    small,
-)
+from dashpot.model.observation import ObservationModel, Transfer, calibrated_transfer, small
 from dashpot.model.reduced import ReducedTransfer
 from dashpot.numerics.kernel import threads
 from dashpot.numerics.levenberg_marquardt import QuadraticModel

@@ -15,12 +15,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Ints, Real
 from dashpot.estimate.likelihood.measured import kernel_channels
-from dashpot.estimate.likelihood.record_passes import (
-    EndProducts,
-    EndsFitted,
-    NumpyPasses,
-    RecordPieces,
-)
+from dashpot.estimate.likelihood.record_passes import EndProducts, EndsFitted, NumpyPasses, RecordPieces
 from dashpot.model.dynamics import kernel_rig
 from dashpot.model.observation import calibrated_transfer
 from dashpot.numerics.kernel import kernel, threads

@@ -23,12 +23,7 @@ from dashpot.estimate.likelihood.measured import Measured
 from dashpot.estimate.likelihood.objective import measured, predict
 from dashpot.estimate.likelihood.record_noise import with_record_noise
 from dashpot.estimate.method import Method, Solution
-from dashpot.estimate.preparation import (
-    Prepared,
-    prepare,
-    with_exact_calibrations,
-    without_priors,
-)
+from dashpot.estimate.preparation import Prepared, prepare, with_exact_calibrations, without_priors
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel
 from dashpot.notices import Notice

@@ -98,10 +98,7 @@ def sizes_of_noise(linear: Sequence[LinearisedRecord], prior: Real, noise: Drawn
     # Columns of which each has one channel, or one input, alone
     working = [
         np.concatenate(
-            [
-                z[:, :, None] * np.eye(z.shape[1]),
-                record.covariance.reach(w[:, :, None] * np.eye(w.shape[1])),
-            ],
+            [z[:, :, None] * np.eye(z.shape[1]), record.covariance.reach(w[:, :, None] * np.eye(w.shape[1]))],
             axis=-1,
         )
         for record, z, w in zip(linear, noise.data, noise.errors, strict=True)

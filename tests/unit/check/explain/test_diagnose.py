@@ -531,10 +531,7 @@ def test_a_stated_damper_whose_damping_is_hysteretic_is_replaced_by_that(point: 
 def one_mass(hertz: np.ndarray, noise: float) -> tuple[Model, partly_seen.Bench]:
     """A mass under a force of exact size, its velocity seen with noise."""
     model = network("bed", "f@bed", "m@bed=40 k:bed-ground c:bed-ground")
-    channels = (
-        Channel("bed", {"bed": 1.0}, Quantity.VELOCITY),
-        Channel("f", {"f": 1.0}, Quantity.FORCE),
-    )
+    channels = (Channel("bed", {"bed": 1.0}, Quantity.VELOCITY), Channel("f", {"f": 1.0}, Quantity.FORCE))
     return model, pushed(model, {"k": 70e3, "c": 300.0}, channels, hertz, noise)
 
 

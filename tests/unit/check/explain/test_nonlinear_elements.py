@@ -7,11 +7,7 @@ import pytest
 
 from dashpot.check.element_evidence import compare_in_dwells
 from dashpot.check.explain.examine import examined
-from dashpot.check.explain.laws import (
-    called_for,
-    fitted_in_full,
-    seen_candidates,
-)
+from dashpot.check.explain.laws import called_for, fitted_in_full, seen_candidates
 from dashpot.check.explain.problem import LineProblem
 from dashpot.estimate.assessment import applied
 from dashpot.estimate.identify import identify
@@ -109,10 +105,7 @@ def test_stops_on_one_side_are_told_from_those_on_both_by_even_harmonics_alone()
 
 @pytest.mark.parametrize(
     ("law", "words"),
-    [
-        ("cubic", "odd, stiffening"),
-        pytest.param("v*abs(v)", "grows with speed", marks=pytest.mark.long),
-    ],
+    [("cubic", "odd, stiffening"), pytest.param("v*abs(v)", "grows with speed", marks=pytest.mark.long)],
 )
 def test_harmonics_that_are_mostly_noise_do_not_silence_the_channels_that_show_the_element(law, words):
     """Its own harmonics are small: at most lines the channels are noise, and runs of two levels seem of two rigs."""

@@ -86,11 +86,7 @@ def nonlinear(estimate: Estimate) -> list[Finding]:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "cubic",
-        *(pytest.param(name, marks=pytest.mark.long) for name in LAWS if name != "cubic"),
-    ],
+    "name", ["cubic", *(pytest.param(name, marks=pytest.mark.long) for name in LAWS if name != "cubic")]
 )
 def test_the_element_that_a_whole_record_calls_for_is_named_first(name: str) -> None:
     _, short, words = LAWS[name]

@@ -29,8 +29,7 @@ def measured(law, wrong=None, factor=1.0):
 
 
 @pytest.mark.parametrize(
-    ("law", "wrong", "factor", "kind"),
-    [("gap", "x2", 1000.0, "unit"), ("cubic", "u", 9.80665, "unit")],
+    ("law", "wrong", "factor", "kind"), [("gap", "x2", 1000.0, "unit"), ("cubic", "u", 9.80665, "unit")]
 )
 def test_a_channel_of_the_wrong_unit_is_named_first(law, wrong, factor, kind):
     model, spectrum = measured(law, wrong, factor)

@@ -106,10 +106,7 @@ def test_parameters_of_nonlinear_laws(law: str, value: str, si: float) -> None:
         ('value = "1e40 N/m"', "springs.k.value: '1e40"),
         ('value = "4.6.1 N/m"', "springs.k.value"),
         ('value = "N/m"', 'springs.k.value: "N/m"'),
-        (
-            'law = "d**3", value = "2 N/m"',
-            'springs.k.value: "N/m"',
-        ),
+        ('law = "d**3", value = "2 N/m"', 'springs.k.value: "N/m"'),
         ('same_as = "q", times = "3 m"', 'springs.k.times: "3 m"'),
     ],
 )

@@ -46,10 +46,7 @@ def test_laws_are_read_and_written(entry, unknowns):
     ("entry", "message"),
     [
         ('g = { between = ["x1", "u"], law = "gap", gap = -0.001 }', "springs.g.gap: gap of the law"),
-        (
-            'g = { between = ["x1", "u"], law = "tanh(v/w)", w = { guess = 0 } }',
-            "springs.g.w: w of the law",
-        ),
+        ('g = { between = ["x1", "u"], law = "tanh(v/w)", w = { guess = 0 } }', "springs.g.w: w of the law"),
         ('k3 = { between = ["x1", "u"], law = "tanh(v/w)" }', "springs.k3.law: the law 'tanh.v/w.'"),
         ('k3 = { between = ["x1", "u"], law = "d**3", b = 1.0 }', "has no constant b"),
         ('k3 = { between = ["x1", "u"], law = "1/d" }', "divides by zero"),

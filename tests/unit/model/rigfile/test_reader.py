@@ -209,10 +209,7 @@ class TestFaultyFiles:
         [
             *((empty, "rig.toml: the file is empty") for empty in (b"", b"\n\n", b"\xef\xbb\xbf", b"  \t")),
             (b"# to do\n", "rig.toml: coordinates: missing"),
-            (
-                'coordinates = ["x1"]\nname = "Prüfstand"'.encode("latin-1"),
-                "rig.toml:2: byte 0xfc",
-            ),
+            ('coordinates = ["x1"]\nname = "Prüfstand"'.encode("latin-1"), "rig.toml:2: byte 0xfc"),
             (PAPER.encode("utf-16"), "rig.toml: the file is UTF-16"),
             (b"\0" * 100, "rig.toml:1:"),
         ],
@@ -412,10 +409,7 @@ class TestFaultyEntries:
             ("a = { of = { x1 = 0 } }", "channels.a.of.x1: the factor of x1"),
             ('a = { of = "ground" }', "channels.a.of: the ground does not move"),
             ('a = { of = "x1", quantity = "accel" }', 'did you mean "acceleration"?'),
-            (
-                'a = { of = "x1", quantity = "acceleration", unit = "mm" }',
-                '"mm" is not a unit',
-            ),
+            ('a = { of = "x1", quantity = "acceleration", unit = "mm" }', '"mm" is not a unit'),
             ('a = { of = "x1", unit = "deg" }', '"deg" is not a unit'),
             ('a = { of = "x1", unit = "rev" }', "mil; if it turns, list its point in angles"),
             ('a = { of = "x1", quantity = "acceleration", unit = "V" }', 'gain = "unknown"'),
@@ -444,10 +438,7 @@ class TestFaultyEntries:
             ('a = { of = "x1", rate = 0 }', "channels.a.rate: a rate of 0"),
             ('a = { of = "x1", quantity = "force" }', "channels.a.of: x1"),
             ('a = { of = "m1", quantity = "velocity" }', "channels.a.of: m1"),
-            (
-                'a = { of = "f", quantity = "displacement" }',
-                "channels.a.of: f is a force",
-            ),
+            ('a = { of = "f", quantity = "displacement" }', "channels.a.of: f is a force"),
             ('a = { of = { u = 1, k = 1 }, quantity = "force" }', "channels.a.of: a force of several"),
             ("a = { of = { x1 = 1, m1 = 1 } }", "channels.a.of: m1"),
             ('" a" = { of = "x1" }', '" a"'),
