@@ -228,7 +228,8 @@ def _spread(y: Real, s: Real) -> tuple[float, tuple[float, float]]:
     best = int(np.argmax(restricted_likelihood(y, s, coarse)))
     low, high = coarse[max(best - 1, 0)], coarse[min(best + 1, len(coarse) - 1)]
     minimum = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-9})
-    tau = 0.0 if cost(0.0) <= float(minimum.fun) else float(minimum.x)
+    # A likelihood that is higher by its rounding alone speaks for no spread.
+    tau = 0.0 if cost(0.0) - float(minimum.fun) < 1e-9 else float(minimum.x)
     fall = 0.5 * float(chdtri(1, 0.05))
     return tau, (_end(y, s, tau, fall, 0.0), _end(y, s, tau, fall, most))
 
