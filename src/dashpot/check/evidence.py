@@ -156,7 +156,7 @@ def _combinations(
     delays = np.arange(len(names)) >= len(names) - base.view.delays
     size = np.where(delays | (base.psi == 0), 1.0, np.abs(base.psi))
     combinations = []
-    for k in np.argsort(values):
+    for k in np.argsort(values, kind="stable"):
         if values[k] * WEAK**2 > 1:
             break
         # 0.5 of a variance that a combination must make up for an unknown to be named with it

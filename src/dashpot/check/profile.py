@@ -170,7 +170,7 @@ def profile(
     walk = Walk(base, j, root, half)
     down, up = walk.end(-1.0), walk.end(1.0)
     points = np.array([*down.points, base.psi[j], *up.points])
-    order = np.argsort(points)
+    order = np.argsort(points, kind="stable")
     return Profile(
         name, around.units[j], level, float(base.psi[j]), down.end, up.end, low, high, points[order],
         np.array([*down.rises, 0.0, *up.rises])[order], root**2, down.improved or up.improved,

@@ -88,7 +88,9 @@ class Residuals:
     def largest(self, count: int) -> list[Misfit]:
         """The largest residuals, `count` at the most; those of 0 are none."""
         size = np.nan_to_num(np.abs(self.normalised)) / np.sqrt(2)
-        places = (np.unravel_index(int(k), size.shape) for k in np.argsort(-size, axis=None)[:count])
+        # Equal ones, such as those of two channels that show one motion, in their order whatever the rounding.
+        order = np.argsort(-np.round(size / np.max(size, initial=1e-300), 9), axis=None, kind="stable")
+        places = (np.unravel_index(int(k), size.shape) for k in order[:count])
         found = (
             (self.channels[c], float(self.frequency_hz[line]), float(size[line, c])) for line, c in places
         )

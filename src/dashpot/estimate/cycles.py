@@ -205,7 +205,7 @@ def _usual(
             continue
         omega = np.concatenate([omega for omega, _, _ in motions])
         power = np.concatenate([np.abs(omega * (lines @ row)) ** 2 for omega, lines, _ in motions])
-        order = np.argsort(omega)
+        order = np.argsort(omega, kind="stable")
         reached = np.cumsum(power[order])
         at = np.searchsorted(reached, np.array([0.1, 0.5, 0.9]) * reached[-1])
         frequencies = [float(f"{f:.3g}") for f in omega[order][at] / (2 * np.pi)]

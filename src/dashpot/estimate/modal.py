@@ -508,7 +508,7 @@ def deepest_minima(
             ends = problem.search(drawn, np.zeros(len(drawn), dtype=np.int64), 25, rough=True)
             on_the_way = np.flatnonzero(~ends.converged & np.isfinite(ends.cost))
             # Ten of those that have not settled after a few steps
-            deepest = on_the_way[np.argsort(ends.cost[on_the_way])[:10]]
+            deepest = on_the_way[np.argsort(ends.cost[on_the_way], kind="stable")[:10]]
             if len(deepest):
                 ends = ends.improved(deepest, problem.search(ends.x[deepest], np.zeros_like(deepest), 100))
             reached = _one_of(model, ends)
@@ -555,7 +555,7 @@ def rigs_with(model: Model, data: ModalData, *, seed: int = 0) -> Real:
     if ends is None:
         return minima.x
     near = np.flatnonzero(ends.cost <= minima.cost[0] + COMPETING)
-    return np.concatenate([minima.x, ends.x[near[np.argsort(ends.cost[near])]]])
+    return np.concatenate([minima.x, ends.x[near[np.argsort(ends.cost[near], kind="stable")]]])
 
 
 def _one_of(model: Model, ends: OptimizeResult) -> OptimizeResult:
@@ -699,7 +699,9 @@ def _estimate(
             if np.all(best >= 0):
                 near &= np.all(ends.x >= 0, axis=-1)
             others = [
-                (ends.x[k], float(ends.cost[k] - minima.cost[0])) for k in np.argsort(ends.cost) if near[k]
+                (ends.x[k], float(ends.cost[k] - minima.cost[0]))
+                for k in np.argsort(ends.cost, kind="stable")
+                if near[k]
             ]
             cure = "measure shapes at more points, state a value, or give an initial guess of every unknown"
             rivals = rival_notice(model.unknowns, best, sd, others, 1.0, cure)
@@ -737,7 +739,7 @@ def _mode_values(problem: ModeProblem, theta: Real, covariance: Real) -> ModeVal
     highest = 1.1 * 2 * np.pi * float(np.max(problem.data.frequency_hz))
     swings = (values.imag > 1e-9 * np.abs(values)) & (np.abs(values) > 1e-5 * highest)
     inside = np.flatnonzero(swings & (np.abs(values) < highest))
-    at = inside[np.argsort(np.abs(values[inside]))]
+    at = inside[np.argsort(np.abs(values[inside]), kind="stable")]
     slope, _ = problem.sensitivities(theta[None], values[None, at], shapes[None, at])
     lifted = shapes[at] @ problem.span.V.T
     lifted = lifted / lifted[np.arange(len(at)), np.argmax(np.abs(lifted), axis=1), None]

@@ -153,7 +153,8 @@ def _zeros(A: Real, b: Real, c: Real, d: float) -> tuple[Complex, float]:
     alpha, beta = eigvals(pencil, mass, homogeneous_eigvals=True)
     with np.errstate(divide="ignore", invalid="ignore"):
         values = np.where(np.abs(beta) > 0, alpha / np.where(beta == 0, 1.0, beta), np.inf)
-    values = values[np.argsort(np.abs(np.nan_to_num(values, nan=np.inf)))][: n - degree] * rate
+        size = np.round(np.log(np.abs(np.nan_to_num(values, nan=np.inf))), 9)  # of a pair the same
+    values = values[np.argsort(size, kind="stable")][: n - degree] * rate
     return frozen(values, np.complex128), markov[degree]
 
 

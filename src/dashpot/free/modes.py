@@ -641,7 +641,7 @@ def _by_evidence(sets: list[_Set], most: int) -> tuple[_Fit, Stabilisation, tupl
     while len(fit.poles) < most:
         gains = _gains(sets, fit, candidates)
         tried, better = candidates[:0], None
-        for k in np.argsort(-gains):
+        for k in np.argsort(-gains, kind="stable"):
             pole = candidates[k]
             if np.any(np.abs(tried - pole) < 0.02 * np.abs(pole)):
                 continue
@@ -744,7 +744,7 @@ def _modes_among(fit: _Fit, sets: Sequence[_Set]) -> tuple[Ints, int]:
     )
     there = (f > low) & (f < high) & (zeta < HIGHEST_DAMPING) & (zeta > -3 * sd[:, 0])
     there &= (sd[:, 1] < 0.1) & (sd[:, 0] < np.clip(np.abs(zeta), 0.01, 0.1))
-    order = np.argsort(f)
+    order = np.argsort(f, kind="stable")
     return order[there[order]], int(np.sum(~there))
 
 

@@ -256,7 +256,7 @@ def _completed(records: Sequence[Record], nu: int) -> tuple[Record, ...]:
 def _expected(records: Sequence[Record], nu: int) -> list[Real]:
     """The outputs as local models show them, (samples, channels), 0 of the inputs."""
     lines = [record_lines(record, nu) for record in records]
-    order = np.argsort([-part.duration_s for part in lines])
+    order = np.argsort([-part.duration_s for part in lines], kind="stable")
     parts = [lines[k] for k in order]
     first, half = parts[0], _smallest_half(parts)
     grid, chunk = np.arange(0, len(first.frequency_hz), half), _at_once(parts, half)
@@ -266,7 +266,7 @@ def _expected(records: Sequence[Record], nu: int) -> list[Real]:
         motion = Y - _fitted(r, U, Y, owner, nu, Y.shape[2])[3]
         frequency = first.frequency_hz[grid[k : k + chunk], None] + r * half / first.duration_s
         for row in np.argsort(
-            -np.median(np.abs(r), axis=0)
+            -np.median(np.abs(r), axis=0), kind="stable"
         ):  # that nearest to the middle of a window comes last
             number = order[owner[row]]
             at = np.rint(frequency[:, row] * lines[number].duration_s).astype(np.int64)

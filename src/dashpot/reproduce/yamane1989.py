@@ -312,7 +312,7 @@ def eigenvalues(rig: Model, theta: Real) -> Complex:
     """
     values, _ = eigenpairs(rig, rig.parameters(theta))
     upper = values.imag > 1e-9 * np.abs(values)
-    order = np.argsort(np.where(upper, np.abs(values), np.inf), axis=-1)[:, : rig.n]
+    order = np.argsort(np.where(upper, np.abs(values), np.inf), axis=-1, kind="stable")[:, : rig.n]
     return np.where(
         np.take_along_axis(upper, order, axis=-1), np.take_along_axis(values, order, axis=-1), np.nan
     )

@@ -49,7 +49,7 @@ def dwell(baseline: Baseline) -> Iterator[Effect]:
     lines = len(problem.y)
     if not problem.runs or lines <= 3:
         return
-    worst = np.argsort(-problem.chi2_of_lines(baseline.as_is.psi))[:SUSPECTS].tolist()
+    worst = np.argsort(-problem.chi2_of_lines(baseline.as_is.psi), kind="stable")[:SUSPECTS].tolist()
     share, labels = 1 / lines, problem.labels
     # What drove the rig is still what the inputs' channels show.
     motions = ~baseline.inputs if np.any(~baseline.inputs) else np.ones_like(baseline.inputs)
@@ -89,7 +89,7 @@ def _own_frequency(end: FittedProblem, problem: LineProblem, line: int) -> tuple
     rows = np.full(points, line)
     cost = problem.at_lines(rows).at_frequencies(grid).chi2_of_lines(end.psi)
     inner = np.flatnonzero((cost[1:-1] <= cost[:-2]) & (cost[1:-1] <= cost[2:])) + 1
-    best = inner[np.argsort(cost[inner])][:3]
+    best = inner[np.argsort(cost[inner], kind="stable")][:3]
     begun = []
     for k in best.tolist():
         fine = grid[k] * np.logspace(-decades / points, decades / points, 60)

@@ -1145,7 +1145,7 @@ def fitted(problems: Sequence[FitProblem], kept: int = KEPT) -> list[FittedProbl
     ]
     glance = _ended(begun, GLANCE)
     fits = _fits(problems, glance)
-    hopeful = np.argsort([-fit.roughly for fit in fits])[:kept].tolist()
+    hopeful = np.argsort([-fit.roughly for fit in fits], kind="stable")[:kept].tolist()
     long = _ended([problems[k].from_starts([glance[k][0]]) for k in hopeful], LONG)
     for k, end in zip(hopeful, long, strict=True):
         fits[k] = _fits([problems[k]], [end])[0]
@@ -1175,7 +1175,7 @@ def searched(problems: Sequence[LineProblem], seed: int = 0, draws: int = DRAWS)
     seen = some.data.states is not None
     followed = FEWER_FOLLOWED if seen else FOLLOWED
     far = [
-        drawn[np.argsort(_distance(G, one, each))[:followed]]
+        drawn[np.argsort(_distance(G, one, each), kind="stable")[:followed]]
         for each, one in zip(problems, arranged, strict=True)
     ]
     if not seen:

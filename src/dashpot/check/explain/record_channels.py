@@ -53,7 +53,7 @@ def mistakes_by_equation(data: Prepared, misfit: float) -> tuple[Finding, ...]:
     left = np.array([_left(problem) for _, _, problem in tried])
     mending = np.flatnonzero(left < PROMISED * _left(base))
     found = []
-    for k in mending[np.argsort(left[mending])][:FOLLOWED].tolist():
+    for k in mending[np.argsort(left[mending], kind="stable")][:FOLLOWED].tolist():
         effect, size, problem = tried[k]
         try:
             assert isinstance(problem, LineProblem)

@@ -288,7 +288,7 @@ def _resonances(
             begun[rates[k]] = tuple((m * ways[way]).tolist())
     beside = np.pad(falls, 1)
     peaks = np.flatnonzero((falls > 0) & (falls >= beside[:-2]) & (falls >= beside[2:]))
-    best = peaks[np.argsort(-falls[peaks])][:PEAKS]
+    best = peaks[np.argsort(-falls[peaks], kind="stable")][:PEAKS]
     return {rates[k]: begun[rates[k]] for k in best}
 
 

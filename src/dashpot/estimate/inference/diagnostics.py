@@ -146,7 +146,7 @@ def _p_values(X: Complex, inputs: Bools) -> list[Real]:
         # contain no information on them.
         power = np.abs(X[:, inputs]) ** 2
         total = np.sum(power / np.maximum(np.mean(power, axis=0), np.finfo(float).tiny), axis=1)
-        starts = starts[np.sort(np.argsort(np.add.reduceat(total, starts))[-400:])]
+        starts = starts[np.sort(np.argsort(np.add.reduceat(total, starts), kind="stable")[-400:])]
     part = X[starts[:, None] + np.arange(each)]
     run = np.linspace(-1, 1, each)[:, None]
     transient = np.broadcast_to(np.concatenate([np.ones((each, 1)), run], axis=1), (len(part), each, 2))
@@ -558,7 +558,7 @@ def require_traces(model: Model, names: Sequence[str], information: Real, least:
     if not values[0] < least:
         return
     kept = list(range(len(scaled)))  # the least group of those that can change together without a trace
-    for j in np.argsort(np.abs(vectors[:, 0])).tolist():
+    for j in np.argsort(np.abs(vectors[:, 0]), kind="stable").tolist():
         rest = [i for i in kept if i != j]
         if rest and np.linalg.eigvalsh(scaled[np.ix_(rest, rest)])[0] < least:
             kept = rest

@@ -726,7 +726,7 @@ class BandStability:
         """What the first repeat shows."""
         if not self.disagree[0]:
             return []
-        most = np.argsort(-self.apart[0])[:2]
+        most = np.argsort(-self.apart[0], kind="stable")[:2]
         moves = joined(f"{names[int(j)]} by up to {self.apart[0, j]:.2g}" for j in most)
         text = f"parts of the band disagree: leaving out one sixth of it shifts {moves} standard deviations"
         return [Notice(DISAGREE, text, tuple(names[int(j)] for j in most))]

@@ -122,7 +122,7 @@ def flat_valley(
 def require_end(valley: Valley, names: Sequence[str], units: Sequence[str], psi: Real) -> None:
     """Raises IdentifiabilityError that names the unknowns which change along a valley without end at ψ (M,)."""
     change = (valley.high - valley.low) / np.maximum(np.abs(psi), 1e-300)
-    moving = [j for j in np.argsort(-change) if change[j] > 0.1]
+    moving = [j for j in np.argsort(-change, kind="stable") if change[j] > 0.1]
     if valley.bounded or not moving:
         return
     low = np.where(np.abs(valley.low) < 1e-3 * valley.high, 0.0, valley.low)

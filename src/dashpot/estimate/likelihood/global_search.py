@@ -72,7 +72,7 @@ class LocalMinima:
         psi, sign = np.concatenate([self.psi, psi]), np.concatenate([self.sign, sign])
         cost = np.concatenate([self.cost, cost])
         kept: list[int] = []
-        for k in np.argsort(cost):
+        for k in np.argsort(cost, kind="stable"):
             size = np.maximum(np.abs(psi[k]), np.abs(psi[kept]))
             near = np.abs(psi[k] - psi[kept]) <= 0.02 * size
             if np.isfinite(cost[k]) and not np.any(
@@ -368,7 +368,7 @@ def free_modes(data: Prepared) -> tuple[Complex, Complex]:
     # A pole of more than 0.7 of critical damping is noise.
     swings = (poles.imag > 0) & np.isfinite(poles) & (np.abs(poles.real) < 0.7 * np.abs(poles))
     poles, states = poles[swings], states[:, swings]
-    order = np.argsort(np.abs(poles))
+    order = np.argsort(np.abs(poles), kind="stable")
     return poles[order], (unit[:, None] * (observability[:channels] @ states))[:, order]
 
 
@@ -529,7 +529,7 @@ def not_unique(
     other, above = others[0]
     change = np.abs(other - psi) / np.maximum(np.maximum(np.abs(psi), np.abs(other)), 1e-300)
     # What differs by less than a thousandth of the largest change is not named.
-    largest = [j for j in np.argsort(-change)[:4] if change[j] > 1e-3 * np.max(change)]
+    largest = [j for j in np.argsort(-change, kind="stable")[:4] if change[j] > 1e-3 * np.max(change)]
     values = ", ".join(f"{unknowns[j].name} = {other[j]:.4g} {unknowns[j].unit}" for j in largest)
     worse = f"almost as well (χ² is {above:.3g} larger)" if above > TIE else "equally well"
     worse = f"better (χ² is {-above:.3g} smaller)" if above < -TIE else worse
@@ -632,7 +632,7 @@ def global_minima(likelihood: Likelihood, repeat: int) -> LocalMinima:
         past = (len(psi) + 1) // (1 if len(stages) == 2 else 2) if turn == 0 else 0
         psi, sign, _ = through(stages, psi, sign, past=past, lower=low, upper=high)
         costs = np.where(np.all(np.abs(psi) <= reach, axis=-1), stages[-1].cost(psi, sign), np.inf)
-        deep = np.argsort(costs)[:DEEPEST]
+        deep = np.argsort(costs, kind="stable")[:DEEPEST]
         end = one.descend(psi[deep], sign[deep], limit=25)
         psi[deep], costs[deep] = end.x, np.where(np.isfinite(costs[deep]), end.cost, np.inf)
         before = minima.cost[0] if len(minima.cost) else np.inf
@@ -662,7 +662,7 @@ def _starts_of_round(
 ) -> tuple[Real, Real]:
     """The best of many candidates, ranked by the first stage; after the first round neighbours of minima as well."""
     psi, sign = candidates(one.data, many + starts, rng)
-    order = np.argsort(stages[0].cost(psi, sign))
+    order = np.argsort(stages[0].cost(psi, sign), kind="stable")
     chosen = np.concatenate([[0], order[:starts]]) if turn == 0 else order[: starts // 4]
     if seen_directly(one.data):  # the rank favours one valley, and starts are cheap
         chosen = np.concatenate([chosen[: 1 + starts // 2], 1 + np.arange(starts)])

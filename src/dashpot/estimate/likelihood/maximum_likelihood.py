@@ -116,7 +116,7 @@ def _left_out(likelihood: Likelihood, on_basis: Likelihood, lines: Ints, psi: Re
     step = solve_scaled(np.sum(information, axis=-3), change)
     if _steps(step, on_basis, psi, sign) < 0.05:
         return np.zeros(0, dtype=np.int64)
-    worst = np.argsort(-np.abs(cost - near_cost)[0])
+    worst = np.argsort(-np.abs(cost - near_cost)[0], kind="stable")
     fresh = worst[~np.isin(worst, lines)]
     return np.asarray(fresh[: LINES // 2], dtype=np.int64)
 

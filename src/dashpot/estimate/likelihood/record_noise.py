@@ -510,7 +510,7 @@ def share_without_misfit(spectrum: Spectrum, inputs: Bools, residual: Complex) -
         its = np.flatnonzero((repeat.stretch == number) & sought)
         if not len(its):
             continue
-        its = its[np.argsort(repeat.frequency_hz[its])]
+        its = its[np.argsort(repeat.frequency_hz[its], kind="stable")]
         record, size = repeat.stretches[number], int(repeat.samples[its[0]])
         assert isinstance(record, WholeRecord)
         there = ~inputs & np.any(residual[its] != 0, axis=0)

@@ -459,7 +459,7 @@ def _valleys(likelihood: Likelihood, stage: Measured, points: Real) -> Real:
 
 def _best_first(view: ObservationModel, data: Measured, points: Real) -> Real:
     """Points (count, M) of one repeat, the most probable first."""
-    return points if len(points) == 1 else points[np.argsort(_costs(view, data, points))]
+    return points if len(points) == 1 else points[np.argsort(_costs(view, data, points), kind="stable")]
 
 
 def _alike(end: OptimizeResult, other: OptimizeResult) -> bool:

@@ -62,7 +62,7 @@ def floquet_multipliers(model: Model, theta: Real, drive: Drive, at: Periodic) -
     # Multipliers, largest first, (N, states); infinite where the matrix is not finite
     finite = np.all(np.isfinite(monodromy), axis=(-2, -1))
     values = np.linalg.eigvals(np.where(finite[:, None, None], monodromy, 0.0)).astype(np.complex128)
-    order = np.argsort(-np.abs(values), axis=-1)
+    order = np.argsort(-np.abs(values), axis=-1, kind="stable")
     return np.where(
         at.converged[:, None],
         np.where(finite[:, None], np.take_along_axis(values, order, axis=-1), np.inf),

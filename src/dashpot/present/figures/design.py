@@ -178,7 +178,7 @@ def _name_dwells(axes: Axes, dwells_hz: Real, dwells: Real) -> None:
     paper = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.8}
     look: dict[str, Any] = {"fontsize": 8, "color": OTHER, "zorder": 6, "bbox": paper}
     names: list[Bbox] = []
-    for k in np.argsort(-dwells):
+    for k in np.argsort(-dwells, kind="stable"):
         at = float(dwells_hz[k]), float(dwells[k])
         taken = [*names, *(stem for i, stem in enumerate(stems) if i != k)]
         for offset, side in PLACES:
