@@ -334,7 +334,7 @@ def wanted_stamp(locked: Path) -> dict[str, str]:
 
 
 def ready(*locks: Path) -> bool:
-    return PYTHON.exists() and read_stamp(STAMP) in [wanted_stamp(locked) for locked in locks]
+    return PYTHON.exists() and any(read_stamp(STAMP) == wanted_stamp(locked) for locked in locks)
 
 
 def make_environment(*, begin: bool = False) -> None:
@@ -408,12 +408,17 @@ def finish_in_background() -> None:
 
     Other commands wait for it by the lock.
     """
-    if ready(LOCKED) and read_stamp(KERNEL_STAMP) == wanted_kernel(find_compiler()):
+    complete, compiler = ready(LOCKED), find_compiler()
+    if complete and compiler is None:
+        install_kernel()  # says so, once
         return
-    say(
-        "the rest is being installed and the compiled kernel built in the background "
-        f"({KERNEL_LOG}); until then NumPy does its work"
+    if complete and read_stamp(KERNEL_STAMP) == wanted_kernel(compiler):
+        return
+    what = [] if complete else ["the other packages are being installed"]
+    what += (
+        [] if compiler is None else ["the compiled kernel is being built (until then NumPy does its work)"]
     )
+    say(f"in the background {' and '.join(what)}: {KERNEL_LOG}")
     try:
         with only_one(ROOT / ".venv.lock", wait=False):
             pass
