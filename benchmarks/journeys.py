@@ -420,6 +420,7 @@ def by_processor(new: Mapping[str, Result], old: Mapping[str, Result], jobs: int
     """
     os.environ.update(dev.older_processor(dev.processor_flags()))
     elsewhere = {id for id in new if old.get(id, {}).get("by_processor")}
+    # In other processes than this one, which has loaded its BLAS.
     for id, result in results(sorted(new.keys() - elsewhere), max(jobs, 2)):
         if differences(new[id], result, Tolerance(strict=False)):
             elsewhere.add(id)

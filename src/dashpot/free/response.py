@@ -238,8 +238,10 @@ SETTLED = 0.05  # of what else local models leave of a channel (rms), by which n
 def _completed(records: Sequence[Record], nu: int) -> tuple[Record, ...]:
     """The records with the likeliest values for samples that are not measured: what local models of all others expect,
     and of noise what goes on around them (expectation-maximisation, Dempster, Laird and Rubin 1977)."""
+    if all(record.status is None for record in records):
+        return tuple(records)
     found = [with_likely(record)[0] for record in records]
-    for _ in range(TURNS if any(record.status is not None for record in records) else 0):
+    for _ in range(TURNS):
         moved = 0.0
         for k, motion in enumerate(_expected(found, nu)):
             away = with_likely(replace(records[k], values=records[k].values - motion))[0].values
@@ -265,9 +267,8 @@ def _expected(records: Sequence[Record], nu: int) -> list[Real]:
         r, U, Y, owner = _window_rows(parts, grid[k : k + chunk], half)
         motion = Y - _fitted(r, U, Y, owner, nu, Y.shape[2])[3]
         frequency = first.frequency_hz[grid[k : k + chunk], None] + r * half / first.duration_s
-        for row in np.argsort(
-            -np.median(np.abs(r), axis=0), kind="stable"
-        ):  # that nearest to the middle of a window comes last
+        inwards = np.argsort(-np.median(np.abs(r), axis=0), kind="stable")
+        for row in inwards:  # what is nearest to the middle of a window stays
             number = order[owner[row]]
             at = np.rint(frequency[:, row] * lines[number].duration_s).astype(np.int64)
             shown[number][at, nu:] = motion[:, row]

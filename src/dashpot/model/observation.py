@@ -22,7 +22,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.errors import DataError
 from dashpot.model.dynamics import stiffness, stiffness_solver
 from dashpot.model.network import Model
-from dashpot.numerics.small_systems import solve_small
+from dashpot.numerics.small_systems import SPARSE_FROM, solve_small
 from dashpot.units import si_unit
 from dashpot.unknowns import Unknown, prior_mean, prior_precision
 
@@ -93,9 +93,6 @@ def calibration_indices(channels: Sequence[Channel]) -> tuple[Ints, Ints]:
     gain = [-1 if c.unknown_gain is None else list(gains).index(c.unknown_gain.name) for c in channels]
     delay = [-1 if c.unknown_delay is None else list(delays).index(c.unknown_delay.name) for c in channels]
     return frozen(gain, np.int64), frozen(delay, np.int64)
-
-
-SPARSE_FROM = 48  # coordinates: above it a factorisation of the sparse pattern beats dense stacks
 
 
 # What a channel measures

@@ -103,7 +103,7 @@ def whitening_steps(B: Real, precision: Real) -> tuple[Real, Real]:
 FREE = 0.97  # step from which on a column that is known beforehand takes a degree of freedom: known to a thousandth
 
 
-SPARSE_FROM = 48  # rows: above it matrices that are nearly all zeros are taken as sparse
+SPARSE_FROM = 48  # rows or coordinates: above it a factorisation of the sparse pattern beats dense stacks
 
 
 def mostly_zeros(stack: Complex | Real) -> bool:

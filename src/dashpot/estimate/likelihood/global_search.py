@@ -33,15 +33,10 @@ from dashpot.model.dynamics import amplitudes, unit_forces
 from dashpot.model.elements import Kind
 from dashpot.model.matrix_elements import free_names
 from dashpot.model.network import Model
-from dashpot.model.observation import (
-    SPARSE_FROM,
-    ObservationModel,
-    calibration_factors,
-    channel_amplitudes,
-    small,
-)
+from dashpot.model.observation import ObservationModel, calibration_factors, channel_amplitudes, small
 from dashpot.notices import Notice
 from dashpot.numerics.levenberg_marquardt import PATIENCE, OptimizeResult
+from dashpot.numerics.small_systems import SPARSE_FROM
 from dashpot.unknowns import Unknown
 
 # Where searches of the likelihood ended: told apart, in order, and those that compete.
