@@ -348,8 +348,8 @@ def simulate(
         amplitudes = simulation.amplitudes_within(model, theta, rig.shaker, chosen, amplitudes or {})
     test = simulation.dwells(model, chosen, samples, amplitudes=amplitudes, periods=periods, rate=rate)
     if len(model.nonlinear):
-        settled = simulation.settled_motion(model, theta, rig.channels, test)
-        return tuple(simulation.settled_records(settled, test, random_generator(seed)))
+        motion = simulation.settled_motion(model, theta, rig.channels, test)
+        return tuple(simulation.steady_records(rig.channels, motion, test, random_generator(seed)))
     return tuple(
         simulation.simulate_records(
             model, model.parameters(theta), rig.channels, test, random_generator(seed)

@@ -227,9 +227,13 @@ def _spread(y: Real, s: Real) -> tuple[float, tuple[float, float]]:
     coarse = np.concatenate([[0.0], np.geomspace(1e-4, most, 60)])
     best = int(np.argmax(restricted_likelihood(y, s, coarse)))
     low, high = coarse[max(best - 1, 0)], coarse[min(best + 1, len(coarse) - 1)]
-    minimum = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-9})
-    # A likelihood that is higher by its rounding alone speaks for no spread.
-    tau = 0.0 if cost(0.0) - float(minimum.fun) < 1e-9 else float(minimum.x)
+    weight = 1 / s**2
+    away = y - np.sum(weight * y) / np.sum(weight)
+    # By its derivative in τ², of which rounding near its end at 0 says nothing
+    rises = np.sum((weight * away) ** 2) > np.sum(weight) - np.sum(weight**2) / np.sum(weight)
+    tau = 0.0
+    if best > 1 or rises:
+        tau = float(minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-9}).x)
     fall = 0.5 * float(chdtri(1, 0.05))
     return tau, (_end(y, s, tau, fall, 0.0), _end(y, s, tau, fall, most))
 

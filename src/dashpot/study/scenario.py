@@ -28,7 +28,6 @@ from dashpot.study.blocks import fields_of, fingerprint_of
 from dashpot.study.simulate import (
     Dwells,
     NoiseBasis,
-    SettledMotion,
     clean_spectrum,
     dwells,
     settled_motion,
@@ -116,7 +115,7 @@ class Scenario:
             start = MaximumLikelihood(start=(*self.theta.tolist(), *calibrations.tolist()))
             return identify(self.model, self._unsettled, start).bound_sd[: len(self.theta)]
         if len(self.model.nonlinear):
-            clean = settled_spectrum(self._settled(), self.test, None)
+            clean = self._settled()
         else:
             clean = clean_spectrum(self.model, self.p, self.channels, self.test, drift=self.drift)
         return identify(self.model, clean, automatic(self.model, clean)).bound_sd[: len(self.theta)]
@@ -138,7 +137,7 @@ class Scenario:
             raise UsageError(
                 "studies of nonlinear rigs need the noise to be given", cure='write covariance = "given"'
             )
-        return settled_spectrum(self._settled(), self.test, rng, draws=draws)
+        return with_noise_drawn(self._settled(), rng, draws)
 
     @cached_property
     def _unsettled(self) -> Spectrum:
@@ -159,8 +158,10 @@ class Scenario:
         )
         return lines_of_dwells(records, self.channels, joined=False)
 
-    def _settled(self) -> SettledMotion:
-        return settled_motion(self.model, self.theta, self.channels, self.test)
+    def _settled(self) -> Spectrum:
+        """The lines of settled dwells of a nonlinear rig, without noise."""
+        motion = settled_motion(self.model, self.theta, self.channels, self.test)
+        return settled_spectrum(self.channels, motion, self.test)
 
 
 # What a study varies, spread out into scenarios.

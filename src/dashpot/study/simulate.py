@@ -74,30 +74,8 @@ def driven_record(
     on_time = tuple(c if c.delay is None else replace(c, delay=0.0) for c in drive.channels)
     drive = replace(drive, channels=on_time, values=_later(drive.values, -_delays(drive.channels) / step))
     view = observation_model(model, channels, np.ones(1))
-    if len(model.nonlinear):
-        values = _nonlinear(view, theta, drive.source, step, measured_inputs(model, drive))
-    else:
-        p = model.parameters(theta)
-        from scipy.interpolate import CubicSpline
-
-        sensors, values = list(drive.channels), np.array(drive.values)
-        moved = [
-            c
-            for c, channel in enumerate(sensors)
-            if measures_input(model, channel) and channel.quantity is not Quantity.FORCE
-        ]
-        shown = {
-            point for c in moved if sensors[c].quantity is Quantity.DISPLACEMENT for point in sensors[c].of
-        }
-        time = step * np.arange(len(values))
-        for c in moved:
-            times = {Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}.get(sensors[c].quantity, 0)
-            if times and not set(sensors[c].of) <= shown:
-                rates = values[:, c] - np.mean(values[:, c])
-                values[:, c] = CubicSpline(time, rates).antiderivative(times)(time)
-                sensors[c] = replace(sensors[c], quantity=Quantity.DISPLACEMENT)
-        inputs = measured_inputs(model, replace(drive, channels=tuple(sensors), values=values)).values
-        values = channel_samples(view, p, integrator(model, p, step).motion(inputs))
+    inputs = measured_inputs(model, drive if len(model.nonlinear) else _integrated(model, drive, step))
+    values = _shown(view, theta, drive.source, step, inputs)
     given = {(tuple(c.of.items()), c.quantity): number for number, c in enumerate(drive.channels)}
     for c, channel in enumerate(channels):
         number = given.get((tuple(channel.of.items()), channel.quantity))
@@ -119,14 +97,14 @@ def released_record(
     The others hang in its linear springs, inputs rest, and noise is that of `driven_record`.  time (samples,), evenly
     spaced, s; theta (unknowns,), SI units.  Raises UsageError for an unknown coordinate, and as `driven_record`.
     """
-    channels, p = tuple(channels), model.parameters(theta)
+    channels = tuple(channels)
     for name in held:
         if name not in model.coordinates:
             raise UsageError(
                 f"{name} is no coordinate of the rig",
                 cure=f"its coordinates are {', '.join(model.coordinates)}",
             )
-    K = matrices(model, p).K
+    K = matrices(model, model.parameters(theta)).K
     x = np.array([held.get(name, 0.0) for name in model.coordinates])
     free = np.array([name not in held for name in model.coordinates])
     x[free] = -np.linalg.lstsq(K[np.ix_(free, free)], K[np.ix_(free, ~free)] @ x[~free], rcond=1e-12)[0]
@@ -135,11 +113,28 @@ def released_record(
     view = observation_model(model, channels, np.ones(1))
     count = model.D.shape[1] + model.S.shape[1]
     at_rest = ShownInputs(np.zeros((len(time), count)), (0,) * count)
-    if len(model.nonlinear):
-        values = _nonlinear(view, theta, "simulation", step, at_rest, start)
-    else:
-        values = channel_samples(view, p, integrator(model, p, step).motion(at_rest.values, start))
-    return _recorded(channels, time, values, rng)
+    return _recorded(channels, time, _shown(view, theta, "simulation", step, at_rest, start), rng)
+
+
+def _integrated(model: Model, drive: Record, step: float) -> Record:
+    """The drive of a linear rig with velocities and accelerations of inputs as displacements, where it has none."""
+    from scipy.interpolate import CubicSpline
+
+    sensors, values = list(drive.channels), np.array(drive.values)
+    moved = [
+        c
+        for c, channel in enumerate(sensors)
+        if measures_input(model, channel) and channel.quantity is not Quantity.FORCE
+    ]
+    shown = {point for c in moved if sensors[c].quantity is Quantity.DISPLACEMENT for point in sensors[c].of}
+    time = step * np.arange(len(values))
+    for c in moved:
+        times = {Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}.get(sensors[c].quantity, 0)
+        if times and not set(sensors[c].of) <= shown:
+            rates = values[:, c] - np.mean(values[:, c])
+            values[:, c] = CubicSpline(time, rates).antiderivative(times)(time)
+            sensors[c] = replace(sensors[c], quantity=Quantity.DISPLACEMENT)
+    return replace(drive, channels=tuple(sensors), values=values)
 
 
 def _recorded(channels: tuple[Channel, ...], time: Real, values: Real, rng: np.random.Generator) -> Record:
@@ -197,7 +192,7 @@ def _later(values: Real, steps: Real) -> Real:
     return out
 
 
-def _nonlinear(
+def _shown(
     view: ObservationModel,
     theta: Real,
     source: str,
@@ -205,8 +200,11 @@ def _nonlinear(
     shown: ShownInputs,
     released: Real | None = None,
 ) -> Real:
-    """What the channels of a nonlinear rig show, (samples, channels), from rest or from a state `released` (2n,)."""
+    """What the channels of a rig show, (samples, channels), from rest or from a state `released` (2n,)."""
     model, channels = view.model, view.channels
+    if not len(model.nonlinear):
+        p = model.parameters(theta)
+        return channel_samples(view, p, integrator(model, p, step).motion(shown.values, released))
     count = len(channels)
     nothing = np.zeros((len(shown.values), count))
     orders = tuple(map(int, view.derivative))
@@ -446,10 +444,10 @@ def simulate_records(
     something that the rig does not have.
     """
     Y = clean_amplitudes(model, p, channels, test)
-    return _steady_records(channels, np.stack([np.zeros_like(Y), Y], axis=1), test, rng, draws, offset)
+    return steady_records(channels, np.stack([np.zeros_like(Y), Y], axis=1), test, rng, draws, offset)
 
 
-def _steady_records(
+def steady_records(
     channels: Sequence[Channel],
     harmonics: Complex,
     test: Dwells,
@@ -457,7 +455,7 @@ def _steady_records(
     draws: int | None = None,
     offset: Real | None = None,
 ) -> list[Record]:
-    """Of motion given by its harmonics, (lines, H + 1, channels), SI units."""
+    """As `simulate_records`, of motion given by its harmonics, (lines, H + 1, channels), SI units."""
     channels, count = tuple(channels), len(channels)
     gain, late = true_calibrations(channels, rng)
     harmonics = harmonics * gain
@@ -593,10 +591,13 @@ def clean_spectrum(
     return _lines(channels, test, Y, _covariance(spread, noise_sd(channels, Y)))
 
 
-def with_noise_drawn(clean: Spectrum, rng: np.random.Generator, draws: int) -> Spectrum:
-    """Repeats of amplitudes without noise, with noise of their covariance, which is shared, (lines, c, c), diagonal."""
+def with_noise_drawn(clean: Spectrum, rng: np.random.Generator, draws: int | None = None) -> Spectrum:
+    """Amplitudes without noise with noise of their covariance, (lines, c, c), diagonal.
+
+    `draws` repeats, which share it, make a leading axis.
+    """
     sd = np.sqrt(np.diagonal(clean.covariance, axis1=-2, axis2=-1).real / 2)
-    shape = (draws, *clean.amplitudes.shape)
+    shape = (*(() if draws is None else (draws,)), *clean.amplitudes.shape)
     error = sd * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
     motion = clean.amplitudes
     if any(unknown.sd for unknown in unknown_calibrations(clean.channels)):
@@ -658,18 +659,11 @@ def _wishart(rng: np.random.Generator, draws: int, dof: Ints, sd: Real) -> Real:
 # integration.
 
 
-@dataclass(frozen=True)
-class SettledMotion:
-    """Harmonics of the channels in every dwell, (dwells, H + 1, channels), SI units, of unknown calibrations 1."""
-
-    channels: tuple[Channel, ...]
-    harmonics: Complex
-
-
-def settled_motion(model: Model, theta: Real, channels: Sequence[Channel], test: Dwells) -> SettledMotion:
+def settled_motion(model: Model, theta: Real, channels: Sequence[Channel], test: Dwells) -> Complex:
     """The motion that each dwell of a test settles to, with as many harmonics as it needs; theta (unknowns,).
 
-    Where several motions are possible it is that which a drive raised slowly from rest leads to.
+    Harmonics of the channels, (dwells, H + 1, channels), SI units, of unknown calibrations 1.  Where several motions
+    are possible it is that which a drive raised slowly from rest leads to.
     Raises ConvergenceError, which names the frequency, where none is found.
     """
     rows = len(test.frequency_hz)
@@ -683,7 +677,7 @@ def settled_motion(model: Model, theta: Real, channels: Sequence[Channel], test:
     # Truncation error of the elongations
     at, drive = settled_orders(model, p, constants, drive, at.delta, tolerance=1e-6)
     at = _followed(model, theta, drive, at)
-    return SettledMotion(tuple(channels), channel_harmonics(model, p, channels, drive, at))
+    return channel_harmonics(model, p, channels, drive, at)
 
 
 def _followed(model: Model, theta: Real, drive: Drive, at: Periodic) -> Periodic:
@@ -704,32 +698,16 @@ def _followed(model: Model, theta: Real, drive: Drive, at: Periodic) -> Periodic
     return periodic_response(model, p, constants, drive, delta)
 
 
-def settled_records(motion: SettledMotion, test: Dwells, rng: np.random.Generator) -> list[Record]:
-    """One simulated steady-state record per dwell, with noise and calibrations of the channels."""
-    return _steady_records(motion.channels, motion.harmonics, test, rng)
-
-
-def settled_spectrum(
-    motion: SettledMotion, test: Dwells, rng: np.random.Generator | None, *, draws: int | None = None
-) -> Spectrum:
-    """Amplitudes of the first harmonics of each dwell, as white noise on the samples of whole periods leaves them.
-
-    `draws` repeats make a leading axis; without `rng` the amplitudes are exact and the covariance is that of noise.
-    """
-    channels, dwells = motion.channels, len(test.frequency_hz)
-    count = min(5, motion.harmonics.shape[1] - 1)  # harmonics in tables of amplitudes
+def settled_spectrum(channels: Sequence[Channel], motion: Complex, test: Dwells) -> Spectrum:
+    """Amplitudes of the first harmonics of each dwell, without noise, with the covariance that white noise on the
+    samples of whole periods gives them; motion (dwells, H + 1, channels)."""
+    dwells, count = len(test.frequency_hz), min(5, motion.shape[1] - 1)  # harmonics in tables of amplitudes
     frequency_hz = np.outer(test.frequency_hz, np.arange(1, count + 1)).ravel()
-    Y = motion.harmonics[:, 1 : count + 1].reshape(dwells * count, -1)
-    shown = Y * _factors(channels, 2 * np.pi * frequency_hz)
-    sd = noise_sd(channels, shown[::count]) * np.sqrt(2 / test.samples)[:, None]  # of Re and Im, each
-    spread = np.repeat(sd, count, axis=0)
-    shape = (2, *(() if draws is None else (draws,)), *Y.shape)
-    error = np.zeros(shape) if rng is None else rng.standard_normal(shape)
-    V = ((2 * spread[..., None] ** 2) * np.eye(len(channels))).astype(np.complex128)
+    Y = motion[:, 1 : count + 1].reshape(dwells * count, -1) * _factors(channels, 2 * np.pi * frequency_hz)
+    sd = np.repeat(noise_sd(channels, Y[::count]), count, axis=0)
     samples, dof = np.repeat(test.samples, count), np.full(len(Y), np.inf)
     given, experiment = ("given",) * len(Y), np.zeros(len(Y), dtype=np.int64)
     dwell, settled = np.repeat(np.arange(dwells), count), tuple(map(SettledDwell, test.frequency_hz.tolist()))
-    A = Y * _factors(channels, 2 * np.pi * frequency_hz, rng, draws) + spread * (error[0] + 1j * error[1])
-    return Spectrum(
-        channels, frequency_hz, A, V, samples, dof, given, experiment, stretch=dwell, stretches=settled
-    )
+    V = _covariance(4 / samples, sd)
+    of_lines = (tuple(channels), frequency_hz, Y, V, samples, dof, given, experiment)
+    return Spectrum(*of_lines, stretch=dwell, stretches=settled)

@@ -11,7 +11,14 @@ from dashpot.estimate.identify import identify
 from dashpot.study.montecarlo import run_scenarios
 from dashpot.study.response_curves import frequency_curve
 from dashpot.study.scenario import Scenario
-from dashpot.study.simulate import driven_record, dwells, settled_motion, settled_records, settled_spectrum
+from dashpot.study.simulate import (
+    driven_record,
+    dwells,
+    settled_motion,
+    settled_spectrum,
+    steady_records,
+    with_noise_drawn,
+)
 from tests.nonlinear_rigs import motions, two_masses
 
 ALL = motions("x1", "x2", "u")
@@ -21,7 +28,7 @@ SOFT = {"u": 1e-3}
 def test_dwells_settle_to_what_integration_settles_to():
     model, theta = two_masses("cubic")
     test = dwells(model, [4.0], 400, amplitudes=SOFT, periods=40)
-    settled = settled_records(settled_motion(model, theta, ALL, test), test, np.random.default_rng(0))[0]
+    settled = steady_records(ALL, settled_motion(model, theta, ALL, test), test, np.random.default_rng(0))[0]
     drive = Record((ALL[2],), settled.time, settled.values[:, 2:])
     driven = driven_record(model, theta, ALL, drive, np.random.default_rng(0))
     last = slice(-100, None)
@@ -33,7 +40,7 @@ def test_a_table_of_amplitudes_gives_the_parameters_back():
     model, theta = two_masses("cubic")
     test = dwells(model, np.arange(2.0, 14.0, 1.5), 200, amplitudes=SOFT)
     motion = settled_motion(model, theta, ALL, test)
-    spectrum = settled_spectrum(motion, test, np.random.default_rng(0))
+    spectrum = with_noise_drawn(settled_spectrum(ALL, motion, test), np.random.default_rng(0))
     assert spectrum.lines == 5 * len(test.frequency_hz)
     assert np.max(np.abs(identify(model, spectrum).values / theta - 1)) < 1e-6
 

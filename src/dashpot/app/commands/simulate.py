@@ -156,7 +156,8 @@ def command(
                     test = study.dwells(model, frequencies, samples, **how)
                     if len(model.nonlinear):
                         motion = study.settled_motion(model, theta, channels, test)
-                        spectrum = study.settled_spectrum(motion, test, rng)
+                        spectrum = study.settled_spectrum(channels, motion, test)
+                        spectrum = study.with_noise_drawn(spectrum, rng)
                     else:
                         p = model.parameters(theta)
                         spectrum = study.simulate_spectrum(model, p, channels, test, rng, drift=1)
