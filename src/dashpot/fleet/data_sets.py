@@ -21,6 +21,7 @@ import pyarrow as pa
 
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.readers import Reading
+from dashpot.data.readers.arrow_files import array_of_column, units_of
 from dashpot.data.readers.manifest import files_fitting, is_pattern
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
@@ -30,6 +31,7 @@ from dashpot.io.json_document import array_of, arrow_table
 from dashpot.io.ledger import noted
 from dashpot.io.words import counted, listed, shown
 from dashpot.model.rigfile import Rig
+from dashpot.study.blocks import digest_of_columns, fingerprint_of
 
 PIECE = 1 << 20  # bytes of a file that are read at once
 ROWS = 1 << 16  # of a Parquet table that are decoded at a time
@@ -107,11 +109,6 @@ def _time_of(path: str) -> float:
         return 0.0  # its reader will say what is wrong with it
 
 
-def digest_of(*values: object) -> str:
-    """SHA-256 of texts and whole numbers, in tuples or alone."""
-    return hashlib.sha256(repr(values).encode("utf-8", "surrogatepass")).hexdigest()
-
-
 # A file each.
 
 
@@ -129,7 +126,7 @@ class Files:
 
     def checksum(self) -> str:
         """Of all files."""
-        return digest_of(self.names, self.contents)
+        return fingerprint_of((self.names, self.contents))
 
     def data_sets(self) -> Iterator[DataSet]:
         """One for each file, which its reader reads."""
@@ -156,17 +153,8 @@ class HeldRows:
 
     def checksum(self) -> str:
         """Of all numbers and texts as well, their kinds and units."""
-        contents = tuple(
-            (
-                name,
-                str(values.dtype),
-                hashlib.sha256(
-                    values.tobytes() if values.dtype.kind in "fib" else repr(values.tolist()).encode()
-                ).hexdigest(),
-            )
-            for name, values in self.columns.items()
-        )
-        return digest_of(self.names, self.source, self.ends, tuple(sorted(self.units.items())), contents)
+        contents = digest_of_columns(self.columns)
+        return fingerprint_of((self.names, self.source, self.ends, self.units, contents))
 
     def some(self, first: int, end: int) -> HeldRows:
         """Some of the rigs; columns are views."""
@@ -187,7 +175,8 @@ def _of_rows(columns: Mapping[str, np.ndarray], rows: slice) -> dict[str, np.nda
     for name, values in chosen.items():
         if values.dtype.kind == "O":
             with suppress(ValueError):
-                chosen[name] = np.array([text or "nan" for text in values.tolist()], dtype=float)
+                cells = ["nan" if cell in (None, "") else cell for cell in values.tolist()]
+                chosen[name] = np.array(cells, dtype=float)
     return chosen
 
 
@@ -214,7 +203,7 @@ class ParquetRows:
 
     def checksum(self) -> str:
         """Of the row groups, and which rows of them these are."""
-        return digest_of(self.names, self.source, self.column, self.first, self.ends, self.groups)
+        return fingerprint_of((self.names, self.source, self.column, self.first, self.ends, self.groups))
 
     def loaded(self) -> HeldRows:
         """The rows read.  Raises DataError if the table cannot be read, or is not as its checksums say."""
@@ -431,21 +420,9 @@ def _runs(column: Any) -> tuple[list[str], list[int]]:
 
 def held_rows(names: tuple[str, ...], path: str, ends: tuple[int, ...], table: Any, column: str) -> HeldRows:
     """The rows of an Arrow table, of which a column names the rigs."""
-    columns: dict[str, np.ndarray] = {}
-    for name in (each for each in table.schema.names if each != column):
-        cells = table.column(name)
-        if pa.types.is_floating(cells.type) or (pa.types.is_integer(cells.type) and not cells.null_count):
-            columns[name] = array_of(cells)
-        elif any(kind(cells.type) for kind in (pa.types.is_integer, pa.types.is_decimal, pa.types.is_null)):
-            columns[name] = cells.cast(pa.float64()).to_numpy()
-        else:
-            texts = ["" if value is None else str(value) for value in cells.to_pylist()]
-            columns[name] = np.array(texts, dtype=object)
-    units = {
-        entry.name: (entry.metadata or {}).get(b"unit", b"").decode("utf-8", "replace") or None
-        for entry in table.schema
-    }
-    return HeldRows(names, path, ends, columns, units)
+    others = [name for name in table.schema.names if name != column]
+    columns = {name: array_of_column(table.column(name)) for name in others}
+    return HeldRows(names, path, ends, columns, units_of(table.schema))
 
 
 # Row groups of a Parquet table: their checksums, and rows read from them one block after the other.

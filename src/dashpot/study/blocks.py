@@ -233,7 +233,7 @@ def digest_of_columns(columns: Mapping[str, np.ndarray]) -> str:
     """Of the names and numbers of all columns, to the bit."""
     digest = hashlib.sha256()
     for name, column in columns.items():
-        numbers = column.dtype.kind in "fb"
+        numbers = column.dtype.kind in "fbi"
         data = column.tobytes() if numbers else json.dumps([str(text) for text in column]).encode()
         digest.update(f"{name}:{_name_of(column.dtype) if numbers else 'text'}:{len(data)}:".encode() + data)
     return digest.hexdigest()

@@ -331,11 +331,8 @@ def _with_partly_measured(
     coefficients, variance = found.coefficients.copy(), np.diagonal(found.covariance[0]).copy()
     for c in some:
         its = partly_measured(record, c, f, found.terms, sizes=sizes)
-        if its is not None:
-            P[c], free[c], in_cells[c] = its.P, its.free, its.in_cells
-            coefficients[0, :, c], variance[c] = its.coefficients, its.variance
-    if np.array_equal(free, found.free) and not np.any(in_cells):
-        return found
+        P[c], free[c], in_cells[c] = its.P, its.free, its.in_cells
+        coefficients[0, :, c], variance[c] = its.coefficients, its.variance
     found = replace(found, P=P, coefficients=coefficients, free=free, in_cells=in_cells)
     # The variances found above, with correlations of what is measured of both, as those of the coefficients are; a
     # channel in cells is rounded by itself
@@ -375,10 +372,8 @@ class PartlyMeasured:
     in_cells: bool
 
 
-def partly_measured(
-    record: Record, c: int, f: float, terms: Terms, *, sizes: bool = True
-) -> PartlyMeasured | None:
-    """A channel with samples that are clipped, missing or rounded to cells; None where all are as good as measured.
+def partly_measured(record: Record, c: int, f: float, terms: Terms, *, sizes: bool = True) -> PartlyMeasured:
+    """A channel with samples that are clipped, missing or rounded to cells.
 
     Of a sample in a cell from a to b it is known that the noise is between: ln(Φ(τ b − A γ) − Φ(τ a − A γ)) with
     τ = 1/σ and γ = τ β; a clipped one is in a cell without an end.  That is concave in (γ, τ) (Olsen 1978, Econometrica
@@ -405,8 +400,6 @@ def partly_measured(
     beta, variance = right[:, 0], float(np.sum(R[k:, k] ** 2)) / max(count - k, 1)
     if np.sqrt(variance) > DITHERED * cell:
         cell = 0.0
-    if not cell and np.all(seen):
-        return None
     largest = float(np.max(np.abs(y)))
     tau = 1 / max(np.sqrt(max(variance - cell**2 / 12, (BEGUN * cell) ** 2)), 1e-13 * largest)
     exact, far = seen & (cell == 0), 1e9 * max(largest, cell)  # as good as no end

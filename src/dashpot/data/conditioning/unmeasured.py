@@ -198,7 +198,6 @@ def _motions(record: Record, c: int, status: Ints) -> Iterator[tuple[slice, slic
                 found = partly_measured(here, 0, f, terms)
             except DataError:
                 continue
-            assert found is not None
             motion, noise = A @ found.coefficients, found.variance**0.5
         else:
             motion = A @ np.linalg.lstsq(A[measured], y[measured], rcond=None)[0]

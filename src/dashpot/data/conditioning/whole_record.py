@@ -20,7 +20,6 @@ from scipy import fft
 from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel
 from dashpot.data.conditioning.clock import (
-    FEWEST_OF_A_DWELL,
     GAP,
     even_step,
     fewest_samples,
@@ -469,12 +468,6 @@ def dwells_with_transients(
     """
     spectra = []
     for record in records:
-        if len(record.time) < FEWEST_OF_A_DWELL:
-            raise DataError(
-                f"a dwell of {len(record.time)} samples is too short to separate its transient from its motion",
-                record.source,
-                f"record at least {FEWEST_OF_A_DWELL} samples, or wait until it has settled",
-            )
         lines = whole_record(record, band_hz=band_hz, still=still)
         (whole,) = (value for value in lines.stretches if isinstance(value, WholeRecord))
         columns = 2 if lines.lines < SHORT else POLYNOMIAL

@@ -75,20 +75,23 @@ def _check_unpacked(file: DataFile, schema: Any, rows: int) -> None:
 
 def _columns(file: DataFile, schema: Any, rows: int, pieces: Callable[[int], Iterator[Any]]) -> ArrayColumns:
     """All columns, each of which comes in pieces when it is asked for."""
-    units = []
-    for field in schema:
-        unit = (field.metadata or {}).get(b"unit")
-        units.append(None if unit is None else unit.decode("utf-8", errors="replace"))
+    units = tuple(units_of(schema).values())
     columns = tuple(Streamed(rows, partial(_numbers, pieces, i)) for i in range(len(units)))
-    return ArrayColumns(file.name, tuple(schema.names), tuple(units), (), rows, columns)
+    return ArrayColumns(file.name, tuple(schema.names), units, (), rows, columns)
+
+
+def units_of(schema: Any) -> dict[str, str | None]:
+    """The unit of each column by name, None where its metadata say none."""
+    said = {field.name: (field.metadata or {}).get(b"unit") for field in schema}
+    return {name: unit and unit.decode("utf-8", errors="replace") for name, unit in said.items()}
 
 
 def _numbers(pieces: Callable[[int], Iterator[Any]], column: int) -> Iterator[Any]:
-    return map(_numpy, pieces(column))
+    return map(array_of_column, pieces(column))
 
 
-def _numpy(column: Any) -> Any:
-    """A column as an array; gaps are NaN."""
+def array_of_column(column: Any) -> Any:
+    """A column of numbers, moments or texts as an array; gaps of numbers are NaN."""
     if pa.types.is_floating(column.type) or (pa.types.is_integer(column.type) and not column.null_count):
         return array_of(column)
     if pa.types.is_integer(column.type) or pa.types.is_decimal(column.type):

@@ -36,7 +36,7 @@ from dashpot.data.readers.uff import (
     read_uff_modes,
     skip_dataset,
 )
-from dashpot.data.readers.uff_writer import write_modes
+from dashpot.data.readers.uff_writer import write_universal_file
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.json_document import from_json
 from dashpot.io.ledger import noted
@@ -140,7 +140,8 @@ def write_mode_table(modes: ModalData, path: AnyPath) -> None:
         ids = ("Modes by dashpot", *(named[k : k + 80] for k in range(0, min(len(named), 320), 80)))
         shapes = np.pad(modes.shapes[..., None], ((0, 0), (0, 0), (0, 2)))
         each = zip(eigenvalues.tolist(), shapes, strict=True)
-        write_modes([NodalMode(eigenvalue, nodes, shape, ids) for eigenvalue, shape in each], path)
+        written = [NodalMode(eigenvalue, nodes, shape, ids) for eigenvalue, shape in each]
+        write_universal_file(path, modes=written)
         return
     sd = np.sqrt(np.diagonal(modes.covariance, axis1=1, axis2=2))
     columns = {

@@ -9,7 +9,7 @@ import itertools
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -89,31 +89,25 @@ def read_records(
     dwells = len(starts) > 1 and frequency is None and frequency_hz is None
     cure = f"; if one of them is the drive frequency, call it {FREQUENCY}" if dwells else ""
     notes += columns.not_read((*wanted, time_at, experiment_at), cure)
+    for array in (time, values):  # which the only record shares
+        array.setflags(write=False)
     records = []
     for start, end in zip(starts, [*starts[1:], len(time)], strict=True):
-        name = columns.source if len(starts) == 1 else ""
         if end - start < 2:
             cure = "record more, or look for rows that are out of order"
             if frequency is not None:
                 cure += "; of a sweep rename the column of the frequency"
             raise columns.error(start, columns.find(TIME) or 0, "the block has one sample", cure)
-        if end - start == len(time):
-            time.setflags(write=False)
-            values.setflags(write=False)
-            records.append(Record(channels, time, values, source=name or columns.part_from(start)))
-        else:
-            records.append(
-                Record(channels, time[start:end], values[start:end], source=name or columns.part_from(start))
-            )
-    for i, start in enumerate(starts):
         driven = frequency_hz if frequency is None else float(frequency[start])
-        records[i] = replace(records[i], frequency_hz=driven, experiment=int(experiments[start]))
-        for channel, values in zip(records[i].channels, records[i].values.T, strict=True):
-            count = samples_at_limit(values)
+        source = columns.source if len(starts) == 1 else columns.part_from(start)
+        samples = (time[start:end], values[start:end], driven, int(experiments[start]))
+        records.append(Record(channels, *samples, source=source))
+        for channel, column in zip(channels, records[-1].values.T, strict=True):
+            count = samples_at_limit(column)
             if count:
                 text = (
-                    f"{records[i].source}: {channel.name} is at its limit in {count} of {len(values)} samples; if it "
-                    "is clipped, widen the range or reduce the drive"
+                    f"{source}: {channel.name} is at its limit in {count} of {len(column)} samples; if it is "
+                    "clipped, widen the range or reduce the drive"
                 )
                 notes.append(Notice("clipped", text, (channel.name,)))
     return records, notes

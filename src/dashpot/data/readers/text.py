@@ -14,7 +14,7 @@ import zlib
 from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 from zipfile import ZipFile
@@ -329,9 +329,8 @@ class TextTable(Columns):
         row = self.first_row
         for row, text in self.rows():
             place = f"{self.source}:{row}"
-            try:
-                cells = next(csv.reader([text], delimiter=self.delimiter))
-            except (csv.Error, StopIteration):
+            cells = _cells(text, self.delimiter)
+            if not cells:
                 return DataError("the row cannot be parsed", place, "look for a stray quote")
             if len(cells) != len(self.header):
                 cure = "complete the row or remove it; a short last row means that the file was cut off"
@@ -341,7 +340,7 @@ class TextTable(Columns):
                     f"the row has {len(cells)} cells, the header {len(self.header)}", place, cure
                 )
             for column in columns:
-                cause = self._wrong(cells[column].strip(), column in optional, column in infinite)
+                cause = self._wrong(cells[column], column in optional, column in infinite)
                 if cause is not None:
                     name = shown(bare(self.header[column])[0])
                     return DataError(f"column {name}: {cause[0]}", place, cause[1])
@@ -490,10 +489,8 @@ def _without_header(
 
     The first column is the time where it increases evenly.
     """
-    rows, cells = [first], [_cells(first.text, delimiter)]
-    while len(rows) < 50 and (row := _next_row(data, rows[-1].end, rows[-1].number)) is not None:
-        rows.append(row)
-        cells.append(_cells(row.text, delimiter))
+    rows = islice(_rows(data, first.begin, first.number - 1), 50)
+    cells = [_cells(row.text, delimiter) for row in rows]
     column = [float(row[0].replace(",", ".")) for row in cells if row and _is_number(row[0])]
     steps = np.diff(column)
     # 1.5: stamps are rounded, and now and then one is late
@@ -532,43 +529,37 @@ def _decimal(sample: str, delimiter: str, source: str) -> tuple[str, tuple[Notic
 
 def _leading_rows(data: Text, source: str, first_column: str | None) -> tuple[_Row, _Row | None, str | None]:
     """The first row that may be the header, the row before it that begins with #, the delimiter of `sep=`."""
-    position, number, delimiter = 0, 0, None
     commented: _Row | None = None
-    while True:
-        number += 1
-        end = data.find(b"\n", position, position + LOOKED_AT)
-        if end < 0 and len(data) - position > LOOKED_AT:
+    delimiter: str | None = None
+    for row in _rows(data):
+        if row.end - row.begin > LOOKED_AT:
             cure = "give a CSV file with one row per sample"
-            raise DataError("the header row is over 1 MB long", f"{source}:{number}", cure)
-        end = len(data) if end < 0 else end
-        try:
-            text = data[position:end].decode("utf-8").removeprefix("\ufeff").strip("\r\n ")
-        except UnicodeDecodeError as error:
-            what = f"byte {error.start + 1} of the row is not UTF-8"
-            raise DataError(what, f"{source}:{number}", "save the file as UTF-8") from None
-        begin, position = position, min(end + 1, len(data))
-        if text.lower().startswith("sep=") and len(text) == 5:
-            delimiter = text[4]
-        elif text.startswith(first_column) if first_column else text and not text.startswith("#"):
-            return _Row(number, position, text, begin), commented, delimiter
-        elif text.startswith("#"):
-            commented = _Row(number, position, text.lstrip("# \t"), begin)
-        if position >= len(data):
-            begins = "" if first_column is None else f" that begins with {first_column}"
-            cure = f"give a file with a header row{begins} and data"
-            raise DataError("the file has no header row", source, cure)
+            raise DataError("the header row is over 1 MB long", f"{source}:{row.number}", cure)
+        if row.text.lower().startswith("sep=") and len(row.text) == 5:
+            delimiter = row.text[4]
+        elif row.text.startswith(first_column) if first_column else not row.text.startswith("#"):
+            return row, commented, delimiter
+        elif row.text.startswith("#"):
+            commented = replace(row, text=row.text.lstrip("# \t"))
+    begins = "" if first_column is None else f" that begins with {first_column}"
+    cure = f"give a file with a header row{begins} and data"
+    raise DataError("the file has no header row", source, cure)
 
 
 def _next_row(data: Text, position: int, number: int) -> _Row | None:
     """The next row that is not blank, behind row `number` that ends at `position`."""
+    return next(_rows(data, position, number), None)
+
+
+def _rows(data: Text, position: int = 0, number: int = 0) -> Iterator[_Row]:
+    """The rows that are not blank, behind row `number` that ends at `position`; of very long ones what is looked at."""
     while position < len(data):
         end = data.find(b"\n", position, position + LOOKED_AT)
         end = min(len(data), position + LOOKED_AT) if end < 0 else end
         text = data[position:end].decode("utf-8", errors="replace").strip("\r\n ")
         begin, position, number = position, min(end + 1, len(data)), number + 1
         if text:
-            return _Row(number, position, text, begin)
-    return None
+            yield _Row(number, position, text, begin)
 
 
 def _in_front_of_numbers(data: Text, candidate: _Row, delimiter: str | None) -> _Row:
@@ -578,10 +569,7 @@ def _in_front_of_numbers(data: Text, candidate: _Row, delimiter: str | None) -> 
     there; where there is none, the first candidate.
     """
     rows = [candidate]
-    while len(rows) < 400:  # that are looked through
-        following = _next_row(data, rows[-1].end, rows[-1].number)
-        if following is None:
-            break
+    for following in islice(_rows(data, candidate.end, candidate.number), 400):  # that are looked through
         rows.append(following)
         shows = rows[0] if len(rows) == 2 else rows[-1]
         mark = _delimiter(shows.text) if delimiter is None else delimiter
@@ -659,12 +647,11 @@ def _names(text: str, delimiter: str, place: str) -> tuple[str, ...]:
     if text.count(delimiter) >= MOST_COLUMNS:
         what = f"the header has {text.count(delimiter) + 1} columns"
         raise DataError(what, place, "give a CSV file with one row per sample")
-    try:
-        names = next(csv.reader([text], delimiter=delimiter))
-    except (csv.Error, StopIteration, TypeError):
-        raise DataError("the header row cannot be parsed", place, "look for a stray quote") from None
-    names[0] = names[0].lstrip("%")
-    return tuple(name_in(name.strip()) for name in names)
+    names = _cells(text, delimiter)
+    if not names:
+        raise DataError("the header row cannot be parsed", place, "look for a stray quote")
+    names[0] = names[0].lstrip("%").strip()
+    return tuple(map(name_in, names))
 
 
 def _is_number(text: str) -> bool:

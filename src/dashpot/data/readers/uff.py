@@ -71,11 +71,10 @@ class UffStream:
 
     def line(self) -> bytes:
         """The next line without its end; empty lines count.  Raises DataError at the end of the file."""
-        text = self._stream.readline(LONGEST_LINE)
-        if not text:
+        text = self.line_or_end()
+        if text is None:
             raise self.cut_off()
-        self.number += 1
-        return text.rstrip(b"\r\n")
+        return text
 
     def line_or_end(self) -> bytes | None:
         """The next line, None at the end of the file."""

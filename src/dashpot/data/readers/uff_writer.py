@@ -26,26 +26,21 @@ from dashpot.io.atomic import write_bytes
 END = b"    -1\n"
 
 
-def write_functions(
-    functions: Sequence[NodalFunction],
+def write_universal_file(
     path: str | os.PathLike[str],
+    functions: Sequence[NodalFunction] = (),
+    modes: Sequence[NodalMode] = (),
     *,
     binary: bool = True,
     double: bool = True,
     little: bool = True,
 ) -> None:
-    """Write functions as datasets 58b (or 58).  Start and step of even abscissae keep all their digits in ID line 5.
+    """Write functions as datasets 58b (or 58), then modes as datasets 55, complex eigenvalues of the second order.
 
-    Ordinates in binary double precision read back to the last bit.  Raises DataError if the file cannot be written.
+    Start and step of even abscissae keep all their digits in ID line 5.  Ordinates in binary double precision read back
+    to the last bit.  Raises DataError if the file cannot be written.
     """
-    write_bytes(path, _functions(functions, binary, double, little))
-
-
-def write_universal_file(
-    path: str | os.PathLike[str], functions: Sequence[NodalFunction] = (), modes: Sequence[NodalMode] = ()
-) -> None:
-    """Write functions (58b, double precision) and then modes (55) into one file.  Raises as `write_functions`."""
-    write_bytes(path, itertools.chain(_functions(functions, True, True, True), _modes(modes)))
+    write_bytes(path, itertools.chain(_functions(functions, binary, double, little), _modes(modes)))
 
 
 def write_uff_records(
@@ -79,12 +74,7 @@ def write_uff_records(
                     z_value=record.frequency_hz or 0.0,
                 )
             )
-    write_functions(functions, path, binary=binary, double=double, little=little)
-
-
-def write_modes(modes: Sequence[NodalMode], path: str | os.PathLike[str]) -> None:
-    """Write modes as datasets 55, complex eigenvalues of the second order.  Raises DataError as `write_functions`."""
-    write_bytes(path, _modes(modes))
+    write_universal_file(path, functions, binary=binary, double=double, little=little)
 
 
 def _is_even(abscissa: np.ndarray) -> bool:

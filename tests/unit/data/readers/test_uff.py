@@ -17,7 +17,7 @@ from dashpot.data.readers.uff import (
     functions_of,
     modes_of,
 )
-from dashpot.data.readers.uff_writer import write_functions, write_modes
+from dashpot.data.readers.uff_writer import write_universal_file
 from dashpot.errors import DashpotError, DataError
 from tests.unit.data.readers.written import CHANNELS, packed
 
@@ -61,7 +61,7 @@ def same(got, wanted, rel, rel_abscissa=None):
 @pytest.mark.parametrize("binary", [True, False])
 def test_what_is_written_reads_back_and_pyuff_reads_it(tmp_path, binary, double, even, little):
     path, wanted = tmp_path / "a.uff", functions(even)
-    write_functions(wanted, path, binary=binary, double=double, little=little)
+    write_universal_file(path, wanted, binary=binary, double=double, little=little)
     rel = 0 if binary and double else 6e-8 if binary else 1e-12 if double else 5e-6
     for got, expected in zip(functions_of(open_file(path)), wanted, strict=True):
         same(got, expected, rel, 1e-15 if even else 5e-6 if not binary else rel)
@@ -108,13 +108,13 @@ def test_frequency_responses_are_named_by_nodes_or_entities(tmp_path):
         Channel("F", {"F": 1}, Quantity.FORCE),
     )
     named = [NodalFunction(FRF, NodePoint(f"x{i + 1}"), NodePoint("F"), f, H[i]) for i in range(2)]
-    write_functions(named, tmp_path / "named.uff")
+    write_universal_file(tmp_path / "named.uff", named)
     lines = read(tmp_path / "named.uff", channels).spectrum()
     assert lines.amplitudes[:, 0] == pytest.approx(H[0])
     assert lines.amplitudes[:, 1] == pytest.approx(H[1])
     assert lines.amplitudes[:, 2] == pytest.approx(np.ones(5))
     numbered = [NodalFunction(FRF, NodePoint("", i + 1, 3), NodePoint("", 1, -3), f, H[i]) for i in range(2)]
-    write_functions(numbered, tmp_path / "numbered.uff")
+    write_universal_file(tmp_path / "numbered.uff", numbered)
     (tmp_path / "test.toml").write_text(
         '[[files]]\nname = "numbered.uff"\ncolumns = { x1 = "1+Z", x2 = "2+Z", F = "1-Z" }\n'
     )
@@ -138,7 +138,7 @@ def test_modes_both_ways(tmp_path):
         NodalMode(-1 + 30j, (1, 7), 2 * shapes),
     ]
     path = tmp_path / "modes.unv"
-    write_modes(modes, path)
+    write_universal_file(path, modes=modes)
     for got, wanted in zip(modes_of(open_file(path)), modes, strict=True):
         assert got.eigenvalue == pytest.approx(wanted.eigenvalue, rel=1e-5)
         assert got.nodes == wanted.nodes
@@ -184,7 +184,7 @@ def test_modes_of_all_kinds_that_pyuff_writes_are_read(tmp_path, kind, ending):
 @pytest.mark.parametrize("binary", [True, False])
 def test_damaged_files(tmp_path, binary):
     whole, path = tmp_path / "whole.uff", tmp_path / "cut.uff"
-    write_functions(functions(), whole, binary=binary)
+    write_universal_file(whole, functions(), binary=binary)
     data = whole.read_bytes()
     got = list(functions_of(open_file(whole)))
     ends = [i + 7 for i in range(len(data)) if data[i : i + 7] == b"    -1\n"]
@@ -212,7 +212,7 @@ def test_damaged_files(tmp_path, binary):
 
 def test_other_datasets_are_passed_over(tmp_path):
     path = tmp_path / "a.uff"
-    write_functions(functions(), path)
+    write_universal_file(path, functions())
     other = b"    -1\n   151\n" + b"text\n" * 7 + b"    -1\n    -1\n   164\n  1SI\n    -1\n"
     path.write_bytes(other + path.read_bytes())
     assert len(list(functions_of(open_file(path)))) == 2

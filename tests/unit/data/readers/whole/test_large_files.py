@@ -31,7 +31,7 @@ from dashpot.data.readers import (
 )
 from dashpot.data.readers import matlab as matlab_vectors
 from dashpot.data.readers.uff import TIME_RESPONSE, NodalFunction, NodePoint, functions_of
-from dashpot.data.readers.uff_writer import write_functions
+from dashpot.data.readers.uff_writer import write_universal_file
 from dashpot.errors import DataError
 from dashpot.io.atomic import Scratch
 from tests.unit.data.readers import written
@@ -144,7 +144,7 @@ def test_long_functions_of_universal_files_are_not_held(
         )
         for k, name in enumerate(("x1", "x2", "u"))
     ]
-    write_functions(written, path, binary=binary)
+    write_universal_file(path, written, binary=binary)
     (held,) = as_read(path)
     monkeypatch.setattr(uff, "LONG", 200)
     monkeypatch.setattr(uff, "PIECE", 900)

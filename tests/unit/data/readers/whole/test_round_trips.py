@@ -14,7 +14,7 @@ from dashpot.arrays import Real
 from dashpot.channel import Channel
 from dashpot.data.readers import read
 from dashpot.data.readers.uff import FRF, NodalFunction, NodePoint
-from dashpot.data.readers.uff_writer import write_functions
+from dashpot.data.readers.uff_writer import write_universal_file
 from tests.unit.data.readers.column_files import TABLES, famos, hdf5, mat, mdf, npz, tdms, uff
 
 CHANNELS = (Channel("x", {"x": 1}), Channel("u", {"u": 1}))
@@ -115,5 +115,5 @@ def test_frequency_responses_of_universal_files(tmp_path: Path, little: bool) ->
     response = NodalFunction(
         FRF, NodePoint("x", 1, 1), NodePoint("u", 2, 1), LINES, AMPLITUDES[:, 0], "m", "m", even=False
     )
-    write_functions([response], tmp_path / "a.uff", little=little)
+    write_universal_file(tmp_path / "a.uff", [response], little=little)
     same_response(tmp_path / "a.uff")
