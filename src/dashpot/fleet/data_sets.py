@@ -6,7 +6,6 @@ told which; rows of CSV tables, which have no places in the file, are read in pa
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import os
 import re
@@ -23,13 +22,14 @@ from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.readers import Reading
 from dashpot.data.readers.arrow_files import array_of_column, units_of
 from dashpot.data.readers.manifest import files_fitting, is_pattern
+from dashpot.data.readers.text import TextTable, open_table
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DataError, UsageError
 from dashpot.estimate.identify import amplitudes_for
 from dashpot.estimate.registry import method_class
 from dashpot.io.json_document import array_of, arrow_table
 from dashpot.io.ledger import noted
-from dashpot.io.words import counted, listed, shown
+from dashpot.io.words import listed, shown
 from dashpot.model.rigfile import Rig
 from dashpot.study.blocks import digest_of_columns, fingerprint_of
 
@@ -315,7 +315,7 @@ def readable(path: str) -> Iterator[None]:
 class RigTable:
     """A table: its rigs in order, and the row at which each begins, with the number of rows at the end.
 
-    layout  how the rows of a CSV table are to be read, None for a Parquet table
+    text    the rows of a CSV table, None for a Parquet table
     stamp   of the file when the names were read
     """
 
@@ -323,7 +323,7 @@ class RigTable:
     column: str
     names: tuple[str, ...]
     starts: tuple[int, ...]
-    layout: CsvLayout | None
+    text: TextRows | None
     stamp: tuple[int, int]
 
     def parts(self, cuts: Iterable[tuple[int, int]]) -> Iterator[BlockPart]:
@@ -334,7 +334,7 @@ class RigTable:
         stamp = stamp_of(self.path)
         if stamp != self.stamp:
             raise DataError(CHANGED, self.path, "run again")
-        rows = None if self.layout is None else _Rows(self.path, self.layout.batches(), 0)
+        rows = None if self.text is None else _Rows(self.path, self.text.batches(), 0)
         begins = _row_groups(self.path, stamp).begins if rows is None else ()
         for first, end in cuts:
             names, start, stop = self.names[first:end], self.starts[first], self.starts[end]
@@ -360,14 +360,14 @@ def _opened(path: str, column: str) -> RigTable:
         require_columns(path, column, tuple(content.schema_arrow.names))
         coming = batches(content, columns=[column])
         return RigTable(path, column, *_named_rows(path, column, coming), None, stamp)
-    if not start:
-        raise DataError("the file is empty", path, "give a table, CSV or Parquet")
-    layout = csv_layout(path, column)
+    table = open_table(path, "")
+    require_columns(path, column, table.header)
+    rows = TextRows(table, frozenset([table.header.index(column)]))
     while True:
         try:
-            return RigTable(path, column, *_named_rows(path, column, layout.batches()), layout, stamp)
-        except NotNumbersError as text:
-            layout = replace(layout, texts=layout.texts | {str(text)})
+            return RigTable(path, column, *_named_rows(path, column, rows.batches()), rows, stamp)
+        except NotNumbersError as error:
+            rows = replace(rows, texts=rows.texts | set(error.args))
 
 
 def _named_rows(path: str, column: str, coming: Iterable[Any]) -> tuple[tuple[str, ...], tuple[int, ...]]:
@@ -512,83 +512,35 @@ def _row_groups(path: str, stamp: tuple[int, int]) -> _RowGroups:
     return _RowGroups(path)
 
 
-# Rows of CSV tables of many rigs, read as they come, and the line of what is wrong with them.
-
-
-_DELIMITERS = ";", "\t", ","  # in the order in which a header that has several is taken apart
+# Rows of CSV tables of many rigs, read as they come.
 
 
 @dataclass(frozen=True)
-class CsvLayout:
-    """How a table is written: delimiter, decimal mark, and the columns that are to be read as texts.
+class TextRows:
+    """A table in text, and the places of those columns that are to be read as texts: 007 is the name of a rig."""
 
-    texts  beside the one that names rigs, which always is: 007 is a name
-    """
-
-    path: str
-    column: str
-    delimiter: str
-    decimal: str
-    header: tuple[str, ...]
-    texts: frozenset[str] = field(default=frozenset())
+    table: TextTable
+    texts: frozenset[int]
 
     def batches(self) -> Iterator[Any]:
-        """The rows, some at a time.  Raises DataError if they cannot be taken apart, with the line."""
+        """The rows, some at a time.  Raises DataError, with the line, if they cannot be taken apart."""
         import pyarrow.csv as text
 
-        numbers = dict.fromkeys(set(self.header) - self.texts - {self.column}, pa.float64())
-        kinds = {**numbers, **dict.fromkeys(self.texts | {self.column}, pa.string())}
+        names = list(self.table.header)
         # Kinds are stated, for pyarrow would hold a column for whole numbers that begins with some.
-        converted = text.ConvertOptions(column_types=kinds, decimal_point=self.decimal)
-        parsed = text.ParseOptions(delimiter=self.delimiter)
+        kinds = {i: pa.string() if i in self.texts else pa.float64() for i in range(len(names))}
         try:
-            with text.open_csv(noted(self.path), convert_options=converted, parse_options=parsed) as reader:
-                yield from reader
-        except pa.ArrowInvalid as error:
-            raise self._fault(str(error)) from None
-
-    def _fault(self, said: str) -> Exception:
-        """What is wrong first, found row by row; a column that holds more than numbers is told as such."""
-        column = re.match(r"In CSV column #(\d+):.*CSV conversion error", said)
-        if column is not None and self.header[int(column[1])] not in self.texts:
-            return NotNumbersError(self.header[int(column[1])])
-        line, cells = 1, len(self.header)
-        try:
-            with open(noted(self.path), encoding="utf-8", errors="replace", newline="") as file:
-                reader = csv.reader(file, delimiter=self.delimiter)
-                for row in reader:
-                    if row and len(row) != cells:
-                        what = f"the row has {counted(len(row), 'cell')}, the header {cells}"
-                        cure = "complete the row or remove it"
-                        if reader.line_num > line:
-                            what, cure = "a quote is not closed on its line", "close it, or remove it"
-                        return DataError(what, f"{self.path}:{line}", cure)
-                    line = reader.line_num + 1
-        except csv.Error:
-            return DataError("the row cannot be parsed", f"{self.path}:{line}", "look for a stray quote")
-        return DataError(f"the table cannot be read ({shown(said, 150)})", self.path, "check the file")
+            for batch in self.table.batches(kinds, text.ConvertOptions().null_values):
+                yield pa.RecordBatch.from_arrays(batch.columns, names=names)
+        except (pa.ArrowException, UnicodeDecodeError) as error:
+            told = re.match(r"In CSV column #(\d+):.*CSV conversion error", str(error))
+            if told is not None and int(told[1]) not in self.texts:
+                raise NotNumbersError(int(told[1])) from None
+            raise self.table.diagnosis() from None
 
 
 class NotNumbersError(Exception):
-    """A column holds more than numbers: its name."""
-
-
-def csv_layout(path: str, column: str) -> CsvLayout:
-    """How a table is written, from its header and the row below.  Raises DataError if there is none."""
-    with open(noted(path), encoding="utf-8-sig", errors="replace", newline="") as file:
-        header, below = file.readline(), file.readline()
-    if not header.strip():
-        raise DataError("the table begins with an empty line", path, "begin with the names of the columns")
-    delimiter = next((mark for mark in _DELIMITERS if mark in header), ",")
-    names = tuple(next(csv.reader([header], delimiter=delimiter)))
-    require_columns(path, column, names)
-    if not below.strip():
-        raise DataError("the table has no rows", path, "give the data of at least one rig")
-    cells = below.split(delimiter)
-    comma = delimiter != "," and any(
-        re.fullmatch(r"\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*", cell) for cell in cells
-    )
-    return CsvLayout(path, column, delimiter, "," if comma else ".", names)
+    """A column holds more than numbers: its place."""
 
 
 def require_columns(path: str, column: str, names: tuple[str, ...]) -> None:

@@ -161,11 +161,10 @@ def test_a_row_without_a_name_is_refused_with_its_number(tmp_path: Path, ending:
 
 
 WRONG = {
-    "rig,x_re\na,1\na,2,3\n": r"all.csv:3: the row has 3 cells, the header 2; complete the row or remove it",
+    "rig,x_re\na,1\na,2,3\n": r"all.csv:3: the row has 3 cells, the header 2; numbers with decimal commas",
     'rig,x_re\na,1\n"a,2\nb,3\n': r"all.csv:3: a quote is not closed on its line",
-    "rig,x_re\n": "the table has no rows",
+    "rig,x_re\n": "the file has a header and no rows",
     "": "the file is empty",
-    "\nrig,x_re\na,1\n": "begins with an empty line",
     "rig,x_re,x_re\na,1,2\n": "column x_re: named twice",
     "rig,x_re\nb,1\na,2\nb,3\n": "b begins in row 1 and again in row 3",
 }
@@ -194,6 +193,19 @@ def test_a_column_that_begins_with_whole_numbers_may_go_on_with_others(tmp_path:
     path.write_text("rig,x_re\n" + "a,1\n" * 300_000 + "b,0.5\n")
     (last,) = data_sets(of_tables([str(path)], "rig"), 100)[1:]
     assert last.columns["x_re"].tolist() == [0.5]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "cp1252", "utf-16"])
+def test_tables_may_begin_with_comments_and_blank_rows_and_have_any_encoding(
+    tmp_path: Path, encoding: str
+) -> None:
+    path = tmp_path / "all.csv"
+    path.write_text("# shaker 2\n\nrig,x_re,place\na1,1.5,Prüfstand\n7,NA,b\n", encoding=encoding)
+    first, second = data_sets(of_tables([str(path)], "rig"), 100)
+    assert (first.name, second.name) == ("a1", "7")
+    assert first.columns["place"].tolist() == ["Prüfstand"]
+    assert first.columns["x_re"].tolist() == [1.5]
+    assert np.isnan(second.columns["x_re"]).all()
 
 
 def test_tables_with_semicolons_and_decimal_commas(tmp_path: Path) -> None:

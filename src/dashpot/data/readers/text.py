@@ -12,7 +12,7 @@ import os
 import re
 import zlib
 from collections import Counter
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
@@ -248,7 +248,7 @@ class TextTable(Columns):
                 if column not in optional:
                     wrong |= empty
                 if np.any(wrong):
-                    raise self._diagnosis(columns, optional, infinite)
+                    raise self.diagnosis(columns, optional, infinite)
                 if column == 0 and self.clock is not None:
                     numbers = self.clock[0] + self.clock[1] * np.arange(rows, more)
                 arrays[column][rows:more] = numbers
@@ -282,34 +282,40 @@ class TextTable(Columns):
     def _batches(
         self, columns: Sequence[int], kind: pa.DataType, optional: Sequence[int], infinite: Sequence[int]
     ) -> Iterator[pa.RecordBatch]:
-        """The columns by pyarrow, in pieces.
-
-        Raises DataError: what pyarrow finds wrong is looked for again, as it does not say where in a way to rely on.
-        """
-        names = [f"c{i}" for i in range(len(self.header))]
-        wanted, held = [names[i] for i in columns], self.file.contents
+        """The columns as one kind, in pieces.  Raises DataError."""
         try:
-            # A mapped file as one of pyarrow's own: its threads may still read ahead when it is closed.
-            with (
-                pa.BufferReader(held) if isinstance(held, bytes) else pa.OSFile(str(noted(self.file.path)))
-            ) as stream:
-                stream.seek(self.start)
-                with pacsv.open_csv(
-                    stream,
-                    pacsv.ReadOptions(column_names=names, block_size=BLOCK),
-                    pacsv.ParseOptions(delimiter=self.delimiter),
-                    pacsv.ConvertOptions(
-                        column_types=dict.fromkeys(wanted, kind),
-                        include_columns=wanted,
-                        null_values=[""],
-                        strings_can_be_null=True,
-                        quoted_strings_can_be_null=True,
-                        decimal_point=self.decimal,
-                    ),
-                ) as reader:
-                    yield from reader
+            yield from self.batches(dict.fromkeys(columns, kind))
         except (pa.ArrowException, UnicodeDecodeError):
-            raise self._diagnosis(columns if kind == pa.float64() else [], optional, infinite) from None
+            raise self.diagnosis(columns if kind == pa.float64() else [], optional, infinite) from None
+
+    def batches(
+        self, kinds: Mapping[int, pa.DataType], gaps: Sequence[str] = ("",)
+    ) -> Iterator[pa.RecordBatch]:
+        """Columns by their places as pyarrow reads them, in pieces; `gaps` are how cells without numbers are written.
+
+        Raises what pyarrow raises, which does not say where in a way to rely on: `diagnosis` looks for it again.
+        """
+        names, held = [f"c{i}" for i in range(len(self.header))], self.file.contents
+        wanted = {names[i]: kind for i, kind in kinds.items()}
+        # A mapped file as one of pyarrow's own: its threads may still read ahead when it is closed.
+        with (
+            pa.BufferReader(held) if isinstance(held, bytes) else pa.OSFile(str(noted(self.file.path)))
+        ) as stream:
+            stream.seek(self.start)
+            with pacsv.open_csv(
+                stream,
+                pacsv.ReadOptions(column_names=names, block_size=BLOCK),
+                pacsv.ParseOptions(delimiter=self.delimiter),
+                pacsv.ConvertOptions(
+                    column_types=wanted,
+                    include_columns=list(wanted),
+                    null_values=list(gaps),
+                    strings_can_be_null=True,
+                    quoted_strings_can_be_null=True,
+                    decimal_point=self.decimal,
+                ),
+            ) as reader:
+                yield from reader
 
     def rows(self) -> Iterator[tuple[int, str]]:
         """(file row, text) of the rows that are not blank."""
@@ -322,13 +328,15 @@ class TextTable(Columns):
                 yield row, text
             start, row = end + 1, row + 1
 
-    def _diagnosis(
-        self, columns: Sequence[int], optional: Sequence[int], infinite: Sequence[int]
+    def diagnosis(
+        self, columns: Sequence[int] = (), optional: Sequence[int] = (), infinite: Sequence[int] = ()
     ) -> DataError:
-        """What is wrong first, found row by row."""
+        """What is wrong first, with cells in these columns or with a row as such, found row by row."""
         row = self.first_row
         for row, text in self.rows():
             place = f"{self.source}:{row}"
+            if text.count('"') % 2:
+                return DataError("a quote is not closed on its line", place, "close it, or take it out")
             cells = _cells(text, self.delimiter)
             if not cells:
                 return DataError("the row cannot be parsed", place, "look for a stray quote")
@@ -344,9 +352,6 @@ class TextTable(Columns):
                 if cause is not None:
                     name = shown(bare(self.header[column])[0])
                     return DataError(f"column {name}: {cause[0]}", place, cause[1])
-        stray = next((row for row, text in self.rows() if text.count('"') % 2), None)
-        if stray is not None:
-            return DataError("a quote is not closed", f"{self.source}:{stray}", "close it, or take it out")
         return DataError(
             "the file cannot be read as a table of numbers", self.source, "save it as plain CSV in UTF-8"
         )
@@ -413,7 +418,8 @@ def open_table(
     """Read a file, plain or .gz, and its header row: after blank rows, rows that begin with #, `sep=`, and others.
 
     The header row is the one in front of the numbers, or in front of a row of units.  With `first_column` it is the
-    first row that begins with it.  `source` names the file, or the part of it, in messages.
+    first row that begins with it, the first of all where that is "".  `source` names the file, or the part of it, in
+    messages.
     Raises DataError if the file cannot be read, is not text, is empty, or has a header and no rows.
     """
     file = _as_utf8(path if isinstance(path, DataFile) else open_file(path))
