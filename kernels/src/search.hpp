@@ -32,24 +32,33 @@ struct Searcher {
     }
 };
 
-// `evaluate(x, out)` fills all four parts of `out`.
+// `evaluate(x, out)` fills all four parts of `out`.  An unknown whose bounds meet stays there: for the others it is
+// known, and by itself a parabola.
 template <class Evaluate> static void evaluate_at(Searcher &w, const dashpot::Limits &limits, Evaluate &evaluate,
                                                   const double *x, Quadratic &out) {
     const int m = w.m;
-    if (!limits.logarithmic) {
-        evaluate(x, out);
-    } else {
-        const unsigned char *log = limits.logarithmic;
-        for (int j = 0; j < m; ++j) w.at[j] = log[j] ? __builtin_exp(x[j]) : x[j];
-        evaluate(w.at, out);
-        for (int j = 0; j < m; ++j) {
-            const double chain = log[j] ? w.at[j] : 1.0;
-            out.gradient[j] *= chain;
-            for (int i = 0; i < m; ++i) {
-                const double both = (log[i] ? w.at[i] : 1.0) * chain;
-                out.symmetric[i * m + j] *= both;
-                out.free[i * m + j] *= both;
-            }
+    const unsigned char *log = limits.logarithmic;
+    auto known = [&](int j) { return limits.lower[j] >= limits.upper[j]; };
+    for (int j = 0; j < m; ++j) {
+        const double value = known(j) ? limits.lower[j] : x[j];
+        w.at[j] = log && log[j] ? __builtin_exp(value) : value;
+    }
+    evaluate(w.at, out);
+    for (int j = 0; log && j < m; ++j) {
+        const double chain = log[j] ? w.at[j] : 1.0;
+        out.gradient[j] *= chain;
+        for (int i = 0; i < m; ++i) {
+            const double both = (log[i] ? w.at[i] : 1.0) * chain;
+            out.symmetric[i * m + j] *= both;
+            out.free[i * m + j] *= both;
+        }
+    }
+    for (int j = 0; j < m; ++j) {
+        if (!known(j)) continue;
+        out.gradient[j] = limits.lower[j] - x[j];
+        for (int i = 0; i < m; ++i) {
+            out.symmetric[i * m + j] = out.symmetric[j * m + i] = i == j;
+            out.free[i * m + j] = out.free[j * m + i] = i == j;
         }
     }
     if (!__builtin_isfinite(out.cost)) out.cost = INFINITE;

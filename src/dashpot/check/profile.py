@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from dashpot.arrays import Bools, Ints, Real, freeze
+from dashpot.arrays import Bools, Real, freeze
 from dashpot.data.spectrum import SettledDwell, Spectrum
 from dashpot.errors import DashpotError, DataError, UsageError
 from dashpot.estimate.identify import identify
@@ -27,7 +27,7 @@ from dashpot.io.words import joined
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel
 from dashpot.notices import Notice
-from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel, minimise
+from dashpot.numerics.levenberg_marquardt import OptimizeResult, QuadraticModel
 from dashpot.numerics.small_systems import scaled_inverse
 
 # χ² of the data as a function of the unknowns, around an estimate: what profiles and sensitivities are made
@@ -52,14 +52,21 @@ class Surface:
     upper: Real
     lacking: Real
 
-    def at(self, psi: Real, _: Ints | None = None) -> QuadraticModel:
+    def at(self, psi: Real) -> QuadraticModel:
         """χ², minus half its slope, and half its curvature (Gauss-Newton) at ψ, (k, M)."""
-        rows = np.zeros(len(psi), dtype=np.int64)
-        return local(self.view, self.data.pick(rows), psi, np.repeat(self.sign[None], len(psi), axis=0))
+        return Stage(self.view, self.data).model_at(psi, np.repeat(self.sign[None], len(psi), axis=0))
 
-    def minimum(self, start: Real) -> OptimizeResult:
-        """Minima of χ² reached from `start`, (k, M)."""
-        return minimise(self.at, start, limit=60, tolerance=1e-4, lower=self.lower, upper=self.upper)
+    def minimum(
+        self, start: Real, held: tuple[int, float] | None = None, *, limit: int = 60, tolerance: float = 1e-4
+    ) -> OptimizeResult:
+        """Minima of χ² reached from `start`, (k, M); with one unknown held at a value, if given."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        if held is not None:
+            lower[held[0]] = upper[held[0]] = held[1]
+        signs, rows = np.repeat(self.sign[None], len(start), axis=0), self.data.rows_of(len(start))
+        return Stage(self.view, self.data).descend(
+            start, signs, rows, limit=limit, tolerance=tolerance, lower=lower, upper=upper
+        )
 
     def root(self, cost: Real) -> Real:
         """The root of the rise to χ² of `cost` (k,), negative where χ² falls; infinite where it is none."""
@@ -94,7 +101,7 @@ def chi2_surface(model: Model, spectrum: Spectrum, estimate: Estimate) -> Surfac
     lower, upper = bounds(view, False)
     none = np.zeros((len(view.names),) * 2)
     around = Surface(view, exact, sign[0], psi[0], np.nan, none[None], lower, upper, none)
-    minimum = minimise(around.at, psi, limit=100, tolerance=1e-6, lower=lower, upper=upper)
+    minimum = around.minimum(psi, limit=100, tolerance=1e-6)
     information, _, _ = per_line(view, exact, minimum.x, sign)
     # At the estimate itself, as its covariance has it.
     scale = 1.0 if data.noise_known else float(around.at(psi).cost[0]) / max(estimate.fit.dof, 1)
@@ -202,29 +209,9 @@ class Walk:
 
     def held(self, value: float, start: Real) -> tuple[float, Real]:
         """(root of the rise, ψ) with the unknown at `value`, the others searched from `start`, (M,)."""
-        base = self.base
-        others = np.arange(len(start)) != self.j
-
-        def whole(x: Real) -> Real:
-            psi = np.full((len(x), len(others)), value)
-            psi[:, others] = x
-            return psi
-
-        if not np.any(others):
-            psi = whole(np.zeros((1, 0)))
-            return float(base.root(base.at(psi).cost)[0]), psi[0]
-
-        def evaluate(x: Real, _: Ints) -> QuadraticModel:
-            at = base.at(whole(x))
-            matrix = at.symmetric[:, others][:, :, others]
-            return QuadraticModel(at.cost, at.gradient[:, others], matrix, matrix)
-
-        minimum = minimise(
-            evaluate, (start + self._kicks)[:, others], limit=60, tolerance=1e-4,
-            lower=base.lower[others], upper=base.upper[others],
-        )  # fmt: skip
+        minimum = self.base.minimum(start + self._kicks, (self.j, value))
         best = int(np.argmin(np.where(np.isfinite(minimum.cost), minimum.cost, np.inf)))
-        return float(base.root(minimum.cost[[best]])[0]), whole(minimum.x[[best]])[0]
+        return float(self.base.root(minimum.cost[[best]])[0]), minimum.x[best]
 
     @cached_property
     def _kicks(self) -> Real:

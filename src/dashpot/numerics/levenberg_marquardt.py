@@ -107,13 +107,16 @@ def minimise(
     `evaluate(x, rows)` gives the cost at x for the repeats `rows`.  A step that does not lower the cost is repeated
     with Levenberg and Marquardt's damping on the diagonal of `symmetric`.  A repeat ends when its full step is below
     `tolerance` standard deviations (or 1e-13 of the value) in every unknown.  A bound whose far side is downhill
-    holds its unknown there.  No unknown moves by more than `longest` in one step.  What still runs after `patience`
-    iterations goes on with Newton's own matrix, and with every such number of iterations more may stop ten times
-    farther off, up to ROUNDING: unknowns that the data hardly tell apart come no nearer.
+    holds its unknown there, and one whose bounds meet is none.  No unknown moves by more than `longest` in one step.
+    What still runs after `patience` iterations goes on with Newton's own matrix, and with every such number of
+    iterations more may stop ten times farther off, up to ROUNDING: unknowns that the data hardly tell apart come no
+    nearer.
     """
     m = start.shape[-1]
     low = np.full(m, -np.inf) if lower is None else lower
     high = np.full(m, np.inf) if upper is None else upper
+    if np.any(low >= high):
+        evaluate = _with_known(evaluate, low, low >= high)
     search = _Search(evaluate, np.clip(start, low, high), low, high, longest, tolerance, patience)
     for turn in range(limit if len(search.active) else 0):
         search.step(turn)
@@ -122,6 +125,22 @@ def minimise(
     return OptimizeResult(
         search.ends, search.costs, search.converged, search.iterations, np.array(search.history)
     )
+
+
+def _with_known(
+    evaluate: Callable[[Real, Ints], QuadraticModel], value: Real, known: Bools
+) -> Callable[[Real, Ints], QuadraticModel]:
+    """`evaluate` where unknowns (m,) are known: for the others they are at their `value`, by themselves a parabola."""
+    others = ~(known[:, None] | known)
+
+    def at(x: Real, rows: Ints) -> QuadraticModel:
+        local = evaluate(np.where(known, value, x), rows)
+        symmetric, free = (
+            np.where(others, part, np.eye(len(value))) for part in (local.symmetric, local.free)
+        )
+        return QuadraticModel(local.cost, np.where(known, value - x, local.gradient), symmetric, free)
+
+    return at
 
 
 class _Search:

@@ -8,12 +8,13 @@ import pytest
 
 from dashpot.channel import Channel, Quantity
 from dashpot.estimate.identify import identify
-from dashpot.estimate.likelihood.descent import Likelihood
+from dashpot.estimate.likelihood.descent import Likelihood, Stage
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.likelihood.measured import compiled_cost, compiled_local, compiled_output
 from dashpot.estimate.likelihood.objective import directly_driven, local, measured, per_line
 from dashpot.estimate.preparation import prepare
 from dashpot.numerics.kernel import using
+from dashpot.numerics.levenberg_marquardt import OptimizeResult
 from tests import rigs
 from tests.kernels import apart, compiled, instruction_sets, instructions
 from tests.networks import changed, network
@@ -112,6 +113,33 @@ def test_descents_end_where_those_of_numpy_do() -> None:
     some = np.array([2, 1])
     part = likelihood.descend(psi[some], sign[some], repeats=some)
     np.testing.assert_array_equal(part.x, found.x[some])
+
+
+@pytest.mark.parametrize("patience", [12, 1])
+def test_an_unknown_whose_bounds_meet_is_as_good_as_known(patience: int) -> None:
+    """By steps of Gauss and Newton, and by Newton's from the second on."""
+    compiled()
+    bench, likelihood, psi, sign = _case(noisy_base)
+    at, value, rows = 1, 1.2 * bench.psi[1], np.arange(COUNT)
+    low, high, others = likelihood.lower.copy(), likelihood.upper.copy(), np.arange(len(bench.psi)) != at
+    low[at] = high[at] = value
+    stage = Stage(likelihood.view, likelihood.exact)
+
+    def descended() -> OptimizeResult:
+        return stage.descend(
+            psi, sign, rows, limit=60, tolerance=1e-6, lower=low, upper=high, patience=patience
+        )
+
+    known = changed(bench.model, likelihood.view.names[at], value=value)
+    reference = Likelihood.of(prepare(known, likelihood.data.spectrum), likelihood.effort)
+    expected = reference.descend(psi[:, others], sign)
+    with using("numpy"):
+        twin = descended()
+    for found in (twin, descended()):
+        assert np.all(found.converged)
+        assert np.all(found.x[:, at] == value)
+        np.testing.assert_allclose(found.cost, expected.cost, rtol=1e-9)
+        np.testing.assert_allclose(found.x[:, others], expected.x, rtol=1e-5)
 
 
 def test_estimates_are_the_same_with_and_without_the_kernel() -> None:
