@@ -48,8 +48,12 @@ def sizes_of_parts(power: Real, parts: Real, left: Real | float, sizes: Real, st
         shown, expected = (power / variance**2) @ parts, (left / variance) @ parts
         ratio = np.sqrt(shown / expected)
         sizes = np.maximum(sizes * ratio, 1e-9 * largest)  # of the larger part of a channel's noise
-        largest = sizes.max()
-        if ((np.abs(ratio - 1) < 1e-4) | (sizes <= 1e-6 * largest)).all():
+        each = sizes.tolist()
+        largest = max(each)
+        if all(
+            abs(of - 1) < 1e-4 or size <= 1e-6 * largest
+            for of, size in zip(ratio.tolist(), each, strict=True)
+        ):
             break
     return sizes
 
