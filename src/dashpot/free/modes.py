@@ -288,10 +288,20 @@ class _Set:
         root = directions / np.sqrt(np.maximum(spread, LEAST_APART))[:, None, :] / size[:, :, None]
         return np.asarray(root @ np.conj(np.swapaxes(root, 1, 2)), dtype=np.complex128)
 
-    @property
+    @cached_property
     def s(self) -> Complex:
         """jω in the unit of the fit."""
         return (2j * np.pi / self.unit * self.frequency_hz).astype(np.complex128)
+
+    @cached_property
+    def back(self) -> Complex:
+        """e^{−sΔ}, (lines,): one sampling step back."""
+        return np.exp(-self.s * self.unit * self.step)
+
+    @cached_property
+    def ends(self) -> Complex:
+        """Terms of a record's ends beside those of poles, (lines, ENDS)."""
+        return np.column_stack([self.s[:, None] ** np.arange(ENDS - 1), 1 / (1 - self.back)])
 
 
 def _of_response(found: MeasuredResponse) -> list[_Set]:
@@ -366,7 +376,7 @@ def _bases(one: _Set, poles: Complex, slope: bool = False) -> tuple[Complex, Com
     if not one.step:
         return plain, plain[:, :0]
     delta = one.unit * one.step
-    turn = np.exp((poles - s) * delta)
+    turn = np.exp(poles * delta) * one.back[:, None]
     if slope:
         return plain, np.asarray(delta**2 * turn / (1 - turn) ** 2)
     return plain, np.asarray(delta / (1 - turn))
@@ -392,8 +402,7 @@ def _design(sets: Sequence[_Set], poles: Complex, powers: Sequence[int]) -> list
         for record in range(records):
             own = of_input
             if one.step:
-                drift = 1 / (1 - np.exp(-s * one.unit * one.step))
-                own = np.concatenate([ends.reshape(lines, -1), s ** np.arange(ENDS - 1), drift], axis=1)
+                own = np.concatenate([ends.reshape(lines, -1), one.ends], axis=1)
             blocks.append(own if one.step and record == number else np.zeros_like(own))
         number += bool(one.step)
         designs.append(
