@@ -25,7 +25,7 @@ def identified(of: dict[str, float], draws: int, seed: int) -> tuple[Real, Real]
     noisy = with_constant_noise(MODEL, p, clean, 0.02, test)
     spectrum = simulate_spectrum(MODEL, p, noisy, test, np.random.default_rng(seed), draws=draws)
     spectrum = replace(spectrum, covariance=np.full_like(spectrum.covariance, np.nan))
-    estimate = identify(MODEL, spectrum, MaximumLikelihood(starts=1))
+    estimate = identify(MODEL, spectrum, MaximumLikelihood(start=tuple(THETA)))
     low, high = estimate.interval(0.95)
     return estimate.values, np.mean((low < THETA) & (high > THETA), axis=0)
 
