@@ -137,32 +137,32 @@ def smoothed_walks(windows: Windows, walks: Sequence[RandomWalk], values: Real |
         for k, j in walk.steps:
             Q[s, k - 1, j] += 1e8  # variances that a window gives: a step of any size
     eye, logs = np.eye(p), windows.ranks * np.log(scatter[:, 0])
-    P = np.linalg.inv(windows.information[0] / scatter + np.diag(windows.precision))
+    steps, information = Q[..., None] * eye, windows.information / scatter[:, None]
+    P = np.linalg.inv(information[:, 0] + np.diag(windows.precision))
     a = (y[:, 0] @ windows.information[0] / scatter + windows.precision * windows.mean) @ P
     predicted, ahead = np.empty((S, B, K, p)), np.empty((S, K, p, p))
-    innovation, gain, told = np.empty((S, B, K, p)), np.empty((S, K, p, p)), np.empty((S, K, p, p))
+    off, innovation = np.zeros((S, B, K, p)), np.zeros((S, B, K, p))
+    inverse, gain, told = (np.zeros((S, K, p, p)) for _ in range(3))
     predicted[:, :, 0], ahead[:, 0] = a, P
-    likelihood = np.zeros((S, B))
     for k in range(1, K):
-        P = P + Q[:, k - 1, :, None] * eye
-        information = windows.information[k] / scatter
-        inverse = np.linalg.inv(eye + information @ P)
-        told[:, k] = inverse @ information
-        off = y[:, k] - a
-        innovation[:, :, k] = off @ told[:, k]
+        P = P + steps[:, k - 1]
+        inverse[:, k] = np.linalg.inv(eye + information[:, k] @ P)
+        told[:, k] = inverse[:, k] @ information[:, k]
+        off[:, :, k] = y[:, k] - a
+        innovation[:, :, k] = off[:, :, k] @ told[:, k]
         predicted[:, :, k], ahead[:, k], gain[:, k] = a, P, P @ told[:, k]
-        sizes = np.linalg.slogdet(inverse)[1] - logs[:, k]
-        likelihood += 0.5 * (sizes[:, None] - np.sum(off * innovation[:, :, k], axis=-1))
         a = a + innovation[:, :, k] @ P
         P = P - gain[:, k] @ P
         P = (P + np.swapaxes(P, -1, -2)) / 2
-    r, N = np.zeros((S, B, K + 1, p)), np.zeros((S, K + 1, p, p))
-    across = np.zeros((S, K, p))
+    sizes = np.linalg.slogdet(inverse[:, 1:])[1] - logs[:, 1:]
+    likelihood = 0.5 * np.sum(sizes[:, None] - np.sum(off * innovation, axis=-1)[..., 1:], axis=-1)
+    r, N, onward = np.zeros((S, B, K + 1, p)), np.zeros((S, K + 1, p, p)), np.zeros((S, K, p, p))
+    kept = eye - gain
     for k in range(K - 1, 0, -1):
-        onward = (eye - np.swapaxes(gain[:, k], -1, -2)) @ N[:, k + 1]
-        r[:, :, k] = innovation[:, :, k] + r[:, :, k + 1] @ (eye - gain[:, k])
-        N[:, k] = told[:, k] + onward @ (eye - gain[:, k])
-        across[:, k] = np.diagonal(onward, axis1=-2, axis2=-1)
+        onward[:, k] = np.swapaxes(kept[:, k], -1, -2) @ N[:, k + 1]
+        r[:, :, k] = innovation[:, :, k] + r[:, :, k + 1] @ kept[:, k]
+        N[:, k] = told[:, k] + onward[:, k] @ kept[:, k]
+    across = np.diagonal(onward, axis1=-2, axis2=-1)
     behind = np.maximum(np.arange(K), 1)  # the first window begins the filter and is not predicted
     back = np.einsum("sbkp,skpq->sbkq", r[:, :, behind], ahead)
     covariance = ahead - ahead @ N[:, behind] @ ahead
