@@ -1172,17 +1172,19 @@ def searched(problems: Sequence[LineProblem], seed: int = 0, draws: int = DRAWS)
         G = transfer(some.view, some.model.parameters(drawn[:, : some.view.m])).G
         signs = np.broadcast_to(some.sign, (len(drawn), len(some.sign)))
         G = calibration_factors(some.view, drawn, signs)[..., None] * G
-    seen = some.data.states is not None
-    followed = FEWER_FOLLOWED if seen else FOLLOWED
+    own = _own(problems)
     far = [
-        drawn[np.argsort(_distance(G, one, each), kind="stable")[:followed]]
-        for each, one in zip(problems, arranged, strict=True)
+        drawn[np.argsort(_distance(G, one, each), kind="stable")[: FEWER_FOLLOWED if led else FOLLOWED]]
+        for each, one, led in zip(problems, arranged, own, strict=True)
     ]
-    if not seen:
-        far = _from_afar(problems, arranged, far)
+    unled = [t for t, led in enumerate(own) if not led]
+    if unled:
+        begun_far = ([problems[t] for t in unled], [arranged[t] for t in unled], [far[t] for t in unled])
+        for t, end in zip(unled, _from_afar(*begun_far), strict=True):
+            far[t] = end
     begun = [
-        each.from_starts((*each.starts, *own, *_finite(ends)))
-        for each, own, ends in zip(problems, _own(problems), far, strict=True)
+        each.from_starts((*each.starts, *led, *_finite(ends)))
+        for each, led, ends in zip(problems, own, far, strict=True)
     ]
     short = _ended(begun, SHORT)
     long = _ended([each.from_starts([x]) for each, (x, _) in zip(begun, short, strict=True)], LONG)
