@@ -20,7 +20,7 @@ from dashpot.data.conditioning.unmeasured import with_likely
 from dashpot.data.modal_data import ModalData
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum, Unmeasured, WholeRecord, history_of_lines
-from dashpot.errors import DashpotError, ModelError
+from dashpot.errors import DashpotError, DataError, ModelError
 from dashpot.estimate.likelihood.descent import Stage
 from dashpot.estimate.likelihood.global_search import SOFTNESS, candidates, through
 from dashpot.estimate.likelihood.measured import Measured
@@ -1291,7 +1291,12 @@ def _own(problems: Sequence[LineProblem]) -> list[list[Real]]:
             part = some.data.spectrum.select(lines)
             spectrum = replace(part, amplitudes=Y, covariance=np.nan_to_num(V), moments=None)
             view = observation_model(some.model, part.channels, part.omega, part.experiment)
-            states = states_if_seen(view, spectrum, V)
+            try:
+                states = states_if_seen(view, spectrum, V)
+            except DataError:  # by rounding beside too different noise, of one of them maybe
+                for t in rows if len(rows) > 1 else ():
+                    (by_equation[t],) = _own([problems[t]])
+                continue
         if states is None:
             continue
         with np.errstate(all="ignore"):

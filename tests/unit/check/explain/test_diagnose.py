@@ -379,6 +379,21 @@ def test_a_force_that_counts_backwards_is_named_though_it_changes_no_chi2():
     assert "reversed_phase" not in {notice.code for notice in estimate.warnings}
 
 
+def test_a_base_known_far_better_than_its_exchange_with_a_channel_allows_is_no_reason_to_refuse():
+    """With u and x1 − u exchanged, one number is known too well for a regression beside the others."""
+    model = network("x1", "u", "m1@x1=2 k1:x1-u c1:x1-u")
+    hz = np.linspace(2.0, 12.0, 10)
+    rig = rigs.Rig(
+        model, np.array([3000.0, 12.0]), hz, np.full((10, 1), 0.01 + 0j), np.zeros((10, 0), complex)
+    )
+    points = {"x1": {"x1": 1.0}, "relative": {"x1": 1.0, "u": -1.0}, "u": {"u": 1.0}}
+    channels = tuple(Channel(name, of) for name, of in points.items())
+    V = np.tile(np.diag(np.array([1e-4, 1e-5, 1e-16]) ** 2).astype(complex), (10, 1, 1))
+    spectrum = rigs.noisy(rig, channels, V, np.random.default_rng(1))
+    first = diagnose(model, times(spectrum, 0, -1.0))[0]
+    assert (first.kind, first.of) == ("sign", ("x1",))
+
+
 def test_a_gain_between_the_usual_ones_is_named_where_nothing_else_shows_the_channel():
     """One mass on a shaken base: the gain of its motion is one over that of the base."""
     model = network("x1", "u", "m1@x1=2 k1:x1-u c1:x1-u")
