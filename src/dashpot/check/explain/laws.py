@@ -361,7 +361,7 @@ def scored_in_dwells(
     Of settled dwells.  Softened, all amplitudes have a say: beside a small noise those near resonance, where a wrong
     rig fails most, would decide alone.  [] where none can be had.
     """
-    dof = max(2 * int(np.sum(problem.kept)) - len(problem.names) - 1, 1)
+    dof = max(problem.dof - 1, 1)
     elements = _told_apart(problem.data, elements)
     scored: list[ScoredElement] = []
     for rough in (False, True):  # laws that are not smooth take many instants of each period
@@ -557,10 +557,11 @@ def fitted_in_full(
     constants = [replace(c, value=values[f"{element.name}.{c.name}"]) for c in law.constants]
     fitted_element = replace(candidate.element, force_law=law.with_constants(constants))
     fall = max(chi2 - least, 0.0)
-    dof = candidate.dof - len(law.constants)
-    fit = FittedProblem(larger.from_starts((best,)), best, chi2 - fall, dof) if np.isfinite(least) else None
-    value = values[element.name]
-    return replace(candidate, element=fitted_element, fall=fall, chi2=chi2, value=value, fit=fit)
+    fit = FittedProblem(larger.from_starts((best,)), best, chi2 - fall, larger.dof)
+    return replace(
+        candidate, element=fitted_element, fall=fall, chi2=chi2, dof=max(larger.dof, 1), value=values[element.name],
+        fit=fit if np.isfinite(least) else None,
+    )  # fmt: skip
 
 
 def _tried_as(element: Element) -> TriedLaw:
@@ -587,15 +588,9 @@ def nonlinear(baseline: Baseline, *, thorough: bool) -> Iterator[Effect]:
     problem, psi = baseline.lines, baseline.as_is.psi
     if not np.all(np.isfinite(psi)):
         return
-    model = problem.model
     for scored in called_for(problem.from_starts((psi,)), thorough=thorough):
-        if scored.fit is None or scored.element.force_law is None:
-            continue
-        # With laws, harmonics are data as well: without one the rig is as improbable as it is by its own lines.
-        plain = replace(baseline.as_is, chi2=scored.chi2, dof=scored.dof + 1)
-        anchor = baseline.as_is.roughly - plain.roughly if plain.dof != baseline.as_is.dof else 0.0
-        fit = replace(scored.fit, problem=replace(scored.fit.problem, given_up=anchor))
-        yield replace(scored, fit=fit).effect(model)
+        if scored.fit is not None:
+            yield scored.effect(problem.model)
 
 
 def laws_in_words(model: Model) -> str:

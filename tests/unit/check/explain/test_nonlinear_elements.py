@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dashpot.channel import Channel, Quantity
 from dashpot.check.element_evidence import compare_in_dwells
 from dashpot.check.explain.examine import examined
 from dashpot.check.explain.laws import called_for, fitted_in_full, seen_candidates
@@ -192,3 +193,18 @@ def test_data_of_a_linear_rig_call_for_no_nonlinear_element():
     assert bool(estimate.converged)
     assert np.allclose(estimate.values, theta[:5], rtol=0.05)
     assert called_for(LineProblem(data, np.ones(3), (estimate.values,))) == []
+
+
+def test_a_measured_force_gives_its_input_and_tests_no_element():
+    """A mass heavier than stated, and a compliance beside it, which elements of the list only come near."""
+    model = network("x", "f@x", "m@x=2 k:x-ground=3000 c:x-ground")
+    hz, rng = np.linspace(2.0, 9.0, 10), np.random.default_rng(3)
+    omega = 2 * np.pi * hz
+    Y = np.stack([1 / (3000 + 12j * omega - 2.1 * omega**2) + 1e-5, np.ones(10)], axis=1)
+    sd = 1e-4 * np.abs(Y)
+    Y = Y + sd * (rng.standard_normal(Y.shape) + 1j * rng.standard_normal(Y.shape))
+    channels = (Channel("x", {"x": 1.0}), Channel("f", {"f": 1.0}, Quantity.FORCE))
+    data = prepare(model, rigs.stated(channels, hz, Y, 2 * (sd**2)[:, :, None] * np.eye(2)))
+    found = called_for(LineProblem(data, np.ones(2), (np.array([4.6]),)))
+    assert found
+    assert all(each.dof == each.fit.dof == each.fit.problem.dof for each in found)
