@@ -526,12 +526,14 @@ class TextRows:
         """The rows, some at a time.  Raises DataError, with the line, if they cannot be taken apart."""
         import pyarrow.csv as text
 
-        names = list(self.table.header)
+        names, units = self.table.header, self.table.units or [None] * len(self.table.header)
         # Kinds are stated, for pyarrow would hold a column for whole numbers that begins with some.
         kinds = {i: pa.string() if i in self.texts else pa.float64() for i in range(len(names))}
+        said = [None if unit is None else {"unit": unit} for unit in units]
+        schema = pa.schema(map(pa.field, names, kinds.values(), [True] * len(names), said))
         try:
             for batch in self.table.batches(kinds, text.ConvertOptions().null_values):
-                yield pa.RecordBatch.from_arrays(batch.columns, names=names)
+                yield pa.RecordBatch.from_arrays(batch.columns, schema=schema)
         except (pa.ArrowException, UnicodeDecodeError) as error:
             told = re.match(r"In CSV column #(\d+):.*CSV conversion error", str(error))
             if told is not None and int(told[1]) not in self.texts:

@@ -196,15 +196,16 @@ def test_a_column_that_begins_with_whole_numbers_may_go_on_with_others(tmp_path:
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "cp1252", "utf-16"])
-def test_tables_may_begin_with_comments_and_blank_rows_and_have_any_encoding(
+def test_tables_may_begin_with_comments_and_units_and_have_any_encoding(
     tmp_path: Path, encoding: str
 ) -> None:
     path = tmp_path / "all.csv"
-    path.write_text("# shaker 2\n\nrig,x_re,place\na1,1.5,Prüfstand\n7,NA,b\n", encoding=encoding)
+    path.write_text("# shaker 2\n\nrig,x_re,place\n,mm,\na1,1.5,Prüfstand\n7,NA,b\n", encoding=encoding)
     first, second = data_sets(of_tables([str(path)], "rig"), 100)
     assert (first.name, second.name) == ("a1", "7")
     assert first.columns["place"].tolist() == ["Prüfstand"]
     assert first.columns["x_re"].tolist() == [1.5]
+    assert first.units == {"rig": None, "x_re": "mm", "place": None}
     assert np.isnan(second.columns["x_re"]).all()
 
 

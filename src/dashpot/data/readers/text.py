@@ -445,12 +445,13 @@ def open_table(
         names, unnamed = _without_header(file.contents, header, delimiter, source)
         start, first_row = header.begin, header.number
         file, notes = _without_stray_rows(file, start, source)
-    elif first_column is None:
+    elif not first_column:
         below = _next_row(file.contents, start, header.number)
         cells = [] if below is None else _cells(below.text, delimiter)
         if below is not None and len(cells) == len(names) and _is_unit_row(cells):
             start, first_row, units = below.end, below.number + 1, tuple(map(_unit, cells))
-        file, notes = _without_stray_rows(file, start, source)
+        if first_column is None:
+            file, notes = _without_stray_rows(file, start, source)
     if delimiter == _BLANKS:
         file = file.rewritten(chain([file.contents[:start]], _tabbed(file.contents, start)))
         delimiter = "\t"
@@ -467,8 +468,14 @@ def open_table(
     sample = data[start : start + 4096].decode("utf-8", errors="replace")
     decimal, thousands = _decimal(sample, delimiter, source)
     notes = (*unnamed, *thousands, *notes)
-    # The table, whose last row, where it has no line end, may have been cut off within its last number
-    table = TextTable(source, names, units, notes, file, start, first_row, delimiter, decimal)
+    return _ended(TextTable(source, names, units, notes, file, start, first_row, delimiter, decimal))
+
+
+def _ended(table: TextTable) -> TextTable:
+    """The table, with a note where its last row has no line end.
+
+    Raises DataError where that looks cut off within its last number.
+    """
     data = table.file.contents
     if data[-1:] == b"\n":
         return table
