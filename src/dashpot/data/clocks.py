@@ -13,7 +13,7 @@ from dashpot.channel import Channel
 from dashpot.data.conditioning.clock import within_times
 from dashpot.data.conditioning.drive_frequency import OWN, refine_frequency
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
-from dashpot.data.conditioning.lines import Treated, driven_parts, evened_and_marked, settled_lines, treated
+from dashpot.data.conditioning.lines import driven_parts, evened_and_marked, settled_lines
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -407,7 +407,9 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
     if any(part.frequency_hz is None for part in joint.parts):
         cure = "give it; a record without one needs sensors on one clock"
         raise DataError("the drive frequency is not known", source, cure)
-    parts, settings, notes = treated(OF_SENSORS, joint.parts, settings)
+    parts, marks = evened_and_marked(joint.parts, settings)
+    parts, cuts = _driven_together(parts, settings)
+    parts, notes = _at_one_frequency(parts, settings), [*marks, *cuts]
     cells = [replace(part, cell=rounding_steps([part])[0]) for part in parts]
     each = [settled_lines(part, settings, settings.wanted)[0] for part in cells]
     X = np.concatenate([one.amplitudes for one in each], axis=-1)
@@ -431,26 +433,25 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
     )
 
 
-def _driven_together(parts: Sequence[Record], settings: Conditioning) -> Treated:
+def _driven_together(
+    parts: Sequence[Record], settings: Conditioning
+) -> tuple[Sequence[Record], list[Notice]]:
     """As `driven_parts`, from where the last of them is driven to where the first of them ends."""
-    driven, settings, notes = driven_parts(parts, settings)
+    driven, notes = driven_parts(parts, settings)
     start, end = max(part.time[0] for part in driven), min(part.time[-1] for part in driven)
     if any(len(part.time) < len(of.time) for part, of in zip(driven, parts, strict=True)):
         driven = [within_times(part, start, end) for part in driven]
-    return driven, settings, notes
+    return driven, notes
 
 
-def _at_one_frequency(parts: Sequence[Record], settings: Conditioning) -> Treated:
+def _at_one_frequency(parts: Sequence[Record], settings: Conditioning) -> Sequence[Record]:
     """At the weighted mean of their frequencies; with "auto" only where that is not the stated one."""
     if settings.refine == "none":
-        return parts, settings, []
+        return parts
     refined = [refine_frequency(part, drift=settings.drift) for part in parts]
     weights = np.array([1 / max(r.sd, 1e-15) ** 2 for r in refined])
     frequency = float(np.sum(weights * np.array([r.frequency_hz for r in refined])) / np.sum(weights))
     beyond = abs(frequency - refined[0].nominal_hz) * np.sqrt(np.sum(weights)) > OWN
     if settings.refine == "auto" and not beyond:
-        return parts, settings, []
-    return [replace(part, frequency_hz=frequency) for part in parts], settings, []
-
-
-OF_SENSORS = (evened_and_marked, _driven_together, _at_one_frequency)
+        return parts
+    return [replace(part, frequency_hz=frequency) for part in parts]

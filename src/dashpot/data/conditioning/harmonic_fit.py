@@ -219,7 +219,6 @@ class HarmonicFit:
     whiteness            (...,)  p-value of a white residual, smallest over channels (Bonferroni); NaN where not tested
     notes                what was found on the way
     told                 (orders, channels)  share of an amplitude's information that comes from measured samples
-    in_cells             (channels,)  whether values were taken as all that the converter rounds to them
     """
 
     channels: tuple[Channel, ...]
@@ -239,7 +238,6 @@ class HarmonicFit:
     whiteness: Real
     notes: tuple[Notice, ...] = ()
     told: Real = field(default_factory=lambda: np.ones((1, 1)))
-    in_cells: Bools = field(default_factory=lambda: np.zeros(1, dtype=bool))
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -355,7 +353,6 @@ def _seen_through(record: Record, f: float, solution: HarmonicSolution, level: C
         "white",
         np.full(leading, np.nan),
         told=told,
-        in_cells=solution.in_cells,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Unpack
 
@@ -99,13 +99,13 @@ def other_motion(record: Record, fit: HarmonicFit, wanted: Sequence[int]) -> Not
     return record.notice("other_motion", text)
 
 
-Treated = tuple[Sequence[Record], Conditioning, list[Notice]]
+Treated = tuple[Sequence[Record], list[Notice]]  # what dwells become, and notices
 
 
 # Dwells too brief to hold an amplitude: left out where most dwells are longer.
 
 
-def long_enough(dwells: Sequence[Record], settings: Conditioning) -> Treated:
+def long_enough(dwells: Sequence[Record]) -> Treated:
     """The dwells without those that end before their first period, where most are longer.
 
     A recording that was stopped within a dwell, or one dwell that failed, is no reason to refuse the others.
@@ -118,10 +118,10 @@ def long_enough(dwells: Sequence[Record], settings: Conditioning) -> Treated:
         elif not holds_a_period(record.time, f):
             brief[k] = f"{record.periods:.2g} of a period at {f:g} Hz"
     if 2 * len(brief) >= len(dwells):
-        return dwells, settings, []
+        return dwells, []
     kept = [record for k, record in enumerate(dwells) if k not in brief]
     notes = [dwells[k].notice("dwell_left_out", f"left out: {text}") for k, text in brief.items()]
-    return kept, settings, notes
+    return kept, notes
 
 
 # Harmonics of the drive that every channel shows beyond doubt, which are data as good as the fundamental.
@@ -231,9 +231,16 @@ def spectrum(
 
 def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     """The lines of dwells, treated as all of them together ask for."""
-    uncut, settings, of_samples = treated(OF_SAMPLES, dwells, settings)
-    dwells, settings, of_sines = treated(OF_SINES, uncut, settings)
-    notes = [*of_samples, *of_sines]
+    dwells, left_out = long_enough(dwells)
+    uncut, marks = evened_and_marked(dwells, settings)
+    of_samples = [*left_out, *marks]
+    # Without transients where those are not to be estimated and matter
+    wanted = settings.transients == "settle" and settings.settle == "none"
+    if wanted and (UNSETTLED.shows(uncut) or not all(map(driven_throughout, uncut))):
+        settings = settings.changed(settle="auto")
+    dwells, cuts = driven_parts(uncut, settings)
+    dwells, moved = _at_drive_frequencies(dwells, settings)
+    notes = [*of_samples, *cuts, *moved]
     found = [row for row in UNSTEADY if row.asked(settings) and row.shows(dwells)]
     why = _why_whole(dwells, settings, found)
     if why is not None:
@@ -266,38 +273,14 @@ def _of_dwells(dwells: Sequence[Record], settings: Conditioning) -> Spectrum:
     return replace(lines, notes=(*notes, *lines.notes), unsettled=_as_unsettled(dwells, settings))
 
 
-# Treatments of dwells: what these become, the settings for what follows, notices.
-
-
-def treated(
-    treatments: Sequence[Callable[[Sequence[Record], Conditioning], Treated]],
-    dwells: Sequence[Record],
-    settings: Conditioning,
-) -> Treated:
-    """The dwells after some treatments, one after another."""
-    notes: list[Notice] = []
-    for treatment in treatments:
-        dwells, settings, told = treatment(dwells, settings)
-        notes += told
-    return dwells, settings, notes
-
-
 def evened_and_marked(dwells: Sequence[Record], settings: Conditioning) -> Treated:
     """On even stamps where those are even but for rounding, with the samples marked that channels clip or miss; as they
     are with "none"."""
     if settings.refine == "none":
-        return dwells, settings, []
+        return dwells, []
     evened = [with_even_stamps(record) for record in dwells]
     with_marks, notes = marked([record for record, _ in evened])
-    return with_marks, settings, [*(note for _, note in evened if note is not None), *notes]
-
-
-def _made_to_settle(dwells: Sequence[Record], settings: Conditioning) -> Treated:
-    """Without their transients where those are not to be estimated and matter."""
-    wanted = settings.transients == "settle" and settings.settle == "none"
-    if wanted and (UNSETTLED.shows(dwells) or not all(map(driven_throughout, dwells))):
-        settings = settings.changed(settle="auto")
-    return dwells, settings, []
+    return with_marks, [*(note for _, note in evened if note is not None), *notes]
 
 
 def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
@@ -309,13 +292,10 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
         beyond_half_rate = [record for record in dwells if 2 * record.step_s * record.stated_hz > 1]
         require_stated(beyond_half_rate, settings.wanted)
     if settings.settle not in ("auto", "none"):
-        return (
-            [within_times(record, record.time[0] + float(settings.settle), np.inf) for record in dwells],
-            settings,
-            [],
-        )
+        starts = [record.time[0] + float(settings.settle) for record in dwells]
+        return [within_times(record, start, np.inf) for record, start in zip(dwells, starts, strict=True)], []
     if settings.settle == "none" and settings.transients != "auto":
-        return list(dwells), settings, []
+        return dwells, []
     kept, notes = [], []
     for record in dwells:
         if settings.settle == "none" and driven_throughout(record):
@@ -325,17 +305,17 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
         enough = settings.settle == "auto" or part.record.periods >= MANY_PERIODS
         kept.append(part.record if enough else record)
         notes += [part.note] if enough and part.note is not None else []
-    return kept, settings, notes
+    return kept, notes
 
 
 def _at_drive_frequencies(dwells: Sequence[Record], settings: Conditioning) -> Treated:
     """At the frequencies that they show: all together, unless these wander within a dwell; each by itself "always"."""
     if settings.refine == "none":
-        return dwells, settings, []
+        return dwells, []
     if settings.refine == "auto":
         require_stated(dwells, settings.wanted)
         refined, notes = at_drive_frequencies(dwells)
-        return (dwells, settings, []) if WANDERS.shows(refined) else (refined, settings, notes)
+        return (dwells, []) if WANDERS.shows(refined) else (refined, notes)
     refined, notes = [], []
     for record in dwells:
         found = refine_frequency(record, drift=settings.drift)
@@ -344,11 +324,7 @@ def _at_drive_frequencies(dwells: Sequence[Record], settings: Conditioning) -> T
             notes.append(driven_at(record, found.frequency_hz))
         if WANDERS.shows(refined[-1:]):
             notes.append(record.notice(WANDERS.code, WANDERS.ignored))
-    return refined, settings, notes
-
-
-OF_SAMPLES = (long_enough, evened_and_marked)
-OF_SINES = (_made_to_settle, driven_parts, _at_drive_frequencies)
+    return refined, notes
 
 
 def _as_whole(
@@ -481,7 +457,7 @@ def used_dwells(
     """
     if any(record.frequency_hz is None for record in records):
         return ()
-    records, _, _ = long_enough(records, settings)
+    records, _ = long_enough(records)
     # The lines of one dwell after another: of a stretch with a fundamental all, else each line alone
     fundamental = [getattr(stretch, "fundamental_hz", None) for stretch in spectrum.stretches]
     alone = np.array([hz is None for hz in fundamental])[spectrum.stretch]
@@ -494,7 +470,7 @@ def used_dwells(
         return ()
     if settings.refine != "none":
         records = [with_even_stamps(record)[0] for record in records]
-    parts, _, _ = driven_parts(records, settings)
+    parts, _ = driven_parts(records, settings)
     return tuple(
         UsedDwell(record, float(part.time[0]), float(part.time[-1]), numbers)
         for record, part, numbers in zip(records, parts, lines, strict=True)

@@ -13,6 +13,7 @@ import numpy as np
 from dashpot.data.readers.arrays import PIECE, ArrayColumns, Streamed, array_columns, steps
 from dashpot.data.readers.columns import TIME
 from dashpot.data.readers.datafile import DataFile
+from dashpot.data.readers.text import text_of
 from dashpot.errors import DataError
 
 _KEY = re.compile(rb"\|([A-Za-z]{2}),\s*(\d{1,3}),\s*(\d{1,15}),")
@@ -142,11 +143,7 @@ def _note(key: bytes, content: bytes, groups: list[_Group]) -> None:
 def _text(content: bytes, at: int) -> str:
     """A text that stands behind its length, which is field `at`; it may hold commas."""
     parts = content.split(b",", at + 1)
-    text = parts[at + 1][: int(parts[at])]
-    try:
-        return text.decode().strip()
-    except UnicodeDecodeError:
-        return text.decode("cp1252", errors="replace").strip()
+    return text_of(parts[at + 1][: int(parts[at])]).strip()
 
 
 def _values(component: _Component, data: Content, blocks: dict[int, tuple[int, int]], source: str) -> Any:

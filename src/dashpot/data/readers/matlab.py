@@ -37,10 +37,10 @@ def read_matlab(file: DataFile, scipy_io: Any) -> Iterator[ArrayColumns]:
         )
     series: list[tuple[str, dict[str, Any]]] = []
     named = {name: value for name, value in content.items() if not name.startswith("__")}
-    alone = not variables and sum(np.size(value) > 1 or _is_structure(value) for value in named.values()) == 1
+    filled = [value for value in named.values() if np.size(value) > 1 or len(_structures(value)) == 1]
     for name, value in named.items():
-        if alone and _is_structure(value):  # as an array of one
-            series.append((name, _fields(value.item(), 0)))
+        if not variables and len(filled) == len(_structures(value)) == 1:  # as an array of one
+            series.append((name, _fields(_structures(value)[0], 0)))
         else:
             _flatten(name, value, variables, series)
     for name, fields in series:
@@ -141,11 +141,10 @@ def _unpacked(file: DataFile, start: int, before: int, rows: int, dtype: np.dtyp
             before, rows = before - left_out, rows - count
 
 
-def _is_structure(value: Any) -> bool:
-    """Whether this is one structure."""
-    return (
-        np.size(value) == 1 and np.asarray(value).dtype.kind == "O" and hasattr(value.item(), "_fieldnames")
-    )
+def _structures(value: Any) -> list[Any]:
+    """The structures of an array of them; none of another value."""
+    items = np.asarray(value).ravel().tolist() if np.asarray(value).dtype.kind == "O" else []
+    return items if all(hasattr(item, "_fieldnames") for item in items) else []
 
 
 def _fields(structure: Any, depth: int) -> dict[str, Any]:
@@ -164,13 +163,11 @@ def _flatten(
     if array.dtype.kind in "fiubc":
         variables[name] = array
         return
-    if array.dtype.kind != "O" or depth > 8:  # structures inside structures
-        return
-    structures = [item for item in array.ravel().tolist() if hasattr(item, "_fieldnames")]
-    if len(structures) == 1 and array.size == 1:
+    structures = _structures(value) if depth <= 8 else []  # structures inside structures
+    if len(structures) == 1:
         for field in structures[0]._fieldnames:
             inner = getattr(structures[0], field)
             _flatten(f"{name}.{field}", inner, variables, series, depth + 1)
-    elif structures and len(structures) == array.size:
-        for k, item in enumerate(structures):
-            series.append((f"{name}({k + 1})", _fields(item, depth)))
+        return
+    for k, item in enumerate(structures):
+        series.append((f"{name}({k + 1})", _fields(item, depth)))
