@@ -18,6 +18,7 @@ import pytest
 from dashpot.api import identify
 from dashpot.arrays import Complex, Real
 from dashpot.model.rigfile import parse_rig
+from tests.whole_rigs import tones
 
 pytestmark = pytest.mark.long
 
@@ -88,11 +89,8 @@ def shaking(rng: np.random.Generator, t: Real) -> Real:
     """Random motion up to 20 Hz of unit power while the sensors are together."""
     count = 300
     f, X = rng.uniform(0.3, 20.0, count), rng.normal(size=count) + 1j * rng.normal(size=count)
-    shaken, moved = int(np.sum(t < TOGETHER)), np.zeros(len(t))
-    # Of even samples e^{2πjft} is that of every so-manieth one by that of the few behind it.
-    each = 1 + int(np.sqrt(shaken))
-    coarse, fine = (np.exp(2j * np.pi * np.outer(at, f)) for at in (t[:shaken:each], t[:each] - t[0]))
-    moved[:shaken] = np.real((coarse * X) @ fine.T).ravel()[:shaken] / np.sqrt(count)
+    shaken, moved = t < TOGETHER, np.zeros(len(t))
+    moved[shaken] = tones(t[shaken], f, X) / np.sqrt(count)
     return moved
 
 
