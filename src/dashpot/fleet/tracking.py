@@ -359,7 +359,7 @@ class Tracker:
             precision, mean = _priors(estimate)
             information = around.symmetric[0] - np.diag(precision)
             score = around.gradient[0] - precision * (mean - before[0])
-            values, information = before[0] + _solve(information, score), information
+            values, information = before[0] + _inverse(information) @ score, information
         return _Window.of(record, estimate, values, information)
 
     def _before(self) -> tuple[Real, Real] | None:
@@ -370,7 +370,7 @@ class Tracker:
         precision = np.diag(run[-1].precision)
         information = np.sum([each.information for each in run], axis=0) + precision
         right = sum((each.information @ each.values for each in run), run[-1].precision * run[-1].mean)
-        return _solve(information, right), information
+        return _inverse(information) @ right, information
 
     def _from(self, start: Real, spectrum: Spectrum, other: Estimate) -> Estimate | None:
         """Where the fit of a window leads from what those before it say, if that is likelier than what it found."""
@@ -418,7 +418,7 @@ def _alone(estimate: Estimate) -> tuple[Real, Real]:
     total = _inverse(estimate.noise_covariance)
     information = total - np.diag(precision)
     right = total @ estimate.free_values - precision * mean
-    return (_solve(information, right) if np.any(precision) else estimate.free_values), information
+    return (_inverse(information) @ right if np.any(precision) else estimate.free_values), information
 
 
 def _alike(before: tuple[Real, Real], values: Real, information: Real) -> bool:
@@ -426,23 +426,12 @@ def _alike(before: tuple[Real, Real], values: Real, information: Real) -> bool:
     apart = values - before[0]
     spread = _inverse(before[1]) + _inverse(information)
     # A window begins anew that is as far from those before it once in a thousand.
-    return float(chdtrc(len(apart), apart @ _solve(spread, apart))) >= 1e-3
-
-
-def _scaled(matrix: Real) -> tuple[Real, Real]:
-    size = np.sqrt(np.maximum(np.abs(np.diagonal(matrix)), np.finfo(float).tiny))
-    return matrix / np.outer(size, size), size
+    return float(chdtrc(len(apart), apart @ _inverse(spread) @ apart)) >= 1e-3
 
 
 def _inverse(matrix: Real) -> Real:
-    """Of a covariance or an information, as far as it is one."""
-    even, size = _scaled(matrix)
-    inverse: Real = np.linalg.pinv(even, rcond=1e-13, hermitian=True) / np.outer(size, size)
+    """Of a covariance or an information, as far as it is one: the shortest in units of its diagonal."""
+    size = np.sqrt(np.maximum(np.abs(np.diagonal(matrix)), np.finfo(float).tiny))
+    unit = np.outer(size, size)
+    inverse: Real = np.linalg.pinv(matrix / unit, rcond=1e-13, hermitian=True) / unit
     return inverse
-
-
-def _solve(matrix: Real, right: Real) -> Real:
-    """The shortest solution, in units of the diagonal."""
-    even, size = _scaled(matrix)
-    solution: Real = np.linalg.pinv(even, rcond=1e-13, hermitian=True) @ (right / size) / size
-    return solution

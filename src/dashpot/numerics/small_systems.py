@@ -104,11 +104,13 @@ FREE = 0.97  # step from which on a column that is known beforehand takes a degr
 
 
 SPARSE_FROM = 48  # rows or coordinates: above it a factorisation of the sparse pattern beats dense stacks
+# Of a matrix's numbers, that are not zero: with more, patterns of 192 rows take three times as long as dense stacks
+FILLED = 1 / 8
 
 
 def mostly_zeros(stack: Complex | Real) -> bool:
     """Whether a stack of large matrices (..., n, k) holds few numbers beside zeros, and none that is not finite."""
-    if min(stack.shape[-2:]) < SPARSE_FROM or 8 * np.count_nonzero(stack) > stack.size:
+    if min(stack.shape[-2:]) < SPARSE_FROM or np.count_nonzero(stack) > FILLED * stack.size:
         return False
     return bool(np.isfinite(np.sum(stack)))
 
