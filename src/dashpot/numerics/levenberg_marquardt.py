@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -32,6 +32,12 @@ class QuadraticModel:
     def inverse(self) -> Real:
         """The inverse of `symmetric`, (k, m, m); NaN where that is singular to rounding."""
         return scaled_inverse(self.symmetric)
+
+    @staticmethod
+    def joined(parts: Sequence[QuadraticModel]) -> QuadraticModel:
+        """The points of several, one behind another."""
+        fields = [(at.cost, at.gradient, at.symmetric, at.free) for at in parts]
+        return QuadraticModel(*(np.concatenate(each) for each in zip(*fields, strict=True)))
 
     @property
     def sd(self) -> Real:

@@ -351,7 +351,7 @@ def explain_records(
     rough = _begun(lines, silent or {}, True, seed)
     tried = _tried(rough, KINDS)
     _search_afresh(rough, tried)
-    _closely(rough.problem, sorted(tried, key=lambda each: -each.roughly)[:CLOSELY], fitted)
+    _closely(rough.problem, sorted(tried, key=lambda each: -each.roughly)[:CLOSELY], fitted_from_starts)
     tried.sort(key=lambda each: -each.roughly)
     baseline = begun_at(problem, silent, True)
     as_is = baseline.as_is
@@ -367,7 +367,9 @@ def explain_records(
     in_full = _at_best_sizes(baseline, chosen, fitted([each[3] for each in chosen]))
     again = tuple((prior, kind) for prior, kind in KINDS if kind in ON_RECORDS)
     led_to = {each.effect.subject: each.fit.psi for each in reversed(tried)}
-    return _weighed_all(baseline, [*in_full, *_tried(baseline, (*again, *of_records), begun=led_to)], fitted)
+    return _weighed_all(
+        baseline, [*in_full, *_tried(baseline, (*again, *of_records), begun=led_to)], fitted_from_starts
+    )
 
 
 IN_TIME = (
@@ -426,7 +428,7 @@ def _follow(baseline: Baseline, trials: Sequence[Trial]) -> None:
     for each in trials:
         if each.effect.found is None:
             begun = each.fit.problem.from_starts((*each.fit.problem.starts[:1], each.fit.psi))
-            each.fit = _on_the_same_data(baseline, fitted_from_starts(begun))
+            each.fit = _on_the_same_data(baseline, fitted_from_starts([begun])[0])
 
 
 def _chosen(
@@ -481,10 +483,17 @@ def _calibrated(baseline: Baseline, c: int, word: str) -> tuple[FittedProblem, f
 def mistakes_of_data(problem: LineProblem) -> Explanation:
     """Likely mistakes in data that a rig with fixed values predicts badly."""
     baseline = replace(begun_at(problem, of_samples=True, fit=judged), fixed=True)
-    return _step(baseline, tuple((1 / len(OF_DATA), kind) for kind in OF_DATA), judged, laws=False)
+    return _step(baseline, tuple((1 / len(OF_DATA), kind) for kind in OF_DATA), judged, judged)
 
 
-def _step(baseline: Baseline, kinds: Kinds, fit: Fitter = fitted, *, laws: bool = False) -> Explanation:
+def _step(
+    baseline: Baseline,
+    kinds: Kinds,
+    fit: Fitter = fitted,
+    refit: Fitter = fitted_from_starts,
+    *,
+    laws: bool = False,
+) -> Explanation:
     """All effects of some kinds tried once on a problem."""
     tried = _tried(baseline, kinds, fit)
     if laws:
@@ -494,14 +503,14 @@ def _step(baseline: Baseline, kinds: Kinds, fit: Fitter = fitted, *, laws: bool 
         for effect in laws_of_rig.nonlinear(baseline, thorough=keeps_all):
             assert effect.found is not None
             tried.append(Trial(effect, OF_LAWS, effect.values[0], effect.found))
-    return _weighed_all(baseline, tried, fit)
+    return _weighed_all(baseline, tried, refit)
 
 
-def _weighed_all(baseline: Baseline, tried: Sequence[Trial], fit: Fitter | None = None) -> Explanation:
-    """The best trials with their odds; their sizes are refined if there is a `fit`."""
+def _weighed_all(baseline: Baseline, tried: Sequence[Trial], refit: Fitter | None = None) -> Explanation:
+    """The best trials with their odds; their sizes are refined if there is a `refit`."""
     hopeful = sorted(filter(_is_such, tried), key=lambda each: -_hope(each))[:CLOSELY]
-    if fit is not None:
-        _closely(baseline.problem, hopeful, fit)
+    if refit is not None:
+        _closely(baseline.problem, hopeful, refit)
     block = baseline.problem.blocks(baseline.as_is.psi)
     stated = LeftOver.of(baseline.as_is, block)
     possible_ones = (each for each in hopeful if np.isfinite(each.fit.chi2) and _is_such(each))
@@ -692,6 +701,8 @@ def _closely(problem: FitProblem, every: Sequence[Trial], refit: Fitter) -> None
             each.step = BEGUN * each.effect.width
     for _ in range(ROUNDS):
         sought = [each for each in every if each.step > 0]
+        if not sought:
+            break
         ends = refit([each.moved(problem, side * each.step) for each in sought for side in (-1, 1)])
         moves = []
         for each, low, high in zip(sought, ends[::2], ends[1::2], strict=True):

@@ -252,7 +252,7 @@ def _begun(model: Model, record: Record, estimate: Estimate) -> Baseline:
     if np.count_nonzero(outputs) > 1:
         own = np.eye(len(outputs), dtype=bool)
         every += [problem.without(own[None, c]) for c in np.flatnonzero(outputs).tolist()]
-    fits = [fitted_from_starts(each) for each in every]
+    fits = fitted_from_starts(every)
     for c in np.flatnonzero(outputs).tolist():
         power = [
             smoothed(np.abs(fit.residual[:, c]) ** 2) for fit in fits if np.any(fit.problem.counted[:, c])
@@ -262,7 +262,7 @@ def _begun(model: Model, record: Record, estimate: Estimate) -> Baseline:
     every = [
         replace(each, noise=noise).from_starts((fit.psi,)) for each, fit in zip(every, fits, strict=True)
     ]
-    fits = [fitted_from_starts(each) for each in every]
+    fits = fitted_from_starts(every)
     pool = tuple({fit.psi.tobytes(): fit.psi for fit in fits if len(fit.psi) == len(fits[0].psi)}.values())
     begun = every[0].from_starts(pool)
     as_is = replace(fits[0], problem=begun)

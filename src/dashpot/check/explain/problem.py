@@ -42,6 +42,7 @@ from dashpot.model.observation import (
     observation_model,
     transfer,
 )
+from dashpot.numerics.levenberg_marquardt import QuadraticModel, minimise
 from dashpot.numerics.small_systems import solve_scaled
 
 # Rigs drawn at random as starts; fewer where all motion is seen and gives a start
@@ -1129,9 +1130,9 @@ def glanced(problems: Sequence[FitProblem], far: bool = False) -> list[FittedPro
     return fits
 
 
-def fitted_from_starts(problem: FitProblem) -> FittedProblem:
-    """A problem from the best of its starts to its end."""
-    return _fits([problem], _ended([problem], LONG))[0]
+def fitted_from_starts(problems: Sequence[FitProblem]) -> list[FittedProblem]:
+    """Each from the best of its starts to its end."""
+    return _fits(problems, _ended(problems, LONG))
 
 
 def fitted(problems: Sequence[FitProblem], kept: int = KEPT) -> list[FittedProblem]:
@@ -1202,29 +1203,44 @@ def _ended(every: Sequence[FitProblem], limit: int) -> list[tuple[Real, float]]:
     ]
     problems = {t: each for t, each in enumerate(every) if isinstance(each, LineProblem)}
     for group in _alike(problems):
-        some = problems[group[0]]
+        stages = [Stage(problems[t].view, problems[t].arranged()) for t in group]
         starts = [_finite(problems[t].starts) for t in group]
         if not all(len(each) for each in starts):
             starts = [np.stack(problems[t].starts[:1]) for t in group]
         origin = np.repeat(np.arange(len(group)), [len(each) for each in starts])
         psi = np.concatenate(starts)
         sign = np.stack([problems[group[k]].sign for k in origin])
-        data = _stack([problems[t].arranged() for t in group])
-        if data.nonlinear is not None:  # its motion at one start is where that at another is sought from
-            data = without_raising(data)
+        if (
+            stages[0].data.nonlinear is not None
+        ):  # its motion at one start is where that at another is sought from
+            (stage,) = stages = [replace(stages[0], data=without_raising(stages[0].data))]
             alone = zip(psi[:, None], sign[:, None], strict=True)
-            costs = [float(Stage(some.view, data).cost(*each, origin[:1])[0]) for each in alone]
+            costs = [float(stage.cost(*each, origin[:1])[0]) for each in alone]
             best = int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
             psi, sign, origin = psi[best : best + 1], sign[:1], origin[:1]
-        if limit == 0:
-            x, cost = psi, Stage(some.view, data).cost(psi, sign, origin)
-        else:
-            x, cost = descended(some.view, data, psi, sign, origin, limit)
+        x, cost = _descended(stages, psi, sign, origin, limit)
         for k, t in enumerate(group):
             mine = np.flatnonzero(origin == k)
             best = mine[int(np.argmin(cost[mine]))]
             ends[t] = (x[best], float(cost[best]))
     return ends
+
+
+def _descended(stages: Sequence[Stage], psi: Real, sign: Real, origin: Ints, limit: int) -> tuple[Real, Real]:
+    """Ends ψ (k, M) and χ² (k,), inf where there is none, of starts in the stages `origin` (k,)."""
+    if stages[0].data.ends is None:
+        stage = Stage(stages[0].view, _stack([each.data for each in stages]))
+        if limit == 0:
+            return psi, stage.cost(psi, sign, origin)
+        return descended(stage.view, stage.data, psi, sign, origin, limit)
+
+    def evaluate(x: Real, active: Ints) -> QuadraticModel:
+        of = origin[active]  # ascending, as `active` is
+        parts = [(of == k, stages[k]) for k in np.unique(of).tolist()]
+        return QuadraticModel.joined([stage.model_at(x[rows], sign[active[rows]]) for rows, stage in parts])
+
+    ended = minimise(evaluate, psi, limit=limit, tolerance=ROUGHLY, patience=limit)
+    return ended.x, np.where(np.isfinite(ended.cost), ended.cost, np.inf)
 
 
 def without_raising(data: Measured) -> Measured:
@@ -1248,12 +1264,15 @@ def _finite(rows: Sequence[Real] | Real) -> Real:
 
 
 def _alike(problems: Mapping[int, LineProblem]) -> list[list[int]]:
-    """Which problems go into one batch: of one view, with inputs that are given exactly in all or in none."""
+    """Which problems go together: of one view, with inputs that are given exactly in all or in none; whole records with
+    as many unknowns."""
     groups: dict[object, list[int]] = {}
     for t, each in problems.items():
         arranged = each.arranged()
-        apart = t if arranged.ends is not None or arranged.nonlinear is not None else -1
-        groups.setdefault((id(each.view), arranged.q is None, apart), []).append(t)
+        alike: object = (id(each.view), arranged.q is None)
+        if arranged.ends is not None:
+            alike = len(each.names)
+        groups.setdefault(alike if arranged.nonlinear is None else (t,), []).append(t)
     return list(groups.values())
 
 

@@ -277,7 +277,7 @@ def between_samples(baseline: Baseline) -> Iterator[Effect]:
             with suppress(DashpotError, np.linalg.LinAlgError):
                 for _ in range(SETTLING):
                     mended = _without_images(problem, c, fit.psi, step, straight)
-                    fit = fitted_from_starts(mended.from_starts((fit.psi, *problem.starts)))
+                    (fit,) = fitted_from_starts([mended.from_starts((fit.psi, *problem.starts))])
                 name, words = problem.channels[c].name, held_words(problem.channels[c].name, step)
                 if straight:
                     text = f"{name} looks as if it ran straight from sample to sample ({1e3 * step:.3g} ms)"
