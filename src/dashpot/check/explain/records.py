@@ -273,11 +273,12 @@ def between_samples(baseline: Baseline) -> Iterator[Effect]:
     alone = [c for c in np.flatnonzero(baseline.inputs).tolist() if len(problem.channels[c].of) == 1]
     for c in alone:
         for straight in (False, True):
-            fit = baseline.as_is
+            fit, starts = baseline.as_is, problem.starts
             with suppress(DashpotError, np.linalg.LinAlgError):
                 for _ in range(SETTLING):
                     mended = _without_images(problem, c, fit.psi, step, straight)
-                    (fit,) = fitted_from_starts([mended.from_starts((fit.psi, *problem.starts))])
+                    (fit,) = fitted_from_starts([mended.from_starts((fit.psi, *starts))])
+                    starts = ()
                 name, words = problem.channels[c].name, held_words(problem.channels[c].name, step)
                 if straight:
                     text = f"{name} looks as if it ran straight from sample to sample ({1e3 * step:.3g} ms)"
