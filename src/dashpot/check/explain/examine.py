@@ -21,7 +21,7 @@ from dashpot.check.explain.engine import (
     explain,
     explain_beside_laws,
 )
-from dashpot.check.explain.laws import ScoredElement, called_for, called_for_in_records, in_place_of_laws
+from dashpot.check.explain.laws import ENOUGH, ScoredElement, called_for, called_for_in_records, in_place_of_laws
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.record_channels import mistakes_by_equation
 from dashpot.check.explain.records import explained_records
@@ -268,7 +268,7 @@ def _beside_laws(
         return (), None
     data = prepare(model, spectrum)
     mistakes = () if data.states is None else mistakes_by_equation(data, misfit)
-    if mistakes:
+    if mistakes and (mistakes[0].remaining or 0.0) < ENOUGH:
         return mistakes, None
     known = estimate is not None and bool(np.all(np.isfinite(estimate.values)))
     psi = estimate.values if estimate is not None and known else starting_points(data)[0]
@@ -281,6 +281,8 @@ def _beside_laws(
         found = explain_beside_laws(problem, silent_channels(model, spectrum))
         if found.causes and found.causes[0].explains >= NEARLY_ALL:
             return found.findings(), found
+    if mistakes:  # which comes near, as nothing else does
+        return mistakes, None
     laws = () if data.states is None else called_for(problem, thorough=False)
     if laws:
         return tuple(each.effect(model).finding(each.value, each.left / each.dof) for each in laws), None

@@ -5,13 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dashpot.channel import Channel, Quantity
 from dashpot.check.explain.examine import diagnose, examined
 from dashpot.check.explain.record_channels import mistakes_by_equation
 from dashpot.errors import IdentifiabilityError
 from dashpot.estimate.identify import identify
 from dashpot.estimate.preparation import prepare
+from dashpot.model.elements import Kind, between
+from dashpot.model.nonlinear.force_law import force_law
 from tests.mistakes import times
-from tests.networks import changed
+from tests.networks import changed, network
 from tests.nonlinear_rigs import motions, settled, two_masses
 
 FREQUENCIES = np.linspace(4, 12, 14)
@@ -88,3 +91,18 @@ def test_a_small_mistake_of_a_channel_is_weighed_beside_the_law(factor, kind):
     (first, *_) = estimate.assessment.findings
     assert (first.kind, first.of) == (kind, ("x2",))
     assert first.odds > 0.5
+
+
+@pytest.mark.long
+def test_a_unit_that_only_comes_near_is_no_reason_not_to_weigh_what_else_may_be_wrong():
+    """The only known value of a rig, in lb: the motion in another unit, by 2, leaves a good deal more than noise."""
+    cubic = replace(between("k3", Kind.SPRING, "x", "ground"), force_law=force_law("cubic"))
+    model = network("x", "f@x", "m@x k:x-ground c:x-ground=40", cubic)
+    spectrum = settled(
+        model, np.array([2.0, 4000.0, 4e8]), (Channel("x", {"x": 1.0}), Channel("f", {"f": 1.0}, Quantity.FORCE)),
+        np.linspace(4, 12, 8), orders=(1,), amplitude=8.0, noise=3e-3, rng=np.random.default_rng(5),
+    )  # fmt: skip
+    wrong = changed(model, "c", value=2.2046 * 40)
+    estimate = examined(wrong, spectrum, identify(wrong, spectrum, "ml"))
+    (first, *_) = estimate.assessment.findings
+    assert (first.kind, first.of, first.number) == ("value", ("c",), pytest.approx(40, rel=0.01))
