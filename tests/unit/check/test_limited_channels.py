@@ -8,6 +8,7 @@ import pytest
 
 import dashpot
 from dashpot.arrays import Real
+from dashpot.check.explain import examine
 from dashpot.estimate.assessment import Assessment
 from tests.whole_rigs import chain, record_of
 
@@ -39,6 +40,19 @@ def test_a_single_channel_that_ends_is_no_fit_and_is_named(shape: Callable[[Real
     first = assessment.findings[0]
     assert (first.kind, first.of) == ("saturation", ("x1_dis",))
     assert first.odds > 0.9
+
+
+def test_a_channel_that_ends_leads_where_of_the_list_it_only_comes_nearest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What is seen in the record and found in the list as well counted for less than what is seen alone."""
+    explained = examine.explained
+    monkeypatch.setattr(
+        examine, "explained", lambda *of, **more: replace(explained(*of, **more), unlisted=1.0)
+    )
+    findings = judged(lambda x: np.minimum(x, 1.2)).findings
+    assert (findings[0].kind, findings[0].of) == ("saturation", ("x1_dis",))
+    assert "unexplained" not in [each.kind for each in findings]
 
 
 def test_a_channel_that_does_not_end_is_left_alone() -> None:

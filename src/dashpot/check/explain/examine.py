@@ -21,7 +21,13 @@ from dashpot.check.explain.engine import (
     explain,
     explain_beside_laws,
 )
-from dashpot.check.explain.laws import ENOUGH, ScoredElement, called_for, called_for_in_records, in_place_of_laws
+from dashpot.check.explain.laws import (
+    ENOUGH,
+    ScoredElement,
+    called_for,
+    called_for_in_records,
+    in_place_of_laws,
+)
 from dashpot.check.explain.problem import LineProblem
 from dashpot.check.explain.record_channels import mistakes_by_equation
 from dashpot.check.explain.records import explained_records
@@ -233,12 +239,11 @@ def _with_causes(assessment: Assessment, found: tuple[Finding, ...], laws: tuple
         reasons = (Notice("nonlinear", text, laws[0].of), *others)
         listed = tuple(each for each in found if each.kind not in ("nonlinear", "unexplained"))
         return replace(assessment, verdict="does not fit", reasons=reasons, findings=(*laws, *listed))
-    named = {(each.kind, each.of) for each in found}
-    in_time = tuple(each for each in assessment.findings if (each.kind, each.of) not in named)
-    if explains >= NEARLY_ALL:
-        return replace(assessment, findings=(*found, *in_time))
-    kept = found if not in_time else tuple(each for each in found if each.kind != "unexplained")
-    return replace(assessment, findings=(*in_time, *kept))
+    in_time = assessment.findings
+    first, then = (found, in_time) if explains >= NEARLY_ALL or not in_time else (in_time, found)
+    named = {(each.kind, each.of) for each in first} | ({("unexplained", ())} if in_time else set())
+    more = (each for each in then if (each.kind, each.of) not in named)
+    return replace(assessment, findings=(*first, *more))
 
 
 def _suspicious(assessment: Assessment) -> bool:
