@@ -176,6 +176,7 @@ class _Search:
         if len(self.active):
             self.x = start[self.active]
             self.around = self._evaluated(self.x)
+            self.costs[self.active] = self.around.cost
 
     def _evaluated(self, x: Real) -> QuadraticModel:
         with np.errstate(all="ignore"):

@@ -1210,9 +1210,8 @@ def _ended(every: Sequence[FitProblem], limit: int) -> list[tuple[Real, float]]:
         origin = np.repeat(np.arange(len(group)), [len(each) for each in starts])
         psi = np.concatenate(starts)
         sign = np.stack([problems[group[k]].sign for k in origin])
-        if (
-            stages[0].data.nonlinear is not None
-        ):  # its motion at one start is where that at another is sought from
+        # Of a nonlinear rig its motion at one start is where that at another is sought from.
+        if stages[0].data.nonlinear is not None:
             (stage,) = stages = [replace(stages[0], data=without_raising(stages[0].data))]
             alone = zip(psi[:, None], sign[:, None], strict=True)
             costs = [float(stage.cost(*each, origin[:1])[0]) for each in alone]
