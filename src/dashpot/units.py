@@ -12,7 +12,7 @@ import re
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 
 from dashpot.errors import UsageError
 
@@ -381,7 +381,7 @@ def _product(tokens: deque[tuple[str, str]], quantity: str, depth: int) -> tuple
             text = text.replace("μ", "µ")
             part = _meaning_of(text, quantity)
         if part is None:
-            raise _UnreadableError(f"{_quoted(text)} is not known", _similar(text, _symbols(quantity)))
+            raise _UnreadableError(f"{_quoted(text)} is not known", _similar(text, quantity))
         power = sign * (int(tokens.popleft()[1]) if tokens and tokens[0][0] == "power" else 1)
         try:
             factor *= part[0] ** power
@@ -394,21 +394,16 @@ def _product(tokens: deque[tuple[str, str]], quantity: str, depth: int) -> tuple
     return factor, dimension
 
 
-@cache
-def _symbols(quantity: str) -> tuple[str, ...]:
-    """All symbols that a quantity may be written in, with their prefixes."""
-    return tuple(
+@lru_cache(maxsize=4096)
+def _similar(text: str, quantity: str) -> str | None:
+    """A symbol of the quantity that differs in case or in a letter; None if there is none."""
+    known = [
         prefix + name
         for name, symbols in SYMBOLS.items()
         for symbol in symbols
         if symbol.only is None or quantity in symbol.only
         for prefix in ("", *symbol.prefixes)
-    )
-
-
-@lru_cache(maxsize=4096)
-def _similar(text: str, known: tuple[str, ...]) -> str | None:
-    """A known symbol that differs in case or in a letter; None if there is none."""
+    ]
     same = [name for name in known if name.lower() == text.lower()]
     long = [name for name in known if len(name) > 2]
     return next(iter(same or difflib.get_close_matches(text, long, n=1, cutoff=0.8)), None)
