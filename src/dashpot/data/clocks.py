@@ -13,7 +13,7 @@ from dashpot.channel import Channel
 from dashpot.data.conditioning.clock import within_times
 from dashpot.data.conditioning.drive_frequency import OWN, refine_frequency
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
-from dashpot.data.conditioning.lines import driven_parts, evened_and_marked, settled_lines
+from dashpot.data.conditioning.lines import Treated, driven_parts, evened_and_marked, settled_lines
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -433,9 +433,7 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
     )
 
 
-def _driven_together(
-    parts: Sequence[Record], settings: Conditioning
-) -> tuple[Sequence[Record], list[Notice]]:
+def _driven_together(parts: Sequence[Record], settings: Conditioning) -> Treated:
     """As `driven_parts`, from where the last of them is driven to where the first of them ends."""
     driven, notes = driven_parts(parts, settings)
     start, end = max(part.time[0] for part in driven), min(part.time[-1] for part in driven)

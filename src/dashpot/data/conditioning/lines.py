@@ -292,8 +292,8 @@ def driven_parts(dwells: Sequence[Record], settings: Conditioning) -> Treated:
         beyond_half_rate = [record for record in dwells if 2 * record.step_s * record.stated_hz > 1]
         require_stated(beyond_half_rate, settings.wanted)
     if settings.settle not in ("auto", "none"):
-        starts = [record.time[0] + float(settings.settle) for record in dwells]
-        return [within_times(record, start, np.inf) for record, start in zip(dwells, starts, strict=True)], []
+        late = float(settings.settle)
+        return [within_times(record, record.time[0] + late, np.inf) for record in dwells], []
     if settings.settle == "none" and settings.transients != "auto":
         return dwells, []
     kept, notes = [], []
