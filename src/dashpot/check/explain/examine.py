@@ -240,8 +240,10 @@ def _with_causes(assessment: Assessment, found: tuple[Finding, ...], laws: tuple
         listed = tuple(each for each in found if each.kind not in ("nonlinear", "unexplained"))
         return replace(assessment, verdict="does not fit", reasons=reasons, findings=(*laws, *listed))
     in_time = assessment.findings
-    first, then = (found, in_time) if explains >= NEARLY_ALL or not in_time else (in_time, found)
-    named = {(each.kind, each.of) for each in first} | ({("unexplained", ())} if in_time else set())
+    if not in_time:
+        return replace(assessment, findings=found)
+    first, then = (found, in_time) if explains >= NEARLY_ALL else (in_time, found)
+    named = {("unexplained", ()), *((each.kind, each.of) for each in first)}
     more = (each for each in then if (each.kind, each.of) not in named)
     return replace(assessment, findings=(*first, *more))
 
