@@ -366,27 +366,23 @@ class _Fit:
         return max(1, self.data - self.unknowns)
 
 
-def _bases(one: _Set, poles: Complex, slope: bool = False) -> tuple[Complex, Complex]:
-    """(lines, poles) 1/(s − λ) of responses and 1/(1 − e^{(λ − s)Δ}) of the ends of records, or their slopes in λ.
+def _bases(one: _Set, poles: Complex) -> tuple[Complex, Complex]:
+    """(lines, poles) 1/(s − λ) of responses and 1/(1 − e^{(λ − s)Δ}) of the ends of records, the latter times Δ.
 
-    The second is exact for what a sampled record of finite length shows of a decay.
+    The second is exact for what a sampled record of finite length shows of a decay.  Slopes in λ: the square of the
+    first, and of the second its square less Δ times itself.
     """
-    s = one.s[:, None]
-    plain: Complex = 1 / (s - poles) ** (2 if slope else 1)
+    plain: Complex = 1 / (one.s[:, None] - poles)
     if not one.step:
         return plain, plain[:, :0]
     delta = one.unit * one.step
-    turn = np.exp(poles * delta) * one.back[:, None]
-    if slope:
-        return plain, np.asarray(delta**2 * turn / (1 - turn) ** 2)
-    return plain, np.asarray(delta / (1 - turn))
+    return plain, np.asarray(delta / (1 - np.exp(poles * delta) * one.back[:, None]))
 
 
-def _pairs(one: _Set, poles: Complex, slope: bool = False) -> tuple[Complex, Complex]:
+def _pairs(one: _Set, poles: Complex) -> list[Complex]:
     """The same with conjugate poles, per real and imaginary part of the residue: (lines, poles, 2)."""
-    upper, lower = _bases(one, poles, slope), _bases(one, np.conj(poles), slope)
-    plain, ends = (np.stack([a + b, 1j * (a - b)], axis=-1) for a, b in zip(upper, lower, strict=True))
-    return plain, ends
+    both = zip(_bases(one, poles), _bases(one, np.conj(poles)), strict=True)
+    return [np.stack([a + b, 1j * (a - b)], axis=-1) for a, b in both]
 
 
 def _design(sets: Sequence[_Set], poles: Complex, powers: Sequence[int]) -> list[Complex]:
@@ -434,17 +430,21 @@ def _slopes(sets: Sequence[_Set], poles: Complex, coefficients: Real, powers: in
     slopes, number = [], 0
     per_input = 2 * m + powers
     for one in sets:
-        plain, ends = _pairs(one, poles, slope=True)
-        J = np.zeros((len(one.s), q, m, 2), dtype=np.complex128)
-        blocks = [(plain * one.inputs[:, c, None, None], c * per_input) for c in range(nu)]
+        (plain, ends), (below, ends_below) = _bases(one, poles), _bases(one, np.conj(poles))
+        blocks = [(plain**2, below**2, one.inputs[:, c, None], c * per_input) for c in range(nu)]
         if one.step:
-            blocks.append((ends, nu * per_input + number * (2 * m + ENDS)))
+            delta, at = one.unit * one.step, nu * per_input + number * (2 * m + ENDS)
+            blocks.append(
+                (ends * (ends - delta), ends_below * (ends_below - delta), np.ones((1, 1), np.complex128), at)
+            )
             number += 1
-        for basis, at in blocks:
-            R = coefficients[:, at : at + 2 * m].reshape(q, m, 2)
-            # d/dσ of Re R (a + b) + Im R j(a − b); d/dω is j times the residue's
-            J[..., 0] += np.einsum("lmk,qmk->lqm", basis, R)
-            J[..., 1] += np.einsum("lmk,qmk->lqm", basis, np.stack([-R[..., 1], R[..., 0]], axis=-1))
+        J = np.zeros((len(one.s), q, m, 2), dtype=np.complex128)
+        for above, under, factor, at in blocks:
+            R = coefficients[:, at : at + 2 * m].reshape(q, m, 2) @ np.array([1, 1j])
+            first = (factor * above)[:, None] * R
+            second = (factor * under)[:, None] * np.conj(R)
+            J[..., 0] += first + second
+            J[..., 1] += 1j * (first - second)
         slopes.append(J.reshape(len(one.s), q, 2 * m))
     return slopes
 
@@ -499,8 +499,10 @@ def _solved(
     return fit, np.column_stack([S, gradient]) if m else np.zeros((0, 1))
 
 
-def _refined(sets: Sequence[_Set], poles: Complex, powers: tuple[int, ...], steps: int = 30) -> _Fit:
-    """The fit at the nearest minimum: Levenberg-Marquardt in the poles alone."""
+def _refined(
+    sets: Sequence[_Set], poles: Complex, powers: tuple[int, ...], within: float = 1e-4, steps: int = 30
+) -> _Fit:
+    """The fit `within` so much χ² of the nearest minimum: Levenberg-Marquardt in the poles alone."""
     fit, normal = _solved(sets, poles, powers)
     damping = 1e-3
     for _ in range(steps if len(poles) else 0):
@@ -513,7 +515,7 @@ def _refined(sets: Sequence[_Set], poles: Complex, powers: tuple[int, ...], step
         if sound:
             other, its = _solved(sets, trial, powers)
         if sound and np.isfinite(other.chi2) and other.chi2 < fit.chi2:
-            done = fit.chi2 - other.chi2 < 1e-4 or expected < 1e-6
+            done = fit.chi2 - other.chi2 < within or expected < 1e-6
             fit, normal, damping = other, its, max(damping / 10, 1e-9)
             if done:
                 break
@@ -618,6 +620,7 @@ def _gains(sets: Sequence[_Set], fit: _Fit, candidates: Complex) -> Real:
 
 
 TOGETHER = 20  # candidates: memory of a few records
+ENOUGH = 0.1  # of χ², within which fits of other orders are compared: the evidence asks for tens
 
 
 def _stacked(parts: Sequence[Complex]) -> Real:
@@ -647,25 +650,29 @@ def _by_evidence(sets: list[_Set], most: int) -> tuple[_Fit, Stabilisation, tupl
     candidates = 2 * np.pi * hz * (-zeta + 1j * np.sqrt(1 - zeta**2)) / sets[0].unit
     known = sets[0].known
     fit = _refined(sets, np.zeros(0, dtype=np.complex128), RESIDUAL_POWERS[0])
+    # A pole that is added leaves less to most others: gains of before are bounds, until the first of a round fails
+    gains = np.full(len(candidates), np.inf)
     while len(fit.poles) < most:
-        gains = _gains(sets, fit, candidates)
-        tried, better = candidates[:0], None
-        for k in np.argsort(-gains, kind="stable"):
-            pole = candidates[k]
-            if np.any(np.abs(tried - pole) < 0.02 * np.abs(pole)):
+        tried, better, fresh = candidates[:0], None, np.zeros(len(candidates), dtype=bool)
+        while better is None and len(tried) < 3:
+            apart = np.all(np.abs(tried[:, None] - candidates) >= 0.02 * np.abs(candidates), axis=0)
+            best = int(np.argmax(np.where(apart, gains, -1.0)))
+            if not fresh[best] or (len(tried) and not np.all(fresh)):
+                old = np.flatnonzero(~fresh)
+                some = old[np.argsort(-gains[old], kind="stable")[: None if len(tried) else TOGETHER]]
+                gains[some], fresh[some] = _gains(sets, fit, candidates[some]), True
                 continue
-            tried = np.append(tried, pole)
-            other = _refined(sets, np.append(fit.poles, pole), fit.powers)
+            if not apart[best]:
+                break
+            tried = np.append(tried, candidates[best])
+            other = _refined(sets, np.append(fit.poles, candidates[best]), fit.powers, ENOUGH)
             if other.dof > 1 and _pays(other, fit, known):
                 better = other
-                break
-            if len(tried) == 3:
-                break
         if better is None:
             break
         fit = better
     for powers in RESIDUAL_POWERS[1:]:
-        other = _refined(sets, fit.poles, powers)
+        other = _refined(sets, fit.poles, powers, ENOUGH)
         if not _pays(fit, other, known):
             fit = other
     first = (fit.chi2, float(fit.dof)) if known else (np.nan, float(fit.dof))

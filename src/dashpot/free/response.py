@@ -545,11 +545,10 @@ def line_noise(parts: Sequence[RecordLines], low: float, high: float) -> list[Co
                 f"{counted(len(grid), 'line')} of the record in the band",
                 cure="record longer, or choose a wider band",
             )
-        stride = max(1, half // 3)  # of windows that share most of their data
-        noise = _windows(ordered, grid[::stride], half, -(-half // stride))[2]
+        noise = _windows(ordered, grid[::half], half, 1)[2]
         for part in group:
             f = part.frequency_hz[(part.frequency_hz >= low) & (part.frequency_hz <= high)]
-            found[id(part)] = noise[_nearest(first.frequency_hz[grid[::stride]], f)]
+            found[id(part)] = noise[_nearest(first.frequency_hz[grid[::half]], f)]
     return [found[id(part)] for part in parts]
 
 
