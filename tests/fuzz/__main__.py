@@ -2,17 +2,19 @@
 
 import argparse
 import contextlib
+import faulthandler
 import io
-import json
 import os
-import selectors
-import subprocess
+import resource
+import signal
 import sys
 import time
 import warnings
 from dataclasses import replace
+from multiprocessing.connection import Connection, Pipe, wait
 from pathlib import Path
 
+from tests.fuzz import corpus
 from tests.fuzz.cases import Case, made
 from tests.fuzz.runner import finding, limit_memory, outcome
 
@@ -20,6 +22,9 @@ FINDINGS = Path(__file__).parent / "findings"
 STUCK = 60.0  # s of processor time without a word from a worker, which is then in code that no signal ends
 TOO_LONG = ("hang", "deaf", "no progress", "the process", "memory")  # findings that are kept as they are
 ASLEEP = 300.0  # s without a word from a worker and without work, which then waits for something
+GUARDED = (
+    8  # of so many cases one is read behind the guard of native code at once, the others where they fail
+)
 
 
 def main() -> int:
@@ -30,40 +35,43 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first input")
     parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--keep", type=Path, default=FINDINGS, help="folder of the findings")
-    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     chosen = parser.parse_args()
-    if chosen.worker:
-        return _work(chosen.seed, chosen.first, chosen.inputs, chosen.processes)
+    warnings.simplefilter("ignore")
     return Campaign(
         chosen.seed, chosen.first, chosen.inputs, chosen.processes, chosen.minutes, chosen.keep
     ).run()
 
 
-def _work(seed: int, first: int, end: int, step: int) -> int:
-    """Every `step`-th case from `first` on; a line of JSON before each, and one for each finding."""
-    warnings.simplefilter("ignore")
-    tell = os.fdopen(os.dup(1), "w", encoding="ascii")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # a case may write to /dev/stdout
-    for index in range(first, end, step):
-        case = made(seed, index)
-        if index == first:
-            limit_memory()  # once what is needed is loaded
-        print(json.dumps({"begins": index}), file=tell, flush=True)
-        ended = outcome(case)
-        if ended.slow or ended.what is not None:
-            said = {"index": index, "what": ended.what, "slow": ended.slow}
-            print(json.dumps(said), file=tell, flush=True)
-    print(json.dumps({"begins": -1}), file=tell, flush=True)
-    return 0
+class Worker:
+    """A process forked where all is loaded, which tries every `step`-th case from `first` on.
 
+    It says ("begins", number) before each, ("found", what, slow) where something is wrong, and ("begins", None) at the
+    end.  The first case is read behind the guard where it has ended another worker.
+    """
 
-class Word:
-    """What a worker said last: the case that it begins, and when."""
+    def __init__(self, seed: int, cases: range, guarded: bool) -> None:
+        self.words, theirs = Pipe(duplex=False)
+        self.index, self.begun, self.ended = cases[0], False, False
+        self.guarded = cases[0] if guarded else None
+        sys.stdout.flush()
+        self.process = os.fork()
+        if self.process == 0:
+            code = 70  # of a worker that failed itself
+            try:
+                _work(theirs, seed, cases, guarded)
+                code = 0
+            finally:
+                os._exit(code)
+        theirs.close()
+        self._listen()
 
-    def __init__(self, process: int, index: int, running: bool) -> None:
-        self.process, self.index, self.running = process, index, running
-        self.moment, self.spent = time.monotonic(), self._processor_time()
-        self.busy = 0.0
+    def heard(self, index: int | None) -> None:
+        """It begins a case, or has come to the end."""
+        self.index, self.begun, self.ended = self.index if index is None else index, True, index is None
+        self._listen()
+
+    def _listen(self) -> None:
+        self.moment, self.spent, self.busy = time.monotonic(), self._processor_time(), 0.0
 
     def overdue(self) -> bool:
         """Whether the next word should have come: by the processor's time, for others may keep it busy."""
@@ -72,6 +80,13 @@ class Word:
             self.moment, self.busy = time.monotonic(), busy
         return time.monotonic() - self.moment > ASLEEP or busy > STUCK
 
+    def end(self) -> int:
+        """End it, where it has not ended; its exit code, below zero that of a signal."""
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self.process, signal.SIGKILL)
+        self.words.close()
+        return os.waitstatus_to_exitcode(os.waitpid(self.process, 0)[1])
+
     def _processor_time(self) -> float:
         """Seconds of the worker on the processor; 0 where it has ended."""
         try:
@@ -79,6 +94,21 @@ class Word:
         except OSError:
             return 0.0
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _work(tell: Connection, seed: int, cases: range, guarded: bool) -> None:
+    silent = os.open(os.devnull, os.O_RDWR)
+    for stream in range(3):  # a case may write to /dev/stdout
+        os.dup2(silent, stream)
+    faulthandler.disable()
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    limit_memory()
+    for index in cases:
+        tell.send(("begins", index))
+        ended = outcome(made(seed, index), index % GUARDED == 0 or (guarded and index == cases[0]))
+        if ended.slow or ended.what is not None:
+            tell.send(("found", ended.what, ended.slow))
+    tell.send(("begins", None))
 
 
 class Campaign:
@@ -92,43 +122,26 @@ class Campaign:
         self.found: dict[str, list[int]] = {}
         self.slow: list[int] = []  # that took over the limit, were interrupted and then run to their end
         self.done = 0
-        self.selector = selectors.DefaultSelector()
-        self.heard: dict[subprocess.Popen[str], Word] = {}
+        self.workers: dict[Connection, Worker] = {}
+        corpus.files()  # which every worker finds made
+        corpus.attacks()
         for k in range(processes):
             self._start(first + k)
 
-    def _start(self, first: int) -> None:
-        if first >= self.end:
-            return
-        words = [
-            "--worker",
-            "--seed",
-            self.seed,
-            "--first",
-            first,
-            "--inputs",
-            self.end,
-            "--processes",
-            self.step,
-        ]
-        command = [sys.executable, "-m", "tests.fuzz", *map(str, words)]
-        worker = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True
-        )
-        assert worker.stdout is not None
-        self.selector.register(worker.stdout, selectors.EVENT_READ, worker)
-        self.heard[worker] = Word(worker.pid, first, False)
+    def _start(self, first: int, guarded: bool = False) -> None:
+        if first < self.end:
+            worker = Worker(self.seed, range(first, self.end, self.step), guarded)
+            self.workers[worker.words] = worker
 
     def run(self) -> int:
         """Exit code 1 where something was found."""
         began = shown = time.monotonic()
-        while self.heard and time.monotonic() < self.until:
-            for key, _ in self.selector.select(timeout=1.0):
-                self._hear(key.data)
-            for worker, word in list(self.heard.items()):
-                if word.overdue():
-                    worker.kill()
-                    self._ended(worker, word.index, "hang that no signal ends")
+        while self.workers and time.monotonic() < self.until:
+            for words in wait([*self.workers], timeout=1.0):
+                self._hear(self.workers[words])
+            for worker in list(self.workers.values()):
+                if worker.overdue():
+                    self._ended(worker, "hang that no signal ends")
             now = time.monotonic()
             if now - shown > 30:
                 shown = now
@@ -136,8 +149,8 @@ class Campaign:
                     f"{self.done} inputs, {len(self.found)} kinds of findings, {now - began:.0f} s",
                     flush=True,
                 )
-        for worker in self.heard:
-            worker.kill()
+        for worker in self.workers.values():
+            worker.end()
         print(f"{self.done} inputs in {time.monotonic() - began:.0f} s, {len(self.found)} kinds of findings")
         if self.slow:
             print(f"{len(self.slow)} slow, with progress and obedient to Ctrl-C: {str(self.slow)[1:-1]}")
@@ -147,30 +160,34 @@ class Campaign:
             )
         return 1 if self.found else 0
 
-    def _hear(self, worker: subprocess.Popen[str]) -> None:
-        line = worker.stdout.readline()
-        word = self.heard[worker]
-        if not line:
-            self._ended(worker, word.index, f"the process ended with {worker.wait()}")
+    def _hear(self, worker: Worker) -> None:
+        try:
+            what, *said = worker.words.recv()
+        except EOFError:
+            self._ended(worker)
             return
-        said = json.loads(line)
-        if "what" in said:
-            if said["slow"]:
-                self.slow.append(said["index"])
-            if said["what"] is not None:
-                self._found(said["what"], said["index"])
+        if what == "found":
+            fault, slow = said
+            if slow:
+                self.slow.append(worker.index)
+            if fault is not None:
+                self._found(fault, worker.index)
             return
-        self.done += word.running
-        self.heard[worker] = Word(worker.pid, said["begins"], True)
-        if said["begins"] == -1:
-            self.selector.unregister(worker.stdout)
-            del self.heard[worker]
+        self.done += worker.begun
+        worker.heard(*said)
+        if worker.ended:
+            worker.end()
+            del self.workers[worker.words]
 
-    def _ended(self, worker: subprocess.Popen[str], index: int, what: str) -> None:
-        assert worker.stdout is not None
-        self.selector.unregister(worker.stdout)
-        del self.heard[worker]
-        self._found(what, index)
+    def _ended(self, worker: Worker, what: str | None = None) -> None:
+        """A worker that goes no further; native code that has ended it alone is tried again behind its guard."""
+        code, index = worker.end(), worker.index
+        del self.workers[worker.words]
+        if what is None and index % GUARDED and index != worker.guarded:
+            self._start(index, guarded=True)
+            return
+        self.done += 1
+        self._found(what or f"the process ended with {code}", index)
         self._start(index + self.step)
 
     def _found(self, what: str, index: int) -> None:

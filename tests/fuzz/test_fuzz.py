@@ -11,8 +11,10 @@ from pathlib import Path
 import pytest
 
 from dashpot.app import cli
+from dashpot.data.readers import guarded
+from tests.fuzz import __main__ as campaign
 from tests.fuzz.cases import Case, made
-from tests.fuzz.runner import finding
+from tests.fuzz.runner import READERS, Outcome, finding, outcome
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -122,6 +124,37 @@ def test_the_runner_sees_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None
     assert planted(leaves_a_part) == "a temporary file is left"
     assert planted(stops) == "hang in test_fuzz.py:spins"  # not in less than what its command is granted
     assert planted(ends_unseen) == "no progress in identify"
+
+
+def test_what_fails_without_the_guard_is_judged_behind_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = Case(("@data", "a.h5"), {"a.h5": b""})
+
+    def fails(_: object) -> None:
+        if not guarded.GUARDED or case.files["a.h5"]:
+            raise ZeroDivisionError
+
+    monkeypatch.setitem(READERS, "@data", fails)  # type: ignore[arg-type]
+    assert outcome(case, guard=False).what is None
+    case.files["a.h5"] = b"1"
+    assert outcome(case, guard=False).what == "ZeroDivisionError in test_fuzz.py:fails"
+
+
+@pytest.mark.parametrize(
+    ("always", "found"), [(False, {}), (True, {"the process ended with -6": [*range(9)]})]
+)
+def test_a_case_that_ends_its_worker_is_tried_behind_the_guard(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, always: bool, found: dict[str, list[int]]
+) -> None:
+    def ends(_: Case, guard: bool) -> Outcome:
+        if always or not guard:
+            os.abort()
+        return Outcome(None)
+
+    monkeypatch.setattr(campaign, "outcome", ends)
+    ran = campaign.Campaign(3, 0, 9, 2, None, tmp_path)
+    assert ran.run() == bool(found)
+    assert ran.done == 9
+    assert {what: sorted(indices) for what, indices in ran.found.items()} == found
 
 
 def test_kept_findings_are_small() -> None:

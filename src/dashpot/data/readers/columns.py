@@ -59,6 +59,7 @@ def _with_stem(column: str, written: str, new: str) -> str:
     return "/".join(new if name == written else name for name in stem.split("/")) + mark + ending
 
 
+@lru_cache(maxsize=4096)
 def is_unit(text: str) -> bool:
     """Whether a text is a unit of anything that is measured."""
     if any(factors(text, quantity) for quantity in units.QUANTITIES):
