@@ -2,7 +2,8 @@
 
 CSV: one row a mode; `frequency_hz`, `frequency_sd`, optionally `damping_ratio` and `damping_sd`, and for every point of
 the shapes that is measured `NAME_re`, `NAME_im` (or `NAME` alone: a real shape) and `NAME_sd`, the standard deviation
-of the real and of the imaginary part, each.  Shapes have any scale; a point may be left empty in some modes.
+of the real and of the imaginary part, each.  Shapes have any scale; a point may be left empty in some modes.  Standard
+deviations of frequencies, of damping ratios or of all points that the file does not have are usual ones.
 JSON: `{"modes": [{"frequency_hz": 3.0, "frequency_sd": 0.01, "damping_ratio": 0.02, "damping_sd": 0.001,
 "shape": {"x1": [1.0, 0.0], "x2": 0.6}, "shape_sd": {"x1": 0.01, "x2": 0.01}}]}`, or as `dashpot modes` writes it:
 each with `"frequency_hz": {"value": 3.0, "sd": 0.01}`, `damping_ratio` alike,
@@ -31,6 +32,7 @@ from dashpot.data.readers.uff import (
     USUAL_SD,
     NodalMode,
     UffStream,
+    assumed_sd,
     dataset_starts,
     is_universal,
     read_uff_modes,
@@ -57,8 +59,8 @@ def read_modes(
     """The modes in a file, with shapes at those of the rig's `coordinates` that the file contains.
 
     channels     of the rig: points may be named after channels that measure a single coordinate
-    relative_sd  of frequencies, damping ratios, and shapes (relative to their largest entry), for universal files,
-                 which state none
+    relative_sd  of frequencies, damping ratios, and shapes (relative to their largest entry), for files that state
+                 none
 
     Raises DataError, with file, row and column or mode, for an entry that is missing, negative, unknown or no number.
     """
@@ -112,8 +114,8 @@ def modes_and_notes(
                 if name not in names:
                     what = f"shape: {shown(name)} is not a coordinate of the rig"
                     raise DataError(what, where, f"there are {listed(coordinates)}")
-                sd = spread[name].real if name in spread else np.nan
-                row |= {f"{name}_re": value.real, f"{name}_im": value.imag, f"{name}_sd": sd}
+                row |= {f"{name}_re": value.real, f"{name}_im": value.imag}
+                row |= {f"{name}_sd": spread[name].real} if name in spread else {}
             rows.append(row)
         header = tuple(dict.fromkeys(name for row in rows for name in row))
         columns = tuple(np.array([row.get(name, np.nan) for row in rows]) for name in header)
@@ -123,7 +125,9 @@ def modes_and_notes(
         if is_universal(file):
             return read_uff_modes(file, coordinates, channels, relative_sd)
         table = open_table(file)
-    return at_coordinates(_modes_of(table, names), coordinates, channels, table.source), []
+    modes, missing = _modes_of(table, names, relative_sd)
+    notes = [assumed_sd(relative_sd, missing)] if any(missing) else []
+    return at_coordinates(modes, coordinates, channels, table.source), notes
 
 
 def write_mode_table(modes: ModalData, path: AnyPath) -> None:
@@ -158,7 +162,8 @@ def write_mode_table(modes: ModalData, path: AnyPath) -> None:
 
 
 def holds_modes(path: AnyPath) -> bool:
-    """Whether a file holds modes and no samples or responses: a table with `frequency_sd`, JSON, datasets 55 alone.
+    """Whether a file holds modes and no samples or responses: a table of frequencies with their standard deviations or
+    damping ratios, or alone, JSON, datasets 55 alone.
 
     What cannot be read holds none: its reader says why.
     """
@@ -183,7 +188,8 @@ def holds_modes(path: AnyPath) -> bool:
         text = name.removesuffix(".gz").endswith((".csv", ".txt"))
         row = file.head.decode("utf-8-sig", errors="replace").lstrip().split("\n", 1)[0]
         cells = [cell.strip().strip('"') for cell in row.replace(";", ",").replace("\t", ",").split(",")]
-        return text and {FREQUENCY, FREQUENCY_SD} <= {bare(cell)[0] for cell in cells}
+        names = {bare(cell)[0] for cell in cells}
+        return text and FREQUENCY in names and (len(names) == 1 or not names.isdisjoint(PLAIN[1:]))
     except DashpotError:
         return False
 
@@ -193,10 +199,10 @@ class _Layout:
     """Columns of the frequency, the damping ratio and their sd, and of real part, imaginary part and sd of points."""
 
     frequency: int
-    frequency_sd: int
+    frequency_sd: int | None
     damping: int | None
     damping_sd: int | None
-    points: dict[str, tuple[int, int | None, int]]
+    points: dict[str, tuple[int, int | None, int | None]]
 
     @property
     def columns(self) -> list[int]:
@@ -206,21 +212,24 @@ class _Layout:
         return list(dict.fromkeys(at for at in every if at is not None))
 
 
-def _modes_of(table: Columns, names: Sequence[str]) -> ModalData:
+def _modes_of(
+    table: Columns, names: Sequence[str], relative_sd: tuple[float, float, float]
+) -> tuple[ModalData, tuple[bool, bool, bool]]:
+    """The modes of a table, and of what it has no standard deviations: frequencies, damping ratios, shapes."""
     # Where everything stands
-    f_at, f_sd_at = table.need(FREQUENCY), table.need(FREQUENCY_SD, " (a mode without it cannot be weighed)")
-    z_at = table.find(DAMPING)
-    z_sd_at = None if z_at is None else table.need(DAMPING_SD, f" (it belongs to {DAMPING})")
-    points: dict[str, tuple[int, int | None, int]] = {}
+    f_at, f_sd_at, z_at = table.need(FREQUENCY), table.find(FREQUENCY_SD), table.find(DAMPING)
+    z_sd_at = None if z_at is None else table.find(DAMPING_SD)
+    stated = any(table.find(f"{name}_sd") is not None for name in names)
+    points: dict[str, tuple[int, int | None, int | None]] = {}
     for name in names:
         real, alone = table.find(f"{name}_re"), table.find(name)
         if real is not None and alone is not None:
             what = f"columns {shown(name)} and {shown(name)}_re: the same point twice"
             raise DataError(what, table.source, "remove one")
         if real is not None:
-            points[name] = (real, table.need(f"{name}_im"), table.need(f"{name}_sd"))
+            points[name] = (real, table.need(f"{name}_im"), table.need(f"{name}_sd") if stated else None)
         elif alone is not None:
-            points[name] = (alone, None, table.need(f"{name}_sd"))
+            points[name] = (alone, None, table.need(f"{name}_sd") if stated else None)
     layout = _Layout(f_at, f_sd_at, z_at, z_sd_at, points)
     strangers = [bare(name)[0] for i, name in enumerate(table.header) if i not in layout.columns]
     if strangers:
@@ -233,18 +242,26 @@ def _modes_of(table: Columns, names: Sequence[str]) -> ModalData:
     values = table.numbers(layout.columns, gaps)
     absent = np.full(len(values[layout.frequency]), np.nan)
     zeta = absent if layout.damping is None else values[layout.damping]
-    zeta_sd = absent if layout.damping_sd is None else values[layout.damping_sd]
+    zeta_sd = relative_sd[1] * np.abs(zeta) if layout.damping_sd is None else values[layout.damping_sd]
+    zeta = np.where(zeta_sd == 0, np.nan, zeta) if layout.damping_sd is None else zeta  # 0: not measured
     # Shapes and their sd, (modes, points); NaN where a point is left empty
     size = len(values[layout.frequency]), len(layout.points)
     shapes, sd = np.full(size, np.nan + 0j), np.full(size, np.nan)
     for c, (re, im, sd_at) in enumerate(layout.points.values()):
         imaginary = np.where(np.isnan(values[re]), np.nan, 0.0) if im is None else values[im]
         half = np.isnan(values[re]) != np.isnan(imaginary)
-        lacking = ~np.isnan(values[re]) & np.isnan(values[sd_at])
-        for empty, column in ((half, re if im is None else im), (lacking, sd_at)):
-            table.refuse(column, empty, "the cell is empty", "fill the gap")
-        shapes[:, c], sd[:, c] = values[re] + 1j * imaginary, values[sd_at]
-    f, f_sd = values[layout.frequency], values[layout.frequency_sd]
+        table.refuse(re if im is None else im, half, "the cell is empty", "fill the gap")
+        shapes[:, c] = values[re] + 1j * imaginary
+        if sd_at is not None:
+            table.refuse(
+                sd_at, ~np.isnan(values[re]) & np.isnan(values[sd_at]), "the cell is empty", "fill the gap"
+            )
+            sd[:, c] = values[sd_at]
+    if not stated:
+        largest = np.max(np.abs(np.nan_to_num(shapes)), axis=1, initial=0.0, keepdims=True)
+        sd = np.where(np.isnan(shapes), np.nan, relative_sd[2] * largest)
+    f = values[layout.frequency]
+    f_sd = relative_sd[0] * f if layout.frequency_sd is None else values[layout.frequency_sd]
     not_positive, above = "a standard deviation that is not positive", "give one above 0"
     unseen = "give it as a fraction; such a mode does not oscillate"
     for wrong, at, cause, cure in (
@@ -255,7 +272,7 @@ def _modes_of(table: Columns, names: Sequence[str]) -> ModalData:
     ):
         if at is not None:
             table.refuse(at, wrong, cause, cure)
-    columns = [sd_at for _, _, sd_at in layout.points.values()]
+    columns = [sd_at for _, _, sd_at in layout.points.values() if sd_at is not None]
     for c, column in enumerate(columns):
         cure = "give 0 where it is exact, else one above 0"
         table.refuse(column, sd[:, c] < 0, "a negative standard deviation", cure)
@@ -265,8 +282,8 @@ def _modes_of(table: Columns, names: Sequence[str]) -> ModalData:
         cause = "no point of the shape has a standard deviation above 0"
         cure = "give the uncertain points theirs; only the one that the shape is scaled by is exact"
         table.refuse(columns[0], exact, cause, cure)
-    frequency = values[layout.frequency], values[layout.frequency_sd]
-    return independent_modes(tuple(layout.points), frequency, (zeta, zeta_sd), (shapes, sd))
+    missing = layout.frequency_sd is None, z_at is not None and z_sd_at is None, bool(points) and not stated
+    return independent_modes(tuple(layout.points), (f, f_sd), (zeta, zeta_sd), (shapes, sd)), missing
 
 
 def _shape(row: Mapping[str, Any], key: str, where: str) -> dict[str, complex]:

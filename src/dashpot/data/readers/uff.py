@@ -531,6 +531,17 @@ USUAL_SD = 0.01, 0.2, 0.05  # relative: of frequencies, damping ratios, shapes a
 Place = tuple[int, int]  # node, direction from 1 (+X) on
 
 
+def assumed_sd(
+    relative_sd: tuple[float, float, float], missing: Sequence[bool] = (True, True, True)
+) -> Notice:
+    """The notice that a file states no standard deviations of frequencies, damping ratios, shapes: those `missing`."""
+    of = ("frequencies", "damping ratios", "a shape's largest entry")
+    shares = [
+        f"{100 * sd:g} % of {what}" for what, sd, lacks in zip(of, relative_sd, missing, strict=True) if lacks
+    ]
+    return Notice("modes_without_sd", f"the file has no standard deviations: assumed are {', '.join(shares)}")
+
+
 def read_uff_modes(
     file: DataFile,
     coordinates: Sequence[str],
@@ -546,11 +557,7 @@ def read_uff_modes(
     measured = [mode for mode in modes_of(file) if mode.eigenvalue.imag > 0]
     if not measured:
         raise DataError("the file has no oscillating mode", file.name, "export datasets 55 of modes")
-    shares = "{:g} % of frequencies, {:g} % of damping ratios, {:g} % of a shape's largest entry"
-    text = (
-        f"the file has no standard deviations: assumed are {shares.format(*(100 * x for x in relative_sd))}"
-    )
-    notes = [Notice("modes_without_sd", text, ())]
+    notes = [assumed_sd(relative_sd)]
     # Nodes and directions that move in some mode, in order
     moved: set[Place] = set()
     for mode in measured:

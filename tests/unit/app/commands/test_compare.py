@@ -133,7 +133,7 @@ BAD = {
     "truth twice": (["rig.toml", "data.csv", "--truth", "m1=3,m1=4"], ["twice"]),
     "no such data": (["rig.toml", "none.csv"], ["none.csv"]),
     "no such modes": (["rig.toml", "data.csv", "--modal", "none.csv"], ["none.csv"]),
-    "modes that are data": (["rig.toml", "data.csv", "--modal", "data.csv"], ["data.csv", "frequency_sd"]),
+    "modes that are data": (["rig.toml", "data.csv", "--modal", "data.csv"], ["data.csv", "time_s"]),
     "two outputs in one": (
         ["rig.toml", "data.csv", "--figure", "out.svg", "--json", "out.svg"],
         ["two outputs have this name"],

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dashpot.channel import Channel
-from dashpot.data.readers.modes import read_modes
+from dashpot.data.readers.modes import holds_modes, modes_and_notes, read_modes
 from dashpot.errors import DataError
 
 X = ("x1", "x2", "x3")
@@ -52,6 +52,28 @@ def test_gaps_real_shapes_and_no_damping(tmp_path: Path) -> None:
     assert only.shapes.shape == (1, 0)
 
 
+def test_what_is_without_standard_deviations_gets_usual_ones(tmp_path: Path) -> None:
+    """Frequencies alone, damping ratios of which one was not measured, real shapes: of a table and of JSON alike."""
+    told = "assumed are 2 % of frequencies, 10 % of damping ratios, 4 % of a shape's largest entry"
+    table = csv(tmp_path, ["3,0.02,0.5,-1", "7.5,0,2,"], "frequency_hz,damping_ratio,x1,x2")
+    listed = tmp_path / "modes.json"
+    shapes = ({"x1": 0.5, "x2": -1}, {"x1": 2})
+    rows = [{"frequency_hz": f, "shape": shape} for f, shape in zip((3, 7.5), shapes, strict=True)]
+    listed.write_text(json.dumps({"modes": [rows[0] | {"damping_ratio": 0.02}, rows[1]]}))
+    for path in (table, listed):
+        found, (note,) = modes_and_notes(path, X, relative_sd=(0.02, 0.1, 0.04))
+        assert note.text.endswith(told)
+        np.testing.assert_allclose(np.diagonal(found.covariance, axis1=1, axis2=2)[:, 0], [0.06**2, 0.15**2])
+        np.testing.assert_allclose(found.damping_ratio, [0.02, np.nan])
+        assert found.covariance[0, 1, 1] == pytest.approx(0.002**2)
+        np.testing.assert_allclose(found.shapes, [[0.5, -1], [2, np.nan]])
+        np.testing.assert_allclose(found.shape_covariance[0], 2 * 0.04**2 * np.eye(2))
+    alone = csv(tmp_path, ["3", "7.5"], "frequency_hz")
+    assert holds_modes(alone)
+    assert "assumed are 1 % of frequencies [" in f"{modes_and_notes(alone, X)[1][0].text} ["
+    assert not holds_modes(csv(tmp_path, ["3,1,0"], "frequency_hz,x1_re,x1_im"))
+
+
 def modes() -> list[dict[str, Any]]:
     return [
         {"frequency_hz": 3.0, "frequency_sd": 0.01, "damping_ratio": 0.02, "damping_sd": 0.001,
@@ -90,8 +112,8 @@ def test_points_have_the_names_of_channels(tmp_path: Path) -> None:
 
 BAD_CSV = {
     "no frequency": (HEADER.replace("frequency_hz", "f"), ROWS, ["frequency_hz"]),
-    "no frequency sd": (HEADER.replace("frequency_sd", "fs"), ROWS, ["frequency_sd", "cannot be weighed"]),
-    "damping without sd": (HEADER.replace("damping_sd", "ds"), ROWS, ["damping_sd"]),
+    "no frequency sd": (HEADER.replace("frequency_sd", "fs"), ROWS, ["fs", "not a coordinate"]),
+    "damping without sd": (HEADER.replace("damping_sd", "ds"), ROWS, ["ds", "not a coordinate"]),
     "shape without sd": (HEADER.replace("x3_sd", "x3_s"), ROWS, ["x3_sd"]),
     "real part without imaginary": (HEADER.replace("x3_im", "x3_i"), ROWS, ["x3_im"]),
     "unknown point": (HEADER.replace("x3", "y3"), ROWS, ["y3", "not a coordinate"]),
