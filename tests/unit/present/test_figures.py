@@ -13,7 +13,9 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 
+from dashpot.channel import Channel, Quantity
 from dashpot.errors import UsageError
+from dashpot.free.response import MeasuredResponse
 from dashpot.present.figures import spectra as figures
 from dashpot.present.figures.design import Bars, plan_figure
 from dashpot.present.figures.interactive import AxisLabel, hover, hover_cells, interactive_svg
@@ -146,3 +148,20 @@ def test_names_of_dwells_touch_neither_each_other_nor_other_dwells(dwells_hz: li
         for x, y in over.transData.transform(np.stack([dwells_hz, np.linspace(270, 420, count)], axis=1)):
             of_another = name.get_text() != f"{over.transData.inverted().transform((x, y))[0]:.4g} Hz"
             assert not (of_another and box.x0 < x < box.x1 and y > box.y0), name.get_text()
+
+
+def test_measured_responses_have_bands_and_a_plane_in_which_a_resonance_is_a_circle() -> None:
+    f = np.linspace(9.0, 11.0, 201)
+    w = 2 * np.pi * f
+    mobility = 2j * w / ((20 * np.pi) ** 2 - w**2 + 2j * w)  # a circle of diameter 1 about 1/2
+    sizes = np.full((201, 1, 1), 2e-4 + 0j)
+    parts = (Channel("f", {"f": 1.0}, Quantity.FORCE),), (Channel("v", {"x": 1.0}, Quantity.VELOCITY),)
+    ones = np.ones((201, 1))
+    found = MeasuredResponse(*parts, f, mobility[:, None, None], sizes, ones, ones[:, 0].astype(int), "local")
+    magnitude, phase, coherence, plane = figures.measured_response_figure(found).axes
+    x, y = plane.lines[0].get_data()
+    np.testing.assert_allclose((x - 0.5) ** 2 + y**2, 0.25, atol=1e-12)
+    band = magnitude.collections[0].get_paths()[0].vertices
+    middle = band[np.isclose(band[:, 0], 10.0)][:, 1]
+    np.testing.assert_allclose([middle.min(), middle.max()], [1 - 0.0196, 1 + 0.0196])
+    assert phase.get_xlim() == coherence.get_xlim()

@@ -34,7 +34,7 @@ def command(
         "the covariance of outputs too (Parquet), or a universal file.  Of neighbouring lines that share data, "
         "one is written.",
     ],
-    figure: Annotated[str | None, opt.FIGURE, "Draw magnitude, phase and coherence."],
+    figure: Annotated[str | None, opt.FIGURE, "Draw magnitude, phase, coherence and the complex plane."],
     quiet: opt.Quiet,
 ) -> None:
     """Frequency responses of outputs to inputs from DATA, with standard deviations; no rig is needed.

@@ -477,15 +477,16 @@ def profile_figure(profiles: Sequence[Profile]) -> Figure:
 
 @style()
 def measured_response_figure(found: MeasuredResponse) -> Figure:
-    """Magnitude with its standard deviation, phase and coherence over frequency; a column for each input."""
+    """Magnitude with standard deviation and 95 % interval, phase and coherence over frequency, and the complex plane,
+    there over each response's largest; a column for each input."""
     nu = len(found.inputs)
-    figure = Figure(figsize=(7.6 if nu == 1 else 4.6 * nu, 7.2))
-    grid = figure.subplots(3, nu, squeeze=False, sharex=True, height_ratios=(3, 1.6, 1))
+    figure = Figure(figsize=(7.6 if nu == 1 else 4.6 * nu, 10.4))
+    grid = figure.subplots(4, nu, squeeze=False, height_ratios=(3, 1.6, 1, 3))
     f, sd = found.frequency_hz, found.sd
     thin = 0.8 if len(f) > 300 else 1.2
     marks = "." if len(f) < 80 else ""
     for j, into in enumerate(found.inputs):
-        magnitude, phase, coherence = grid[:, j]
+        magnitude, phase, coherence, plane = grid[:, j]
         for i, out in enumerate(found.outputs):
             H, colour, label = found.values[:, i, j], COLOURS[i % len(COLOURS)], f"{out.name}/{into.name}"
             unit = found.unit(out, into)
@@ -494,19 +495,25 @@ def measured_response_figure(found: MeasuredResponse) -> Figure:
             magnitude.plot(f, sd[:, i, j], ":", color=colour, lw=0.8)
             phase.plot(f, np.degrees(np.angle(H)), ".", color=colour, ms=2)
             coherence.plot(f, found.coherence[:, i], color=colour, lw=thin)
-            if marks:
-                spread = REACH * sd[:, i, j]
-                low = np.maximum(np.abs(H) - spread, 1e-2 * np.abs(H))
-                magnitude.fill_between(f, low, np.abs(H) + spread, color=colour, alpha=0.2, lw=0)
+            spread = REACH * sd[:, i, j]
+            low = np.maximum(np.abs(H) - spread, 1e-2 * np.abs(H))
+            magnitude.fill_between(f, low, np.abs(H) + spread, color=colour, alpha=0.2, lw=0)
+            turned = H / np.max(np.abs(H), initial=np.finfo(float).tiny)
+            plane.plot(turned.real, turned.imag, marks + "-", color=colour, lw=thin, ms=3)
         magnitude.plot([], [], ":", color=MUTED, label="standard deviation")
+        magnitude.fill_between([], [], color=MUTED, alpha=0.2, lw=0, label="95 % interval")
         magnitude.set_yscale("log")
         magnitude.set_title(f"responses to {into.name}")
         magnitude.legend(loc="best")
         phase.set_yticks([-180, -90, 0, 90, 180])
         coherence.set_ylim(0, 1.05)
         coherence.set_xlabel("frequency, Hz")
-        frequency_axis(coherence, f)
-    for axes, label in zip(grid[:, 0], ("magnitude", "phase, °", "coherence"), strict=True):
+        for axes in (magnitude, phase, coherence):
+            frequency_axis(axes, f)
+            axes.tick_params(labelbottom=axes is coherence)
+        plane.set_aspect("equal", adjustable="datalim")
+        plane.set_xlabel("real part, over the largest magnitude")
+    for axes, label in zip(grid[:, 0], ("magnitude", "phase, °", "coherence", "imaginary part"), strict=True):
         axes.set_ylabel(label)
     return figure
 
