@@ -15,7 +15,7 @@ from dashpot.data.noise import LEVEL
 from dashpot.errors import ConvergenceError, DataError, IdentifiabilityError, UsageError
 from dashpot.estimate.inference.diagnostics import held, require_determined, wrong_signs
 from dashpot.estimate.inference.uncertainty import mode_values, with_uncertainty
-from dashpot.estimate.likelihood.global_search import COMPETING, DOUBT, TIE, rival_notice
+from dashpot.estimate.likelihood.global_search import COMPETING, DOUBT, TIE, guessed, rival_notice
 from dashpot.estimate.method import HeldBounds
 from dashpot.estimate.result import MISFIT, SENSOR_NOISE, Estimate, Fit, ModeValues, estimate_of
 from dashpot.io.words import with_values
@@ -467,9 +467,11 @@ def check_suited(model: Model, data: ModalData) -> None:
 
 
 def deepest_minima(
-    problem: ModeProblem, starts: int, seed: int
+    problem: ModeProblem, starts: int, seed: int, *, others: bool = True
 ) -> tuple[OptimizeResult, OptimizeResult | None]:
-    """The deepest minima, and for one repeat without a start of its own where all of its starts ended.
+    """The deepest minima, and for one repeat of which not every point is seen where all of its starts ended.
+
+    Of a rig whose guesses lead to a fit these are looked for where `others` is asked for and it is small.
 
     Raises UsageError without any start, ConvergenceError if none ends near the scale of what is known.
     """
@@ -487,7 +489,7 @@ def deepest_minima(
     for first in firsts:
         reached = problem.search(first, everyone, 100)
         minima = reached if minima is None else minima.improved(everyone, reached)
-    lonely = minima is None and repeats == 1
+    lonely = repeats == 1 and begun is None and (minima is None or (others and model.n <= 8))
     for attempt in range(2 if starts else 0):
         astray = everyone
         if minima is not None:
@@ -498,7 +500,7 @@ def deepest_minima(
             )
             unlikely = chdtrc(float(max(dof, 1)), cost) < 1e-4
             astray = np.flatnonzero(~minima.converged | ~np.isfinite(minima.cost) | unlikely)
-        if not len(astray):
+        if not len(astray) and (not lonely or ends is not None):
             break
         about = model if not attempt else _without_guesses(model)  # which led nowhere
         drawn = random_rigs(about, data, starts, np.random.default_rng([seed, attempt]), problem)
@@ -520,7 +522,8 @@ def deepest_minima(
             reached = problem.search(
                 short.x.reshape(len(astray), many, -1)[np.arange(len(astray)), best], astray, 100
             )
-        minima = reached if minima is None else minima.improved(astray, reached)
+        if len(astray):
+            minima = reached if minima is None else minima.improved(astray, reached)
     if minima is None:
         raise UsageError(
             "there is no initial guess for the search",
@@ -551,7 +554,8 @@ def rigs_with(model: Model, data: ModalData, *, seed: int = 0) -> Real:
     """
     check_suited(model, data)
     problem = ModeProblem.of(model, data)
-    minima, ends = deepest_minima(problem, STARTS if linear_start(problem) is None else 0, seed)
+    starts = STARTS if linear_start(problem) is None else 0
+    minima, ends = deepest_minima(problem, starts, seed, others=False)
     if ends is None:
         return minima.x
     near = np.flatnonzero(ends.cost <= minima.cost[0] + COMPETING)
@@ -698,12 +702,12 @@ def _estimate(
             near = ends.converged & (ends.cost <= minima.cost[0] + DOUBT)
             if np.all(best >= 0):
                 near &= np.all(ends.x >= 0, axis=-1)
-            others = [
-                (ends.x[k], float(ends.cost[k] - minima.cost[0]))
-                for k in np.argsort(ends.cost, kind="stable")
-                if near[k]
-            ]
-            cure = "measure shapes at more points, state a value, or give an initial guess of every unknown"
+            others, so = [], guessed(model.unknowns, best)
+            for k in np.flatnonzero(near)[np.argsort(ends.cost[near], kind="stable")]:
+                above = float(ends.cost[k] - minima.cost[0])
+                if above + 2 * (so - guessed(model.unknowns, ends.x[k])) <= DOUBT:  # guesses count as data
+                    others.append((ends.x[k], above))
+            cure = "measure shapes at more points, or state a value, with an sd where it is not exact"
             rivals = rival_notice(model.unknowns, best, sd, others, 1.0, cure)
         warnings = (
             *wrong_signs(model, theta[0], widened[0]),

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 
 from dashpot.data.modal_data import ModalData, of_eigenvalues
 from dashpot.errors import DataError, IdentifiabilityError, UsageError
+from dashpot.estimate.method import OtherMinima
 from dashpot.estimate.modal import identify_modal, like_parts
 from dashpot.model.elements import Kind, between, mass
 from dashpot.model.modes import eigenmodes, mode_sensitivities
@@ -305,7 +306,8 @@ def test_other_rigs_with_the_same_frequencies_are_named() -> None:
     assert truth_is_one or "further set" in warning
 
 
-def test_nothing_is_named_where_shapes_or_guesses_decide() -> None:
+def test_nothing_is_named_where_shapes_decide_or_guesses_are_far_from_others() -> None:
+    """Guesses, right within a factor of two, do not tell rigs apart that are nearer than that: these are named."""
     rig, data = frequencies_alone()
     undamped = replace(measured(rig), damping_ratio=np.full(3, np.nan))
     assert identify_modal(rig.model, undamped).warnings == ()
@@ -313,7 +315,15 @@ def test_nothing_is_named_where_shapes_or_guesses_decide() -> None:
     guessed, _ = frequencies_alone(**guesses)
     found = identify_modal(guessed.model, data)
     assert np.allclose(found.values, rig.theta, rtol=1e-6)
-    assert found.warnings == ()
+    (told,) = found.warnings
+    assert isinstance(told, OtherMinima)
+    away = np.log10(np.array(told.values) / (0.9 * rig.theta)) / 0.3
+    assert np.all(np.sum(away**2, axis=1) < 10)
+    free = identify_modal(rig.model, data).warnings[0]
+    assert isinstance(free, OtherMinima)
+    assert len(free.values) >= len(told.values)
+    lower, upper = found.interval()
+    assert all(np.all((lower < other) & (other < upper)) for other in told.values)
 
 
 # What it is worth
