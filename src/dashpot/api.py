@@ -57,7 +57,7 @@ from dashpot.free import MOST_MODES
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import opened
 from dashpot.io.toml_document import PLACEHOLDER, inline_texts
-from dashpot.io.words import listed, names_in
+from dashpot.io.words import choose_from, listed, names_in
 from dashpot.model.modes import Modes, eigenmodes
 from dashpot.model.network import Model
 from dashpot.model.observation import measures_input
@@ -328,7 +328,7 @@ def simulate(
     )
     model = rig.model
     if (frequencies is None) == (release is None):
-        raise UsageError("nothing moves the rig, or two things do", cure="give frequencies, or a release")
+        raise UsageError("the rig needs exactly one drive", cure="give frequencies, or a release")
     if release is not None:
         if rate is None:
             raise UsageError("a release has no sampling rate", cure="give rate, in Hz")
@@ -560,11 +560,11 @@ def estimated_frf(
     named = {channel.name: channel for channel in (*default, *of_rig.channels)}
     for name in (output, input):
         if name not in named:
-            raise UsageError(f"there is no channel {name}", cure=f"take one of {', '.join(named)}")
+            raise UsageError(f"there is no channel {name}", cure=choose_from(named))
     shown, drive = named[output], named[input]
     if not measures_input(model, drive) or len(drive.of) != 1:
         inputs = [channel.name for channel in named.values() if measures_input(model, channel)]
-        raise UsageError(f"{input} is not an input of the rig", cure=f"take {' or '.join(inputs)}")
+        raise UsageError(f"{input} is not an input of the rig", cure=f"use {' or '.join(inputs)}")
     if measures_input(model, shown):
         raise UsageError(f"{output} is an input of the rig", cure="name a channel of its coordinates")
     frequency_hz = _numbers(frequencies_hz, "frequencies_hz")
@@ -586,7 +586,7 @@ def cycles(
     from dashpot.estimate.cycles import cycles_at
 
     if estimate.values.ndim != 1:
-        raise UsageError("a batch of estimates has no cycles", cure="take one of them")
+        raise UsageError("a batch of estimates has no cycles", cure="choose one of them")
     named = {"amplitudes": amplitudes, "frequencies_hz": frequencies_hz}
     numbers = {name: np.atleast_1d(_numbers(value, name)) for name, value in named.items()}
     for name, array in numbers.items():
@@ -618,7 +618,7 @@ def with_exact_values(estimate: Estimate, changes: Mapping[str, float | str]) ->
     if not changes:
         return estimate
     if estimate.values.ndim != 1:
-        raise UsageError("a batch of estimates has no values to change", cure="take one of them")
+        raise UsageError("a batch of estimates has no values to change", cure="choose one of them")
     known = {name: (value, unit) for name, value, unit in estimate.known}
     units = dict(zip(estimate.names, estimate.units, strict=True)) | {name: known[name][1] for name in known}
     given = {name: _in_si(value, name, units.get(name, "")) for name, value in changes.items()}
@@ -661,7 +661,7 @@ def report(estimate: Estimate, path: AnyPath, level: float = 0.95) -> str:
     from dashpot.present.page import provenance_of
 
     if estimate.values.ndim != 1:
-        raise UsageError("a batch of estimates has no report", cure="take one of them")
+        raise UsageError("a batch of estimates has no report", cure="choose one of them")
     name = os.fspath(path)
     if not name.endswith(".html"):
         raise UsageError("reports are written as .html", name, "name it so, and print that for a PDF file")
@@ -900,15 +900,15 @@ def _without_rig(
     else:
         known = channels_in([each if _is_path(each) else columns_in_memory(each, "data") for each in several])
     if not into and driven:
-        cure = f"name the column that drives the rig; there are {listed(known)}"
+        cure = f"name the column that drives the rig, one of {listed(known)}"
         raise UsageError("no input is named", cure=cure)
     into = into or []
     out = [name for name in known if name not in into] if out is None else out
     if not out:
-        raise UsageError("no output is named", cure=f"there are {listed(known)}")
+        raise UsageError("no output is named", cure=choose_from(known))
     for name in (*into, *out):
         if name not in known:
-            raise UsageError(f"there is no channel {name}", cure=f"there are {listed(known)}")
+            raise UsageError(f"there is no channel {name}", cure=choose_from(known))
     if isinstance(data, Reading | Spectrum):
         return Reading((), data, ()) if isinstance(data, Spectrum) else data, tuple(into), tuple(out)
     every = dict.fromkeys([*into, *out])
@@ -1043,7 +1043,7 @@ def _require_measured(rig: Rig | Model, spectrum: Spectrum) -> None:
         what = f"there are no data of the experiment {one.name}"
         if one.data:
             what += f": no file is called {' or '.join(one.data)}"
-        cure = f"give its files as well, or take [experiments.{one.name}] out of the rig file"
+        cure = f"give its files as well, or remove [experiments.{one.name}] from the rig file"
         if not one.data:
             cure = f'say which files are its own, data = "run2*.csv" below [experiments.{one.name}]'
         raise DataError(what, cure=cure)

@@ -6,7 +6,20 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
+
+PLAIN_UP_TO = 6  # powers of ten that a sentence writes out: 230000, not 2.3e+05
+
+
+def in_digits(text: str) -> str:
+    """A sentence whose numbers stand as an engineer writes them: 2.3e+02 as 230, 5.4e+07 as 5.4e7, 3e-05 as 3e-5."""
+
+    def number(found: re.Match[str]) -> str:
+        power = int(found[2])
+        return f"{float(found[0]):.0f}" if 0 <= power <= PLAIN_UP_TO else f"{found[1]}e{power}"
+
+    return re.sub(r"(?<![\w.])(\d(?:\.\d+)?)e([+-]\d\d)\b", number, text)
 
 
 @dataclass(frozen=True)
@@ -23,6 +36,7 @@ class Notice:
     of: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "text", in_digits(self.text))
         object.__setattr__(self, "of", tuple(self.of))
 
     def __str__(self) -> str:

@@ -122,7 +122,7 @@ def frequencies(text: str) -> tuple[float, ...]:
             if len(listed) > MOST_FREQUENCIES:
                 raise UsageError(
                     f"{part.strip()!r} makes more than {MOST_FREQUENCIES:,} frequencies",
-                    cure="take a larger step",
+                    cure="use a larger step",
                 )
     return tuple(listed)
 

@@ -278,7 +278,9 @@ def _understood(unit: str, quantity: str, cure: str, what: str | None = None) ->
 def _quantity(quantity: str, angular: bool) -> _Quantity:
     known = _QUANTITIES.get((quantity, angular)) or _QUANTITIES.get((quantity, False))
     if known is None:
-        raise UsageError(f"{_quoted(quantity)} is not a quantity", cure=f"there are {', '.join(QUANTITIES)}")
+        raise UsageError(
+            f"{_quoted(quantity)} is not a quantity", cure=f"choose from {', '.join(QUANTITIES)}"
+        )
     return known
 
 

@@ -18,6 +18,16 @@ def test_a_notice_reads_as_its_text() -> None:
         notice.code = "other"  # type: ignore[misc]
 
 
+@pytest.mark.parametrize(("written", "read"), [
+    ("x is 2.3e+02 standard deviations off", "x is 230 standard deviations off"),
+    ("k2 came out negative (-1.776e+05 N/m)", "k2 came out negative (-177600 N/m)"),
+    ("(p = 3.4e-05), 5.4e+07 N/m", "(p = 3.4e-5), 5.4e7 N/m"),
+    ("x1e+05 and 1:10/25, p < 1e-6", "x1e+05 and 1:10/25, p < 1e-6"),
+])  # fmt: skip
+def test_numbers_of_a_sentence_are_written_out(written: str, read: str) -> None:
+    assert Notice("standing_out", written).text == read
+
+
 def estimated() -> Estimate:
     """One mass; an unknown damper that is negative, unknown noise, and a note of the data."""
     elements = (

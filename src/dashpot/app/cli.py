@@ -33,6 +33,7 @@ from dashpot.app.process import (
     one_thread,
     request_lost,
     secure_room,
+    tell,
 )
 from dashpot.app.report_files import ARGUMENTS
 from dashpot.errors import DashpotError, printable
@@ -50,7 +51,7 @@ def resumable(ctx: click.Context, kept: str) -> Iterator[None]:
         yield
     except (KeyboardInterrupt, Ended) as cause:
         answered()
-        click.echo(f"dashpot: interrupted; {kept}: run it again to continue", err=True)
+        tell(f"dashpot: interrupted; {kept}: run it again to continue")
         ctx.exit(128 + cause.number if isinstance(cause, Ended) else INTERRUPTED)
 
 
@@ -226,7 +227,7 @@ def _silence_stdout() -> None:
 def _tell(lines: Iterable[str]) -> None:
     for line in lines:
         with suppress(OSError):  # nobody listens: the exit code says it all the same
-            click.echo(f"dashpot: {printable(line)}", err=True)
+            tell(f"dashpot: {printable(line)}")
 
 
 def main() -> None:

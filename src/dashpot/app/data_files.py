@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import click
 
 from dashpot.app import options as opt
+from dashpot.app.process import tell
 from dashpot.app.workers import progress
 from dashpot.errors import DataError, UsageError, printable
 from dashpot.estimate.registry import method_class
@@ -271,7 +272,9 @@ def estimate_and_rig(path: str, rig: str | None) -> tuple[Estimate, Rig]:
     for candidate in (Path(estimate.rig), Path(path).parent / estimate.rig):
         if os.path.isfile(candidate):  # False, too, of a name too long for a file
             return estimate, read_rig(str(candidate))
-    raise UsageError(f"the rig file {estimate.rig} that {path} names is not there", cure="give it with --rig")
+    raise UsageError(
+        f"the rig file {estimate.rig} that {path} names does not exist", cure="give it with --rig"
+    )
 
 
 def tell_notes(notes: Sequence[Notice], quiet: bool) -> None:
@@ -283,4 +286,4 @@ def tell_notes(notes: Sequence[Notice], quiet: bool) -> None:
         groups.setdefault((code, re.sub(r"\d[\d.]*(e[-+]?\d+)?", "#", note)), []).append(note)
     for (code, _), (first, *others) in groups.items():
         more = f" (and {len(others)} more like this)" if others else ""
-        click.echo(f"note: {first}{more} [{code}]", err=True)
+        tell(f"note: {first}{more} [{code}]")

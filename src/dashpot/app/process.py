@@ -11,13 +11,17 @@ import errno
 import mmap
 import os
 import re
+import shutil
 import signal
 import sys
+import textwrap
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from threading import Timer, current_thread, main_thread
 from types import FrameType
+
+import click
 
 from dashpot.errors import DashpotError
 from dashpot.io.atomic import clear_away, postponed
@@ -28,6 +32,14 @@ ANSWERED = (*ENDING, signal.SIGINT)
 
 _asked: set[int] = set()  # signals that were raised as exceptions and have had no answer yet
 _latest: weakref.ref[Ended] | None = None
+
+
+def tell(line: str) -> None:
+    """A line on stderr, which a terminal shows broken between words, not within them."""
+    if sys.stderr.isatty():
+        width = shutil.get_terminal_size().columns
+        line = textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False)
+    click.echo(line, err=True)
 
 
 class Ended(BaseException):

@@ -16,7 +16,7 @@ from dashpot.data.inspection import Inspection, recognised
 from dashpot.data.readers.columns import factors, is_unit, named_unit
 from dashpot.errors import UsageError
 from dashpot.io.toml_document import PLACEHOLDER
-from dashpot.io.words import listed
+from dashpot.io.words import choose_from, listed
 from dashpot.model.rigfile.writer import MOST_MASSES, Chain, ChannelLine, Drive
 from dashpot.units import PIXELS
 
@@ -165,7 +165,7 @@ def first_rig(
         bases = [c for c in moving if c.name == base]
         if drive != "base" or not bases:
             what = f"no motion channel is called {base}" if drive == "base" else f"{base} cannot be the base"
-            raise UsageError(what, cure=f"there are {listed([c.name for c in moving])}, driven by the base")
+            raise UsageError(what, cure=f"{choose_from(c.name for c in moving)}, driven by the base")
     if drive == "base":
         moving = [c for c in moving if c not in bases]
         if not moving:  # all are called like a base

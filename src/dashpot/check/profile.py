@@ -23,7 +23,7 @@ from dashpot.estimate.likelihood.objective import bounds, local, measured, per_l
 from dashpot.estimate.preparation import prepare
 from dashpot.estimate.registry import AUTOMATIC  # those that end in the minimum of χ²
 from dashpot.estimate.result import MISFIT, Estimate
-from dashpot.io.words import joined
+from dashpot.io.words import choose_from, joined
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel
 from dashpot.notices import Notice
@@ -167,7 +167,7 @@ def profile(
     """
     around = identify(model, spectrum) if estimate is None else estimate
     if name not in around.names:
-        raise UsageError(f"{name} is not among the unknowns", cure=f"there are {', '.join(around.names)}")
+        raise UsageError(f"{name} is not among the unknowns", cure=choose_from(around.names))
     j = around.names.index(name)
     base = chi2_surface(model, spectrum, around)
     low, high = (float(end[j]) for end in replace(around, profiles={}).interval(level))

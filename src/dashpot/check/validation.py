@@ -193,7 +193,7 @@ def validate_records(
 ) -> tuple[RecordPrediction, ...]:
     """What the estimate predicts of each whole record of a nonlinear rig; the state at its start is taken from it.
 
-    still: the noise that a record at rest shows; χ² counts that of the channels and, through the rig, of the inputs.
+    still: the noise that an at-rest record shows; χ² counts that of the channels and, through the rig, of the inputs.
     Raises DataError if the estimate is of another rig, or a record does not suit it.
     """
     estimate.require_unknowns([unknown.name for unknown in model.unknowns])

@@ -70,7 +70,7 @@ def constant_and_share(variance: Real, power: Real) -> tuple[float, float]:
     return float(constant) * size, float(share)
 
 
-# As records at rest show it: the best there is, and cheap in the laboratory (THEORY §8).  A record may bring its own:
+# As at-rest records show it: the best there is, and cheap in the laboratory (THEORY §8).  A record may bring its own:
 # before an earthquake, between the blows of a hammer.
 
 
@@ -83,7 +83,7 @@ LEVEL = 1e-3  # of all tests of what data are taken for: what is so is refused o
 
 @dataclass(frozen=True, eq=False)
 class Still:
-    """The noise of all channels as a record at rest shows it: periodogram of its samples.
+    """The noise of all channels as an at-rest record shows it: periodogram of its samples.
 
     frequency_hz (lines,); power (lines, channels, channels): 2/N of Σ Y Yᴴ smoothed over neighbouring lines, which is
     E[Δ Δᴴ] of peak amplitudes times the number of samples; dof: real degrees of freedom behind each line.

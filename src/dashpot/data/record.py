@@ -199,7 +199,7 @@ class Record(InNotebooks):
             raise DataError(
                 f"{self.channels[column].name} is not finite at row {row + 1}",
                 self.source,
-                "cut the gap out or fill it",
+                "remove the gap, or fill it",
             )
 
 

@@ -19,6 +19,7 @@ from dashpot.channel import Channel
 from dashpot.data.record import calibration
 from dashpot.errors import DataError
 from dashpot.io.json_document import optional_library
+from dashpot.io.words import choose_from
 from dashpot.notices import Notice
 from dashpot.shorthand import InNotebooks
 
@@ -217,7 +218,7 @@ class Spectrum(InNotebooks):
     samples       (lines,)                      samples behind each line (1 if only amplitudes are available)
     dof           (lines,)                      residual degrees of freedom (real) behind V; inf where V is given
     noise         (lines,)                      how V was found: "given", "white", "blocks" (lines beside each
-                  harmonic), "periods" (scatter of averages of periods), of whole records "rest" (a record at rest),
+                  harmonic), "periods" (scatter of averages of periods), of whole records "rest" (an at-rest record),
                   "floor" (where nothing moves; replaced by) "residual" (from residuals of a fit), of tables that
                   give none "fitted" (as a function of frequency, from residuals of a fit), or "unknown"
     experiment    (lines,)                      which experiment a line belongs to
@@ -337,9 +338,7 @@ class Spectrum(InNotebooks):
         for i, channel in enumerate(self.channels):
             if channel.name == name:
                 return i
-        raise DataError(
-            f"there is no channel {name}", cure=f"there are {', '.join(c.name for c in self.channels)}"
-        )
+        raise DataError(f"there is no channel {name}", cure=choose_from(c.name for c in self.channels))
 
     def sd(self) -> Real:
         """Standard deviation of the real (and of the imaginary) part of each amplitude, (..., lines, channels), SI."""

@@ -554,7 +554,7 @@ class Estimate(Printable):
 
     def _require_single(self) -> None:
         if self.values.ndim != 1:
-            raise UsageError("this is a batch of estimates", cure="use to_xarray, or take one of them")
+            raise UsageError("this is a batch of estimates", cure="use to_xarray, or choose one of them")
 
     def to_state_space(self, rig: Any = None, **options: Any) -> StateSpace:
         """State space of `rig`, or of the rig file that the estimate names: `dashpot.state_space`."""

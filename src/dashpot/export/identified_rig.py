@@ -84,7 +84,7 @@ def identified_rig(
         theta = model.theta({} if values is None else values)
         return IdentifiedRig(model, here.channels, theta, np.diag(np.square(sd)))
     if estimate.values.ndim != 1:
-        raise DataError("a batch of estimates cannot be exported", cure="take one of them")
+        raise DataError("a batch of estimates cannot be exported", cure="choose one of them")
     estimate.require_unknowns(unknowns, calibration_names(rig.all_channels))
     at = [unknowns.index(name) for name in model.unknown_names]
     V = estimate.covariance[np.ix_(at, at)]

@@ -27,6 +27,7 @@ from dashpot.export.formats import ExportOptions, Written
 from dashpot.export.identified_rig import IdentifiedRig
 from dashpot.io.atomic import write_bytes, write_text
 from dashpot.io.json_document import optional_library, to_json
+from dashpot.io.words import choose_from
 from dashpot.model.dynamics import matrices, require_masses
 from dashpot.model.network import Model
 from dashpot.model.observation import ObservationModel, channel_unit, observation_model
@@ -293,7 +294,7 @@ def state_space_of(rig: IdentifiedRig, given: str | Mapping[str, str] | None = N
     asked = dict.fromkeys(model.displacement_inputs, given) if isinstance(given, str) else dict(given or {})
     for name, quantity in asked.items():
         if name not in model.displacement_inputs:
-            cure = f"there are {', '.join(model.displacement_inputs) or 'none'}"
+            cure = choose_from(model.displacement_inputs)
             raise UsageError(f"{name} is not a displacement input of the rig", cure=cure)
         if quantity not in MOTIONS:
             raise UsageError(f"an input cannot be given as {quantity}", cure=f"give {', '.join(MOTIONS)}")

@@ -74,7 +74,7 @@ def measured_responses(rig: IdentifiedRig, data: Spectrum) -> list[NodalFunction
     Calibrations that were estimated are taken out.  Raises DataError for a batch, and where no line has one input only.
     """
     if data.batch:
-        raise DataError("repeats cannot be exported", cure="take one of them")
+        raise DataError("repeats cannot be exported", cure="choose one of them")
     calibrations = {} if rig.estimate is None else calibrations_of(rig.model, rig.estimate)
     compared = residuals(rig.model, rig.theta, data, calibrations)
     size = np.abs(compared.inputs)

@@ -29,7 +29,7 @@ from dashpot.estimate.identify import amplitudes_for
 from dashpot.estimate.registry import method_class
 from dashpot.io.json_document import array_of, arrow_table
 from dashpot.io.ledger import noted
-from dashpot.io.words import listed, shown
+from dashpot.io.words import choose_from, shown
 from dashpot.model.rigfile import Rig
 from dashpot.study.blocks import digest_of_columns, fingerprint_of
 
@@ -549,7 +549,7 @@ def require_columns(path: str, column: str, names: tuple[str, ...]) -> None:
     """Raises DataError if the column that names rigs is missing, or one is named twice."""
     if column not in names:
         what = f"column {shown(column)}: missing (it should name the rig)"
-        raise DataError(what, path, f"there are {listed(names)}")
+        raise DataError(what, path, choose_from(names))
     twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
     if twice is not None:
         raise DataError(f"column {shown(twice)}: named twice", path, "rename one of them")

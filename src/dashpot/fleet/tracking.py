@@ -32,7 +32,7 @@ from dashpot.estimate.nonlinear.whole_record import fit_records
 from dashpot.estimate.preparation import prepare
 from dashpot.estimate.result import MISFIT, Estimate
 from dashpot.io.json_document import data_frame, to_json
-from dashpot.io.words import counted
+from dashpot.io.words import choose_from, counted
 from dashpot.model.observation import observation_model
 from dashpot.model.rigfile import Rig
 from dashpot.notices import Notice
@@ -300,7 +300,7 @@ class Tracker:
         each = dict(speed) if isinstance(speed, Mapping) else {} if speed is None else {view.names[0]: speed}
         for name, share in each.items():
             if name not in view.names:
-                raise UsageError(f"there is no unknown {name}", cure=f"there are {', '.join(view.names)}")
+                raise UsageError(f"there is no unknown {name}", cure=choose_from(view.names))
             if not (math.isfinite(share) and share >= 0):
                 raise UsageError(f"the speed of {name} is {share:g}", cure="give a share, 0 or more")
 

@@ -34,7 +34,7 @@ from dashpot.data.spectrum import Spectrum, concatenate
 from dashpot.errors import DataError, UsageError
 from dashpot.io.atomic import write_bytes
 from dashpot.io.json_document import arrow_table, data_frame
-from dashpot.io.words import chosen_format, counted, joined, listed
+from dashpot.io.words import choose_from, chosen_format, counted, joined
 from dashpot.notices import Notice
 
 Band = tuple[float, float]
@@ -284,7 +284,7 @@ def _of_channels(data: Data, inputs: Sequence[str], outputs: Sequence[str]) -> D
     names = [channel.name for channel in data.channels]
     for name in (*inputs, *outputs):
         if name not in names:
-            raise UsageError(f"there is no channel {name}", cure=f"there are {listed(names)}")
+            raise UsageError(f"there is no channel {name}", cure=choose_from(names))
     if both := [name for name in outputs if name in inputs]:
         raise UsageError(f"{joined(both)} is input and output", cure="name it once")
     at = [names.index(name) for name in (*inputs, *outputs)]

@@ -98,8 +98,8 @@ class Scratch:
                     while left:
                         left = left[file.write(left) :]
                 except OSError as error:
-                    what = f"there is no room for a file in between ({error.strerror})"
-                    cure = "make room there, or set TMPDIR to a folder on a larger disk"
+                    what = f"no space for a temporary file ({error.strerror})"
+                    cure = "free space there, or set TMPDIR to a folder on a larger disk"
                     raise DataError(what, str(self.folder), cure) from None
         return path
 

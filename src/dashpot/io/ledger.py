@@ -137,7 +137,7 @@ def keys_of(path: AnyPath) -> tuple[Key, ...]:
 
 
 def _overwrites(path: AnyPath) -> UsageError:
-    return UsageError("this would overwrite a file that is read", os.fspath(path), "name another file")
+    return UsageError("this would overwrite an input file", os.fspath(path), "name another file")
 
 
 def _taken(path: AnyPath) -> UsageError:

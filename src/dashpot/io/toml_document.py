@@ -24,7 +24,7 @@ from pydantic_core import PydanticCustomError
 
 from dashpot.errors import DashpotError, Problem, UsageError
 from dashpot.io.ledger import noted
-from dashpot.io.words import did_you_mean, listed, quoted, shown, written
+from dashpot.io.words import choose_from, did_you_mean, quoted, shown, written
 from dashpot.quantities import Amount, amount, within_range
 
 # Where in a TOML text each key stands.
@@ -308,7 +308,7 @@ def parse_toml(text: str, path: str, error: type[DashpotError], wanted: Wanted) 
     report = Report(document, error)
     for place in _placeholders(document.table, ()):
         key = str(place[-1])
-        cure = _PLACEHOLDER_CURES.get(key, "write what is asked for")
+        cure = _PLACEHOLDER_CURES.get(key, "replace it with the actual value")
         report.add(place, f'"{PLACEHOLDER}" is a placeholder', cure)
     report.raise_any()
     return document
@@ -441,8 +441,7 @@ def validated(entry: type[AnyEntry], raw: dict[str, Any], place: Place, report: 
             elif detail["type"] == "extra_forbidden":
                 known = tuple(entry.model_fields)
                 meant = [name for name in entry.also_called.get(key.lower(), ()) if name in known]
-                guess = did_you_mean(meant[0] if meant else key, known)
-                what, cure = "unknown key", f"{guess}there are {listed(known)}"
+                what, cure = "unknown key", choose_from(known, meant[0] if meant else key)
             elif detail["type"] == "missing":
                 what, cure = "missing", f"add {entry.examples.get(key, key)}"
             elif where[0] in entry.wanted:

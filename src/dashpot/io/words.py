@@ -89,6 +89,13 @@ def written(value: object) -> str:
     return str(value)
 
 
+def choose_from(known: Iterable[str], meant: str = "") -> str:
+    """The advice to choose from the known names, after the one that is like `meant`, if one is."""
+    names = list(known)
+    guess = did_you_mean(meant, names)
+    return f"{guess}{'If not, choose' if guess else 'choose'} from {listed(names) or 'none'}"
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """`did you mean "x1"? ` where one of the known names is like the word, else nothing."""
     names = {name.lower(): name for name in known}

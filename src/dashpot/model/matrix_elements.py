@@ -123,7 +123,7 @@ def free_elements(
     given: Mapping[Letter, Pairs] = {} if pairs is None else pairs
     for letter in (*letters, *given):
         if letter not in LETTERS:
-            raise ModelError(f"{letter!r} is not a matrix", cure="there are M, C and K")
+            raise ModelError(f"{letter!r} is not a matrix", cure="the matrices are M, C and K")
     elements = []
     for letter in LETTERS:
         if letter not in letters:

@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from dashpot.arrays import Bools, Complex, Ints, Real, frozen
 from dashpot.channel import kind_of
 from dashpot.errors import ModelError, Problem, UsageError, printable
-from dashpot.io.words import counted, listed, shown
+from dashpot.io.words import choose_from, counted, listed, shown
 from dashpot.model.elements import MATRICES, Element, Kind
 from dashpot.model.nonlinear.force_law import Constant, ForceLaw, unit_of
 from dashpot.quantities import LARGEST, SMALLEST
@@ -156,7 +156,7 @@ def problems(
                 yield Problem(what, name, "attach one or remove the input")
         for name in sorted(strangers):
             what = f"{name} is neither a coordinate nor a displacement input"
-            yield Problem(what, "angles", f"there are {listed((*coordinates, *moved))}")
+            yield Problem(what, "angles", choose_from((*coordinates, *moved)))
         for name in dict.fromkeys(coordinates):
             if name not in reached:
                 what = f"nothing is attached to the coordinate {name}"
@@ -197,7 +197,7 @@ def _element_problems(element: Element, points: Collection[str], complete: bool)
         yield Problem("both ends are on the ground", name, "attach it to a coordinate")
     for point, factor in element.along.items():
         if complete and point not in points:
-            cure = f"there are {listed(points)}"
+            cure = choose_from(points)
             yield Problem(f"{point} is neither a coordinate nor a displacement input", name, cure)
         else:
             yield from _factor_problems(point, factor, name)
@@ -279,7 +279,7 @@ def _tie_problems(elements: Sequence[Element], angles: frozenset[str], complete:
                     what = f"a {element.kind} ({unit}) cannot be tied to the {root.kind} {root.name} ({root_unit})"
                     yield Problem(what, element.name, "tie parameters of one unit")
             elif end == element.same_as and complete:
-                cure = f"there are {listed(by_name)}"
+                cure = choose_from(by_name)
                 yield Problem(f"same_as names {end}, which is not an element", element.name, cure)
         elif element.times != 1.0:
             cure = "say which element it is a multiple of"

@@ -56,7 +56,7 @@ def using(choice: str) -> Iterator[None]:
     Raises UsageError if there is no such choice.
     """
     if choice not in CHOICES:
-        raise UsageError(f"no kernel {choice!r}", cure=f"there are {', '.join(CHOICES)}")
+        raise UsageError(f"no kernel {choice!r}", cure=f"choose from {', '.join(CHOICES)}")
     token = _choice.set(choice)
     try:
         yield

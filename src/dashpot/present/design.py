@@ -147,7 +147,7 @@ def plan_in_words(answer: Answer, plan: Plan) -> list[str]:
     if answer.worst is not None:
         over = f", {_SCENARIOS[answer.setup.over]} {len(answer.setup.theta)} scenarios"
     figure = figure_in_words(plan.criterion, plan.predicted.figure)
-    cost, gap = 100 * max(plan.loss, 0.0), f"duality gap {plan.gap:.1e}"
+    cost, gap = 100 * max(plan.loss, 0.0), f"duality gap {short(plan.gap, 2)}"
     if cost < 0.01:  # per cent that rounding may cost for a test to be called optimal
         best = "better by more than 0.01 %"
         optimality = f"Optimal: no test of {plan.samples:,.0f} samples in this band is {best} ({gap})."

@@ -572,7 +572,7 @@ def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
         group = findings[0].group is not None and finding.group == findings[0].group
         lead = "Likely cause" if rank == 0 else "Or, fitting these data equally well" if group else "Or"
         if finding.beside:
-            lead = "And beside it"
+            lead = "In addition"
         odds = "" if finding.odds is None else f" (odds {percent_of_odds(finding.odds)})"
         if finding.kind == "unexplained":
             lead, odds = ("An unlisted cause", odds) if len(findings) > 1 else ("No cause found", "")

@@ -89,7 +89,9 @@ def fleet_remarks(outcome: FleetOutcome) -> list[str]:
     if unlike:
         lines.append(f"Outliers: {_first(unlike, ', ')}.")
     drifting = [
-        f"{shown(row.name)} by {_drift(row)} (p = {row.drift_p:.1g})" for row in outcome.usual if row.drifts
+        f"{shown(row.name)} by {_drift(row)}{'' if row.unit == '1' else f' {row.unit}'} (p = {row.drift_p:.1g})"
+        for row in outcome.usual
+        if row.drifts
     ]
     if drifting:
         lines.append(f"Drift over the fleet: {', '.join(drifting)}.")

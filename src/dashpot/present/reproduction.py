@@ -102,10 +102,8 @@ def reproduction_report(
         )
     )
     error = reproduction.findings.coverage.standard_error
-    steps = (
-        "On data of your own, take the optimally weighted form: dashpot identify RIG DATA --method oiv.",
-    )
-    more = f"{reproduction.draws:,} draws give a share of 95 % to ± {error:.1f} points: take --draws 1000 to judge it."
+    steps = ("On data of your own, use the optimally weighted form: dashpot identify RIG DATA --method oiv.",)
+    more = f"{reproduction.draws:,} draws give a share of 95 % to ± {error:.1f} points: use --draws 1000 to judge it."
     # standard error in points with which nobody needs more draws
     found = reproduction.findings
     worst = max(found.bias.worst, key=lambda each: abs(each.mean))

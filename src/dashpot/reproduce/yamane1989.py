@@ -831,7 +831,7 @@ def reproduce(
     fewer than FEWEST draws.
     """
     if draws < FEWEST:
-        raise UsageError(f"{draws} draws are too few for a standard deviation", cure=f"take {FEWEST} or more")
+        raise UsageError(f"{draws} draws are too few for a standard deviation", cure=f"use {FEWEST} or more")
     points = (*scenarios(figures_study(draws, seed)), *scenarios(tables_study(draws, seed)))
     unique = {point.name: point for point in points}
     repeats = Draws(run_scenarios(list(unique.values()), seed, mapper=mapper, progress=progress))

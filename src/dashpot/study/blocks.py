@@ -114,7 +114,7 @@ class BlockStore:
         columns, state = self._find(key)
         if columns is None:
             where = None if self.folder is None else str(_file_of(self.folder, key))
-            what = f"this block is {state}, though it was whole a moment ago"
+            what = f"this block is {state}, though it was intact a moment ago"
             raise DataError(what, where, "run again, which computes it again")
         return columns
 

@@ -309,7 +309,7 @@ def share_out(samples: int, lines: int) -> Ints:
     """
     if samples < 2 * lines:
         raise UsageError(
-            f"{samples} samples are too few for {lines} frequencies", cure=f"take {2 * lines} or more"
+            f"{samples} samples are too few for {lines} frequencies", cure=f"use {2 * lines} or more"
         )
     return np.full(lines, samples // lines) + (np.arange(lines) < samples % lines)
 

@@ -101,7 +101,7 @@ def released_record(
     for name in held:
         if name not in model.coordinates:
             raise UsageError(
-                f"{name} is no coordinate of the rig",
+                f"{name} is not a coordinate of the rig",
                 cure=f"its coordinates are {', '.join(model.coordinates)}",
             )
     K = matrices(model, model.parameters(theta)).K
@@ -524,7 +524,7 @@ def simulate_spectrum(
         if np.any(free < 1):
             few = int(test.samples[int(np.argmin(free))])
             what = f"{few} samples leave no residual from which to estimate the noise"
-            raise DataError(what, cure="take more samples, or give the noise")
+            raise DataError(what, cure="use more samples, or give the noise")
         V = ((spread / free)[:, None, None] * residual).astype(np.complex128)
     products: Real | None = None
     if (
@@ -628,7 +628,7 @@ def _grams(test: Dwells, drift: int | None) -> Real:
         if count < terms or np.linalg.eigvalsh(gram)[0] < 1e-7 * count:
             raise DataError(
                 f"{count} samples over {periods:g} periods cannot separate offset, drift and harmonic",
-                cure="take more samples, or spread them otherwise",
+                cure="use more samples, or spread them differently",
             )
         cache[count, periods] = gram
     return np.array([cache[key] for key in zip(test.samples.tolist(), test.periods.tolist(), strict=True)])

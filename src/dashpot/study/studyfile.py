@@ -39,7 +39,7 @@ from dashpot.io.toml_document import (
     validated,
     wrong,
 )
-from dashpot.io.words import did_you_mean, listed, written
+from dashpot.io.words import choose_from, did_you_mean, listed, written
 from dashpot.model.rigfile import read_rig
 from dashpot.quantities import Amount, frequencies
 from dashpot.study.scenario import ALL, AUTO, NoiseKind, ScenarioGrid, Study, TrueRig, points
@@ -227,7 +227,7 @@ class _Reading:
         """Names, reported where they are not known; `what` they are, for messages."""
         for name in names:
             if known and name not in known:  # that there are none has been told
-                cure = f"{did_you_mean(name, known)}there are {listed(known)}"
+                cure = choose_from(known, name)
                 self.report.add(place, f"{written(name)} is not a {what}", cure)
         return tuple(names)
 
@@ -353,7 +353,7 @@ class _Reading:
                 scale_of = partial(scale, quantity=kind, angular=angular)
                 amplitudes[name] = self._in_si(("amplitudes", name), given, scale_of)
             elif rigs:
-                cure = f"there are {listed(sorted(inputs))}"
+                cure = choose_from(sorted(inputs))
                 self.report.add(("amplitudes", name), "no rig has this input", cure)
         for rig_name, rig in rigs.items():
             missing = [source.name for source in rig.model.inputs if source.name not in table]

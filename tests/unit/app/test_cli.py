@@ -10,7 +10,7 @@ from types import ModuleType
 import click
 import pytest
 
-from dashpot.app import cli
+from dashpot.app import cli, process
 from tests.unit.app.conftest import RIG, Command
 
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
@@ -103,3 +103,17 @@ def test_settings_of_other_programs_do_not_reach_figures(data: Path, tmp_path: P
     around = os.environ | {"MPLBACKEND": "nonsense", "SOURCE_DATE_EPOCH": epoch}
     done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, env=around, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_line_on_stderr_is_broken_between_words_on_a_terminal_alone(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = "note: 13 stepped-sine dwells: all 2,600 samples used, stated frequencies kept [settled_dwells]"
+    process.tell(line)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "50")
+    process.tell(line)
+    whole, *parts = capsys.readouterr().err.splitlines()
+    assert whole == line
+    assert " ".join(parts) == line
+    assert max(map(len, parts)) <= 50

@@ -80,7 +80,7 @@ def _kept(dashpot: Command, name: str, output: str, source: str, kind: str = "sa
     ran = dashpot(name, *_arguments(_command(name), {output: other, source: precious}))
     assert (ran.code, len(ran.err)) == (2, 1), (output, source, ran.err)
     new = getattr(_parameter(name, output).type, "new", False)  # what never replaces a file says so
-    assert ("a file of this name exists" if new else "this would overwrite a file that is read") in ran.err[0]
+    assert ("a file of this name exists" if new else "this would overwrite an input file") in ran.err[0]
     assert Path(precious).read_text(encoding="utf-8") == "measured"
 
 

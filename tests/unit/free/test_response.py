@@ -270,7 +270,7 @@ def test_refusals_are_one_line() -> None:
     kept = np.arange(100) != 50
     gap = Record(record.channels, record.time[:100][kept], record.values[:100][kept])
     for ask in (dashpot.frf, dashpot.modes):
-        with pytest.raises(DataError, match="no segment beside"):
+        with pytest.raises(DataError, match="no segment between"):
             ask(gap, "u0")
     reading = dashpot.Reading((record,), None, ())
     assert frequency_response(reading, ["u0"], ["a1"]).outputs[0].quantity is Quantity.ACCELERATION

@@ -189,12 +189,12 @@ def test_an_input_is_never_replaced(tmp_path: Path) -> None:
     with ledger.opened():
         ledger.noted(data)
         for name in ("data.csv", "soft", "hard", "../" + tmp_path.name + "/data.csv"):
-            with pytest.raises(UsageError, match="would overwrite a file"):
+            with pytest.raises(UsageError, match="would overwrite an input file"):
                 write_text(tmp_path / name, "x")
         write_text(tmp_path / "other", "x")
         with pytest.raises(UsageError, match="two outputs"):
             write_text(tmp_path / "other", "y")
-        with pytest.raises(UsageError, match="would overwrite a file"):
+        with pytest.raises(UsageError, match="would overwrite an input file"):
             ledger.noted(tmp_path / "other")
     assert data.read_text() == "measured"
     write_text(data, "a program's own business")

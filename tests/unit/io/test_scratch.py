@@ -34,5 +34,5 @@ def test_a_process_that_is_forked_leaves_it_alone() -> None:
 
 def test_a_full_disk_is_told(tmp_path: Path) -> None:
     (tmp_path / "a").symlink_to("/dev/full")
-    with pytest.raises(DataError, match=r"no room for a file"):
+    with pytest.raises(DataError, match=r"no space for a temporary file"):
         Scratch(tmp_path).write("a", b"x")

@@ -4,7 +4,7 @@ import tomllib
 
 import pytest
 
-from dashpot.io.words import did_you_mean, quoted, shown, written
+from dashpot.io.words import choose_from, did_you_mean, quoted, shown, written
 
 
 @pytest.mark.parametrize("text", ["x", 'a "b"', "tab\tand\nline", "\x7f\u2028", "\U000e0001", "µ·²"])
@@ -25,3 +25,9 @@ def test_what_is_nearly_a_known_name_is_suggested() -> None:
     assert did_you_mean("spirngs", ["springs", "masses"]) == 'did you mean "springs"? '
     assert did_you_mean("MAS", ["springs", "masses"]) == 'did you mean "masses"? '
     assert did_you_mean("zzz", ["springs"]) == ""
+
+
+def test_the_known_names_are_offered_after_the_one_that_is_like_it() -> None:
+    assert choose_from(["x1", "ground"]) == "choose from x1, ground"
+    assert choose_from(["x1", "ground"], "Ground") == 'did you mean "ground"? If not, choose from x1, ground'
+    assert choose_from([]) == "choose from none"

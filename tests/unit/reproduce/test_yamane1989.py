@@ -150,5 +150,5 @@ def test_the_seed_decides_everything():
 
 
 def test_too_few_draws_are_refused():
-    with pytest.raises(UsageError, match="take 20 or more"):
+    with pytest.raises(UsageError, match="use 20 or more"):
         reproduce(5)

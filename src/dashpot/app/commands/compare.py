@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
-import click
-
 from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions, tell_notes
 from dashpot.app.options import true_values
+from dashpot.app.process import tell
 from dashpot.app.report_files import ReportFile
 from dashpot.app.workers import progress
 from dashpot.errors import DashpotError, UsageError
@@ -118,10 +117,9 @@ def command(
     unsettled = [name for name, estimate in comparison.estimates.items() if not bool(estimate.converged)]
     if not unsettled:
         return 0
-    click.echo(
+    tell(
         f"dashpot: {', '.join(unsettled)} did not converge; do not use these values: check signs and units of "
-        "the channels; or the noise is too large",
-        err=True,
+        "the channels; or the noise is too large"
     )
     return opt.NOT_CONVERGED
 

@@ -10,6 +10,7 @@ import numpy as np
 from dashpot.app import options as opt
 from dashpot.app.data_files import RecordOptions, estimate_and_rig
 from dashpot.app.options import parameter_values
+from dashpot.app.process import tell
 from dashpot.app.workers import progress
 from dashpot.errors import UsageError, printable
 from dashpot.export.formats import ExportOptions, contents, export_rig, format_of
@@ -100,7 +101,4 @@ def command(
     for path in written.paths:
         click.echo(printable(path))
     if written.compiled is False and not no_binary:
-        click.echo(
-            "note: no C compiler was found; the FMU contains the source only, which most importers compile",
-            err=True,
-        )
+        tell("note: no C compiler was found; the FMU contains the source only, which most importers compile")

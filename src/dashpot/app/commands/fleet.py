@@ -11,6 +11,7 @@ import click
 from dashpot.app import options as opt
 from dashpot.app.cli import resumable
 from dashpot.app.data_files import RecordOptions
+from dashpot.app.process import tell
 from dashpot.app.workers import progress, shared_out
 from dashpot.errors import printable
 from dashpot.io.json_document import to_json
@@ -86,10 +87,9 @@ def command(
     paths = [noted(path) for path in expanded(data, order)]
     source = of_files(paths) if rig_column is None else of_tables(paths, rig_column)
     if source.count == 1 and rig_column is None and not quiet:
-        click.echo(
+        tell(
             "note: each file counts as one rig; for a table of many rigs, name the column that identifies "
-            "them: --rig-column",
-            err=True,
+            "them: --rig-column"
         )
     treatment = records.treatment(read, chosen, positive, seed)
     kept = f"{out}.blocks"  # the folder of finished blocks

@@ -21,6 +21,7 @@ from dashpot.app.data_files import (
     tell_notes,
     traits_of,
 )
+from dashpot.app.process import tell
 from dashpot.app.report_files import ReportFile
 from dashpot.app.workers import progress, shared_out
 from dashpot.errors import DashpotError, DataError, Problem, UsageError, printable
@@ -420,8 +421,5 @@ def _ending(estimate: Estimate, strict: bool) -> int:
     unseen = [name for notice in estimate.warnings if notice.code == UNSEEN_LAW for name in notice.of]
     if unseen:
         cure = f"the data do not show {', '.join(unseen)}: remove the element, or increase the drive"
-    click.echo(
-        f"dashpot: {estimate.method} did not converge in {int(estimate.iterations)} iterations; {cure}",
-        err=True,
-    )
+    tell(f"dashpot: {estimate.method} did not converge in {int(estimate.iterations)} iterations; {cure}")
     return opt.NOT_CONVERGED

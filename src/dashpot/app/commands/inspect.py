@@ -33,5 +33,5 @@ def command(
     if channels is not None:
         write_text(channels, table)
     else:
-        click.echo("Suggested channels (replace each ? by the point that is measured):\n")
+        click.echo("Suggested channels (replace each ? with the point that is measured):\n")
         click.echo(table, nl=False)

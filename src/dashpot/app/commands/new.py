@@ -45,7 +45,7 @@ def command(
 ) -> None:
     """Write a rig file to start from: RIG, a row of masses with springs and dampers between them.
 
-    Asks for whatever no option gives.
+    Prompts for whatever the options leave open.
     """
     if known is not None and not known < 1e9:  # kg
         raise UsageError(f"a mass of {known:g} kg", "--first-mass", "give one below 1e9 kg")
@@ -71,7 +71,7 @@ def command(
     if chain.lacks_scale:
         click.echo(
             f"No force is measured, so one mass must be known. m1 = {STAND_IN:g} kg is a PLACEHOLDER: replace "
-            "it by the weighed mass."
+            "it with the weighed mass."
         )
     click.echo(f"Written: {rig}. Next: dashpot check {rig}")
 

@@ -109,12 +109,12 @@ def command(
     if chain.lacks_scale:
         click.echo(
             f"No force is measured, so one mass must be known. m1 = {STAND_IN:g} kg in {out} is a PLACEHOLDER: "
-            "replace it by the weighed mass."
+            "replace it with the weighed mass."
         )
     if chain.masses > 1:
         click.echo(
-            "The masses are in a row, in the order of the columns, the last next to the base. Change that in "
-            "the file if it is wrong."
+            "The masses are assumed to be in a row, in the order of the columns, the last next to the base. "
+            "Change the file if that is wrong."
         )
     _tell(out, picture, text, data)
 
@@ -134,7 +134,7 @@ def _write_manifest(
             columns = inline_texts(names)
             lines.append(f"columns = {columns}")
             taken = f"they are taken to be the same channels: {columns}"
-            click.echo(f"{path} names its columns otherwise than {paths[0]}; {taken}.")
+            click.echo(f"The columns of {path} have other names than those of {paths[0]}; {taken}.")
         entries.append("\n".join(lines) + "\n")
     write_text(manifest, "\n".join(entries))
     where = (

@@ -21,6 +21,7 @@ from dashpot.estimate.assessment import Finding
 from dashpot.io.toml_document import toml_key
 from dashpot.model.network import Model
 from dashpot.model.rigfile import channel_line, channel_section
+from dashpot.notices import in_digits
 from dashpot.unknowns import Unknown
 
 # How a rig file begins to say what differs in some runs.
@@ -61,7 +62,7 @@ RATIOS_IN_WORDS = {
 
 def rounded(value: float, form: str = ".4g") -> str:
     """A number in a sentence."""
-    return f"{value:{form}}".replace("-", "−")
+    return in_digits(f"{value:{form}}").replace("-", "−")
 
 
 def known_ratio(factor: float) -> float | None:

@@ -132,7 +132,7 @@ def second_moments(record: Record, drift: Drift = USUAL_DRIFT) -> Moments:
             raise DataError(
                 f"channel {channel.name} has a delay of {channel.delay:g} s, which cannot be removed from samples",
                 record.source,
-                "shift its samples beforehand, or choose a method that works on amplitudes",
+                "shift its samples first, or choose a method that works on amplitudes",
             )
     f, degree = record.stated_hz, Conditioning(drift=drift).degree
     leading, channels = record.values.shape[:-2], len(record.channels)

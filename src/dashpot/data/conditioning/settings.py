@@ -84,7 +84,7 @@ class Conditioning:
         if self.orders != "auto":
             object.__setattr__(self, "orders", _multiples(self.orders, "orders"))
         if not self.orders:
-            raise DataError("no orders are asked for", cure="orders of harmonics are 1, 2, 3, …")
+            raise DataError("no orders are given", cure="orders of harmonics are 1, 2, 3, …")
         if self.harmonics is None or self.harmonics == "auto":
             object.__setattr__(self, "harmonics", "auto")
         elif self.harmonics == "none":
@@ -98,7 +98,7 @@ class Conditioning:
             if isinstance(value, bool):
                 object.__setattr__(self, name, on if value else "none")
         if self.moments is True and self.wanted != (1,):
-            raise DataError("second moments exist for the fundamental alone", cure="ask for orders (1,)")
+            raise DataError("second moments exist for the fundamental alone", cure="use orders (1,)")
         if not 0 <= self.degree + 1 <= 100:  # no record drifts so, and polynomials of such a degree cost time
             raise DataError(f"a drift of degree {self.degree}", cure='give a degree from 0, or "none"')
         if isinstance(self.settle, int | float) and not 0 <= self.settle < 1e12:

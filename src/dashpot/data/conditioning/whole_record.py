@@ -99,7 +99,7 @@ def without_gaps(record: Record, *, split: bool = False) -> tuple[list[Record], 
         )
     if not pieces:
         raise DataError(
-            f"the record has {counted(len(cuts), 'gap')}, and no segment beside has {SHORTEST} samples",
+            f"the record has {counted(len(cuts), 'gap')}, and no segment between them has {SHORTEST} samples",
             record.source,
             "give the record without gaps",
         )

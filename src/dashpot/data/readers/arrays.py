@@ -96,7 +96,7 @@ class ArrayColumns(Columns):
         try:
             values = columns_of_block(columns, together if large else (), self.rows)
         except MemoryError:
-            what = f"{self.rows} samples ask for more memory than there is"
+            what = f"{self.rows} samples need more memory than is available"
             raise DataError(what, self.source, "the file may be damaged") from None
         for column, numbers in values.items():
             self._fill(column, numbers)
@@ -111,7 +111,7 @@ class ArrayColumns(Columns):
             if np.any(wrong):
                 at = int(np.argmax(wrong))
                 cause = "is too large" if np.isfinite(numbers[at]) else "is not a finite number"
-                raise self.error(at, column, f"{numbers[at]:g} {cause}", "fill the gap, or cut it out")
+                raise self.error(at, column, f"{numbers[at]:g} {cause}", "fill the gap, or remove it")
         return values
 
     def _fill(self, column: int, into: Real) -> None:

@@ -174,9 +174,9 @@ class Columns(ABC):
         lower = {column.lower(): column for column in self.header}
         near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.6)
         known = (
-            f"did you mean {shown(lower[near[0]])}? Else " if near else f"there are {listed(self.names)}; "
+            f"did you mean {shown(lower[near[0]])}? " if near else f"the columns are {listed(self.names)}; "
         )
-        cure = f"{known}{cure}" if cure else known.removesuffix("; ").removesuffix(" Else ")
+        cure = f"{known}{cure[:1].upper() + cure[1:] if near else cure}" if cure else known.strip("; ")
         raise DataError(f"column {shown(name)}: missing{why}", self.heading, cure)
 
     def error(self, index: int, column: int, cause: str, cure: str) -> DataError:

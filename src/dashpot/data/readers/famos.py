@@ -156,9 +156,7 @@ def _values(component: _Component, data: Content, blocks: dict[int, tuple[int, i
         what = f"the samples of {component.name or 'a channel'} lie between others"
         raise DataError(what, source, "save each channel separately")
     if kind is None or width != component.width or component.first < 0 or component.size < 0 or last > end:
-        what = (
-            f"the samples of {component.name or 'a channel'} are not where the file says, or of no known kind"
-        )
+        what = f"the samples of {component.name or 'a channel'} are not where the file says, or of an unknown kind"
         raise DataError(what, source, "the file is damaged; copy it again")
     rows = component.size // width
     split = component.rotated // width if 0 < component.rotated < rows * width else 0

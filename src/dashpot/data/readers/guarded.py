@@ -109,7 +109,7 @@ class Child:
         if fine:
             return answer
         if isinstance(answer, MemoryError):
-            what = "the file asks for more memory than there is"
+            what = "the file needs more memory than is available"
             raise DataError(what, self.source, "it may be damaged") from None
         raise answer
 
@@ -215,7 +215,7 @@ def damaged(source: str, what: str) -> Iterator[None]:
         raise
     except MemoryError:
         raise DataError(
-            f"the {what} file asks for more memory than there is", source, "it may be damaged"
+            f"the {what} file needs more memory than is available", source, "it may be damaged"
         ) from None
     except BaseException as error:  # a panic of Rust is no Exception
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":

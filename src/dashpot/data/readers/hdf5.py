@@ -202,7 +202,7 @@ def _unit(item: Any) -> str | None:
         if name not in item.attrs:
             continue
         if _is_sequence(item, name):
-            raise ValueError("a unit is no text")
+            raise ValueError("a unit is not text")
         value = item.attrs[name]
         if isinstance(value, bytes):
             return value.decode("utf-8", errors="replace")

@@ -122,7 +122,7 @@ def records_of(
     ]
     part: ArrayColumns = parts[0] if parts else next(parts_of_variables(source, variables, units))
     if time is None and rate_hz is None and time_column(part, named, may_lack=True) is None:
-        what = f"the time is missing; there are {listed(values)}"
+        what = f"the time is missing; the columns are {listed(values)}"
         raise DataError(what, source, "add a column time_s, or give time (s) or rate_hz")
     if rate_hz is not None and time_column(part, named, may_lack=True) is not None:
         raise DataError("there are times as well as rate_hz", source, "leave one of them out")

@@ -125,7 +125,7 @@ class Experiments:
         cure = f"{did_you_mean(name, self.names)}the rig file has {listed(self.names)}"
         if not self.declared:
             cure = f"declare it in the rig file: [experiments.{name}]; or number the runs 0, 1, 2, …"
-        raise DataError(f"{quoted(shown(name, 60))} is no experiment of the rig file", place, cure)
+        raise DataError(f"{quoted(shown(name, 60))} is not an experiment of the rig file", place, cure)
 
     def named(self, kind: int) -> tuple[Channel, ...]:
         """The channels that there are in an experiment by number, under their own names."""

@@ -47,7 +47,7 @@ from dashpot.data.readers.records import Circumstances, read_records
 from dashpot.data.readers.registry import reader_of
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.toml_document import Entry, Report, Wanted, read_toml, validated, wrong
-from dashpot.io.words import did_you_mean, listed, shown
+from dashpot.io.words import choose_from, listed, shown
 from dashpot.quantities import quantity
 
 # What a manifest of a test may say, key by key, and how a fault in it is told.
@@ -339,7 +339,7 @@ def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[s
     """
     if Path(name).anchor or ".." in Path(name).parts:
         raise DataError(
-            f'"{shown(name, 100)}" leads out of the folder', place, "name it from folder, without .."
+            f'"{shown(name, 100)}" leads out of the folder', place, "write it relative to folder, without .."
         )
     if not _PLACE.search(name):
         yield _inside(folder, name, place), {}, name
@@ -348,7 +348,7 @@ def _matches(name: str, folder: Path, place: str) -> Iterator[tuple[Path, dict[s
     fields = [field for field, *_ in _PLACE.findall(name) if field]
     unknown = [field for field in fields if field not in _FIELDS]
     if unknown:
-        cure = f"{did_you_mean(unknown[0], _FIELDS)}there are {listed(_FIELDS)}; * stands for anything else"
+        cure = f"{choose_from(_FIELDS, unknown[0])}; * stands for anything else"
         raise DataError(f'unknown field {{{shown(unknown[0])}}} in "{shown(name, 100)}"', place, cure)
     if len(set(fields)) < len(fields):
         raise DataError(f'a field occurs twice in "{shown(name, 100)}"', place, "name each one once")
@@ -502,7 +502,7 @@ def _parts(group: FileGroup, path: Path) -> Iterator[Columns]:
             wanted.append(number)
     if group.entry.part is not None and not wanted:
         what = f"there is no part {shown(group.entry.part)}"
-        cure = f"there are {listed(names)}" if any(names) else "its parts have no names: leave part out"
+        cure = choose_from(names) if any(names) else "its parts have no names: leave part out"
         raise DataError(what, file.name, cure)
     # Some libraries read samples only while the file is open, so the parts are gone through again.
     for number, part in enumerate(reader.parts(file)):

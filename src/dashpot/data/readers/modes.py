@@ -42,7 +42,7 @@ from dashpot.data.readers.uff_writer import write_universal_file
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.json_document import from_json
 from dashpot.io.ledger import noted
-from dashpot.io.words import listed, shown
+from dashpot.io.words import choose_from, listed, shown
 from dashpot.notices import Notice
 
 AnyPath = str | os.PathLike[str]
@@ -106,14 +106,14 @@ def modes_and_notes(
             mode = flat
             for key in mode:
                 if key not in (*PLAIN, "shape", "shape_sd"):
-                    known = f"there are {', '.join(PLAIN)}, shape, shape_sd"
+                    known = f"choose from {', '.join(PLAIN)}, shape, shape_sd"
                     raise DataError(f"{shown(str(key))}: unknown key", where, known)
             row = {key: _number(mode[key], key, where) for key in PLAIN if key in mode}
             spread = _shape(mode, "shape_sd", where)
             for name, value in _shape(mode, "shape", where).items():
                 if name not in names:
                     what = f"shape: {shown(name)} is not a coordinate of the rig"
-                    raise DataError(what, where, f"there are {listed(coordinates)}")
+                    raise DataError(what, where, choose_from(coordinates))
                 row |= {f"{name}_re": value.real, f"{name}_im": value.imag}
                 row |= {f"{name}_sd": spread[name].real} if name in spread else {}
             rows.append(row)

@@ -62,7 +62,7 @@ def records_in_pieces(
     for some in parts:
         found = interpret_parts(some, channels, Circumstances())
         if found.spectra or found.responses or not found.records:
-            raise DataError("this is no record of samples in time", file.name, "give one")
+            raise DataError("this is not a record of samples in time", file.name, "give one")
         for record in found.records:
             if record.frequency_hz is not None:
                 raise DataError("this is stepped sine, not a continuous record", file.name, "give one")

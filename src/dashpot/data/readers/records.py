@@ -64,7 +64,9 @@ def read_records(
     f_at, experiment_at = frequency_column(columns, channels), columns.find(EXPERIMENT)
     at = []
     for channel in channels:
-        cure = f'if it is called otherwise here, write a manifest: columns = {{ {toml_key(channel.name)} = "…" }}'
+        cure = (
+            f'if it has another name here, write a manifest: columns = {{ {toml_key(channel.name)} = "…" }}'
+        )
         at.append(columns.need(channel.name, " (the rig file lists it as a channel)", cure))
     scales = [columns.scale(column, channel) for column, channel in zip(at, channels, strict=True)]
     channels = tuple(map(columns.described, at, channels))

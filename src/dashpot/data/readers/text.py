@@ -336,7 +336,7 @@ class TextTable(Columns):
         for row, text in self.rows():
             place = f"{self.source}:{row}"
             if text.count('"') % 2:
-                return DataError("a quote is not closed on its line", place, "close it, or take it out")
+                return DataError("a quote is not closed on its line", place, "close it, or remove it")
             cells = _cells(text, self.delimiter)
             if not cells:
                 return DataError("the row cannot be parsed", place, "look for a stray quote")
@@ -359,7 +359,7 @@ class TextTable(Columns):
     def _wrong(self, cell: str, optional: bool, infinite: bool) -> tuple[str, str] | None:
         """Cause and cure of a cell that is not a number."""
         if not cell:
-            return None if optional else ("the cell is empty", "fill the gap, or cut the rows out")
+            return None if optional else ("the cell is empty", "fill the gap, or remove the rows")
         try:
             value = float(cell.replace(",", ".") if self.decimal == "," else cell)
         except ValueError:
@@ -368,14 +368,14 @@ class TextTable(Columns):
             elif re.fullmatch(r"[-+]?[\d.,]+[dD][-+]?\d+", cell):
                 cure = "write powers of ten with E"
             else:
-                cure = "correct it, or cut the rows out"
+                cure = "correct it, or remove the rows"
             return f'"{shown(cell)}" is not a number', cure
         if "_" in cell:
-            return f'"{shown(cell)}" is not a number', "correct it, or cut the rows out"
+            return f'"{shown(cell)}" is not a number', "correct it, or remove the rows"
         if np.isnan(value) or (np.isinf(value) and not (infinite and value > 0)):
-            return f'"{shown(cell)}" is not a finite number', "fill the gap, or cut the rows out"
+            return f'"{shown(cell)}" is not a finite number', "fill the gap, or remove the rows"
         if np.isfinite(value) and abs(value) > LARGEST:
-            return f'"{shown(cell)}" is too large', "correct it, or cut the rows out"
+            return f'"{shown(cell)}" is too large', "correct it, or remove the rows"
         return None
 
 
@@ -489,7 +489,7 @@ def _ended(table: TextTable) -> TextTable:
         raise DataError(
             f'the last number, "{shown(last)}", is shorter than those above and has no line end: the file was cut off',
             f"{table.source}:{table.row(sum(1 for _ in table.rows()) - 1)}",
-            "copy it again, or take the last row out",
+            "copy it again, or remove the last row",
         )
     text = f"{table.source}: the last row has no line end; if the file was cut off, its last number is wrong"
     return replace(table, notes=(*table.notes, Notice("no_line_end", text, (table.source,))))

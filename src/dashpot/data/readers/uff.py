@@ -569,7 +569,7 @@ def read_uff_modes(
     if not matched:
         if len(places) != len(coordinates):
             raise DataError(
-                f"no node is a coordinate of the rig: there are {listed(map(_label, places))}",
+                f"no node is a coordinate of the rig: the nodes are {listed(map(_label, places))}",
                 file.name,
                 'list channels of these names in the rig file, such as "3+Z" = { of = "x1" }',
             )
@@ -729,7 +729,7 @@ def _part(source: str, number: int, functions: Sequence[NodalFunction]) -> Array
             values = {f"{name}_re": function.ordinate.real, f"{name}_im": np.imag(function.ordinate)}
         for column, numbers in values.items():
             if column in columns:
-                raise DataError(f"{column} is there twice", place, "give each function a point of its own")
+                raise DataError(f"{column} appears twice", place, "give each function a point of its own")
             columns[column] = numbers
             units[column] = function.unit or None
     return array_columns(place, columns, units)

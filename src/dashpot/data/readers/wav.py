@@ -69,7 +69,7 @@ def _samples(file: DataFile) -> tuple[int, Any]:
             kind = number(at + 24, 2) if kind == EXTENSIBLE else kind
             width = block // max(channels, 1)
             if width not in BYTES.get(kind, ()) or block != channels * width:
-                raise ValueError("its samples are of no known kind")
+                raise ValueError("its samples are of an unknown kind")
         elif name == b"data" and channels:
             size = long_size if size == 2**32 - 1 else size
             if at + size > len(data):

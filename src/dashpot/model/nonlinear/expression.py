@@ -190,7 +190,7 @@ class _Parser:
 
     def call(self, word: str, depth: int) -> Node:
         if word not in FUNCTIONS:
-            raise self.wrong(f"there is no function {word}; there are {', '.join(FUNCTIONS)}")
+            raise self.wrong(f"there is no function {word}; choose from {', '.join(FUNCTIONS)}")
         self.take("(")
         operands = [self.comparison(depth + 1) if word == "where" else self.sum(depth + 1)]
         while self.peek() == ",":

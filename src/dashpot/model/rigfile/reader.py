@@ -19,7 +19,7 @@ from dashpot.channel import RESERVED_NAMES, Channel, Experiment, Quantity
 from dashpot.errors import DashpotError, ModelError, UsageError
 from dashpot.io.ledger import noted
 from dashpot.io.toml_document import Place, TomlDocument, Wanted, parse_toml, read_toml
-from dashpot.io.words import did_you_mean, listed, quoted, shown, written
+from dashpot.io.words import choose_from, did_you_mean, listed, quoted, shown, written
 from dashpot.model.elements import Element
 from dashpot.model.matrix_elements import LETTERS, Letter, Pairs, block_elements, free_elements
 from dashpot.model.network import Input, Model
@@ -61,7 +61,7 @@ def read_elements(reading: RigReading) -> list[Element]:
     for element in elements:
         target = element.same_as
         if target is not None and target not in names:
-            cure = f"{did_you_mean(target, names)}there are {listed(names)}"
+            cure = choose_from(names, target)
             place = (element.kind.section, element.name, "same_as")
             reading.report.add(place, f"{written(target)} is not an element", cure)
             reading.faulty.add(element.name)
@@ -100,7 +100,7 @@ def _attachment(reading: RigReading, place: Place, entry: ElementEntry) -> dict[
     given = [key for key in ("at", "between", "along") if getattr(entry, key) is not None]
     if len(given) != 1:
         usual = 'at = "x1"' if place[-2] == "masses" else 'between = ["x1", "ground"]'
-        what = f"{' and '.join(given)} are both given" if given else "nothing says what it is attached to"
+        what = f"{' and '.join(given)} are both given" if given else "it is not attached to anything"
         reading.report.add(place, what, "keep the one that is right" if given else f"add {usual}")
         return {}
     at, before = (*place, given[0]), reading.problems
@@ -269,7 +269,7 @@ def elements_of(reading: RigReading, tables: Mapping[str, Mapping[str, Any]]) ->
                 own += [] if element is None else [element]
             elif key != "data" and key not in channels and not reading.faulty:
                 names = (*reading.elements, *channels)
-                cure = f"{did_you_mean(key, names)}there are {listed(names)}"
+                cure = choose_from(names, key)
                 reading.report.add(place, f"{written(key)} is neither an element nor a channel", cure)
         other = {element.stands_for for element in own[before:] if element.stands_for is not None}
         found: list[Element] = []
@@ -315,12 +315,16 @@ def experiments_of(reading: RigReading, tables: Mapping[str, Mapping[str, Any]])
                 own += [] if channel is None else [channel]
             elif key not in reading.elements:
                 cure = f"write {key}.gain = 1.02, or a delay or sign"
-                reading.report.add((EXPERIMENTS, name, key), f"{written(raw)} calibrates no channel", cure)
+                reading.report.add(
+                    (EXPERIMENTS, name, key), f"{written(raw)} is not a calibration of a channel", cure
+                )
         raw = table.get("data", [])
         patterns = [raw] if isinstance(raw, str) else raw
         if not isinstance(patterns, list) or not all(isinstance(each, str) and each for each in patterns):
             cure = 'write names or patterns in quotes, such as data = "run2*.csv"'
-            reading.report.add((EXPERIMENTS, name, "data"), f"{written(raw)} is no name of files", cure)
+            reading.report.add(
+                (EXPERIMENTS, name, "data"), f"{written(raw)} is not a file name or pattern", cure
+            )
             patterns = []
         found.append(Experiment(name, tuple(patterns), tuple(own)))
     return tuple(found)
@@ -354,7 +358,7 @@ def _other(reading: RigReading, place: Place, raw: object) -> Element | None:
         if base.value is not None and base.sd is None:  # known elsewhere: a place to begin
             return replace(other, value=None, guess=base.value or None)
         return other
-    entry = reading.constant_entry(place, raw, f"{written(raw)} says nothing of {name}")
+    entry = reading.constant_entry(place, raw, f"{written(raw)} does not describe {name}")
     if entry is None:
         return None
     scale_of = partial(scale_of_points, quantity=base.law.quantity, along=base.along, angles=reading.angles)
@@ -420,7 +424,9 @@ def full_scale_gain(
         raise UsageError(f"a full scale of {size:g}", cure="give a positive one")
     given = "gain" in entry.model_fields_set
     if gain is None or entry.same_gain_as is not None:
-        raise UsageError("a full scale beside an unknown gain", cure="leave the full scale out, or the gain")
+        raise UsageError(
+            "both a full scale and an unknown gain", cure="leave the full scale out, or the gain"
+        )
     if of_scale not in (None, COUNTS) and is_electrical(of_scale, quantity):
         volts = size * scale(of_scale, quantity, False, True)
         if not given:
@@ -432,7 +438,7 @@ def full_scale_gain(
         return codes / volts * gain
     if given:
         raise UsageError(
-            "a gain beside a full scale of the quantity itself",
+            "both a gain and a full scale in the quantity itself",
             cure="leave the gain out, or give the full scale in V",
         )
     return codes / (size if of_scale is None else size * scale_of_points(of_scale, quantity, arms, angles))
@@ -535,7 +541,7 @@ def _shared_calibration(
     if len(table) > 1:
         reading.report.add(place, "a shared calibration with numbers of its own", "keep `of`, or the numbers")
     elif not isinstance(name, str) or name not in declared:
-        cure = f"{did_you_mean(str(name), declared)}there are {listed(declared)}"
+        cure = choose_from(declared, str(name))
         if not declared:
             cure = f"declare it: write {name} = {EXAMPLES['calibrations']} below [calibrations]"
         reading.report.add((*place, "of"), f"{written(name)} is not a calibration", cure)
@@ -596,7 +602,7 @@ def _check_shared_gains(reading: RigReading, channels: Sequence[Channel]) -> Non
             continue
         if owner not in names:
             others = [name for name in names if name != channel.name]
-            cure = f"{did_you_mean(owner, others)}there are {listed(others)}" if others else "list it"
+            cure = choose_from(others, owner) if others else "list it"
             reading.report.add(place, f"{written(owner)} is not a channel", cure)
         elif owner == channel.name:
             reading.report.add(place, "the channel shares its gain with itself", "name another one")
@@ -859,7 +865,7 @@ def read_blocks(reading: RigReading) -> list[Element]:
         if entry is not None:
             rows = entry.coordinates or []
             if entry.of is not None and entry.of not in reading.substructures:
-                cure = f"there are {listed(reading.substructures) or 'none'}, in [{SUBSTRUCTURES}]"
+                cure = f"{choose_from(reading.substructures)}, in [{SUBSTRUCTURES}]"
                 reading.report.add(("blocks", name, "of"), f"{written(entry.of)} is not a substructure", cure)
             if entry.of is not None and rows:
                 cure = "the rows are those of the substructure: leave the coordinates out"
@@ -948,7 +954,7 @@ def read_free(reading: RigReading) -> tuple[Element, ...]:
         for name, entries in raw.items():
             letter = next((known for known in LETTERS if known == name), None)
             if letter is None:
-                reading.report.add(("free", name), "no such matrix", "there are M, C and K")
+                reading.report.add(("free", name), "no such matrix", "the matrices are M, C and K")
             else:
                 pairs[letter] = _pairs(reading, letter, entries, head.coordinates)
     if reading.problems > before:

@@ -11,7 +11,7 @@ import numpy as np
 from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Experiment, Quantity, channels_of
 from dashpot.errors import UsageError
-from dashpot.io.words import counted, did_you_mean, listed, shown
+from dashpot.io.words import choose_from, counted, listed, shown
 from dashpot.model.network import Model
 from dashpot.shorthand import InNotebooks, call
 from dashpot.units import STANDARD_GRAVITY, scale, si_unit
@@ -127,9 +127,7 @@ class Rig(InNotebooks):
             raise UsageError(f"the rig file has no experiment {name}", cure=f"add [experiments.{name}]")
         names = list(self.model.experiments)
         if name is not None and name not in names:
-            raise UsageError(
-                f"there is no experiment {name}", cure=f"{did_you_mean(name, names)}there are {listed(names)}"
-            )
+            raise UsageError(f"there is no experiment {name}", cure=choose_from(names, name))
         model = self.model.standing_in(0 if name is None else names.index(name) + 1)
         other = {element.stands_for: element.name for element in model.present_elements}
         channels = tuple(

@@ -32,7 +32,7 @@ from dashpot.io.toml_document import (
     validated,
     wrong,
 )
-from dashpot.io.words import did_you_mean, listed, quoted, written
+from dashpot.io.words import choose_from, did_you_mean, listed, quoted, written
 from dashpot.model.elements import Element, Kind
 from dashpot.model.network import Distribution, Input, number_problems
 from dashpot.model.rigfile.rig import ShakerLimits, limit_is_angular
@@ -429,7 +429,7 @@ class RigReading:
             if point not in points and self.faulty & set(unless):
                 self._untold += 1
             elif point not in points:
-                cure = f"{did_you_mean(point, points)}there are {listed(points)}"
+                cure = choose_from(points, point)
                 self.report.add(at, f"{written(point)} is not a {called}", cure)
             elif factor == 0:
                 cure = "give another one, or leave the point out"

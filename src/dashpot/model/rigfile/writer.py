@@ -427,7 +427,7 @@ def _elements(chain: Chain, names: Sequence[str], points: Sequence[str]) -> Iter
         yield "[masses]"
         if chain.lacks_scale:
             yield (
-                "# PLACEHOLDER: no force is measured, so one mass must be known. Replace this value by the "
+                "# PLACEHOLDER: no force is measured, so one mass must be known. Replace this value with the "
                 "weighed mass."
             )
     first = STAND_IN if chain.lacks_scale else chain.known

@@ -76,8 +76,8 @@ def test_written_rigs_read_back_the_same(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "place", "what", "cure"),
     [
-        ('gain = { of = "d" }', "rig.toml:11: channels.x2.gain.of", '"d" is not a calibration', "there are c"),
-        ("gain = { of = [1] }", "rig.toml:11: channels.x2.gain.of", "is not a calibration", "there are c"),
+        ('gain = { of = "d" }', "rig.toml:11: channels.x2.gain.of", '"d" is not a calibration', "choose from c"),
+        ("gain = { of = [1] }", "rig.toml:11: channels.x2.gain.of", "is not a calibration", "choose from c"),
         ('gain = { of = "c", sd = 1 }', "rig.toml:11: channels.x2.gain", "numbers of its own", "keep"),
         ('delay = { of = "c" }', "rig.toml:11: channels.x2.delay.of", "a gain and a delay", "one for each"),
         ("gain = { sd = 0.1 }", "rig.toml:11: channels.x2.gain", "sd without a value", "give the value"),

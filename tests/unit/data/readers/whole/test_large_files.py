@@ -92,7 +92,7 @@ def test_what_finds_no_room_to_be_unpacked_is_said(tmp_path: Path, monkeypatch: 
     scratch = Scratch(tmp_path)
     (tmp_path / "data").symlink_to("/dev/full")
     monkeypatch.setattr(datafile, "lasting_scratch", lambda: scratch)
-    with pytest.raises(DataError, match=r"no room for a file"):
+    with pytest.raises(DataError, match=r"no space for a temporary file"):
         as_read(path)
 
 
