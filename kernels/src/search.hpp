@@ -1,4 +1,6 @@
-// Levenberg and Marquardt's search of one repeat; the twin of dashpot.numerics.levenberg_marquardt, step for step.
+// Levenberg and Marquardt's search of one repeat; the twin of dashpot.numerics.levenberg_marquardt, step for step, but
+// for what its rigs are too small to ask for: ends in the rounding of the cost, and Newton's matrix later for very many
+// unknowns.
 #pragma once
 #include "dense.hpp"
 #include "problem.hpp"
@@ -147,8 +149,9 @@ static void minimise(Searcher &w, Evaluate &evaluate, const double *start, const
     double cost = INFINITE, damping = 0;
     bool converged = false, curvature = false;
     long long iterations = 0;
-    if (usable && limits.limit > 0) {
+    if (usable) {
         evaluate_at(w, limits, evaluate, w.x, w.around);
+        cost = w.around.cost;
         double allowance = 0.1;
         for (int turn = 0; turn < limits.limit; ++turn) {
             if (turn && turn % limits.patience == 0) allowance *= 10;
@@ -196,7 +199,7 @@ static void minimise(Searcher &w, Evaluate &evaluate, const double *start, const
     }
     if (ends.symmetric) {
         // The search may have put Newton's matrix in the place of `free`.
-        if (iterations == 0 || curvature || !__builtin_isfinite(cost)) evaluate(w.x, w.around);
+        if (curvature || !__builtin_isfinite(cost)) evaluate(w.x, w.around);
         ends.sum[row] = w.around.cost;
         for (int j = 0; j < m; ++j) ends.gradient[row * m + j] = w.around.gradient[j];
         for (int j = 0; j < m * m; ++j) {

@@ -100,18 +100,20 @@ def test_rows_are_exchanged_where_a_pivot_vanishes(name: str) -> None:
     assert apart(found.symmetric, twin.symmetric) < TWINS
 
 
-def test_descents_end_where_those_of_numpy_do() -> None:
+@pytest.mark.parametrize("limit", [None, 0])
+def test_descents_end_where_those_of_numpy_do(limit: int | None) -> None:
     compiled()
     _, likelihood, psi, sign = _case(noisy_base)
     with using("numpy"):
-        twin = likelihood.descend(psi, sign)
-    found = likelihood.descend(psi, sign)
-    assert np.all(twin.converged)
+        twin = likelihood.descend(psi, sign, limit=limit)
+    found = likelihood.descend(psi, sign, limit=limit)
+    assert np.all(twin.converged) != (limit == 0)
     np.testing.assert_array_equal(found.converged, twin.converged)
     np.testing.assert_array_equal(found.iterations, twin.iterations)
     np.testing.assert_allclose(found.x, twin.x, rtol=1e-9)
+    np.testing.assert_allclose(found.cost, twin.cost, rtol=1e-9)
     some = np.array([2, 1])
-    part = likelihood.descend(psi[some], sign[some], repeats=some)
+    part = likelihood.descend(psi[some], sign[some], repeats=some, limit=limit)
     np.testing.assert_array_equal(part.x, found.x[some])
 
 
