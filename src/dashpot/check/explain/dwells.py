@@ -229,7 +229,7 @@ def _one_part_otherwise(first: FittedProblem, second: FittedProblem) -> list[tup
     larger = replaced(model, *missing_elements(model), *stated_values(model))
     there = second.problem.from_starts((second.psi,)).of_rig(larger)
     information, score, _ = there.slopes(there.starts[0])
-    alone, _, _ = first.problem.slopes(first.psi)
+    alone, _, _ = first.slopes
     if not (np.all(np.isfinite(information)) and np.all(np.isfinite(alone))):
         return []
     free = [there.names.index(name) for name in names]

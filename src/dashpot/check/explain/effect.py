@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Real
+from dashpot.arrays import Bools, Complex
 from dashpot.channel import Channel
 from dashpot.check.explain.problem import FitProblem, FittedProblem, LineProblem, ModalProblem, TimeProblem
 from dashpot.errors import DashpotError, Problem
@@ -143,11 +143,6 @@ class Baseline:
     def inputs(self) -> Bools:
         """Which channels measure inputs, (channels,)."""
         return np.array([measures_input(self.problem.model, channel) for channel in self.problem.channels])
-
-    @cached_property
-    def slopes(self) -> tuple[Real, Real, float]:
-        """Information, minus half the slope, and χ² of the problem at its fit."""
-        return self.problem.slopes(self.as_is.psi)
 
     def share(self, c: int) -> float:
         """Share of the probability of a channel mistake; inputs are often alone and are checked more carefully."""

@@ -120,7 +120,7 @@ Supposition = tuple[Effect, float, float, FitProblem]  # an effect, its prior, a
 class Trial:
     """An effect on its way to the best of its sizes: the prior of its kind, a size, and the fit there.
 
-    bend, step  half of the curvature of χ² about the size, and the step to both sides of it, 0 at the end
+    bend, step  half of the curvature of χ² about the size, and a third of the longest step from it
     """
 
     effect: Effect
@@ -139,15 +139,22 @@ class Trial:
         """The size so far away on its scale."""
         return self.effect.size_at(self.effect.coordinate(self.size) + move, self.size)
 
-    def moved(self, problem: FitProblem, move: float) -> FitProblem:
-        """The problem with the effect at a size so far away, begun where this one ended."""
-        return self.effect.act(problem, self.at(move)).from_starts((self.fit.psi,))
+    @property
+    def scale(self) -> float:
+        """χ² over its degrees of freedom, where that is more than noise leaves."""
+        return max(self.fit.reduced, 1.0) if np.isfinite(self.fit.reduced) else 1.0
 
-    def take(self, ends: Sequence[tuple[float, FittedProblem]]) -> None:
-        """Take the best of other sizes if it fits better."""
-        size, fit = min(ends, key=lambda end: end[1].chi2)
+    def moved(self, problem: FitProblem, move: float, along: Along | None = None) -> FitProblem:
+        """The problem with the effect at a size so far away, begun where this one ended or as slopes lead on."""
+        begun = self.fit.psi if along is None else self.fit.psi + along.lag - move * along.following
+        return self.effect.act(problem, self.at(move)).from_starts((begun,))
+
+    def take(self, size: float, fit: FittedProblem) -> bool:
+        """Take another size if it fits better; whether it does."""
         if fit.chi2 < self.fit.chi2:
             self.size, self.fit = size, fit
+            return True
+        return False
 
 
 @dataclass(frozen=True)
@@ -627,29 +634,57 @@ def _promised(baseline: Baseline, effect: Effect) -> tuple[float, ...]:
 
     Where a channel is all that tells a part of the rig, what the others predict of it is no size to begin at.
     """
-    problem, psi = baseline.problem, baseline.as_is.psi
+    problem = baseline.problem
     if effect.width is None or effect.unknown or not isinstance(problem, LineProblem):
         return ()
-    null, step = effect.coordinate(effect.null), FIRST_STEP * effect.width
-    with suppress(DashpotError, np.linalg.LinAlgError):
+    with suppress(DashpotError):
         # Not every scale of sizes begins at none: those of filters and limits do not.
         if not np.allclose(effect.act(problem, effect.null).y, problem.y, rtol=1e-9, atol=0.0):
             return ()
-        information, gradient, at_null = baseline.slopes
-        sides = [effect.act(problem, effect.size_at(null + side, effect.null)) for side in (-step, step)]
-        (_, low, before), (_, high, after) = (
-            each.begun_beside(problem).slopes(psi) if isinstance(each, LineProblem) else each.slopes(psi)
-            for each in sides
-        )
-        cross = (low - high) / (2 * step)
-        taken = scaled_inverse(information) @ np.column_stack([cross, gradient])
-        bend = (before - 2 * at_null + after) / (2 * step**2) - cross @ taken[:, 0]
-        fall = (before - after) / (4 * step) - float(cross @ taken[:, 1])
-        # Where χ² falls ever faster, on that side as far as sizes usually are.
-        move = fall / bend if bend > 0 else np.sign(fall) * effect.width
-        size = effect.size_at(null + float(move), effect.null) if np.isfinite(move) and move else 0.0
+        null = Trial(effect, 1.0, effect.null, baseline.as_is)
+        move = Along.of(null, problem).move(effect.width)
+        size = null.at(move) if move else 0.0
         return (size,) if size and np.isfinite(size) else ()  # a promise may be beyond all numbers
     return ()
+
+
+@dataclass(frozen=True)
+class Along:
+    """How χ² goes along the scale of an effect's size where ψ follows; all 0 where that cannot be told.
+
+    fall, bend      half of its slope, downhill, and of its curvature
+    lag, following  (M,) how far ψ is from its end there, and by how much the end goes back for a step of one
+    """
+
+    fall: float = 0.0
+    bend: float = 0.0
+    lag: Real | float = 0.0
+    following: Real | float = 0.0
+
+    @staticmethod
+    def of(trial: Trial, problem: FitProblem) -> Along:
+        """By slopes of the problem with the effect of a trial, where that was fitted and a little beside its size."""
+        effect, psi = trial.effect, trial.fit.psi
+        assert effect.width is not None
+        step = FIRST_STEP * effect.width
+        with suppress(DashpotError, np.linalg.LinAlgError):
+            sides = [effect.act(problem, trial.at(side)) for side in (-step, step)]
+            for each in sides:
+                if isinstance(each, LineProblem) and isinstance(problem, LineProblem):
+                    each.begun_beside(problem)
+            (_, low, before), (_, high, after) = (each.slopes(psi) for each in sides)
+            information, gradient, chi2 = trial.fit.slopes
+            cross = (low - high) / (2 * step)
+            lag, following = (scaled_inverse(information) @ np.column_stack([gradient, cross])).T
+            bend = float((before - 2 * chi2 + after) / (2 * step**2) - cross @ following)
+            fall = float((before - after) / (4 * step) - cross @ lag)
+            if np.isfinite(fall) and np.isfinite(bend):
+                return Along(fall, bend, lag, following)
+        return Along()
+
+    def move(self, usual: float) -> float:
+        """To the vertex; where χ² falls ever faster, on that side as far as sizes usually are."""
+        return self.fall / self.bend if self.bend > 0 else float(np.sign(self.fall) * usual)
 
 
 def _search_afresh(baseline: Baseline, tried: Sequence[Trial]) -> None:
@@ -692,37 +727,53 @@ def _numbers_lost(problem: FitProblem) -> int:
 
 
 def _closely(problem: FitProblem, every: Sequence[Trial], refit: Fitter) -> None:
-    """Take sizes to the vertex of the parabola through χ² at three of them, with half of its curvature there.
+    """Take sizes to the vertex of the parabola through χ² along their scale, with half of its curvature there.
 
     Of sizes that are unknowns of the problem the curvature is their own information.
     """
-    for each in every:
-        if each.effect.width is not None and not each.effect.unknown:
-            each.step = BEGUN * each.effect.width
+    sought = [each for each in every if each.effect.width is not None and not each.effect.unknown]
+    for each in sought:
+        each.step = BEGUN * (each.effect.width or 0.0)
+    # Slopes tell where whole fits would end, not what is judged where it stands or after a single step.
+    ahead = Along.of if refit is fitted_from_starts else partial(_by_fits, refit)
     for _ in range(ROUNDS):
-        sought = [each for each in every if each.step > 0]
-        if not sought:
+        going: list[tuple[Trial, Along, float]] = []
+        for each in sought:
+            along = ahead(each, problem)
+            each.bend = along.bend if along.bend > 0 else each.bend
+            move = float(np.clip(along.move(each.step), -3 * each.step, 3 * each.step))
+            if move and (along.bend <= 0 or along.fall**2 / along.bend > SETTLED * each.scale):
+                going.append((each, along, move))
+        ends = refit([each.moved(problem, move, along) for each, along, move in going])
+        sought = []
+        for (each, along, move), end in zip(going, ends, strict=True):
+            lower = each.take(each.at(move), end)
+            each.step = each.step if lower else abs(move) / 4
+            # No nearer than χ² tells two sizes apart.
+            if lower or (along.bend > 0 and each.step**2 * along.bend > SETTLED * each.scale):
+                sought.append(each)
+
+
+def _by_fits(refit: Fitter, trial: Trial, problem: FitProblem) -> Along:
+    """How χ² goes along a trial's size by fits to both sides of it, at last no farther off than two standard
+    deviations, of which the trial takes the best."""
+    side, along = trial.step, Along()
+    for _ in range(ROUNDS):
+        if trial.bend > 0:
+            side = min(side, 2 * float(np.sqrt(trial.scale / trial.bend)))
+        at = trial.effect.coordinate(trial.size)
+        low, high = refit([trial.moved(problem, move) for move in (-side, side)])
+        bend = (low.chi2 - 2 * trial.fit.chi2 + high.chi2) / (2 * side**2)
+        fall = (low.chi2 - high.chi2) / (4 * side)
+        for size, end in zip((trial.at(-side), trial.at(side)), (low, high), strict=True):
+            trial.take(size, end)
+        if not np.isfinite(bend):
+            return Along()
+        along = Along(fall - bend * (trial.effect.coordinate(trial.size) - at), bend)
+        if bend <= 0 or side**2 * bend <= 4 * trial.scale:
             break
-        ends = refit([each.moved(problem, side * each.step) for each in sought for side in (-1, 1)])
-        moves = []
-        for each, low, high in zip(sought, ends[::2], ends[1::2], strict=True):
-            bend = (low.chi2 - 2 * each.fit.chi2 + high.chi2) / each.step**2
-            vertex = 0.0
-            if np.isfinite(bend) and bend > 0:
-                each.bend = bend / 2
-                vertex = 0.5 * (low.chi2 - high.chi2) / each.step / bend
-            moves.append(float(np.clip(vertex, -3 * each.step, 3 * each.step)))
-        nearer = refit([each.moved(problem, move) for each, move in zip(sought, moves, strict=True)])
-        for each, low, high, move, end in zip(sought, ends[::2], ends[1::2], moves, nearer, strict=True):
-            before = each.fit.chi2
-            each.take([(each.at(-each.step), low), (each.at(each.step), high), (each.at(move), end)])
-            if each.bend > 0:
-                scale = max(each.fit.reduced, 1.0) if np.isfinite(each.fit.reduced) else 1.0
-                near = 2 * float(np.sqrt(scale / each.bend))
-                settled = each.step <= near and before - each.fit.chi2 < SETTLED * scale
-                each.step = 0.0 if settled else min(each.step, near)
-            elif each.fit.chi2 == before:
-                each.step = 0.0
+        trial.bend = bend
+    return along
 
 
 def _weighed(trial: Trial, block: Ints, largest: tuple[float, float]) -> Cause | None:
@@ -783,7 +834,7 @@ def _of_unknowns(effect: Effect, fit: FittedProblem, scale: float) -> tuple[floa
     chosen, stretch, widths = _brought(effect, fit)
     values = fit.psi[chosen]
     size = float(values[0])
-    information, _, _ = fit.problem.slopes(fit.psi)
+    information, _, _ = fit.slopes
     if not np.all(np.isfinite(information)):
         return size, None
     covariance = scale * _inverse(information)[np.ix_(chosen, chosen)] / np.outer(stretch, stretch)
@@ -808,7 +859,7 @@ def log_possible(fit: FittedProblem, but: str = "") -> float:
     if fit.parts:
         return sum(log_possible(part, but) for part in fit.parts)
     model = fit.problem.model
-    information, _, _ = fit.problem.slopes(fit.psi)
+    information, _, _ = fit.slopes
     if not np.all(np.isfinite(information)):
         return 0.0
     scale = max(fit.reduced, 1.0 if fit.problem.noise_known else 0.0)
@@ -1002,7 +1053,7 @@ def allowing_for_causes(model: Model, estimate: Estimate, found: Explanation) ->
             if effect is not None:
                 # By χ² over its degrees of freedom wider than noise gives it, where that is larger.  What the data do
                 # not tell of the unknowns that the effect brings, their priors do.
-                information, _, _ = part.problem.slopes(part.psi)
+                information, _, _ = part.slopes
                 information = information / max(part.reduced, 1.0 if part.problem.noise_known else 0.0)
                 chosen, stretch, widths = _brought(effect, part)
                 information[chosen, chosen] += 1 / (stretch * widths) ** 2

@@ -1097,6 +1097,11 @@ class FittedProblem:
         return roughly_lost(self.problem) - 0.5 * self.dof * (float(np.log(excess)) + held)
 
     @cached_property
+    def slopes(self) -> tuple[Real, Real, float]:
+        """Information (M, M), minus half the slope (M,) and χ² where it ended."""
+        return self.problem.slopes(self.psi)
+
+    @cached_property
     def residual(self) -> Complex:
         """What the fit leaves of the amplitudes that count, (lines, channels), 0 elsewhere."""
         if self.parts:
