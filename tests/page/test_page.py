@@ -74,7 +74,7 @@ def browser() -> Iterator[Any]:
 
 @contextmanager
 def opened(browser: Any, server: Server, **options: Any) -> Iterator[Any]:
-    """The page in a browser of its own; it may ask no other host, and complain of nothing."""
+    """The page in a browser of its own; it asks no other host, complains of nothing and names all it shows."""
     context = browser.new_context(**options)
     complaints: list[str] = []
     asked: list[str] = []
@@ -85,10 +85,23 @@ def opened(browser: Any, server: Server, **options: Any) -> Iterator[Any]:
     page.on("request", lambda request: asked.append(request.url))
     page.goto(server.address)
     yield page
+    assert page.evaluate(NAMELESS) == []
+    assert page.evaluate("[document.documentElement.lang, document.querySelectorAll('main').length]") == [
+        "en-GB",
+        1,
+    ]
     assert complaints == []
     own = (f"http://127.0.0.1:{server.port}/", f"ws://127.0.0.1:{server.port}/", "data:", "blob:")
     assert [url for url in asked if not url.startswith(own)] == []
     context.close()
+
+
+# What can be used or looked at and has no name that a screen reader could say.
+NAMELESS = """[...document.querySelectorAll("button, input, textarea, [tabindex='0'], progress, img, table, main svg")]
+  .filter(node => node.checkVisibility() && !node.closest("[aria-hidden=true], svg svg"))
+  .filter(node => ![node.getAttribute("aria-label"), node.innerText, node.alt, (node.labels || [])[0]?.innerText,
+    node.closest("label")?.innerText].some(name => (name || "").trim()))
+  .map(node => node.outerHTML.slice(0, 200))"""
 
 
 def give(page: Any, rig: Path | None, *data: Path) -> None:
@@ -131,6 +144,10 @@ def test_from_files_to_a_verdict_a_correction_and_a_report(
         page.locator(".parts svg text").filter(has_text="k2").first.click()
         page.get_by_label("Value, N/m").wait_for()
         page.get_by_role("button", name="Close").click()
+        page.get_by_label("Value, N/m").wait_for(state="hidden")
+        badge = page.locator(".parts svg text").get_by_text("a", exact=True).first
+        badge.click()  # a symbol means what is written next to it
+        page.get_by_role("dialog", name="Sensor base").get_by_role("button", name="Close").click()
         page.get_by_role("button", name="Undo").click()
         page.get_by_text("Stale").wait_for()
         assert page.get_by_label("Text of the rig").input_value() == SHAKE_TABLE[0].read_text(
@@ -317,16 +334,21 @@ def test_tabs_and_browsers_share_a_session_and_no_token_opens_another(browser: A
 
 def test_the_keyboard_alone_is_enough(browser: Any, server: Server) -> None:
     with opened(browser, server) as page:
-        give(page, *SHAKE_TABLE)
-        page.get_by_role("table", name="Channels").wait_for()
 
         def reach(name: str) -> None:
             for _ in range(200):
                 page.keyboard.press("Tab")
-                if page.evaluate("(document.activeElement.innerText || '').trim()").startswith(name):
+                here = "(at => (at.getAttribute('aria-label') || at.innerText || '').trim())(document.activeElement)"
+                if page.evaluate(here).startswith(name):
                     return
             raise AssertionError(f"{name} cannot be reached by Tab")
 
+        for name, path in zip(("Rig file", "Data files"), SHAKE_TABLE, strict=True):
+            reach(name)
+            with page.expect_file_chooser() as chooser:
+                page.keyboard.press("Enter")
+            chooser.value.set_files(path)
+        page.get_by_role("table", name="Channels").wait_for()
         reach("k1")
         page.keyboard.press("Enter")
         page.get_by_label("Value, N/m").fill("480")
@@ -344,6 +366,14 @@ def test_the_keyboard_alone_is_enough(browser: Any, server: Server) -> None:
         page.keyboard.press("Enter")
         page.get_by_role("button", name="Cancel").wait_for()
         page.get_by_role("region", name="Verdict").wait_for()
+        page.get_by_role("progressbar", name="Progress").wait_for(state="hidden")
+        reach("Report")
+        with page.expect_download() as report:
+            page.keyboard.press("Enter")
+        assert report.value.suggested_filename == "report.html"
+        reach("Apply")
+        page.keyboard.press("Enter")
+        page.wait_for_function("() => document.querySelector('.mono textarea').value.includes('k_x3_base')")
 
 
 def test_a_cancel_works_within_a_second_and_is_no_error(browser: Any, server: Server) -> None:

@@ -26,7 +26,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dashpot.errors import ConvergenceError, DashpotError, IdentifiabilityError, Problem, UsageError
+from dashpot.errors import (
+    ConvergenceError,
+    DashpotError,
+    DataError,
+    IdentifiabilityError,
+    Problem,
+    UsageError,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -262,8 +269,15 @@ def _inspect(call: Call, tell: Tell) -> None:
     from dashpot.present.data import column_remarks, part_in_words
 
     files, columns = [], dict[str, str | None]()
+    data, problems = list[str](), list[Problem]()
     for name in _data(call):
-        for found in inspect_named(name):
+        try:
+            inspections = inspect_named(name)
+        except DashpotError as error:  # one file that cannot be read hides no other
+            problems += error.problems
+            continue
+        data.append(name)
+        for found in inspections:
             parts = []
             for part in found.parts:
                 columns |= {
@@ -283,7 +297,10 @@ def _inspect(call: Call, tell: Tell) -> None:
                 notes = [note.text for note in part.notes] + [str(error) for error in part.damaged[:5]]
                 parts.append({"text": part_in_words(part, found.source), "columns": rows, "notes": notes})
             files.append({"name": os.path.basename(found.source), "format": found.format, "parts": parts})
-    result: dict[str, Any] = {"files": files, "channels": [], "plots": [], "notes": [], "problems": []}
+    if problems and not data:
+        raise DataError(problems)
+    result: dict[str, Any] = {"files": files, **{name: [] for name in ("channels", "plots", "notes")}}
+    result["problems"] = [str(problem) for problem in problems[:20]]
     from dashpot.errors import ModelError
     from dashpot.model.rigfile import parse_rig
 
@@ -300,9 +317,9 @@ def _inspect(call: Call, tell: Tell) -> None:
         result["unused"] = [name for name in columns if name not in mapped]
     tell({"result": result})
     try:
-        result["plots"], result["notes"] = _plots(rig or list(channels_in(_data(call)).values()), _data(call))
+        result["plots"], result["notes"] = _plots(rig or list(channels_in(data).values()), data)
     except DashpotError as error:
-        result["problems"] = [str(problem) for problem in error.problems[:20]]
+        result["problems"] = [str(problem) for problem in [*problems, *error.problems][:20]]
     tell({"result": result})
 
 

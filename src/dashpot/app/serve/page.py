@@ -56,6 +56,7 @@ def application() -> Any:
     ui.run_with(
         app,
         title="dashpot",
+        language="en-GB",
         dark=None,
         tailwind=False,
         storage_secret=None,
@@ -159,7 +160,7 @@ class Page:
         given = f"const TOKEN = {json.dumps(self.token)}, MOST = {MOST_UPLOAD};"
         ui.add_head_html(f"<style>{style}</style><script>{given}</script>")
         ui.add_body_html(f"{FIRST}<script>{script}</script>")
-        ui.on("part", lambda event: self._clicked(str(event.args)))
+        ui.on("part", lambda event: self._clicked([str(text) for text in event.args]))
         ui.on("refused", lambda event: self.session.complain([str(event.args)[:300]]))
         ui.on("identify", lambda _: self._later(self.session.identify))
         dark = ui.dark_mode(None)
@@ -177,7 +178,7 @@ class Page:
             self._button("Dark", lambda: dark.set_value(not dark.value), "flat")
             with ui.element("div").classes("alarms"):
                 self._view("alarm")
-        with ui.element("main").classes("sheet"):
+        with ui.element("div").classes("sheet"):
             with ui.element("div"):
                 with self._card("Files"):
                     _html(
@@ -415,17 +416,19 @@ class Page:
         with ui.element("button").classes("chip").props('type="button"').on("click", does):
             ui.label(text)
 
-    def _clicked(self, text: str) -> None:
-        """A text of the drawing: the form of the part whose name it begins with."""
+    def _clicked(self, texts: Sequence[str]) -> None:
+        """A click in a drawing: the form of the first part whose name one of the texts there begins with."""
         rig = self.session.rig
         if rig is None:
             return
-        for entry, form in [(e, self._part_form) for e in rig["parts"]] + [
+        forms = [(e, self._part_form) for e in rig["parts"]] + [
             (c, self._channel_form) for c in rig["channels"]
-        ]:
-            if re.match(rf"{re.escape(entry['name'])}(?![\w.])", text.strip()):
-                form(entry)
-                return
+        ]
+        for text in texts:
+            for entry, form in forms:
+                if re.match(rf"{re.escape(entry['name'])}(?![\w.])", text.strip()):
+                    form(entry)
+                    return
 
     def _form(
         self,

@@ -112,6 +112,10 @@ class Session:
                 }
             ]
             return
+        uploaded = {each["path"] for each in self.state["data"]}
+        for place in (self.folder / "data").iterdir():  # what broke off with that server
+            if str(place.relative_to(self.folder)) not in uploaded:
+                place.unlink()
         self.result, self.plan, self.live = (self._kept(self.state[name]) for name in KINDS.values())
         self.look()
         job = self.state["job"]

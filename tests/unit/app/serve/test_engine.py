@@ -174,6 +174,16 @@ def test_forty_damaged_files_are_each_answered_in_one_line(tmp_path: Path) -> No
     assert {path.name for path in tmp_path.iterdir()} == {*files, ".scratch"}
 
 
+def test_a_file_that_cannot_be_read_hides_no_other(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("time_s,x\n0,1\n1,2\n2,3\n")
+    (tmp_path / "spoiled.npz").write_bytes(damaged()["half.npz"])
+    found = result(tmp_path, "inspect", data=["spoiled.npz", "x.csv"])
+    assert [file["name"] for file in found["files"]] == ["x.csv"]
+    assert [plot["name"] for plot in found["plots"]] == ["x"]
+    (problem,) = found["problems"]
+    assert problem.startswith("spoiled.npz: ")
+
+
 def test_where_there_is_no_answer_the_verdict_and_a_report_say_so(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(UNDETERMINED, encoding="utf-8")
     (tmp_path / "data.csv").write_text("frequency_hz,x_re,x_im\n1,1,0\n", encoding="utf-8")

@@ -63,12 +63,14 @@ def test_another_server_finds_the_session_as_it_was(
     with_result(session)
     session.complain(["something is wrong"])
     session.write(SECOND)
+    session.data_place("cut off.csv")  # of an upload that ended with the server
     again = Sessions(tmp_path, Answers())  # type: ignore[arg-type]
     assert again.first() == sessions.first()
     found = again.of(again.first())
     assert found is not None
     assert (found.text, found.data, found.result) == (SECOND, session.data, session.result)
     assert [error["text"] for error in found.state["errors"]] == ["something is wrong"]
+    assert [path.name for path in (found.folder / "data").iterdir()] == ["run.csv"]
     assert found.is_stale()
     found.step(-1)
     assert not found.is_stale()

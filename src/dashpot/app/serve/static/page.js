@@ -46,8 +46,8 @@
     if (event.dataTransfer && event.dataTransfer.files.length) take([...event.dataTransfer.files], "drop");
   });
   document.addEventListener("click", event => {
-    const text = event.target.closest && event.target.closest(".parts svg text");
-    if (text) emitEvent("part", text.textContent);
+    const drawing = event.target.closest && event.target.closest(".parts svg");
+    if (drawing) emitEvent("part", near(drawing, event.clientX, event.clientY));
     const line = event.target.closest && event.target.closest("[data-line]");
     if (line) show(Number(line.dataset.line));
     if (event.target.closest && event.target.closest("[data-new]"))
@@ -73,6 +73,12 @@
     last = null;
     if (same) same.focus();
   }).observe(document.documentElement, { childList: true, subtree: true });
+  // The texts of a drawing beside a point, the nearest first: a symbol means what is written next to it.
+  function near(drawing, x, y) {
+    const off = ({ left, right, top, bottom }) => Math.hypot(Math.max(left - x, x - right, 0), Math.max(top - y, y - bottom, 0));
+    return [...drawing.querySelectorAll("text")].map(text => [off(text.getBoundingClientRect()), text.textContent])
+      .filter(([far]) => far < 40).sort(([a], [b]) => a - b).map(([, text]) => text);
+  }
   function copy(text) {
     if (navigator.clipboard) { navigator.clipboard.writeText(text); return; }
     const area = document.createElement("textarea");
