@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import faulthandler
+import gc
 import io
 import os
 import resource
@@ -101,6 +102,7 @@ def _work(tell: Connection, seed: int, cases: range, guarded: bool) -> None:
     for stream in range(3):  # a case may write to /dev/stdout
         os.dup2(silent, stream)
     faulthandler.disable()
+    gc.freeze()
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     limit_memory()
     for index in cases:

@@ -159,6 +159,9 @@ def _run(case: Case, seconds: float, err: io.StringIO, interrupted: bool = True)
             fault = f"{'deaf to Ctrl-C' if sent else 'hang'} in {_place(error)}"
         except BaseException as error:
             fault = f"{type(error).__name__} in {_place(error)}"
+        if not guarded.GUARDED:
+            gc.collect()  # what libraries say when their objects go belongs to this case
+            gc.freeze()  # what stays is not looked through again
     return _Run(code, fault, out.getvalue(), err.getvalue(), tuple(strangers), bool(sent))
 
 
