@@ -216,6 +216,40 @@ def test_stepped_sine_alone_from_questions_to_the_next_test(
         assert Path(made.value.path()).read_bytes()[:2] == b"PK"
 
 
+def test_a_rig_is_put_together_and_taken_apart_by_forms(browser: Any, server: Server, tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    holds = "line => document.querySelector('.mono textarea').value.includes(line)"
+    with opened(browser, server) as page:
+        give(page, tmp_path / "rig.toml")
+        forms: dict[str, tuple[dict[str, str], str]] = {
+            "body": ({"Value, kg": "0.5"}, 'm3 = { at = "x3", value = 0.5 }'),
+            "spring": (
+                {"From": "x3", "To": "x2", "Value": "900"},
+                'k3 = { between = ["x3", "x2"], value = 900 }',
+            ),
+            "damper": ({"From": "x3"}, 'c3 = { between = ["x3", "ground"] }'),
+            "sensor": ({"Point": "x3"}, 'a1 = { of = "x3"'),
+        }
+        for kind, (answers, line) in forms.items():
+            page.get_by_role("button", name=f"Add {kind}").click()
+            form = page.get_by_role("dialog", name=f"Add {kind}")
+            for label, answer in answers.items():
+                if label.startswith("Value"):
+                    form.get_by_label(label).fill(answer)
+                else:
+                    form.get_by_label(label).click()
+                    page.get_by_role("option", name=answer).click()
+            form.get_by_role("button", name="Save").click()
+            page.wait_for_function(holds, arg=line)
+            form.wait_for(state="hidden")
+        page.locator(".parts svg text").filter(has_text="m3").first.wait_for()
+        page.get_by_role("button", name="c3").click()
+        page.get_by_role("dialog", name="Damper c3").get_by_role("button", name="Delete").click()
+        page.wait_for_function(f"line => !({holds})(line)", arg=forms["damper"][1])
+        page.get_by_role("button", name="Undo").click()
+        page.wait_for_function(holds, arg=forms["damper"][1])
+
+
 def simulated(folder: Path) -> None:
     """rig.toml and data.csv of two masses on a shaken base."""
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
