@@ -526,8 +526,9 @@ def not_unique(
     # What differs by less than a thousandth of the largest change is not named.
     largest = [j for j in np.argsort(-change, kind="stable")[:4] if change[j] > 1e-3 * np.max(change)]
     values = ", ".join(f"{unknowns[j].name} = {other[j]:.4g} {unknowns[j].unit}" for j in largest)
-    worse = f"almost as well (χ² is {above:.3g} larger)" if above > TIE else "equally well"
-    worse = f"better (χ² is {-above:.3g} smaller)" if above < -TIE else worse
+    farther, scaled = above / scale, "" if scale == 1 else ", scaled to the misfit"
+    worse = f"almost as well (χ² is {farther:.3g} larger{scaled})" if farther > TIE else "equally well"
+    worse = f"better (χ² is {-farther:.3g} smaller{scaled})" if farther < -TIE else worse
     more = len(others) - 1
     many = f" ({more} further set{'' if more == 1 else 's'} of values likewise)" if more else ""
     text = f"not unique: {values} fits {worse}{many}; {cure}"
