@@ -120,7 +120,7 @@ Supposition = tuple[Effect, float, float, FitProblem]  # an effect, its prior, a
 class Trial:
     """An effect on its way to the best of its sizes: the prior of its kind, a size, and the fit there.
 
-    bend, step  half of the curvature of χ² about the size, and a third of the longest step from it
+    bend, step  half of the curvature of χ² about the size, and a step from it, of which three are the longest
     """
 
     effect: Effect
@@ -149,12 +149,13 @@ class Trial:
         begun = self.fit.psi if along is None else self.fit.psi + along.lag - move * along.following
         return self.effect.act(problem, self.at(move)).from_starts((begun,))
 
-    def take(self, size: float, fit: FittedProblem) -> bool:
-        """Take another size if it fits better; whether it does."""
-        if fit.chi2 < self.fit.chi2:
+    def take(self, ends: Sequence[tuple[float, FittedProblem]]) -> bool:
+        """Take the best of other sizes if it fits better; whether it does."""
+        size, fit = min(ends, key=lambda end: end[1].chi2)
+        lower = fit.chi2 < self.fit.chi2
+        if lower:
             self.size, self.fit = size, fit
-            return True
-        return False
+        return lower
 
 
 @dataclass(frozen=True)
@@ -729,51 +730,57 @@ def _numbers_lost(problem: FitProblem) -> int:
 def _closely(problem: FitProblem, every: Sequence[Trial], refit: Fitter) -> None:
     """Take sizes to the vertex of the parabola through χ² along their scale, with half of its curvature there.
 
-    Of sizes that are unknowns of the problem the curvature is their own information.
+    Of sizes that are unknowns of the problem the curvature is their own information.  Slopes tell where whole fits
+    would end; of what is judged where it stands, or after a single step, the parabola goes through three sizes.
     """
     sought = [each for each in every if each.effect.width is not None and not each.effect.unknown]
     for each in sought:
         each.step = BEGUN * (each.effect.width or 0.0)
-    # Slopes tell where whole fits would end, not what is judged where it stands or after a single step.
-    ahead = Along.of if refit is fitted_from_starts else partial(_by_fits, refit)
     for _ in range(ROUNDS):
-        going: list[tuple[Trial, Along, float]] = []
-        for each in sought:
-            along = ahead(each, problem)
-            each.bend = along.bend if along.bend > 0 else each.bend
-            move = float(np.clip(along.move(each.step), -3 * each.step, 3 * each.step))
-            if move and (along.bend <= 0 or along.fall**2 / along.bend > SETTLED * each.scale):
-                going.append((each, along, move))
-        ends = refit([each.moved(problem, move, along) for each, along, move in going])
-        sought = []
-        for (each, along, move), end in zip(going, ends, strict=True):
-            lower = each.take(each.at(move), end)
-            each.step = each.step if lower else abs(move) / 4
-            # No nearer than χ² tells two sizes apart.
-            if lower or (along.bend > 0 and each.step**2 * along.bend > SETTLED * each.scale):
-                sought.append(each)
+        sought = (_by_slopes if refit is fitted_from_starts else _by_three)(problem, sought, refit)
 
 
-def _by_fits(refit: Fitter, trial: Trial, problem: FitProblem) -> Along:
-    """How χ² goes along a trial's size by fits to both sides of it, at last no farther off than two standard
-    deviations, of which the trial takes the best."""
-    side, along = trial.step, Along()
-    for _ in range(ROUNDS):
-        if trial.bend > 0:
-            side = min(side, 2 * float(np.sqrt(trial.scale / trial.bend)))
-        at = trial.effect.coordinate(trial.size)
-        low, high = refit([trial.moved(problem, move) for move in (-side, side)])
-        bend = (low.chi2 - 2 * trial.fit.chi2 + high.chi2) / (2 * side**2)
-        fall = (low.chi2 - high.chi2) / (4 * side)
-        for size, end in zip((trial.at(-side), trial.at(side)), (low, high), strict=True):
-            trial.take(size, end)
-        if not np.isfinite(bend):
-            return Along()
-        along = Along(fall - bend * (trial.effect.coordinate(trial.size) - at), bend)
-        if bend <= 0 or side**2 * bend <= 4 * trial.scale:
-            break
-        trial.bend = bend
-    return along
+def _by_slopes(problem: FitProblem, sought: Sequence[Trial], refit: Fitter) -> list[Trial]:
+    """One round of `_closely` by slopes at each size; those that go on."""
+    going: list[tuple[Trial, Along, float]] = []
+    for each in sought:
+        along = Along.of(each, problem)
+        each.bend = along.bend if along.bend > 0 else each.bend
+        move = float(np.clip(along.move(each.step), -3 * each.step, 3 * each.step))
+        if move and (along.bend <= 0 or along.fall**2 / along.bend > SETTLED * each.scale):
+            going.append((each, along, move))
+    ends = refit([each.moved(problem, move, along) for each, along, move in going])
+    left = []
+    for (each, along, move), end in zip(going, ends, strict=True):
+        lower = each.take([(each.at(move), end)])
+        each.step = each.step if lower else abs(move) / 4
+        # No nearer than χ² tells two sizes apart.
+        if lower or (along.bend > 0 and each.step**2 * along.bend > SETTLED * each.scale):
+            left.append(each)
+    return left
+
+
+def _by_three(problem: FitProblem, sought: Sequence[Trial], refit: Fitter) -> list[Trial]:
+    """The same by fits at each size and to both sides of it."""
+    sides = refit([each.moved(problem, side * each.step) for each in sought for side in (-1, 1)])
+    moves = []
+    for each, low, high in zip(sought, sides[::2], sides[1::2], strict=True):
+        bend = (low.chi2 - 2 * each.fit.chi2 + high.chi2) / (2 * each.step**2)
+        bent = np.isfinite(bend) and bend > 0
+        along = Along((low.chi2 - high.chi2) / (4 * each.step), bend) if bent else Along()
+        each.bend = along.bend or each.bend
+        moves.append(float(np.clip(along.move(each.step), -3 * each.step, 3 * each.step)))
+    nearer = refit([each.moved(problem, move) for each, move in zip(sought, moves, strict=True)])
+    left = []
+    for each, low, high, move, end in zip(sought, sides[::2], sides[1::2], moves, nearer, strict=True):
+        before = each.fit.chi2
+        lower = each.take([(each.at(-each.step), low), (each.at(each.step), high), (each.at(move), end)])
+        near = 2 * float(np.sqrt(each.scale / each.bend)) if each.bend > 0 else np.inf
+        settled = each.step <= near and before - each.fit.chi2 < SETTLED * each.scale
+        if (not settled) if each.bend > 0 else lower:
+            each.step = min(each.step, near)
+            left.append(each)
+    return left
 
 
 def _weighed(trial: Trial, block: Ints, largest: tuple[float, float]) -> Cause | None:
