@@ -80,9 +80,8 @@ def opened(browser: Any, server: Server, **options: Any) -> Iterator[Any]:
     asked: list[str] = []
     page = context.new_page()
     page.set_default_timeout(PATIENCE)
-    page.on(
-        "filechooser", lambda _: None
-    )  # caught from now on: one caught only when a key is pressed may be lost
+    # Caught from now on: one that is caught only when a key is pressed may be lost.
+    page.on("filechooser", lambda _: None)
     page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.on("request", lambda request: asked.append(request.url))
