@@ -80,7 +80,7 @@ def test_rows_keep_their_numbers(tmp_path):
         ("1.234.567", "write numbers without"),
         ("1\u202f234", "write numbers without"),
         ("1.5D+03", "write powers of ten"),
-        ("#N/A", "correct it, or cut"),
+        ("#N/A", "correct it, or remove"),
     ],
 )
 def test_cells_are_refused_with_what_cures_them(tmp_path, cell, cure):
