@@ -442,6 +442,7 @@ def mode_residuals(model: Model, data: ModalData, theta: Real) -> ModeResiduals:
 # The search.
 
 STARTS = 32
+SMALL = 8  # coordinates up to which all starts are searched although guesses have led to a fit
 
 
 def check_suited(model: Model, data: ModalData) -> None:
@@ -489,7 +490,7 @@ def deepest_minima(
     for first in firsts:
         reached = problem.search(first, everyone, 100)
         minima = reached if minima is None else minima.improved(everyone, reached)
-    lonely = repeats == 1 and begun is None and (minima is None or (others and model.n <= 8))
+    lonely = repeats == 1 and begun is None and (minima is None or (others and model.n <= SMALL))
     for attempt in range(2 if starts else 0):
         astray = everyone
         if minima is not None:

@@ -219,7 +219,7 @@ def test_unknowns_can_be_known_and_known_ones_unknown():
 
 def test_samples_in_all_are_shared_out():
     assert share_out(11, 4).tolist() == [3, 3, 3, 2]
-    with pytest.raises(UsageError, match="8 or more"):
+    with pytest.raises(UsageError, match="use 8 or more"):
         share_out(7, 4)
 
 

@@ -106,8 +106,8 @@ def modes_and_notes(
             mode = flat
             for key in mode:
                 if key not in (*PLAIN, "shape", "shape_sd"):
-                    known = f"choose from {', '.join(PLAIN)}, shape, shape_sd"
-                    raise DataError(f"{shown(str(key))}: unknown key", where, known)
+                    known = (*PLAIN, "shape", "shape_sd")
+                    raise DataError(f"{shown(str(key))}: unknown key", where, choose_from(known))
             row = {key: _number(mode[key], key, where) for key in PLAIN if key in mode}
             spread = _shape(mode, "shape_sd", where)
             for name, value in _shape(mode, "shape", where).items():

@@ -360,7 +360,7 @@ def _inputs_jump(view: ObservationModel, spectrum: Spectrum, lines: Ints) -> boo
     # Within eight half periods of the band's highest line about the ends, two samples each
     turned, half = np.exp(-8j * phase), np.exp(0.5j * phase)
     ends = np.zeros((*inputs.shape[:-2], 33, inputs.shape[-1]))
-    for sample in range(33):
+    for sample in range(ends.shape[-2]):
         ends[..., sample, :] = (turned @ inputs).real
         turned = turned * half
     size = np.sqrt(np.sum(np.abs(inputs) ** 2, axis=-2, keepdims=True) / 2)
