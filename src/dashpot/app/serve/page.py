@@ -161,6 +161,7 @@ class Page:
         ui.add_head_html(f"<style>{style}</style><script>{given}</script>")
         ui.add_body_html(f"{FIRST}<script>{script}</script>")
         ui.on("part", lambda event: self._clicked([str(text) for text in event.args]))
+        ui.on("form", lambda event: self._asked_for(*map(str, event.args)))
         ui.on("refused", lambda event: self.session.complain([str(event.args)[:300]]))
         ui.on("identify", lambda _: self._later(self.session.identify))
         dark = ui.dark_mode(None)
@@ -405,16 +406,32 @@ class Page:
         with ui.element("div").classes("row-of").style("margin: .5rem 0"):
             for part in rig["parts"]:
                 value = "?" if part["value"] is None else f"{part['value']:.5g} {part['unit']}"
-                self._chip(f"{part['name']} {value}", partial(self._part_form, part))
+                self._opens(f"{part['name']} {value}", part["section"], part["name"])
             for channel in rig["channels"]:
-                self._chip(f"{channel['name']} {channel['unit']}", partial(self._channel_form, channel))
+                self._opens(f"{channel['name']} {channel['unit']}", "channels", channel["name"])
         with ui.element("div").classes("row-of"):
             for section, kind in KINDS.items():
-                self._button(f"Add {kind.lower()}", partial(self._add_form, section))
+                self._opens(f"Add {kind.lower()}", section)
 
-    def _chip(self, text: str, does: Callable[[], Any]) -> None:
-        with ui.element("button").classes("chip").props('type="button"').on("click", does):
-            ui.label(text)
+    def _opens(self, text: str, section: str, name: str = "") -> None:
+        """A button for a form of the rig; it says which, so that a click counts while the rig is drawn anew."""
+        words, section, name = (html.escape(each) for each in (text, section, name))
+        _html(
+            f'<button type="button" class="chip" data-section="{section}" data-name="{name}">{words}</button>'
+        )
+
+    def _asked_for(self, section: str, name: str) -> None:
+        rig = self.session.rig
+        if rig is None:
+            return
+        if not name and section in KINDS:
+            self._add_form(section)
+        for channel in rig["channels"] if section == "channels" else ():
+            if channel["name"] == name:
+                self._channel_form(channel)
+        for part in rig["parts"]:
+            if (part["section"], part["name"]) == (section, name):
+                self._part_form(part)
 
     def _clicked(self, texts: Sequence[str]) -> None:
         """A click in a drawing: the form of the first part whose name one of the texts there begins with."""
@@ -438,8 +455,10 @@ class Page:
         removal: Mapping[str, Any] | None = None,
     ) -> None:
         """A dialog of fields; `done` makes the change of the rig of their values."""
-        with ui.dialog() as dialog, ui.card().style("min-width: min(24rem, 90vw)"):
-            dialog.props["aria-label"] = title
+        dialog = ui.dialog()
+        dialog.on("hide", dialog.delete)
+        dialog.props["aria-label"] = title
+        with dialog, ui.card().style("min-width: min(24rem, 90vw)"):
             _html(f"<h2>{html.escape(title)}</h2>")
             inputs = {}
             for name, (label, value, choices) in fields.items():
@@ -614,7 +633,8 @@ class Page:
                 if line:
                     _html(f'<button type="button" class="chip" data-line="{line}">Show line</button>')
                 if close is not None:
-                    self._chip("Close", close)
+                    with ui.element("button").classes("chip").props('type="button"').on("click", close):
+                        ui.label("Close")
 
     # The answer.
 

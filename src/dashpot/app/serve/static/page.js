@@ -48,6 +48,8 @@
   document.addEventListener("click", event => {
     const drawing = event.target.closest && event.target.closest(".parts svg");
     if (drawing) emitEvent("part", near(drawing, event.clientX, event.clientY));
+    const form = event.target.closest && event.target.closest("[data-section]");
+    if (form) emitEvent("form", [form.dataset.section, form.dataset.name]);
     const line = event.target.closest && event.target.closest("[data-line]");
     if (line) show(Number(line.dataset.line));
     if (event.target.closest && event.target.closest("[data-new]"))
