@@ -107,15 +107,17 @@ def _table(head: str, rows: list[tuple[str, str]]) -> list[str]:
 
 
 def notices() -> str:
-    """A section for each place where notices arise: code, what it says, what to do."""
+    """A section for each kind of thing that a reader may see: what she sees, its code, its meaning, what to do."""
     from dashpot.present.words import notice_guide
 
-    lines = []
-    for place in dict.fromkeys(entry.place for entry in notice_guide().values()):
-        lines += [f"## {place}", ""]
-        for code, entry in notice_guide().items():
-            if entry.place == place:
-                lines += [f"### `{code}`", "", entry.meaning, "", f"*What to do:* {entry.cure}", ""]
+    lines, kind = [], ""
+    for code, entry in notice_guide().items():
+        if entry.kind != kind:
+            kind = entry.kind
+            lines += [f"## {kind}", ""]
+        # The code is the anchor of links, and found as it is printed
+        lines += [f"({code})=", f"### {entry.sees}", "", f"`[{code}]` {entry.meaning}", ""]
+        lines += [f"*What to do:* {entry.cure}", ""]
     return "\n".join(lines)
 
 

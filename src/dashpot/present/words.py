@@ -127,9 +127,10 @@ OPTIONS = {"settle": "--settle auto", "refine": "--refine always"}
 
 @dataclass(frozen=True)
 class Explained:
-    """place: where such notices arise; meaning and cure in Markdown."""
+    """What a reader sees, and the kind of thing it is; meaning and cure; all in Markdown."""
 
-    place: str
+    kind: str
+    sees: str
     meaning: str
     cure: str
 
@@ -139,8 +140,8 @@ def notice_guide() -> Mapping[str, Explained]:
     """Code → its explanation; a test holds it complete."""
     text = Path(__file__).with_name("notices.toml").read_text(encoding="utf-8")
     return {
-        code: Explained(place, **said)
-        for place, codes in tomllib.loads(text).items()
+        code: Explained(kind, **said)
+        for kind, codes in tomllib.loads(text).items()
         for code, said in codes.items()
     }
 

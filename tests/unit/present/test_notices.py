@@ -60,4 +60,7 @@ def test_explanations_are_sentences() -> None:
         for text in (entry.meaning, entry.cure):
             assert text[0].isupper() or text[0] == "`", code
             assert text.endswith("."), code
+    headings = [entry.sees for entry in notice_guide().values()]
+    assert len({heading.lower() for heading in headings}) == len(headings)  # each is found by itself
+    assert not [each for each in headings if each.endswith(".") or not (each[0].isupper() or each[0] in "`±")]
     assert REMEDIED in notice_guide()
