@@ -217,7 +217,7 @@ def _without_laws(error: IdentifiabilityError, model: Model, data: Data, **how: 
         causes = tuple(each for each in other.causes if isinstance(each, Finding))
     if causes[:1] and causes[0].kind == "unexplained":
         return error
-    # Laws among them were found with the rig's own left out; all else is the matter beside these as well.
+    # Laws among them were found with the rig's own left out; all else is wrong in addition to these as well.
     told = (in_place_of_laws(model, each) if each.kind == "nonlinear" else each for each in causes)
     return with_likely_causes(error, tuple(told))
 
@@ -436,7 +436,7 @@ def draw(
 ) -> Drawing | ModeDrawing:
     """The rig as a schematic: a value that notebooks show and `save("rig.svg")` writes (.svg, .png or .pdf).
 
-    estimate  its values and intervals at `level` are written beside the elements; or the modes of a test, to draw those
+    estimate  its values and intervals at `level` are written at the elements; or the modes of a test, to draw those
     mode      draws this mode instead, 1 being the lowest: of the estimate, the test, or the values in the rig
 
     Raises UsageError if the rig has too many bodies to draw or no such mode, and ModelError or DataError if the rig or
@@ -512,7 +512,7 @@ def export(
 
     content      such as "transfer-functions", where an ending may mean several
     frequencies  Hz, of frequency responses; those of `data` without it
-    data         measured data as for `identify`, of which frequency responses are written (.uff)
+    data         measured data as for `identify`, whose frequency responses are written (.uff)
 
     Other arguments as for `state_space`.  Raises UsageError for an unknown ending, ModelError if the format cannot
     hold the rig.

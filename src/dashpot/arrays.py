@@ -73,7 +73,7 @@ def _settled(values: np.ndarray) -> bool:
 
 
 def is_diagonal(matrices: NDArray[Any]) -> bool:
-    """Whether (..., n, n) matrices have nothing beside their diagonals."""
+    """Whether (..., n, n) matrices have nothing off their diagonals."""
     n = matrices.shape[-1]
     if n == 1:
         return True
@@ -87,7 +87,7 @@ def is_diagonal(matrices: NDArray[Any]) -> bool:
 def diagonal_matrices(values: Real) -> Complex:
     """Read-only matrices (..., n, n) with values (..., n) on their diagonals.
 
-    Of very many lines (..., lines, n), each number of the matrices is a plane of memory by itself: those beside the
+    Of very many lines (..., lines, n), each number of the matrices is a plane of memory by itself: those off the
     diagonals, which nobody writes, are no more than promised by the system, so that n numbers are held and not n².
     """
     n = values.shape[-1]

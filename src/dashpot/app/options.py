@@ -192,7 +192,7 @@ class TextType(click.ParamType[Any]):
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        """The words that the type takes beside values."""
+        """The words that the type takes in addition to values."""
         return [CompletionItem(word) for word in self.words if word.startswith(incomplete)]
 
 
@@ -263,7 +263,7 @@ def _pairs(parse: Callable[[str], Value], text: str) -> dict[str, Value]:
 
 
 def _sensors(text: str) -> tuple[int, tuple[str, ...]]:
-    """ "pick 3 of a,b,c": how many, and of which (none: of all)."""
+    """ "pick 3 of a,b,c": how many, and from which (none: from all)."""
     match = re.fullmatch(r"\s*(?:pick\s+)?(\d{1,6})(?:\s+of\s+(.+))?\s*", text)
     if match is None:
         raise UsageError(f"{text!r} is not a choice of sensors", cure='write it as "pick 3 of a,b,c,d"')
@@ -666,7 +666,7 @@ def true_values(rig: Rig, settings: Mapping[str, Amount]) -> dict[str, float]:
 
 
 def changed_values(units: Mapping[str, str], settings: Sequence[Mapping[str, Amount]]) -> dict[str, float]:
-    """Values of --set beside an estimate, in SI units, by the units of its parameters.  Raises UsageError."""
+    """Values of --set on top of an estimate, in SI units, by the units of its parameters.  Raises UsageError."""
     return {
         name: _in_si(name, amount, units.get(name, "1"), "--set")
         for name, amount in merged(settings, "--set").items()

@@ -274,7 +274,7 @@ def cluster_mapping(address: str, processes: int | None = None) -> Iterator[Map]
 
 
 class Cluster(Workers):
-    """The workers of a cluster, of which the scheduler itself replaces the tasks of one that is lost."""
+    """The workers of a cluster, whose scheduler gives the tasks of a lost one to others."""
 
     def __init__(self, client: Any) -> None:
         self.client, self.ahead = client, AHEAD * max(sum(client.nthreads().values()), 1)
@@ -290,7 +290,7 @@ class Cluster(Workers):
 
 
 def numbers_rest_on() -> dict[str, str]:
-    """What the numbers that a process computes depend on beside its tasks."""
+    """What the numbers that a process computes depend on, apart from its tasks."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:
@@ -307,7 +307,7 @@ heard: ContextVar[Callable[[str, int, int], None] | None] = ContextVar("heard", 
 
 @contextmanager
 def progress(what: str, quiet: bool = False) -> Iterator[Report]:
-    """A function (done, all) that moves a bar; until it is called the bar runs to and fro beside the time gone by.
+    """A function (done, all) that moves a bar; until it is called the bar runs to and fro next to the time elapsed.
 
     Without a terminal nothing is shown; where somebody has set `heard`, that is called with `what` and both.
     """

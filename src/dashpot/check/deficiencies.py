@@ -78,7 +78,7 @@ def structure_content(model: Model, channels: Sequence[Channel], found: Structur
 
 
 def require_no_parallels(model: Model, channels: Sequence[Channel], where: str | None = None) -> None:
-    """Raises IdentifiabilityError with a problem for each group of unknowns of which only the sum can be found."""
+    """Raises IdentifiabilityError with a problem for each group of unknowns whose sum alone can be found."""
     problems = []
     for names in parallel_unknowns(model, channels):
         reason, more = _parallel(names, model)
@@ -182,7 +182,7 @@ def combinations_in_words(one: Deficiency) -> tuple[str, ...]:
 
 
 def _parallel(names: tuple[str, ...], model: Model) -> tuple[str, str]:
-    """Why sums are all there is, and a cure beside values."""
+    """Why sums are all there is, and a cure other than values."""
     elements = [element for element in model.elements if element.name in names]
     matrices = {e.law.matrix for e in elements}
     tied = {e.same_as for e in model.elements if e.same_as is not None}

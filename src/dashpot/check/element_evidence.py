@@ -168,7 +168,7 @@ def compare_in_records(
         if progress is not None:
             progress(done + 1, len(trials))
     fits.sort(key=lambda one: -one.evidence)
-    # The fewest elements beside which more are not worth their unknowns
+    # The fewest elements to which more are not worth adding
     passive = [one for one in fits if one.passive]
     most = passive[0].evidence if passive else 0.0
     worth = [one for one in passive if one.evidence > max(DECISIVE, most - DECISIVE)]
@@ -228,7 +228,7 @@ class _Scored:
         single: list[tuple[int, ...]] = [(i,) for i in range(len(self.added))]
         single.sort(key=self.fall, reverse=True)
         trials = single[:FOLLOWED]
-        promising = sorted(i for (i,) in single[:20])  # single candidates of which sets are made
+        promising = sorted(i for (i,) in single[:20])  # single candidates from which sets are made
         for size, count in enumerate(TOGETHER, 2):
             trials += sorted(combinations(promising, size), key=self.fall, reverse=True)[:count]
         return trials

@@ -1,4 +1,4 @@
-"""What data say beside the values of an estimate: collinearity, profiles, what errors of known parameters do."""
+"""What data say besides the values of an estimate: collinearity, profiles, what errors of known parameters do."""
 
 from __future__ import annotations
 
@@ -334,7 +334,7 @@ def known_content(found: KnownErrors) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the data say of an estimate beside its values; None or empty where it cannot be said.
+    """What the data say of an estimate besides its values; None or empty where it cannot be said.
 
     responses   output over input, of the channels where such can be formed
     records     whole records as the estimate predicts them from their inputs

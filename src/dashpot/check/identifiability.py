@@ -87,7 +87,7 @@ def _has_image(element: Element, swap: Mapping[str, str], shapes: set[Shape]) ->
     return _shape(element, image) in shapes or _shape(element, turned) in shapes
 
 
-KEPT = 16  # rigs with their channels and patterns of lines, of which the rank is remembered
+KEPT = 16  # rigs, with their channels and patterns of lines, whose rank is remembered
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ def is_large(model: Model) -> bool:
 
 
 def parallel_unknowns(model: Model, channels: Sequence[Channel]) -> tuple[tuple[str, ...], ...]:
-    """Unknowns of which only the sum can be found, in groups: elements of a kind that join the same points.
+    """Unknowns whose sum alone can be found, in groups: elements of a kind that join the same points.
 
     It needs no ranks, so it is for rigs of any size.  Priors, ties and channels of an element's own force tell them
     apart, or may.

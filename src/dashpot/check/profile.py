@@ -74,7 +74,7 @@ class Surface:
         return np.sign(rise) * np.sqrt(np.abs(rise))
 
     def covariance(self) -> Real:
-        """Inverse of information, curvature beside it and priors, (M, M); NaN where that is singular."""
+        """Inverse of the sum of information, further curvature and priors, (M, M); NaN where that is singular."""
         held = self.lacking + np.diag(self.view.prior_precision)
         return scaled_inverse(np.sum(self.information, axis=-3) + held)
 
@@ -215,7 +215,7 @@ class Walk:
 
     @cached_property
     def _kicks(self) -> Real:
-        """Displacements (k, M) of starts, of which the first is none: beside a fold the way out is along a ridge."""
+        """Displacements (k, M) of starts, the first of which is none: next to a fold the way out is along a ridge."""
         none = np.zeros((1, len(self.base.psi)))
         if not np.any(self.base.lacking):
             return none

@@ -41,7 +41,7 @@ from dashpot.model.observation import (
 
 # Of a response: beyond it the variance of a squared residual overflows
 UNBOUNDED = np.finfo(float).max ** 0.25
-EXACT = 1e-9  # relative noise that exact channels are given, beside which that of all others is large
+EXACT = 1e-9  # relative noise that exact channels are given, compared with which that of all others is large
 
 Calibrations = Mapping[str, float]
 
@@ -226,12 +226,12 @@ def projection(
             at_ends = shown_by_ends(data.record_pieces, psi[None], sign[None])
         elif data.ends is not None:
             at_ends = predict(view, data, psi[None], sign[None]).at_ends
-        if at_ends is not None:  # of which errors of samples that are not measured are off from their means
+        if at_ends is not None:  # without the means by which samples that are not measured are off
             transients = at_ends[0] - np.where(seen, with_means_of_unmeasured(spectrum) - y, 0.0)
     noise = np.where(seen[:, :, None] & seen[:, None, :], V, 0.0)
     variance = np.diagonal(noise, axis1=-2, axis2=-1).real
     noisy, size = variance > 0, np.max(np.abs(np.nan_to_num(y)), axis=0, initial=0.0)
-    # A channel that shows nothing at all, as that of an idle input, is exact beside any other.
+    # A channel that shows nothing at all, as that of an idle input, is exact compared with any other.
     sd = np.where(noisy, np.sqrt(np.maximum(variance, 0.0)), EXACT * np.where(size > 0, size, 1e-20))
     weight = np.where(seen, 1 / sd, 0.0)
     alike = noise * weight[:, :, None] * weight[:, None] + diagonal_matrices(np.where(noisy, 1e-13, 1.0))
@@ -284,7 +284,7 @@ class FrequencyResponse:
     """One channel over the input that drives it.
 
     unit                 of the ratio, "" where both have the same
-    lines_hz, measured, sd, phase_deg      (lines,); sd of real and of imaginary part; phases beside the model's
+    lines_hz, measured, sd, phase_deg      (lines,); sd of real and of imaginary part; phases near the model's
     frequency_hz, response, curve_deg      (points,) of the model; its phase without jumps
     log_sd, phase_sd_deg (points,) of ln|H| and of the phase, from the estimate; NaN where it has none
     """
@@ -444,7 +444,7 @@ class DwellHistory:
 
 
 def dwell_histories(dwells: Sequence[UsedDwell], found: Residuals) -> tuple[DwellHistory, ...]:
-    """The dwell of the largest residual, the one of which least was used, and the first or another, by frequency.
+    """The dwell of the largest residual, the one with the least part used, and the first or another, by frequency.
 
     `found` are the residuals of the spectrum that the dwells' lines are in; channels with the largest are taken.
     """
@@ -528,7 +528,7 @@ def discrepancies(
     told = 2 * sum(len(each.weight) for each in channels.values() if each is not None)
     free = max(
         1 - len(estimate.names) / max(told, 1), 0.0
-    )  # of the noise, beside what the unknowns have taken up
+    )  # of the noise, apart from what the unknowns have taken up
     return {name: None if each is None else each.bounded(free, within) for name, each in channels.items()}
 
 

@@ -541,7 +541,7 @@ class Deficiency:
     directions    (k, M): δψ at the nominal ψ, in the unknowns' units, that nothing shows
     combinations  (c, names): coefficients of what can be found: of sums of the unknowns (sum), of their logarithms
                   (scale), of their reciprocals (series); (0, names) elsewhere
-    sensors       further sensors each of which would show all the directions
+    sensors       further sensors, each of which would show all the directions
     lines         where it is the lines at hand that do not suffice
     """
 

@@ -163,7 +163,7 @@ def hum_notices(left: Residuals, outputs: Bools, hum: Bools) -> list[Notice]:
 
 
 def mains_hum(left: Residuals, spectrum: Spectrum) -> Bools:
-    """Amplitudes of whole records beside a multiple of the mains' frequency that the rig does not explain.
+    """Amplitudes of whole records next to a multiple of the mains' frequency that the rig does not explain.
 
     (lines, channels).
     """
@@ -286,7 +286,7 @@ REJECTED = 0.01  # p-value of χ² below which a rig does not fit: one clean tes
 PERHAPS_UNSTABLE = "perhaps_unstable"  # a code
 BEYOND = 3.0  # standard deviations by which a sign or a damping ratio must be wrong
 WORST = 3  # amplitudes that are named
-CONVINCING = 0.8  # odds of causes beside which a rig does not fit, if the likeliest would move an unknown
+CONVINCING = 0.8  # odds of causes above which a rig does not fit, if the likeliest would move an unknown
 UNTESTED = ("no_noise", "noise_from_residuals", "few_degrees")  # codes of doubts that no χ² has settled
 # Codes of reasons that say nothing against a rig that describes the motion as closely as it should.
 BY_SIZE = {"chi2", "smooth_residuals", "standing_out", "no_noise", "noise_from_residuals"}
@@ -372,8 +372,8 @@ def settled_by_size(
 
     What χ² rejects, or cannot test, fits where the data show that it is as little as it should be, and no cause is
     likely, or one that is `harmless`: without it the unknowns would be the same.  Where it may be more, and a cause was
-    sought `in_vain` beside noise that is what a record leaves, and may run as it will over frequency, they cannot tell.
-    Where a share of the motion was asked for, only what the data show fits.
+    sought `in_vain` while the noise is known from the residuals alone, with any course over frequency, the fit cannot
+    be tested.  Where a share of the motion was asked for, only what the data show fits.
     """
     codes, unlikely = {reason.code for reason in assessment.reasons}, not likely(assessment.findings)
     if codes <= BY_SIZE and (harmless or unlikely):

@@ -202,9 +202,9 @@ def _coarse_lag(reference: Sensor, sensor: Sensor, step: float) -> tuple[float, 
 
 
 def _likeness(a: Real, b: Real) -> Real:
-    """Correlation of two signals over the deviation of what of b lies beside a, by the shift of b, around a circle.
+    """Correlation of two signals over the deviation of what of b overlaps a, by the shift of b, around a circle.
 
-    It is at most the root energy of what of a lies beside b: what is loud elsewhere, or rests on another offset,
+    It is at most the root energy of what of a overlaps b: what is loud elsewhere, or rests on another offset,
     stands no higher than what is alike, and neither does what has little in common.
     """
     size = 1 << int(np.ceil(np.log2(len(a) + len(b))))

@@ -39,7 +39,7 @@ from dashpot.notices import Notice
 from dashpot.units import PIXELS, QUANTITIES
 
 Loaded = TypeVar("Loaded")
-MOST_SAMPLES = 1 << 22  # of a column of which the resolution is sought
+MOST_SAMPLES = 1 << 22  # of a column whose resolution is sought
 FEWEST_FOR_CONTENT, LONGEST_FOR_CONTENT = 16, 1 << 16  # samples of a stretch whose frequency content is shown
 WORDS = {
     Quantity.FORCE: ("force", "load", "kraft", "hammer", "torque"),

@@ -1,4 +1,4 @@
-"""How large noise is: of samples at rest or near half their rate, of amplitudes by lines beside them or other dwells.
+"""How large noise is: of samples at rest or near half their rate, of amplitudes by neighbouring lines or other dwells.
 
 What residuals of a fit tell is found with the fit (`conditioning/harmonic_fit.py`, `estimate/likelihood`), by the same
 two formulas: the mean power of what is left over its degrees of freedom, `smoothed` over neighbouring lines, and
@@ -36,7 +36,7 @@ def smoothed(values: Values, half_window: int = HALF_WINDOW) -> Values:
 
 
 def sizes_of_parts(power: Real, parts: Real, left: Real | float, sizes: Real, steps: int = 200) -> Real:
-    """Sizes (parts,) of the parts (rows, parts) of variances, from powers (rows,) of which `left` are to be expected.
+    """Sizes (parts,) of the parts (rows, parts) of variances, from powers (rows,), shares `left` of which are expected.
 
     Each of at most so many steps raises the likelihood of powers that are γ-distributed about left · parts @ sizes, and
     restricted likelihood where `left` is what a fit has left of each (Zhou et al. 2019, Journal of Computational and

@@ -27,10 +27,10 @@ from dashpot.notices import Notice
 
 UNEVEN = 1e-3  # of a sampling step
 UNAVERAGED = "leave out lines and frequency_hz, and the record is used whole"
-NEIGHBOURS = 10  # lines beside an excited one that show the noise there
+NEIGHBOURS = 10  # lines next to an excited one that show the noise there
 
 
-NEAR = 16  # lines on either side, of which the largest shows how much a driven line moves
+NEAR = 16  # lines on either side; the largest shows how much a driven line moves
 SPLIT = 5.0  # between the sizes of driven lines and of others, in the channel that tells them apart best
 RUNS = 10
 DISTORTED = 1e-3  # of a channel's motion, and p-value of its being noise
@@ -46,7 +46,7 @@ def moving(X: Complex, lines: Ints) -> Bools:
 def driven_lines(X: Complex) -> Bools:
     """(lines,): which of neighbouring multiples are driven, X (lines, channels); all where that is not to be told.
 
-    In the channel of the drive some lines are far below those beside them, here and there in the band in which it
+    In the channel of the drive some lines are far below their neighbours, here and there in the band in which it
     moves.  Of the channels that tell them apart that with most driven lines decides, unless one moves at every line.
     """
     found, most = np.ones(len(X), dtype=bool), 0
@@ -60,7 +60,7 @@ def driven_lines(X: Complex) -> Bools:
         if np.min(share) > 1 / SPLIT:
             return np.ones(len(X), dtype=bool)
         ordered = np.sort(share[in_band])
-        # A fifth of the lines at least is not driven, in RUNS runs: else a few are weak, or lie beside hum.
+        # A fifth of the lines at least is not driven, in RUNS runs: else a few are weak, or lie next to hum.
         first = int(np.ceil(0.2 * len(ordered)))
         gaps = ordered[first : len(ordered) - RUNS] / ordered[first - 1 : len(ordered) - RUNS - 1]
         if first == 0 or not np.max(gaps, initial=0.0) > SPLIT:
@@ -73,7 +73,7 @@ def driven_lines(X: Complex) -> Bools:
 
 def _driven_and_not(mean: Complex, wanted: Ints, inputs: int = 0) -> tuple[Ints, Ints]:
     """Of the multiples that are wanted those that are driven, and all between that are not; mean (multiples from 0,
-    channels), of which the first `inputs` drive, or nothing states which."""
+    channels): the first `inputs` drive, or nothing states which."""
     every = np.arange(wanted[0], wanted[-1] + 1)
     driving = np.arange(mean.shape[1]) < inputs if inputs else moving(mean, every)
     driven = driven_lines(mean[every][:, driving])
@@ -158,7 +158,7 @@ def samples_of_period(record: Record, period_s: float) -> int:
 
 
 def one_period(record: Record, period_s: float, orders: Sequence[int]) -> Spectrum:
-    """A line for each of `orders` from the last period of a record; noise from the lines beside that are not excited.
+    """A line for each of `orders` from the last period of a record; noise from neighbouring lines that are not excited.
 
     The nearest unexcited lines within the band of the excited ones have the noise and the distortion of even order
     (Pintelon and Schoukens, System Identification, 2nd ed. 2012, §4.3).  Raises DataError as `average_periods`, and
@@ -293,7 +293,7 @@ def averaged_periods(record: Record, inputs: int = 0) -> tuple[Spectrum, Real] |
     skip = unsettled_periods(X[:, 1:])
     if still_settling(X[skip:, 1:]):
         return None
-    # Which lines repeat. Their noise is their own scatter, or that of the lines beside where it is larger: of few
+    # Which lines repeat. Their noise is their own scatter, or that of their neighbours where it is larger: of few
     # periods it may be small by chance.
     settled = X[skip:, 1:]
     periods, beside, size = len(settled), 2 * NEIGHBOURS + 1, np.abs(np.mean(settled, axis=0))

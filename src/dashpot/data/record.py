@@ -23,7 +23,7 @@ def samples_at_limit(values: Real) -> int:
     return int(np.count_nonzero(at_limits(values)))
 
 
-ALIKE = 3  # samples at a limit of a channel of which no two others are alike
+ALIKE = 3  # samples at a limit of a channel in which no two others are alike
 
 
 def at_limits(values: Real, *, with_steps: bool = False) -> Bools:

@@ -51,7 +51,7 @@ class Unmeasured:
 
     channel      with what is left of its known gain, sign and delay
     samples      (k,) their numbers
-    mean, precision  (k,), (k, k) of the unknowns, as much as is known beside the record's lines: in the channel's unit,
+    mean, precision  (k,), (k, k) of the unknowns, as far as known without the record's lines: in the channel's unit,
                  inverse covariance
     """
 
@@ -217,7 +217,7 @@ class Spectrum(InNotebooks):
                   may be missing where all repeats share it.
     samples       (lines,)                      samples behind each line (1 if only amplitudes are available)
     dof           (lines,)                      residual degrees of freedom (real) behind V; inf where V is given
-    noise         (lines,)                      how V was found: "given", "white", "blocks" (lines beside each
+    noise         (lines,)                      how V was found: "given", "white", "blocks" (lines next to each
                   harmonic), "periods" (scatter of averages of periods), of whole records "rest" (an at-rest record),
                   "floor" (where nothing moves; replaced by) "residual" (from residuals of a fit), of tables that
                   give none "fitted" (as a function of frequency, from residuals of a fit), or "unknown"
@@ -490,7 +490,7 @@ def concatenate(spectra: Sequence[Spectrum]) -> Spectrum:
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(spectrum, name) for spectrum in spectra])
 
-    # The same lines with dwells of which it is not decided as whole records; None if there are none
+    # The same lines with undecided dwells as whole records; None if there are none
     if all(spectrum.unsettled is None for spectrum in spectra):
         unsettled = None
     else:

@@ -78,13 +78,13 @@ def drives_that_show(setup: TestSetup, schedule: Schedule) -> list[str]:
     return sentences
 
 
-# Another test beside a plan: what it would give, and how many times the samples it takes.
+# Another test to compare with a plan: what it would give, and how many times the samples it takes.
 
 
 def spread_of_iv(setup: TestSetup, schedule: Schedule) -> ExpectedPrecision | None:
     """What the paper's bootstrap instrumental variables would give from the same test (the sandwich of THEORY §5).
 
-    Beside earlier data, where there are some.  None where they cannot be used: some coordinate is not seen, a
+    In addition to earlier data, where there are some.  None where they cannot be used: some coordinate is not seen, a
     calibration is unknown, or an element is nonlinear.
     """
     if calibration_names(setup.channels) or len(setup.model.nonlinear):
@@ -118,7 +118,7 @@ def spread_of_iv(setup: TestSetup, schedule: Schedule) -> ExpectedPrecision | No
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another test beside the plan.
+    """Another test, compared with the plan.
 
     predicted   what it would give with the optimal estimator, from as many samples as it has
     iv          the same with the paper's bootstrap; None if that cannot be used
@@ -509,7 +509,7 @@ def _stopping(
 
 
 def answer_to_json(answer: Answer) -> str:
-    """An answer as JSON: the plan's contract with what was asked beside it; amplitudes in SI units.
+    """An answer as JSON: the plan's contract, together with what was asked; amplitudes in SI units.
 
     Phases in degrees stand there where inputs move out of step.  Where the target is reached already, a plan of no
     dwell.

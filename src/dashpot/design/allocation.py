@@ -43,7 +43,7 @@ class Criterion:
     kind     A: the mean relative variance (of one unknown, c-optimal), read as the rms relative standard deviation;
              minimax: the largest relative variance; D: the volume of the confidence region, read as its mean radius
     names    of the unknowns; without names those that no sd makes known already
-    targets  relative standard deviations by name, in parts of which minimax counts; they name the unknowns
+    targets  relative standard deviations by name, the units in which minimax counts; they name the unknowns
     """
 
     kind: Kind
@@ -79,7 +79,7 @@ class Criterion:
         return InformationTerms(each, block)
 
     def at(self, setup: TestSetup, information: Real | float = 0.0) -> CriterionValue:
-        """Its value with a test's information (scenarios, q, q), in parts of the sizes, beside what is known before."""
+        """Its value with a test's information (scenarios, q, q), in parts of the sizes, plus what is already known."""
         return self.terms(setup).at(setup.prior + information)
 
     def targets_for(self, model: Model, figure: float) -> dict[str, float]:
@@ -125,7 +125,7 @@ class InformationTerms:
         return F if self.block is None else 1.0
 
     def of(self, M0: Real, w: Real, Mi: Real) -> CriterionValue:
-        """`at` shares w (lines,) of what the lines tell, Mi (scenarios, lines, q, q), beside M0 (scenarios, q, q)."""
+        """`at` shares w (lines,) of what the lines tell, Mi (scenarios, lines, q, q), added to M0 (scenarios, q, q)."""
         return self.at(M0 + np.einsum("i,siab->sab", w, Mi))
 
     def at(self, M: Real) -> CriterionValue:
@@ -237,7 +237,7 @@ def _reach(x: Real, dx: Real) -> float:
 
 
 def optimal_shares(terms: InformationTerms, M0: Real, Mi: Real) -> Shares:
-    """Near-optimal shares of candidates with information Mi (scenarios, lines, q, q) beside M0 (scenarios, q, q).
+    """Near-optimal shares of candidates with information Mi (scenarios, lines, q, q) added to M0 (scenarios, q, q).
 
     By slacks t − Φ_k of the parts of F (Boyd and Vandenberghe 2004, §11.7).  Where the iteration stalls it returns the
     best that it had, and the caller's gap says how good that is.
@@ -331,7 +331,7 @@ class Allocation:
 
 
 def optimise(setup: TestSetup, terms: InformationTerms, samples: float, grid: FrequencyGrid) -> Allocation:
-    """The shares of `samples` over the frequencies of a band that make F smallest, beside what is known before.
+    """The shares of `samples` over the frequencies of a band that make F smallest, given what is already known.
 
     Raises IdentifiabilityError if no test in the band determines the unknowns.
     """
@@ -547,7 +547,7 @@ class ExpectedPrecision:
 def expected_precision(
     setup: TestSetup, criterion: Criterion, information: Real | float
 ) -> ExpectedPrecision:
-    """What a test's information (scenarios, q, q) in parts of the sizes, beside what is known before, will give.
+    """What a test's information (scenarios, q, q) in parts of the sizes, plus what is already known, will give.
 
     Raises IdentifiabilityError if it leaves some parameter open.
     """

@@ -143,7 +143,7 @@ class Plan:
 
 
 def plan(setup: TestSetup, criterion: Criterion, budget: Budget, grid: FrequencyGrid) -> Plan:
-    """The best test within a budget, beside what is known before.
+    """The best test within a budget, given what is already known.
 
     Raises UsageError if the budget holds no test, IdentifiabilityError if no test determines the unknowns.
     """
@@ -265,7 +265,7 @@ class DesignProblem:
     grid: FrequencyGrid
 
     def F(self, schedule: Schedule) -> float:
-        """The criterion of a test beside what is known."""
+        """The criterion of a test together with what is already known."""
         return self.terms.at(self.setup.prior + schedule.information(self.setup)).F
 
     def optimum(self, samples: float) -> Allocation:
@@ -534,7 +534,7 @@ def plan_curves(setup: TestSetup, criterion: Criterion, plan: Plan, low: float, 
 
 @dataclass(frozen=True)
 class UnsettledTest:
-    """A planned test of which all samples are used, from its start on.
+    """A planned test whose samples are all used, from its start on.
 
     predicted   what it will tell
     thrown_away share of that information that the settled parts of the dwells leave out, by the criterion
@@ -551,7 +551,7 @@ class UnsettledTest:
 def unsettled_test(
     setup: TestSetup, criterion: Criterion, plan: Plan, rate: float | None
 ) -> UnsettledTest | None:
-    """The test of a plan, used whole at the nominal values, beside what is known before.
+    """The test of a plan, used whole at the nominal values, with what is already known.
 
     None where nothing can be said: no sampling rate, a rig with nonlinear elements, hysteretic dampers or coordinates
     without mass, delays that are stated, a test too long to compute, a large rig (its 2 n loads at the ends of a record

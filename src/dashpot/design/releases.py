@@ -173,7 +173,7 @@ def plan_releases(
 
 @dataclass(frozen=True)
 class Bench:
-    """A rig of which releases are planned.
+    """A rig whose releases are planned.
 
     theta   of the unknowns, and which of them are asked for (`worst`: the worst of these)
     ends    numbers of samples of the recordings that are compared

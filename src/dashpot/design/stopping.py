@@ -26,7 +26,7 @@ from dashpot.model.observation import measures_input, observation_model
 def after(setup: TestSetup, estimate: Estimate) -> TestSetup:
     """The setup with what an estimate tells: the inverse of its covariance is known before the next test.
 
-    Priors were in the estimate already.  Calibrations of which nothing was known are taken as unknown again.
+    Priors were in the estimate already.  Calibrations that were entirely unknown are taken as unknown again.
     Raises UsageError if the estimate is of other unknowns.
     """
     stated = [u.name for u in setup.calibrations if u.sd is not None and u.name in estimate.names]

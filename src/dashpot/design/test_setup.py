@@ -89,7 +89,7 @@ def dwell_information(
     at = evaluate(view, part, psi, np.ones((K, len(channels))), q, None, noisy_inputs)
     Y = at.predicted.reshape(K, R, ORDERS, -1)
     sd = noise_sd(channels, Y[:, :, 0])[:, :, None]
-    # Beside noisy inputs, those without noise have next to none.
+    # Next to noisy inputs, those without noise are given almost none.
     sd = np.maximum(sd, 1e-9 * np.max(np.abs(Y), axis=(1, 2), keepdims=True))
     gains = view.nominal_calibrations[: view.gains]
     J = at.J * np.concatenate([np.ones(view.m), gains, np.ones(view.delays)])  # gains as ∂/∂ ln gain
@@ -362,7 +362,7 @@ class TestSetup:
 
     @cached_property
     def gains(self) -> Real:
-        """Nominal gains, (q,), of which relative errors count; 1 for all else."""
+        """Nominal gains, (q,), whose relative errors count; 1 for all else."""
         nominal = nominal_calibrations(self.calibrations)
         relative = [
             value if u.unit == "1" else 1.0 for u, value in zip(self.calibrations, nominal, strict=True)

@@ -53,7 +53,7 @@ class Finding:
     odds       of this cause after the data, among all that were tried and what was not; None if it has none
     explains   share of the misfit that it explains
     group      a number shared by causes that these data cannot tell apart; None if it stands alone
-    beside     whether it is the matter beside the first cause, not in its place
+    beside     whether it is wrong in addition to the first cause, not in its place
     """
 
     kind: str
@@ -123,7 +123,7 @@ class Assessment:
         return bool(shares) and all(each is not None and each.upper95 <= each.within for each in shares)
 
     def fit_content(self) -> dict[str, Any]:
-        """What the JSON of an estimate says of the fit beside χ²."""
+        """What the JSON of an estimate says of the fit in addition to χ²."""
         return {
             "verdict": self.verdict,
             "reasons": [notice.text for notice in self.reasons],

@@ -63,7 +63,7 @@ class Solution:
     in the spectrum, (K, unknowns, unknowns); converged and iterations (K,), from all starts together; history: θ at the
     start and after each iteration of the descent that ended there, of the first repeat, (points, unknowns).  `signs`:
     channels whose sign was found, ±1 for each repeat.  `bounds`: those that were held, if any.  `responses` of a
-    nonlinear rig that it rests on, their harmonics and branches: a NonlinearPart, of which methods know nothing.
+    nonlinear rig that it rests on, their harmonics and branches: a NonlinearPart, opaque to methods.
     """
 
     theta: Real
@@ -149,7 +149,7 @@ class Method(ABC):
 def require_suited(method: Method, data: Prepared) -> None:
     """Raises DataError or UsageError if the data lack what `method` declares to need.
 
-    Second moments of the samples are for the method to ask for: only it knows of which channels.
+    Second moments of the samples are for the method to ask for: only it knows for which channels.
     """
     if not method.traits.by_output:
         _ = data.seen_states

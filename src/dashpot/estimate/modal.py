@@ -34,7 +34,7 @@ from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 
 @dataclass(frozen=True)
 class ModeProblem:
-    """χ² of the modes of a rig beside K sets of measured ones (THEORY §4).
+    """χ² of the modes of a rig against K sets of measured ones (THEORY §4).
 
     data: with one leading axis of repeats; damping (modes,), present (modes, points): whether measured; eigen (modes,
     2, 2): whitens (frequency, damping); shape (modes, points, points): whitens a shape, rows and columns of absent
@@ -348,7 +348,7 @@ def like_parts(model: Model, data: ModalData, problem: ModeProblem | None = None
 
 
 def usual_parts(model: Model, data: ModalData) -> Real:
-    """A usual value of every unknown, (m,): its guess or prior, else that of its kind beside the known ones."""
+    """A usual value of every unknown, (m,): its guess or prior, else that of its kind given the known ones."""
     # Usual values of each kind for a mass of 1 kg that swings as the data do, and the mass that known parts imply
     rate = 2 * np.pi * float(np.exp(np.mean(np.log(data.frequency_hz))))
     ratio = float(np.nanmean(np.abs(data.damping_ratio))) if np.any(np.isfinite(data.damping_ratio)) else 0.01
@@ -470,7 +470,7 @@ def check_suited(model: Model, data: ModalData) -> None:
 def deepest_minima(
     problem: ModeProblem, starts: int, seed: int, *, others: bool = True
 ) -> tuple[OptimizeResult, OptimizeResult | None]:
-    """The deepest minima, and for one repeat of which not every point is seen where all of its starts ended.
+    """The deepest minima, and where all starts ended for a single repeat with unseen points.
 
     Of a rig whose guesses lead to a fit these are looked for where `others` is asked for and it is small.
 

@@ -75,7 +75,7 @@ def told_by_all(nu: Real, q: Ints, blocks: Bools) -> Bools:
 
 
 def correlated_as_all(spectrum: Spectrum, V: Complex) -> Complex:
-    """Covariances (K or 1, lines, channels, channels) of which lines that tell too little take the correlation of all.
+    """Covariances (K or 1, lines, channels, channels) in which lines that tell too little take the correlation of all.
 
     Their variances stay their own.  Where all lines together tell no more, the channels count as uncorrelated.
     """

@@ -803,7 +803,7 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
     unknowns = [parameters[name] for name in names]
     profiles = {}
     for name, entry in zip(names, unknowns, strict=True):
-        if "profile" in entry:  # of which an end that is null is no limit on its side
+        if "profile" in entry:  # an end that is null means no limit on that side
             roots = tuple(float(root) for root in entry["profile"]["roots"])
             both = zip(entry["profile"]["values"], roots, strict=True)
             at = tuple(nullable(value, math.copysign(math.inf, root)) for value, root in both)
@@ -868,7 +868,7 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
 
 
 def _numbers(values: Sequence[Any], missing: float = math.nan) -> Real:
-    """Numbers of which some may be null."""
+    """Numbers, some of which may be null."""
     return np.array([nullable(value, missing) for value in values])
 
 

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """What formats may ask for beside the rig.
+    """What formats may ask for in addition to the rig.
 
     given         as what displacement inputs are given (`state_space_of`)
     frequency_hz  (lines,) of frequency responses; those of `data` without it
-    data          measured amplitudes, of which frequency responses are written
+    data          measured amplitudes, whose frequency responses are written
     compiled      whether an FMU gets a binary where a compiler is found
     """
 

@@ -34,7 +34,7 @@ MEANING = {
 
 
 def write_matrices(rig: IdentifiedRig, path: str, options: ExportOptions) -> Written:
-    """Write each matrix as NAME_M.mtx, NAME_C.mtx … beside `path`, NAME.mtx.
+    """Write each matrix as NAME_M.mtx, NAME_C.mtx … next to `path`, NAME.mtx.
 
     Raises ModelError for nonlinear elements, DataError if a file cannot be written.
     """
@@ -174,7 +174,7 @@ def write_parameters(rig: IdentifiedRig, path: str, options: ExportOptions) -> W
 def matlab_script(rig: IdentifiedRig, rows: Sequence[ExportedParameter]) -> str:
     """A MATLAB script: a variable for each parameter, for the fields of Simscape blocks, and their covariance.
 
-    Names that MATLAB does not take are changed, with the name of the rig file beside them.
+    Names that MATLAB does not take are changed, with the name in the rig file next to them.
     """
     lines = [f"% {_comment(rig.model.name or 'Rig')}: parameters in SI units, by dashpot"]
     for row, variable in zip(rows, matlab_names([row.name for row in rows]), strict=True):

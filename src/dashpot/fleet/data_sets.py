@@ -1,4 +1,4 @@
-"""The data sets of a fleet: files, or the rows of tables of which a column names the rig; never held whole.
+"""The data sets of a fleet: files, or the rows of tables in which a column names the rig; never held whole.
 
 The process that shares work out reads names alone.  Files, and rows of Parquet tables, are read by the workers, who are
 told which; rows of CSV tables, which have no places in the file, are read in passing and sent.
@@ -254,7 +254,7 @@ def _checksum(path: str) -> str:
 
 
 def of_tables(paths: Sequence[str], column: str) -> Source:
-    """The rows of tables (Parquet, CSV) of which a column names the rig, those of one rig together.
+    """The rows of tables (Parquet, CSV) in which a column names the rig, those of one rig together.
 
     Raises DataError if a table has no such column or is damaged, and where rows of one rig are not together.
     """
@@ -419,7 +419,7 @@ def _runs(column: Any) -> tuple[list[str], list[int]]:
 
 
 def held_rows(names: tuple[str, ...], path: str, ends: tuple[int, ...], table: Any, column: str) -> HeldRows:
-    """The rows of an Arrow table, of which a column names the rigs."""
+    """The rows of an Arrow table, in which a column names the rigs."""
     others = [name for name in table.schema.names if name != column]
     columns = {name: array_of_column(table.column(name)) for name in others}
     return HeldRows(names, path, ends, columns, units_of(table.schema))

@@ -73,7 +73,7 @@ def usual(name: str, unit: str, values: Real, sd: Real, parameters: int = 1) -> 
     """One of `parameters` parameters over the fleet; values and sd (rigs,).
 
     The spread is that of median absolute deviations, which up to half of the rigs cannot move; rigs count with
-    their own noise beside it.  Limits are those of t (the spread has few degrees of freedom in small fleets), shared
+    their own noise on top of it.  Limits are those of t (the spread has few degrees of freedom in small fleets), shared
     out over rigs and parameters (Bonferroni).
     """
     present = np.isfinite(values) & np.isfinite(sd)
@@ -229,7 +229,7 @@ def _spread(y: Real, s: Real) -> tuple[float, tuple[float, float]]:
     low, high = coarse[max(best - 1, 0)], coarse[min(best + 1, len(coarse) - 1)]
     weight = 1 / s**2
     away = y - np.sum(weight * y) / np.sum(weight)
-    # By its derivative in τ², of which rounding near its end at 0 says nothing
+    # By its derivative in τ², which rounding near its end at 0 cannot disturb
     rises = np.sum((weight * away) ** 2) > np.sum(weight) - np.sum(weight**2) / np.sum(weight)
     tau = 0.0
     if best > 1 or rises:

@@ -104,7 +104,7 @@ def identify_block(task: FleetTask) -> Columns:
 
 
 def reason_of(error: Exception, source: str) -> str:
-    """Why a data set failed, in one line; the name of its file stands beside it anyway."""
+    """Why a data set failed, in one line; the name of its file stands next to it anyway."""
     if not isinstance(error, DashpotError):
         return f"internal error ({type(error).__name__}: {' '.join(str(error).split())[:200]})"
     first = error.problems[0]
@@ -395,7 +395,7 @@ def _of_answers(columns: Columns, name: str) -> Real:
 
 
 def machine() -> str:
-    """What the last bits of results depend on beside the data: version, libraries, instruction set."""
+    """What the last bits of results depend on apart from the data: version, libraries, instruction set."""
     core = getattr(np, "_core", None)
     features = getattr(getattr(core, "_multiarray_umath", None), "__cpu_features__", {})
     chosen = ",".join(sorted(name for name, there in features.items() if there))

@@ -300,7 +300,7 @@ class _Set:
 
     @cached_property
     def ends(self) -> Complex:
-        """Terms of a record's ends beside those of poles, (lines, ENDS)."""
+        """Terms of a record's ends, in addition to those of poles, (lines, ENDS)."""
         return np.column_stack([self.s[:, None] ** np.arange(ENDS - 1), 1 / (1 - self.back)])
 
 
@@ -342,7 +342,7 @@ RESIDUAL_POWERS = (
     (),
 )  # of s, real: modes below, direct or between, and above
 ROUNDING = 1e-15  # of sums over lines, relative to their size, for each unknown
-ENDS = 4  # terms of a record's ends beside those of poles: 1, s, s², and a drift's 1/(1 − e^{−sΔ})
+ENDS = 4  # terms of a record's ends, in addition to those of poles: 1, s, s², and a drift's 1/(1 − e^{−sΔ})
 
 
 @dataclass(frozen=True)
@@ -590,7 +590,7 @@ def _least_squares_poles(sets: Sequence[_Set]) -> Stabilisation:
 
 
 def _gains(sets: Sequence[_Set], fit: _Fit, candidates: Complex) -> Real:
-    """By how much χ² falls with each candidate beside the present poles, (k,), to rank them.
+    """By how much χ² falls with each candidate added to the present poles, (k,), to rank them.
 
     The noise between outputs is left out, and how it goes over the lines is that of their geometric mean.
     """

@@ -477,7 +477,7 @@ def local_response(
 
     Windows are as narrow as their degrees of freedom allow: those that are widened where the data seem to allow it have
     intervals that are too short at the resonances.  Estimates half a window apart share next to nothing.  Inputs count
-    as exact: noise on them biases H towards 0 by its share of their power.  Of not `every_line`, those alone of which
+    as exact: noise on them biases H towards 0 by its share of their power.  Of not `every_line`, only those of which
     no two share data.  Raises DataError.
     """
     channels = records[0].channels
@@ -654,7 +654,7 @@ LEAST_APART = 1e-9  # share of an output's noise power that no other has: a colu
 
 
 def invertible(noise: Complex) -> Complex:
-    """Noise (…, q, q) of which each output has at least LEAST_APART to itself."""
+    """Noise (…, q, q) with at least LEAST_APART of each output independent of the others."""
     one = np.eye(noise.shape[-1])
     return noise * (1 + LEAST_APART * one) + 1e-300 * one
 
@@ -721,7 +721,7 @@ def _fitted(
         y = Y[..., i]
         now = _least_squares(np.concatenate([linear, -tail * y[..., None]], axis=2), y[..., None])[0][..., 0]
         best, kept = np.full(lines, np.inf), now
-        for _ in range(4):  # of which the last ones move H by far less than its sd
+        for _ in range(4):  # the last ones move H by far less than its sd
             D = 1 + np.einsum("lrk,lk->lr", tail, now[:, -2:])
             shown = np.einsum("lrk,lk->lr", linear, now[:, :-2]) / D
             e = y - shown

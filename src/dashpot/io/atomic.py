@@ -246,7 +246,7 @@ def write_bytes(path: ledger.AnyPath, content: bytes | Iterable[bytes | memoryvi
         elif _is_stream(target):
             _fill(os.open(target, os.O_WRONLY | _BINARY | _NO_TERMINAL), parts)
         else:
-            # Write a temporary file beside the target, and let it take the target's place
+            # Write a temporary file next to the target, and let it take the target's place
             before = os.stat(target) if os.path.exists(target) else None
             temporary = os.path.join(os.path.dirname(target), secrets.token_hex(8).join(PART))
             _temporary[temporary] = os.getpid()

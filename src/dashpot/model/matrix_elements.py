@@ -2,7 +2,7 @@
 
 A symmetric matrix is a sum of rank-one ones, p_ij bᵀb with b = e_i + e_j or e_i − e_j and p_ii e_i e_iᵀ.  Each is an
 element, so that every method, dense or sparse, takes blocks with factors, K = Σ θ_i K_i and M, C, H alike, and finds
-free symmetric M, C, K (Okuma and Nagamatsu), of which a pair that is left out is an entry held at zero.
+free symmetric M, C, K (Okuma and Nagamatsu), where a pair that is left out is an entry held at zero.
 """
 
 from __future__ import annotations

@@ -88,7 +88,7 @@ def _in_order(parts: Matrices) -> tuple[Complex, Complex]:
     keep: Bools = finite & (poles.imag >= -1e-9 * size)
     poles, size, shapes = poles[keep], size[keep], vectors[:n, keep].T
     poles = rate * np.where(np.abs(poles.imag) <= 1e-9 * size, poles.real + 0j, poles).astype(np.complex128)
-    if not (parts.C.any() or parts.H.any()):  # λ² is real: what rounding leaves beside it is no damping
+    if not (parts.C.any() or parts.H.any()):  # λ² is real: an imaginary part left by rounding is no damping
         poles = np.where(np.abs(poles.imag) >= np.abs(poles.real), 1j * poles.imag, poles.real)
     order = np.lexsort((poles.imag, np.round(np.abs(poles), 9)))
     poles, shapes = poles[order], shapes[order]

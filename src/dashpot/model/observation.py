@@ -273,7 +273,7 @@ class ObservationModel:
 
     @cached_property
     def single_entries(self) -> tuple[Complex, Ints] | None:
-        """What each direct channel shows, (lines, channels), and of which entry of z, (channels,), −1 where of none.
+        """What each direct channel shows, (lines, channels), and which entry of z that is, (channels,), −1 where none.
 
         None where some channel shows several.
         """
@@ -332,7 +332,7 @@ def observation_model(
         on_x, on_q, force = channel_incidence(model, channels)
         derivative = [0 if c.quantity is Quantity.FORCE else c.quantity.derivative for c in channels]
         gain, delay = calibration_indices(channels)
-        # A gain of which nothing is known holds the sign, too.
+        # A gain that is entirely unknown includes the sign.
         flips = [c.sign is None and (c.gain is not None or c.gain_prior is not None) for c in channels]
         orders, signs = frozen(derivative, np.int64), frozen(flips, np.bool_)
         at = frozen(omega, np.float64)

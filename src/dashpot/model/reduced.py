@@ -263,7 +263,7 @@ def mode_motions(
     """What the span lacks about modes of its rig, (n, columns), and by how much it misses their eigenvalues, |δλ / λ|.
 
     values (modes,), shapes on the span (modes, k), p (elements,).  Of each mode what its residual P(λ)φ asks for, which
-    gives δλ = φᵀP P⁻¹ Pφ / φᵀP′φ, and its slopes, P⁻¹ ∂P/∂θ φ, beside other modes that the span has: P is taken
+    gives δλ = φᵀP P⁻¹ Pφ / φᵀP′φ, and its slopes, P⁻¹ ∂P/∂θ φ, next to other modes of the span: P is taken
     a thousandth off λ, where it has an inverse.
     """
     columns, missed = [], []

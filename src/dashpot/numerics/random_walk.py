@@ -216,7 +216,7 @@ def likeliest_walk(
 def alternatives(
     windows: Windows, walk: RandomWalk, given: bool = False
 ) -> tuple[list[RandomWalk], list[list[int]]]:
-    """`walk`, and walks of which one speed is otherwise; and the places of those of each component, `walk` with them.
+    """`walk`, and walks with one speed changed; and the places of those of each component, `walk` with them.
 
     Speeds that are `given` have no alternatives.
     """

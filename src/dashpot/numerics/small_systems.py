@@ -94,7 +94,7 @@ def whitening_steps(B: Real, precision: Real) -> tuple[Real, Real]:
 
     B Bᵀ = (N + precision)⁻¹ is given and turned so that Bᵀ precision B = λ is diagonal.  What the columns F leave of
     the products of rows is that of 1 − F B Bᵀ Fᵀ; 1 − F B step Bᵀ Fᵀ, with step = 1 / (1 + √λ), is its root, and makes
-    rows white.  It is 1 in directions of which nothing is known.
+    rows white.  It is 1 in directions that are entirely unknown.
     """
     known, turn = np.linalg.eigh(np.swapaxes(B, -1, -2) @ precision @ B)
     return B @ turn, 1 / (1 + np.sqrt(np.clip(known, 0.0, 1.0)))
@@ -109,7 +109,7 @@ FILLED = 1 / 8
 
 
 def mostly_zeros(stack: Complex | Real) -> bool:
-    """Whether a stack of large matrices (..., n, k) holds few numbers beside zeros, and none that is not finite."""
+    """Whether a stack of large matrices (..., n, k) holds few numbers other than zeros, and none that is not finite."""
     if min(stack.shape[-2:]) < SPARSE_FROM or np.count_nonzero(stack) > FILLED * stack.size:
         return False
     return bool(np.isfinite(np.sum(stack)))

@@ -19,7 +19,7 @@ from dashpot.units import si_unit
 BARS = " ▁▂▃▄▅▆▇█"
 NOISE_FROM = {
     "white": "white residuals",
-    "blocks": "frequencies beside each harmonic",
+    "blocks": "frequencies next to each harmonic",
     "periods": "the scatter of the periods",
     "given": "what was given",
     "rest": "an at-rest record",

@@ -235,7 +235,7 @@ def say(document: Document, *, apart: bool = False) -> None:
 def column_blocks(columns: Sequence[TableColumn], width: int, keys: int = 1) -> list[list[TableColumn]]:
     """The columns in blocks no wider than `width`, each beginning with the first `keys` columns, which name the rows.
 
-    A column that does not fit beside those has a block to itself; there its texts are folded.
+    A column that does not fit next to those has a block to itself; there its texts are folded.
     """
     names, others = list(columns[:keys]), columns[keys:]
     least = sum(column.width for column in names) + GAP * (keys - 1)

@@ -107,7 +107,7 @@ def estimate_document(
 
 
 def reasons_in_words(estimate: Estimate, assessment: Assessment) -> list[str]:
-    """Reasons of the verdict beside the share of the motion and χ², each with its code."""
+    """Reasons of the verdict other than the share of the motion and χ², each with its code."""
     reasons = _other_reasons(assessment)
     names = {*estimate.names, *assessment.relative_residual, *(name for r in reasons for name in r.of)}
     return [f"{capitalised(sentence(reason.text), names)} [{reason.code}]" for reason in reasons]
@@ -189,7 +189,7 @@ def profiles_in_words(estimate: Estimate) -> str:
 def warnings_in_words(
     estimate: Estimate, *, untried: Collection[str] = tuple(OPTIONS), coded: bool = False
 ) -> tuple[str, ...]:
-    """Warnings beside what fit and verdict say anyway, each with what to do about it.
+    """Warnings other than what fit and verdict say anyway, each with what to do about it.
 
     `untried`: treatments of time records that were not chosen; amplitudes are as they are.  `coded`: each ends with
     its code in brackets, by which the manual explains it.
@@ -235,7 +235,7 @@ def aperiodic_in_words(rate: float) -> str:
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """One parameter, as text; `known` are given, not found; `tie` says of which unknown it is a multiple."""
+    """One parameter, as text; `known` are given, not found; `tie` names the unknown that it is a multiple of."""
 
     name: str
     value: str
@@ -323,7 +323,7 @@ def stated_columns(estimate: Estimate) -> list[TableColumn]:
         estimate.stated, estimate.pulls[~np.isnan(estimate.pulls)].tolist(), strict=True
     ):
         found = estimate[name]
-        # 3: unknowns named beside a statement, where it costs them at least 5 % of their variance
+        # 3: unknowns named with a statement, where it costs them at least 5 % of their variance
         costs = [cost for cost in estimate.costs if cost.of == name and cost.share > 0.05][:3]
         unit = "" if found.unit == "1" else found.unit
         told = joined([f"{100 * cost.share:.0f} % of {cost.on}" for cost in costs])
@@ -568,7 +568,7 @@ def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:
     told = [
         each for each in findings if each is factors.get((each.of, each.group), each) or each.group is None
     ]
-    for rank, finding in enumerate(told[:3]):  # the most probable and two beside it
+    for rank, finding in enumerate(told[:3]):  # the most probable and two more
         group = findings[0].group is not None and finding.group == findings[0].group
         lead = "Likely cause" if rank == 0 else "Or, fitting these data equally well" if group else "Or"
         if finding.beside:

@@ -293,7 +293,7 @@ def _evidence(
         text = (
             f"χ² is not a parabola along {names}; the intervals above end where its profile meets the line."
         )
-        picture = figure_picture(figure, f"Rise of χ² along {names}, beside the parabola of ± sd")
+        picture = figure_picture(figure, f"Rise of χ² along {names}, with the parabola of ± sd")
         sections.append(section("Profiles that are not parabolic", text, picture))
     return [*sections, *([prediction_section("Predicted, not used", held_out)] if held_out else [])]
 

@@ -130,7 +130,7 @@ def page_html(page: Document) -> str:
         page=page,
         explanations=[(term, EXPLANATIONS[term]) for term in page.terms],
         sources=sources,
-        # neighbouring blocks of one kind: pictures stand beside each other
+        # neighbouring blocks of one kind: pictures stand side by side
         grouped=lambda blocks: groupby(blocks, key=lambda block: type(block).__name__),
         inline=inline,
         rows=_rows,

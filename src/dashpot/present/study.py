@@ -87,7 +87,7 @@ def study_columns(rows: Sequence[SummaryRow]) -> list[TableColumn]:
     Factors stand where the scenario changes.  The method comes first: it names the rows where columns are stacked.
     """
     varied = varied_factors(rows)
-    # More columns of factors are put into one of 21 characters: 80 columns hold the rest beside it
+    # More columns of factors are put into one of 21 characters: 80 columns hold the rest as well
     together, width = len(varied) > 3, 21
     heads = [
         f"{name.replace('_', ' ')}{'>' if name in COUNTED_FACTORS and not together else ''}"

@@ -167,10 +167,10 @@ def _study(name: str, grids: tuple[ScenarioGrid, ...], seed: int) -> Study:
     )
 
 
-# The noise draws of all scenarios, found by what they vary, and the paper's tables beside them.
+# The noise draws of all scenarios, found by what they vary, and the paper's tables next to them.
 
 
-# The paper's tables and figures again, by Monte Carlo, beside what it printed, and what that shows beyond the paper.
+# The paper's tables and figures again, by Monte Carlo, next to what it printed, and what that shows beyond the paper.
 #
 # K. Yamane, "Identification of Multi-Degree-of-Freedom Dynamical Systems Based on the Response in Receiving Forced
 # Displacement Inputs (the Case Using Harmonic Excitation Data)", 1989.  Its tables are one noise draw each; here each
@@ -319,7 +319,7 @@ def eigenvalues(rig: Model, theta: Real) -> Complex:
 
 
 def table_1() -> tuple[EigenvalueEntry, ...]:
-    """Eigenvalues of the rig as modelled here beside the printed ones."""
+    """Eigenvalues of the rig as modelled here, next to the printed ones."""
     paper, rig = paper_prints(), paper_model()
     modelled = eigenmodes(rig, rig.parameters(rig.theta(dict(paper.values)))).eigenvalues
     return tuple(

@@ -1,7 +1,7 @@
 """Blocks: work in pieces, each kept as it is finished and never computed twice, the same bits whoever computes them.
 
 A block is a table of columns in a Parquet file that is there whole or not at all.  It says what it is of (its Key) and
-carries a digest of its numbers beside the page checksums of Parquet, so that flipped bits, blocks of another place and
+carries a digest of its numbers besides the page checksums of Parquet, so that flipped bits, blocks of another place and
 blocks of another study or version are seen when it is read.
 """
 
@@ -94,7 +94,7 @@ class BlockStore:
                 if columns is None:
                     missing[number] = own, task
                     yield number, own, task
-                else:  # very many may wait here, of which none is held
+                else:  # very many may wait here; none is held
                     kept.append(FinishedTask(task, True, partial(self.read, own)))
 
         computed = partial(_computed, f, self.folder, (platform.node(), os.getpid()))
@@ -190,7 +190,7 @@ def opened_store(folder: Path, own: Callable[[Path], bool], cure: str) -> Iterat
         yield BlockStore(folder)
 
 
-# Fingerprints: digests of values of which every bit counts and no order that means nothing.
+# Fingerprints: digests of values in which every bit counts, and no order without meaning.
 
 
 def fingerprint_of(value: object) -> str:
@@ -208,7 +208,7 @@ def fields_of(value: object) -> list[tuple[str, object]]:
 
 
 def _canonical(value: object) -> object:
-    """A value as JSON of which every bit counts and no order that means nothing: equal values give equal texts."""
+    """A value as JSON in which every bit counts, and no order without meaning: equal values give equal texts."""
     if isinstance(value, Enum):
         return _canonical(value.value)
     if isinstance(value, np.ndarray | np.generic):

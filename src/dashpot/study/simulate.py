@@ -151,7 +151,7 @@ def _recorded(channels: tuple[Channel, ...], time: Real, values: Real, rng: np.r
 def true_calibrations(
     channels: Sequence[Channel], rng: np.random.Generator | None = None, draws: int | None = None
 ) -> tuple[Real, Real]:
-    """Gain and delay (s) that each channel has beside what is known of them exactly, (channels,) or (draws, channels).
+    """Gain and delay (s) that each channel has besides what is exactly known, (channels,) or (draws, channels).
 
     Drawn by `rng` from what is stated with an sd; else as stated or guessed, else 1 and 0.
     """

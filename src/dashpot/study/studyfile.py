@@ -52,7 +52,7 @@ _WANTED = Wanted("study file", "describe a study, starting with [rigs.NAME]")
 
 
 def read_study(path: str | os.PathLike[str]) -> Study:
-    """The study in the TOML file `path`; rig files are looked for beside it.
+    """The study in the TOML file `path`; rig files are looked for next to it.
 
     Raises UsageError with every problem found, each at file:line and key, DataError if the path is a device.
     """
@@ -251,7 +251,7 @@ class _Reading:
     # The tables that grids refer to.
 
     def _rigs(self) -> dict[str, TrueRig]:
-        """The rigs with their true values; rig files are looked for beside the study file."""
+        """The rigs with their true values; rig files are looked for next to the study file."""
         each = {name: self._rig(name, raw) for name, raw in self._table("rigs").items()}
         rigs = {name: rig for name, rig in each.items() if rig is not None}
         if not rigs and not len(self.report):
@@ -276,7 +276,7 @@ class _Reading:
         if rig.experiments:
             named = [NO_EXPERIMENT, *rig.model.experiments]
             if entry.experiment not in named:
-                cure = f'say experiment = "…" beside file: {listed(named)}'
+                cure = f'say experiment = "…" next to file: {listed(named)}'
                 what = "the rig differs by experiment; a study simulates one rig"
                 self.report.add((*place, "experiment"), what, cure)
                 return None

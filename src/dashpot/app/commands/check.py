@@ -21,7 +21,7 @@ def command(
     profiled: Annotated[
         tuple[str, ...],
         opt.Option("--profile NAME,…", None, WITH_DATA, multiple=True),
-        "Profile-likelihood interval of an unknown, beside the normal one.  May be repeated.",
+        "Profile-likelihood interval of an unknown, in addition to the normal one.  May be repeated.",
     ],
     known: Annotated[
         bool,

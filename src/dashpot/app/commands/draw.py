@@ -20,7 +20,7 @@ def command(
     estimate_file: Annotated[
         str | None,
         opt.Option("--estimate FILE.json", opt.INPUT_FILE, WHAT),
-        "An estimate (JSON of identify), whose values and intervals are written beside the elements.",
+        "An estimate (JSON of identify), whose values and intervals are written next to the elements.",
     ],
     mode: Annotated[
         int | None,

@@ -384,7 +384,7 @@ def _show(rig: Rig, found: Identified, level: float, matrices: bool, verbose: bo
     from dashpot.present.estimate import estimate_document
 
     say(estimate_document(found.estimate, level, untried=found.untried, verbose=verbose), apart=True)
-    # Free matrices are what the rig is, as long as no hysteretic damper, which is in none of them, stands beside them.
+    # Free matrices are what the rig is, as long as no hysteretic damper, which is in none of them, is there as well.
     if matrices or (free_names(rig.model) and not len(rig.model.by_matrix["H"])):
         from dashpot.estimate.linear.instrumental_variables import matrices_of
         from dashpot.present.document import Document

@@ -32,7 +32,7 @@ def command(
     workers: opt.Workers,
     quiet: opt.Quiet,
 ) -> None:
-    """Reproduce the tables and figures of PAPER (yamane1989), beside what it printed and what it left open.
+    """Reproduce the tables and figures of PAPER (yamane1989), next to the printed ones, and answer what it left open.
 
     The same seed gives the same numbers, whatever the number of processes.
     """

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from threading import Lock
 from typing import Any
 
-SPARE = 2  # processes that wait for a call: for one job, and for what the page asks beside it
+SPARE = 2  # processes that wait for a call: for one job, and for what the page asks meanwhile
 LOST = "the process that computed this has ended unexpectedly; try again, with fewer data if memory is short"
 
 

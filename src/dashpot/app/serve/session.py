@@ -262,7 +262,7 @@ class Session:
         return place
 
     def add_data(self, place: Path, sha256: str = "") -> None:
-        """A data file, uploaded or in the folder that is served; it goes beside those that are there."""
+        """A data file, uploaded or in the folder that is served; it is added to those that are there."""
         path = str(place.relative_to(self.folder)) if place.is_relative_to(self.folder) else str(place)
         with self.lock:
             entry = {"name": place.name, "path": path, "sha256": sha256, **_state_of(place)}
@@ -286,7 +286,7 @@ class Session:
 
     @property
     def rest(self) -> list[str]:
-        """Records at rest, of which the noise is taken."""
+        """Records at rest, from which the noise is taken."""
         return [each["path"] for each in self.state["data"] if each.get("rest")]
 
     def set_rest(self, path: str, rest: bool) -> None:
@@ -489,7 +489,7 @@ class Session:
         return self.folder / "live" / safe_name(name, "stream")
 
     def export(self, end: str) -> None:
-        """Write the rig with its last estimate for another program, beside the estimate."""
+        """Write the rig with its last estimate for another program, next to the estimate."""
         kept = self.state["result"]
         if kept is None:
             self.complain(["There is no estimate yet: press Identify first."])
@@ -513,7 +513,7 @@ class Session:
             numbers = [int(path.name) for path in (self.folder / "results").iterdir() if path.name.isdigit()]
             out = wanted.get("out") or f"results/{max(numbers, default=0) + 1}"
             kept = {self.state[name]["folder"] for name in KINDS.values() if self.state[name] is not None}
-            for number in sorted(numbers)[:-10]:  # whose files are kept beside those that are shown
+            for number in sorted(numbers)[:-10]:  # whose files are kept as well as those that are shown
                 if f"results/{number}" not in kept:
                     shutil.rmtree(self.folder / "results" / str(number), ignore_errors=True)
             (self.folder / out).mkdir(exist_ok=True)

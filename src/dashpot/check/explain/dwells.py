@@ -29,12 +29,12 @@ from dashpot.model.elements import Element
 from dashpot.model.rigfile import element_line
 from dashpot.numerics.small_systems import scaled_inverse
 
-SUSPECTS = 40  # dwells of which each is left out in turn
+SUSPECTS = 40  # dwells, each of which is left out in turn
 NAMED = 3  # of them whose label, phases or sign may be what is wrong
 # Factors of frequencies in other units or time bases
 RATES = (2 * np.pi, 1 / (2 * np.pi), 2.0, 0.5, 60.0, 1 / 60)
 RATE_WIDTH = 0.01  # relative: clocks that are off are off by little
-LABEL_WIDTH = 0.2  # nepers: a dwell's own frequency beside its label
+LABEL_WIDTH = 0.2  # nepers: a dwell's own frequency relative to its label
 LABEL_STARTS = (300, 3)  # of the scan for a dwell's own frequency: points, decades
 RATES_IN_WORDS = {
     0.159155: "Are they rad/s, given as Hz?",
@@ -236,7 +236,7 @@ def _one_part_otherwise(first: FittedProblem, second: FittedProblem) -> list[tup
     away = second.psi - first.psi
     pull = alone @ away
     both = information[np.ix_(free, free)] + alone
-    # Unknowns of both groups at the end of the second, and beside them each of the second alone.
+    # Unknowns of both groups at the end of the second, and with them each of the second alone.
     whole = np.block([[both, information[free]], [information[:, free], information]])
     apart = [False] * len(names) + [True] * len(there.names)
     tests = score_tests([*names, *there.names], apart, whole, np.append(-pull, score), 0.0)

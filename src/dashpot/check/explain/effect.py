@@ -51,7 +51,7 @@ class Effect:
                as a factor of e
     between    what the size is, or over the first of the others, if it is what its kind says
     found      the fit, where the search for the effect has made it already
-    more       further unknowns that it brings, of which is known beforehand what one number of the data tells
+    more       further unknowns that it brings, about which as much is known beforehand as one number of the data tells
     share      of the probability of its kind
     """
 

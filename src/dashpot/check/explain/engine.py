@@ -103,7 +103,7 @@ ROUNDS = 8  # parabolas through χ² about a size, at most
 SETTLED = 0.1
 TOGETHER = log(10)  # difference of log likelihoods that tells two causes apart
 IMPROBABLE = 1e-4  # p-value of what the best cause leaves, below which a second one is looked for
-NEXT_TO_NOTHING = 0.003  # of a gross misfit, beside which nothing finer is looked for: a rig is rarely better
+NEXT_TO_NOTHING = 0.003  # of a gross misfit, below which nothing finer is looked for: a rig is rarely better
 SIZES = np.concatenate([[0.0], np.geomspace(1e-5, 3.0, 30)])  # of a discrepancy, relative to the motion
 MENDED = 0.01  # of the motion: within that a rig is mostly right whose mistake is mended
 APPROXIMATE = 0.05  # of the misfit, as an amplitude: within that an effect describes its cause
@@ -120,7 +120,7 @@ Supposition = tuple[Effect, float, float, FitProblem]  # an effect, its prior, a
 class Trial:
     """An effect on its way to the best of its sizes: the prior of its kind, a size, and the fit there.
 
-    bend, step  half of the curvature of χ² about the size, and a step from it, of which three are the longest
+    bend, step  half of the curvature of χ² about the size, and a step from it, at most three of which are taken
     """
 
     effect: Effect
@@ -169,7 +169,7 @@ class Cause:
     near      odds that it is something else of which this fit comes near
     explains  share of the misfit
     group     a number that causes share which the data cannot tell apart; None for one that stands alone
-    beside    whether it is the matter beside the first, not in its place
+    beside    whether it is wrong in addition to the first, not in its place
     """
 
     effect: Effect
@@ -266,7 +266,7 @@ def explain_in_steps(baseline: Baseline, kinds: Kinds, *, laws: bool = False) ->
     """
     first = _step(baseline, kinds, laws=laws)
     best = first.causes[0] if first.causes else first.nearest
-    # Beside a law of its own every further trial is a search by harmonic balance.
+    # With a law of the rig's own, every further trial is a search by harmonic balance.
     if best is None or len(best.fit.problem.model.nonlinear) or not _leaves_more_than_noise(best.fit):
         return first
     mended = best.fit.problem.from_starts((best.fit.psi,))
@@ -621,7 +621,7 @@ def _tried(
 def _at_best_sizes(
     baseline: Baseline, suppositions: Sequence[Supposition], fits: Sequence[FittedProblem]
 ) -> list[Trial]:
-    """Each effect at the size of which the fit is the likeliest."""
+    """Each effect at the size whose fit is the likeliest."""
     best: dict[int, Trial] = {}
     for (effect, prior, size, _), fit in zip(suppositions, fits, strict=True):
         end = _on_the_same_data(baseline, fit)
@@ -631,7 +631,7 @@ def _at_best_sizes(
 
 
 def _promised(baseline: Baseline, effect: Effect) -> tuple[float, ...]:
-    """The size that one step from the rig as it is promises (Rao's score beside ψ), of what is sought by its size.
+    """The size that one step from the rig as it is promises (Rao's score at ψ), of what is sought by its size.
 
     Where a channel is all that tells a part of the rig, what the others predict of it is no size to begin at.
     """
@@ -664,7 +664,7 @@ class Along:
 
     @staticmethod
     def of(trial: Trial, problem: FitProblem) -> Along:
-        """By slopes of the problem with the effect of a trial, where that was fitted and a little beside its size."""
+        """By slopes of the problem with the effect of a trial, where that was fitted and a little off its size."""
         effect, psi = trial.effect, trial.fit.psi
         assert effect.width is not None
         step = FIRST_STEP * effect.width
@@ -1013,7 +1013,7 @@ def _of_channel(fit: FittedProblem, c: int, block: Ints, used: float, log_v: Rea
 
 
 def _of_lost(fit: FittedProblem, log_v: Real, prior_v: Real) -> float:
-    """ln p of what is left out beside what it should be, in noise of any size."""
+    """ln p of what is left out against what it should be, in noise of any size."""
     problem = fit.problem
     if problem.lost is None:
         return 0.0

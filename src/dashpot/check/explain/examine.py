@@ -269,7 +269,7 @@ def _beside_laws(
     """What may be the matter with settled dwells of a rig with laws of its own, and what the engine found.
 
     Gross mistakes of channels by the equation of motion, where all motion is seen; what the engine finds, where the rig
-    describes the motion roughly; elements beside the rig's own laws, unless a cause explains nearly all.
+    describes the motion roughly; elements in addition to the rig's own laws, unless a cause explains nearly all.
     """
     if spectrum.carries_loads or model.n > LARGEST:
         return (), None
@@ -361,7 +361,7 @@ MOST_DIRECTED = 3  # causes that are named
 def directed(model: Model, spectrum: Spectrum, estimate: Estimate) -> tuple[Finding, ...]:
     """What of a fit is off beyond doubt, the clearest first; () where nothing is, or no noise is known.
 
-    Each direction is tested by itself beside the rig's unknowns, at LEVEL over their number.
+    Each direction is tested by itself alongside the rig's unknowns, at LEVEL over their number.
     """
     settled = all(isinstance(stretch, SettledDwell) for stretch in spectrum.stretches)
     small = model.n <= LARGEST and spectrum.amplitudes.size <= MOST_AMPLITUDES

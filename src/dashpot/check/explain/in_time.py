@@ -1,9 +1,9 @@
 """The verdict on whole records of a nonlinear rig, and what may be the matter with them (THEORY §9).
 
-Elements that the records call for beside those of the rig tell that it does not fit, by the score of each: a candidate
-whose parameter is 0 changes nothing; the slope of the integrated motion along it says what it would do, and what the
-rig's own unknowns and the starts of the records do as well counts for nothing.  What may be otherwise, these elements
-among it, is weighed by the engine on the part of a record of which most is left over.
+Elements that the records call for in addition to those of the rig show that it does not fit, by the score of each: a
+candidate whose parameter is 0 changes nothing; the slope of the integrated motion along it says what it would do, and
+what the rig's own unknowns and the starts of the records do as well counts for nothing.  What may be otherwise, these
+elements among it, is weighed by the engine on the part of a record with the largest residual.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ TOGETHER = 4  # candidates that are integrated at once: each step solves for the
 MOST_NUMBERS = 20_000_000  # in the slopes
 MOST_SAMPLES = 1000  # of a record that the engine looks at
 SENSITIVE = 30.0  # times that an error of the start grows over a record; in proportion to time it is eight
-MOST_CALLED_FOR = 3  # elements of which the scores leave no doubt that are weighed
+MOST_CALLED_FOR = 3  # elements beyond doubt by their scores that are weighed
 
 
 def examined_records(
@@ -97,7 +97,7 @@ def assess_records(
     Residuals are those of the motion that follows from the inputs and the start of each record; where it depends too
     much on its start to be followed, none are told.
 
-    fitted: the fit that the estimate is of.  With noise of the inputs, residuals are beside the motion that their
+    fitted: the fit that the estimate is of.  With noise of the inputs, residuals are relative to the motion that their
     likeliest values give.  Without it the measured inputs count as exact.
     """
     against = [*unphysical(model, estimate), *rejected(estimate)]
@@ -173,9 +173,9 @@ def _explained(
     laws: tuple[tuple[float, Effects], tuple[float, Effects]],
     against: bool,
 ) -> Explanation | None:
-    """What may be otherwise, by the part of a record of which most is left over; None where that cannot be asked.
+    """What may be otherwise, by the part of a record with the largest residual; None where that cannot be asked.
 
-    laws: nonlinear elements beside the rig's own, and in their place.
+    laws: nonlinear elements in addition to the rig's own, and in their place.
     """
     if model.n > LARGEST or not np.all(np.isfinite(estimate.values)):
         return None
@@ -194,7 +194,7 @@ def _explained(
 def _baseline(
     model: Model, records: Sequence[Record], trails: Sequence[FollowedRecord], estimate: Estimate
 ) -> Baseline:
-    """The part of which most is left over, fitted: of records that were cut a segment, or where segments leave more
+    """The part with the largest residual, fitted: of records that were cut a segment, or where segments leave more
     than noise a longer part, if its motion can be followed."""
     part = _begun(model, _worst_part(records, trails), estimate)
     if len(trails) > len(records):
@@ -221,7 +221,7 @@ def _is_sensitive(fit: FittedProblem) -> bool:
 
 
 def _worst_part(records: Sequence[Record], trails: Sequence[FollowedRecord]) -> Record:
-    """The part of a record, MOST_SAMPLES at most, of which most is left over, over the sizes of the channels.
+    """The part of a record, MOST_SAMPLES at most, with the largest residual relative to the sizes of the channels.
 
     trails: of all records, or of the segments that each was cut into because no motion can be followed for longer.
     """
@@ -272,7 +272,7 @@ def _begun(model: Model, record: Record, estimate: Estimate) -> Baseline:
 
 
 def _elements(called_for: Sequence[ScoredElement], baseline: Baseline) -> Iterator[Effect]:
-    """Nonlinear elements of which the scores of all records leave no doubt."""
+    """Nonlinear elements that are beyond doubt by the scores of all records."""
     model = baseline.problem.model
     for each in called_for[:MOST_CALLED_FOR]:
         if each.element.force_law is None:

@@ -93,7 +93,7 @@ SCALES = tuple(float(4.0 ** (k / 2.5)) for k in (0, -1, 1, -2, 2, -3, -4, -5))
 class ScoredElement:
     """A candidate: how far χ² falls with it, from `chi2` with `dof` degrees of freedom, and the value it would have.
 
-    psi (M,): the rig's own unknowns beside it, where they are known better than by the fit without it.
+    psi (M,): the rig's own unknowns with it, where they are known better than by the fit without it.
     fit: of the rig with it, where it was fitted in full.
     in_place: whether it stands in the place of the rig's own nonlinear elements.
     """
@@ -225,8 +225,8 @@ def feeds_motion(element: Element, value: float) -> bool:
 # searched.
 #
 # A candidate's force in the measured motion is one more column of a regression, weighed by what noise of
-# the motion leaves in the equation. A rig that is far off, dwells beside a fold and lost branches do not
-# matter here, as they do where a candidate is scored beside the fit of a rig without it (THEORY §9).
+# the motion leaves in the equation. A rig that is far off, dwells next to a fold and lost branches do not
+# matter here, as they do where a candidate is scored against the fit of a rig without it (THEORY §9).
 
 
 SOFT = 0.01  # of each amplitude: what harmonics that were not measured leave out of a force
@@ -235,7 +235,7 @@ FAR = 2.0  # times such a constant, or one over it: as far as one round moves it
 
 
 def scored_by_equation(problem: LineProblem, elements: Sequence[Element]) -> list[ScoredElement]:
-    """The best candidate of each place and law, with all values of the rig beside it, the best first.
+    """The best candidate of each place and law, with all values of the rig, the best first.
 
     Of settled dwells of a rig without unknown calibrations; the constants inside its own laws are moved from where the
     problem begins, its best fit.  [] where some motion is not seen.
@@ -358,7 +358,7 @@ def scored_in_dwells(
 ) -> list[ScoredElement]:
     """The candidates by their score where the problem begins, its best fit with that softness, the best first.
 
-    Of settled dwells.  Softened, all amplitudes have a say: beside a small noise those near resonance, where a wrong
+    Of settled dwells.  Softened, all amplitudes have a say: with little noise those near resonance, where a wrong
     rig fails most, would decide alone.  [] where none can be had.
     """
     dof = max(problem.dof - 1, 1)
@@ -613,7 +613,7 @@ def free_name(model: Model, element: Element) -> str:
     return unused(model, word, *(f"{word}_{'_'.join(element.along)}{suffix}" for suffix in ("", "_2", "_3")))
 
 
-# Nonlinear elements that whole records call for beside a linear rig, by the score of each alone (THEORY
+# Nonlinear elements that whole records call for in addition to a linear rig, by the score of each alone (THEORY
 # §9).
 #
 # Under the motion of the record a candidate pushes with a force that is known in time; its lines, carried
@@ -628,13 +628,13 @@ OVERSAMPLED = 2  # times the samples of a record: kinks of a law reach beyond it
 LEAST = 0.02  # of what is left over, that a candidate must explain: mistakes of other kinds leave it less by chance
 NEARLY = 0.5  # of what the best explains: others that explain as much are named, too
 MOST = 3  # candidates that are named
-HANDICAP = 0.85  # of what a law explains by such a choice, beside laws without one
+HANDICAP = 0.85  # of what a law explains by such a choice, compared with laws without one
 QUIET = 0.05  # share of the lines that have nothing but noise at the least
 STILL = 1e-9  # of the largest elongation: points that move no further do not move
 
 
 def called_for_in_records(model: Model, spectrum: Spectrum, estimate: Estimate) -> list[ScoredElement]:
-    """Candidates of which the whole records leave no doubt, the best first; [] where there is none.
+    """Candidates that the whole records put beyond doubt, the best first; [] where there is none.
 
     spectrum: without batch axes, with the noise that the estimate of a linear rig rests on.
     """
@@ -796,7 +796,7 @@ def _named(scored: Sequence[ScoredElement]) -> list[ScoredElement]:
 
 @dataclass(frozen=True)
 class _Test:
-    """What a candidate explains of the residual beside others; orthonormal columns and sides with unit noise.
+    """What a candidate explains of the residual beyond others; orthonormal columns and sides with unit noise.
 
     own (rows, M): of the rig's own unknowns; beside (rows, M + 2 places): with the linear elements; residual (rows,);
     rows: real parts of lines by channels, then imaginary ones.  Of noise that is `uneven` in time no test holds but

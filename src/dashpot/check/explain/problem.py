@@ -554,7 +554,7 @@ class ModalProblem:
 class Integrated:
     """A motion that was integrated: what the channels show of it (samples, channels), and slopes along ψ, SI units.
 
-    model, names, body, psi  of which it is; slopes None where no motion follows
+    model, names, body, psi  what it is the motion of; slopes None where no motion follows
     """
 
     model: Model
@@ -861,7 +861,7 @@ class TimeProblem:
 
     @property
     def _as_shown(self) -> object:
-        """What the channels show, and how fast: motions of which differ."""
+        """What the channels show, and the step: where these differ, so do the motions."""
         shown = (self.channels[c] for c in self._shown)
         return tuple((each.quantity, tuple(each.of.items())) for each in shown), self.step_s
 
@@ -878,7 +878,7 @@ class TimeProblem:
     def moved(self, psi: Real, near: bool = False, far: bool = True) -> tuple[Real, Real] | None:
         """What a motion at ψ (M,) leaves of the samples, in standard deviations (samples, channels), with its slopes.
 
-        (samples, channels, M); None where no motion follows.  near: to first order beside one of other inputs, where
+        (samples, channels, M); None where no motion follows.  near: to first order about one of other inputs, where
         there is one; far: integrated also where no motion that is known leads to it.
         """
         body = self.body
@@ -1017,7 +1017,7 @@ def _blocks(model: Model, psi: Real, frequency_hz: Real, experiment: Ints) -> In
 
 
 def exchanging(count: int, first: int, second: int) -> Ints:
-    """The order of `count` things of which two are exchanged."""
+    """The order of `count` things, two of which are exchanged."""
     order = np.arange(count)
     order[[first, second]] = second, first
     return order
@@ -1316,7 +1316,7 @@ def _own(problems: Sequence[LineProblem]) -> list[list[Real]]:
             view = observation_model(some.model, part.channels, part.omega, part.experiment)
             try:
                 states = states_if_seen(view, spectrum, V)
-            except DataError:  # by rounding beside too different noise, of one of them maybe
+            except DataError:  # by rounding where noises differ too much, perhaps in one of them only
                 for t in rows if len(rows) > 1 else ():
                     (by_equation[t],) = _own([problems[t]])
                 continue
@@ -1330,7 +1330,7 @@ def _own(problems: Sequence[LineProblem]) -> list[list[Real]]:
 
 
 def _whole_lines(kept: Bools) -> Bools:
-    """Lines with something in them, (lines,); but for one of which only a part is left out of the test."""
+    """Lines with something in them, (lines,); except one that is partly left out of the test."""
     count = np.sum(kept, axis=1)
     partial = count < np.max(count, initial=0)
     whole = count > 0

@@ -3,7 +3,7 @@
 A wrong sign or unit, or two channels exchanged, keeps a search by integration busy for minutes, to no end.
 Where the channels of displacement show all coordinates, the equation of motion in its weak form tells the mistake at
 once: with the parts of the rig, and any smooth law at the places of its nonlinear elements, or their own hysteresis,
-its terms cancel or they do not.  Elsewhere the motion that follows from the guesses is laid beside the measured one.
+its terms cancel or they do not.  Elsewhere the motion that follows from the guesses is compared with the measured one.
 """
 
 from __future__ import annotations

@@ -255,7 +255,7 @@ def _before_step(
     return problem.scaled(c, (1 - after + after / size**2) ** 0.5).with_amplitudes(mended_y)
 
 
-# An input that is held from sample to sample: beside its spectrum in the band, times sin(x)/x and half a step late, it
+# An input that is held from sample to sample: besides its spectrum in the band, times sin(x)/x and half a step late, it
 # has images about every multiple of the sampling rate, and what they move is sampled as motion in the band.
 
 HELD = 0.02  # that an input is
@@ -359,7 +359,7 @@ def _loudest_tone(
     peak = lines[int(np.argmax(np.sum(np.abs(left[lines][:, heard]) ** 2, axis=1)))]
     order, best, tone = problem.frequency_hz[peak] * record.duration_s, 0.0, np.zeros_like(left)
     about = order
-    # Ten frequencies to a line beside the peak, then ten times as closely about the best, and again
+    # Ten frequencies to a line next to the peak, then ten times as closely about the best, and again
     for reach in (1.0, 0.1, 0.01):
         orders = np.maximum(about + reach * np.linspace(-1, 1, 21), 1.0)  # less is a drift
         columns = np.zeros((*left.shape, len(orders), 2), dtype=np.complex128)

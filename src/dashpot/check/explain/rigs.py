@@ -20,8 +20,8 @@ from dashpot.model.elements import Element, Kind, between, mass
 from dashpot.model.network import Input, Model
 from dashpot.model.rigfile import element_line, element_section
 
-FOLLOWED = 8  # elements of a kind that are fitted in full, those of which the score promises most
-# Of a stated value, where fits begin: beside sharp resonances each ends at the next.
+FOLLOWED = 8  # elements of a kind that are fitted in full, those whose score promises most
+# Of a stated value, where fits begin: next to sharp resonances each ends at the nearest.
 BEGUN = (1.0, 0.85, 1.18)
 VALUE_WIDTH = 0.3  # nepers: a stated value that is wrong without another unit
 ELEMENT_WIDTH = 1.0  # of the typical size of a kind in the rig
@@ -74,7 +74,7 @@ def stated_values(model: Model) -> list[Element]:
 def scores(problem: FitProblem, psi: Real, elements: Sequence[Element]) -> dict[str, tuple[float, float]]:
     """By the name of each element: how far χ² would fall were its parameter free, and the step of it (Rao's score).
 
-    Each by itself beside the rig's own unknowns at ψ (M,), the best fit without it; elements of which less than
+    Each by itself alongside the rig's own unknowns at ψ (M,), the best fit without it; elements of which less than
     a hundredth of the column is its own are left out.
     """
     if not elements:
@@ -93,7 +93,7 @@ def element(baseline: Baseline) -> Iterator[Effect]:
 
 
 def hysteretic(baseline: Baseline) -> Iterator[Effect]:
-    """Hysteretic damping beside a spring, or in the place of a damper of a stated value."""
+    """Hysteretic damping in parallel with a spring, or in the place of a damper of a stated value."""
     model = baseline.problem.model
     joined = {frozenset(each.along) for each in model.elements if each.kind is Kind.SPRING}
     missing = [each for each in missing_elements(model, (Kind.HYSTERETIC,)) if each.kind is Kind.HYSTERETIC]
@@ -257,7 +257,7 @@ def _resonances(
 ) -> dict[float, tuple[float, ...]]:
     """Mass, stiffness and damping of a body to begin with, by its resonance (rad/s), the most promising first.
 
-    Of a light body the motion shows m ω² times a resonance: that is one more column beside those of the rig's unknowns,
+    Of a light body the motion shows m ω² times a resonance: that is one more column with those of the rig's unknowns,
     for each frequency and damping, and what χ² falls by it (Rao's score) has a peak at that of the body.
     """
     names, omega = larger.names, larger.omega
@@ -272,7 +272,7 @@ def _resonances(
     psi = np.tile(larger.starts[0], (len(ways), 1))
     psi[:, chosen] = light * ways
     information, score, _ = larger.slopes_at(psi)
-    # The rig's own unknowns, which know nothing of so light a body, and beside them each way by itself
+    # The rig's own unknowns, which know nothing of so light a body, and with them each way by itself
     along = np.einsum("kmc,kc->km", information[:, :, chosen], ways)
     whole = np.diag(np.concatenate([np.zeros(len(free)), np.sum(along[:, chosen] * ways, axis=1)]))
     whole[: len(free), : len(free)] = information[0][np.ix_(free, free)]

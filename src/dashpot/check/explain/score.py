@@ -1,6 +1,6 @@
 """Rao's score test: how far χ² would fall if something fixed were free, by the slopes at its value (THEORY §11).
 
-Many suppositions are judged by one evaluation of the likelihood, each by itself beside the rig's own unknowns.
+Many suppositions are judged by one evaluation of the likelihood, each by itself alongside the rig's own unknowns.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ def _frequencies(
 
 
 def _seen_through_all(f: Real, Y: Complex, duration_s: float) -> Complex:
-    """As `_seen_through` the whole record at its own lines, of which a Hann window joins three; (lines, channels)."""
+    """As `_seen_through` the whole record at its own lines, three of which a Hann window joins; (lines, channels)."""
     line = np.rint(f * duration_s)
     follows = (np.diff(line) == 1)[:, None]
     seen = np.array(Y)

@@ -93,7 +93,7 @@ def frequency_step(record: Record, f: float, degree: int) -> tuple[float, float]
     """Gauss-Newton step of the frequency and its standard deviation, Hz.
 
     A frequency error δ shows as a ramp of the phase, κ = 2π half δ.  The deviation is that of white noise, unless the
-    channels contradict each other by more: they share one drive, and what each finds beside it is a transient of its
+    channels contradict each other by more: they share one drive, and what each finds off it is a transient of its
     own.
     """
     _, half = window(record.time)

@@ -34,7 +34,7 @@ from dashpot.data.spectrum import Moments
 from dashpot.errors import DataError
 from dashpot.notices import Notice
 
-# The noise of amplitudes from the residual of the fit: its size beside each harmonic, and whether it is
+# The noise of amplitudes from the residual of the fit: its size next to each harmonic, and whether it is
 # white.
 
 
@@ -177,7 +177,7 @@ def rounding_steps(records: Sequence[Record]) -> Real:
 
 
 def _common_step(codes: Real) -> float:
-    """The greatest step of which all distances of ascending codes are multiples; 0 where there is none to speak of.
+    """The greatest common step of the distances of ascending codes; 0 where there is none to speak of.
 
     Euclid's algorithm on the smallest distances, with the rounding of floating point as its zero.
     """
@@ -215,7 +215,7 @@ class HarmonicFit:
     residual_covariance  (..., channels, channels)  of one sample, exact channels 0
     dof                  (orders,)  real degrees of freedom behind the covariance
     noise                "white": residual covariance times the exact covariance of least squares;
-                         "blocks": cross-spectrum of the residual on lines beside each harmonic
+                         "blocks": cross-spectrum of the residual on lines next to each harmonic
     whiteness            (...,)  p-value of a white residual, smallest over channels (Bonferroni); NaN where not tested
     notes                what was found on the way
     told                 (orders, channels)  share of an amplitude's information that comes from measured samples
@@ -285,7 +285,7 @@ def fit_harmonics(
 
 
 def _fit(record: Record, f: float, terms: Terms, noise: Noise) -> HarmonicFit:
-    """With the white noise of the residual at every harmonic alike, or that on the lines beside each, which is chosen
+    """With the white noise of the residual at every harmonic alike, or that on the lines next to each, which is chosen
     where it is another.  Raises DataError where it is asked for and the record is too short."""
     solution, samples = solve_harmonics(record, f, terms), len(record.time)
     sigma, exact, orders = solution.covariance, solution.exact(), len(terms.orders)

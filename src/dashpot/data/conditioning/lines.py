@@ -453,7 +453,7 @@ def used_dwells(
 ) -> tuple[UsedDwell, ...]:
     """Each dwell with its lines in the spectrum that `settings` made of the records.
 
-    Nothing where lines do not stand for one settled dwell each: whole records, averaged periods, tables beside them.
+    Nothing where lines do not stand for one settled dwell each: whole records, averaged periods, tables among them.
     """
     if any(record.frequency_hz is None for record in records):
         return ()

@@ -52,7 +52,7 @@ def window(time: Real) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Terms:
-    """What a dwell's motion may have beside noise, as columns over the samples.
+    """What a dwell's motion may contain apart from noise, as columns over the samples.
 
     degree  of the polynomial in time; 0 is an offset alone, −1 nothing
     orders  multiples of the drive frequency, ascending
@@ -148,7 +148,7 @@ class HarmonicSolution:
     squares       (batch, channels, channels)  of the residual
     free          (channels,)  degrees of freedom of the residual
     largest       (batch, channels)  of |y|
-    in_cells      (channels,)  of which a value stands for all that a converter rounds to it
+    in_cells      (channels,)  those in which a value stands for all that a converter rounds to it
     """
 
     terms: Terms
@@ -326,7 +326,7 @@ def _of_repeats(record: Record, f: float, terms: Terms) -> HarmonicSolution:
 def _with_partly_measured(
     record: Record, f: float, found: HarmonicSolution, some: Sequence[int], sizes: bool
 ) -> HarmonicSolution:
-    """The solution with those channels of which samples are not measured solved for by themselves."""
+    """The solution with channels that lack samples solved separately."""
     P, free, in_cells = np.array(found.P), found.free.copy(), found.in_cells.copy()
     coefficients, variance = found.coefficients.copy(), np.diagonal(found.covariance[0]).copy()
     for c in some:
@@ -346,7 +346,7 @@ def _with_partly_measured(
 
 
 FAR = 1e4  # standard deviations: what is beyond counts as that
-TURNS = 50  # of Newton's method, and sizes of the noise, of which three to ten are needed
+TURNS = 50  # of Newton's method, and of sizes of the noise; three to ten are needed
 DITHERED = 0.7  # residual in steps of a converter from which on rounding is noise like the rest
 BEGUN = 0.25  # noise in steps with which the search begins where the residual is rounding alone
 INSIDE = 8.0  # standard deviations from both ends of its cell, from which on a sample says nothing more
@@ -533,10 +533,10 @@ def _over_sizes(
 def _along_the_least_known(
     at: Likelihood, wide: Real, beta: Real, tau: float, parabola: Real, offset: bool
 ) -> tuple[Real, Real]:
-    """Mean and covariance of k coefficients given the noise, of which a parabola at the likeliest has one (k, k).
+    """Mean and covariance of k coefficients given the noise; a parabola at the likeliest has one (k, k).
 
     By sums along the direction in which the motion is known least, and by parabolas in all others, each about what is
-    likeliest there.  The motion beside its offset is as likely beforehand at each size, with all else in proportion.
+    likeliest there.  The motion about its offset is as likely beforehand at each size, with all else in proportion.
     """
     k, first = len(beta), int(offset)
     variances, axes = np.linalg.eigh(wide @ parabola @ wide.T)

@@ -52,7 +52,7 @@ class Conditioning:
                ones up to the tenth, below half the sampling rate
     drift      degree of the polynomial removed: 0 removes the mean, "none" (or None) nothing; "auto" is 1, or 0 if some
                dwell is short and a test over all dwells shows no slope
-    noise      "white": covariance of least squares; "blocks": spectrum of the residual beside each harmonic; "own":
+    noise      "white": covariance of least squares; "blocks": spectrum of the residual next to each harmonic; "own":
                "white" unless the residual is coloured and there are enough periods; "auto": as "own", with the noise of
                short dwells pooled
     moments    add the second moments of the samples (order 1 alone); "auto": where possible
@@ -123,7 +123,7 @@ class Conditioning:
 
     @property
     def nuisance_orders(self) -> tuple[int, ...] | None:
-        """Multiples solved for beside the orders; None: those that are significant."""
+        """Multiples solved for in addition to the orders; None: those that are significant."""
         if self.harmonics is None or self.harmonics == "auto":
             return None
         return tuple(int(order) for order in self.harmonics if not isinstance(order, str))

@@ -1,4 +1,4 @@
-"""Whether dwells are steady sines: what each may have beside them, tested of all dwells together.
+"""Whether dwells are steady sines: what each may contain in addition, tested over all dwells together.
 
 Each test gives p-values of single dwells, or of their channels, which `together` makes one.  Terms that a regression
 may have more are tested by `Nested`, what changes from one whole period to the next by `Blocks`.  `UNSTEADY` has what
@@ -33,14 +33,14 @@ from dashpot.notices import Notice
 
 # In fewer a transient, drift of a sensor, another frequency and a sine that grows look alike
 FEW_PERIODS = 2.0
-MANY_PERIODS = 8  # from which on noise is seen beside a sine and from period to period
+MANY_PERIODS = 8  # from which on noise is seen next to a sine and from period to period
 
 
 # Terms of a regression
 
 
 EXACT = 1e-9  # of a channel's size: what scatters less is rounding
-BESIDE = (1, 2, 3)  # multiples solved for beside the fundamental, from 24 samples on
+BESIDE = (1, 2, 3)  # multiples solved for in addition to the fundamental, from 24 samples on
 SLIGHT_DRIFT = 5e-4  # of an amplitude: a drift by less spoils no more than gains are known to
 
 
@@ -106,7 +106,7 @@ class CommonRamp:
 
 
 def common_ramp(record: Record, f: float, terms: Terms, of: Literal["phase", "amplitude"]) -> CommonRamp:
-    """The ramp of phase or of amplitude at f Hz beside other terms, over all channels and repeats.
+    """The ramp of phase or of amplitude at f Hz together with other terms, over all channels and repeats.
 
     The columns s cos and s sin (s = (t − centre)/half) of a signal a cos + b sin have the coefficients κ (b, −a) where
     its phase runs, and κ (a, b) where its amplitude grows.  Raises DataError as `solve_harmonics`.
@@ -307,7 +307,7 @@ def _fading(record: Record) -> float | None:
 
 
 def wholly_measured(record: Record) -> Record:
-    """The record with those channels alone of which every sample is measured.
+    """The record with only those channels whose every sample is measured.
 
     Where their peaks are clipped the others know little of the amplitude.
     """
@@ -319,7 +319,7 @@ def wholly_measured(record: Record) -> Record:
 
 
 # Dwells have not settled: their first period is another than their last.  What a long dwell shows in its first period
-# hardly reaches its amplitude, and the noise beside its line contains it.
+# hardly reaches its amplitude, and the noise next to its line contains it.
 
 
 CLEAR = 6.0  # standard deviations of a change that no drift of a sensor makes: one of them is enough
@@ -376,7 +376,7 @@ def first_to_last(record: Record) -> tuple[Real, Real] | None:
     # Whether each holds a period, as of `holds_a_period`
     if np.any(f * (stamps[:, -1] - stamps[:, 0] + 2 * np.max(np.diff(stamps), axis=1, initial=0.0)) < 1):
         return None
-    # The record without the slope that it has beside its sine: seen through a period at another phase, that
+    # The record without the slope that it has in addition to its sine: seen through a period at another phase, that
     # looks like a change of amplitude
     try:
         slope = solve_harmonics(record, f, Terms()).coefficients[0, 1]
@@ -406,7 +406,7 @@ def first_to_last(record: Record) -> tuple[Real, Real] | None:
 
 
 # Dwells of less than two periods have no first to set against a last.  A transient, or a frequency that is off, bends
-# the offset and lets amplitude and phase run: two more polynomials and the sine times time, beside harmonics where
+# the offset and lets amplitude and phase run: two more polynomials and the sine times time, besides harmonics where
 # there are samples enough, explain more of the residual than noise would.
 
 

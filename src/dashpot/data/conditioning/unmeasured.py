@@ -35,7 +35,7 @@ BEYOND = 4.0
 SPIKE = 10.0  # times that scatter by which a single sample does
 MOST_MISSING = 0.1  # of a channel's samples: a channel that misses more is at fault throughout
 PER_PERIOD = 0.5  # runs at the most: a mass that sticks rests twice in each period
-FREEDOM = 8  # samples that there must be around beside the parameters of the motion
+FREEDOM = 8  # samples that there must be around, beyond the parameters of the motion
 
 
 def marked(dwells: Sequence[Record]) -> tuple[list[Record], list[Notice]]:
@@ -332,7 +332,7 @@ def _alone(away: Real, at: int, c: int) -> bool:
     """Whether one sample of a channel departs far more than those around, where no other channel does; departures
     (samples, channels).
 
-    Without it its neighbours would lie where they should: beside a step, one of them would not.
+    Without it its neighbours would lie where they should: next to a step, one of them would not.
     """
     spike = away[at, c]
     beside = away[[at - 1, at + 1], c] + spike / 2
@@ -444,7 +444,7 @@ def _beyond(limit: Real, side: Ints, mean: Real, precision: Real) -> tuple[Real,
 def told_by_lines(column: Real, at: Ints, last: int, known: tuple[Real, Real]) -> tuple[Real, Real]:
     """Mean (k,) and inverse covariance (k, k) of what is to be added to the samples `at` (k,) of a channel.
 
-    By lines above the `last`, of which each is as loud as those beside it; by what is known of each, inverse variance
+    By lines above the `last`, each as loud as its neighbours; by what is known of each, inverse variance
     and mean (k,); and by the channel's size, which it does not exceed.
     """
     samples, lines = len(column), len(column) // 2 - last

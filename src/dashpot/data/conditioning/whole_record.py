@@ -110,7 +110,7 @@ def without_gaps(record: Record, *, split: bool = False) -> tuple[list[Record], 
 
 
 def _with_unknown_rows(record: Record, steps: Ints) -> Record | None:
-    """The record with a row for each sampling step, of which there are so many from row to row (rows − 1,).
+    """The record with a row for each sampling step; `steps` (rows − 1,): how many from row to row.
 
     None where too many are put in, or the stamps are no even ones then.
     """
@@ -346,7 +346,7 @@ def whole_records(
 def _aligned(record: Record, step: float) -> tuple[Record, tuple[Channel, ...]]:
     """The record with late channels shifted by whole samples, so that their ends belong together.
 
-    The channels beside it have what is left of their delays, less than one sample.
+    The other channels have what is left of their delays, less than one sample.
     """
     shifts = np.array([round((channel.delay or 0.0) / step) for channel in record.channels])
     remaining = tuple(
@@ -483,7 +483,7 @@ def dwells_with_transients(
 def _with_sine_floor(lines: Spectrum, record: Record) -> Spectrum:
     """The noise of each channel from what a sine leaves over, where that is less than its floor or there is none.
 
-    Beside a slope and harmonics amplitude and phase of the sine follow a polynomial of fewer degrees than it has
+    With a slope and harmonics, amplitude and phase of the sine follow a polynomial of fewer degrees than it has
     periods, that neither harmonics nor slopes can look like.
     """
     f, samples = record.frequency_hz, len(record.time)

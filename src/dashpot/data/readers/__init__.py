@@ -53,7 +53,7 @@ class Reading:
     conditioning: Treatments = field(default_factory=lambda: Treatments())
 
     def __repr__(self) -> str:
-        """One line: how many records and lines there are, and of which channels."""
+        """One line: how many records and lines there are, and their channels."""
         held = [counted(len(self.records) + len(self.joint), "record")]
         if self.amplitudes is not None:
             held.append(counted(self.amplitudes.lines, "line"))

@@ -217,7 +217,7 @@ def array_columns(
 _RATES = "fs rate_hz rate fsamp sample_rate samplerate sampling_rate sampling_frequency samplefrequency"
 RATES = set(_RATES.split())
 STEPS = {"dt", "ts", "step", "delta_t", "sampling_time", "sample_time", "tsample", "wf_increment"}
-START = "wf_start_offset"  # s, beside the step of a waveform of LabVIEW
+START = "wf_start_offset"  # s, next to the step of a waveform of LabVIEW
 EXPERIMENT = "experiment"
 OF_ALL = (FREQUENCY, EXPERIMENT)
 

@@ -44,7 +44,7 @@ class _Component:
 
 @dataclass
 class _Group:
-    """A channel: one component, or two of which the second is the abscissa."""
+    """A channel: one component, or two, the second being the abscissa."""
 
     step: float = 0.0
     start: float = 0.0

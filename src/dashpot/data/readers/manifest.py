@@ -459,7 +459,7 @@ def read_group(
             found += interpret(chosen, named, circumstances)
     names = {name for columns in (entry.columns, *entry.sensors.values()) for name in columns}
     if not names.isdisjoint(channel.name for channel in channels):
-        # What else is in a file of which the entry chooses columns is not worth a note.
+        # If the entry chooses columns, what else is in the file is not worth a note.
         notes = tuple(note for note in found.notes if note.code != "columns_not_read")
         found = replace(found, notes=notes)
     if entry.window_s is not None:

@@ -50,7 +50,7 @@ def read_matlab(file: DataFile, scipy_io: Any) -> Iterator[ArrayColumns]:
     yield from parts_of_variables(file.name, variables)
 
 
-# The variables of a file of version 5, of which long vectors are not held: mapped, or unpacked in pieces.
+# The variables of a file of version 5. Long vectors are not held: mapped, or unpacked in pieces.
 
 
 MATRIX, COMPRESSED = 14, 15  # kinds of data elements

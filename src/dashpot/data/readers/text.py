@@ -692,7 +692,7 @@ def read_text(file: DataFile) -> Iterator[TextTable]:
 # Comma-separated files, written whole or not at all.
 
 
-# How a formula begins in spreadsheets, and apostrophes before it, of which reading takes one away
+# How a formula begins in spreadsheets, and apostrophes before it; reading takes one away
 _FORMULA = re.compile(r"'*[=+\-@\t\r].", re.DOTALL)
 _QUOTED = set(',"\n\r')
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|nan)")

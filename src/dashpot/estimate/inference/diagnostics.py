@@ -1,4 +1,4 @@
-"""Notices beside an estimate: what it lacks, and what in the data or in the rig file is probably a slip.
+"""Notices that go with an estimate: what it lacks, and what in the data or in the rig file is probably a slip.
 
 Nothing here changes a number.
 """

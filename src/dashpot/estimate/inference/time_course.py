@@ -100,7 +100,7 @@ class _Histories:
 
     @property
     def typical(self) -> float:
-        """Variance of the residual by its median, of which few large ones are no part."""
+        """Variance of the residual by its median, which a few large ones do not move."""
         return float(np.median(self.residual**2)) / 0.455  # the median of a square of noise of variance 1
 
     def usual(self) -> Real:

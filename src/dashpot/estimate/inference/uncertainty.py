@@ -423,7 +423,7 @@ def _with_flat_valley(
     """The bottom of a valley whose information lacks a direction, and the curvature that χ² has along it."""
     view, sign = data.view, data.spectrum.signs(solution.signs, 1)
     valley = None
-    for _ in range(3):  # descents into valleys whose bottom lies beside where the descent ended
+    for _ in range(3):  # descents into valleys whose bottom is not where the descent ended
         if not may_lack_direction(around.sums.symmetric[0]):
             valley = None
             break

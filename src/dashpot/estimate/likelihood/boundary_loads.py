@@ -6,7 +6,7 @@ what they add to velocities and accelerations, is known where no input is elsewh
 linearly; they are projected out of each record after the inputs have been out of each line, by a basis that leaves out
 columns which depend on each other.
 
-Samples that a channel has not measured are unknowns beside them: an error of what is put in for each is one column
+Samples that a channel has not measured are further unknowns: an error of what is put in for each is one column
 e^{−jωt} in all lines of that channel, so that the fit is the one of the samples that are there.
 
 The loads are force inputs of a larger rig, one at every coordinate, so that its transfer gives their response, and its
@@ -85,7 +85,7 @@ class SampledLoads:
 
 
 def shows_sampled_loads(view: ObservationModel) -> Bools:
-    """Channels of which it is known, (channels,): motions on the record's own clock, of a rig with mass everywhere."""
+    """Where they are known, (channels,): in motions on the record's own clock, of a rig with mass everywhere."""
     model = view.model
     ones = np.ones(len(model.elements))
     if not small(model) or np.linalg.matrix_rank(matrices(model, ones).M) < model.n:
@@ -98,7 +98,7 @@ def shows_sampled_loads(view: ObservationModel) -> Bools:
 def sampled_loads(view: ObservationModel, known: Bools, p: Real, step: Real, highest: Real) -> SampledLoads:
     """Those of a rig with parameters p (K, elements) in records of sampling step (records,) s and highest ω, rad/s.
 
-    0 in channels of which it is not `known`, (records, channels).  Not finite where the masses are singular.
+    0 in channels in which they are not `known`, (records, channels).  Not finite where the masses are singular.
     """
     # Γ_0 … Γ_LAST (LAST + 1, K, n, n), and their slopes by the unknowns (LAST + 1, K, unknowns, n, n)
     model = view.model
@@ -173,7 +173,7 @@ class UnmeasuredColumns:
 
 
 def with_means_of_unmeasured(spectrum: Spectrum) -> Complex:
-    """Amplitudes, 0 where there are none, beside which samples that are not measured are off by 0 in the mean."""
+    """Amplitudes, 0 where there are none, with the means of what samples that are not measured are off by."""
     y = np.array(zeros_for_nan(spectrum.amplitudes))
     for number, value in enumerate(spectrum.stretches):
         if isinstance(value, WholeRecord) and value.unmeasured:
@@ -322,7 +322,7 @@ def record_ends(
     # How inputs follow from the polynomials of channels that give them
     shape = (len(s), view.on_q.shape[1], len(of))
     given = np.flatnonzero(np.any(exact != 0, axis=(0, 1))[of]) if exact is not None else of[:0]
-    by_input = np.broadcast_to(np.complex128(0), shape)  # takes no memory, of which lines may be many
+    by_input = np.broadcast_to(np.complex128(0), shape)  # takes no memory; there may be many lines
     if exact is not None and len(given):
         by_input = np.zeros(shape, dtype=np.complex128)
         by_input[:, :, given] = -exact[:, :, of[given]] * (s[:, None] ** height[given])[:, None, :]

@@ -76,7 +76,7 @@ class LocalMinima:
                 kept.append(int(k))
             if (
                 len(kept) == 128
-            ):  # dozens lie along a flat valley, and the right one must not be lost beside them
+            ):  # dozens lie along a flat valley, and the right one must not be lost among them
                 break
         return self if not kept else LocalMinima(psi[kept], sign[kept], cost[kept])
 

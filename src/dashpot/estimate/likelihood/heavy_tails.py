@@ -4,7 +4,7 @@ Lange, Little and Taylor (Journal of the American Statistical Association 84, 19
 predicted and ψ(residual) / E[ψ′], where ψ is the slope of the log density: least squares of these pseudo-data lead to
 the estimate that is sought, and their scatter is its uncertainty (Huber and Ronchetti, Robust Statistics, 2009, §7.8).
 So conditioning, noise, intervals and verdict are those of normal noise.  Of whole records the residuals in time are
-meant; of tables and dwells the amplitudes, of which a dwell of many samples has normal ones anyway.
+meant; of tables and dwells the amplitudes, which are normal anyway for a dwell of many samples.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ TURNS = 6  # fits to pseudo-data at most
 
 @dataclass(frozen=True)
 class Tails:
-    """Student's distribution of errors of `parts` real numbers each, `scale` beside their standard deviation.
+    """Student's distribution of errors of `parts` real numbers each, `scale` relative to their standard deviation.
 
     gain: twice the log likelihood that it has more than the normal one.
     """

@@ -294,7 +294,7 @@ class MaximumLikelihood(Method):
         """What the descents of one repeat end in, whatever it is, the lowest first, and what competes with it.
 
         One descent where all is seen, from the equation of motion weighted evenly, or as a typical rig has it: that
-        of this number, of which 0 is the middle of all.
+        of this number, where 0 is the middle of all.
         Elsewhere `more` lines than those that are searched tell which minima are low.
         Raises as `solve`.
         """

@@ -154,7 +154,7 @@ def noise_counted(model: Model, spectrum: Spectrum, covariance: Complex) -> tupl
         if not measures_input(model, channel) or size == 0:
             continue
         share = float(np.sum(variance[:, c]) / size) ** 0.5
-        if share < 1e-3:  # noise that is no more counts for nothing beside that of outputs
+        if share < 1e-3:  # noise that is no more counts for nothing compared with that of outputs
             exact.append(channel.name)
         else:
             counted.append((channel.name, f"{channel.name} {100 * share:.2g} %"))

@@ -336,7 +336,7 @@ class EstimatedInputs:
 
     @staticmethod
     def of(G: Complex, values: Complex) -> EstimatedInputs:
-        """By Gram and Schmidt; an input that is not seen beside the others has no direction of its own."""
+        """By Gram and Schmidt; an input that cannot be told from the others has no direction of its own."""
         basis, count = np.zeros_like(G), G.shape[2]
         triangle = np.zeros((len(G), count, count, G.shape[-1]), dtype=np.complex128)
         for j in range(count):
@@ -357,7 +357,7 @@ class EstimatedInputs:
         return values - columns_times(self.basis, adjoint_times(self.basis, values))
 
     def amplitudes(self, z: Real) -> Complex:
-        """The inputs (K, q, lines) beside columns with the coefficients z (K, columns, lines)."""
+        """The inputs (K, q, lines), given the columns with the coefficients z (K, columns, lines)."""
         right: Complex = self.coefficients[:, :, -1] - np.sum(
             self.coefficients[:, :, :-1] * z[:, None], axis=2
         )
@@ -573,7 +573,7 @@ class EndsFitted:
     z (K, records, f) coefficients of loads and the other columns, t (K, records, channels, terms) of each channel's own
     polynomials; B (K, records, f, f) makes what those leave of the columns orthonormal, with what is known of them
     beforehand; shared (K, records, channels, terms, f): how the columns stand in the channel's own polynomials
-    side (K, records, f), own (K, records, channels, terms): products of the residual, of which z and t are made
+    side (K, records, f), own (K, records, channels, terms): products of the residual, from which z and t are made
     others (K,): rank without the columns of samples that are not measured
     """
 
@@ -594,7 +594,7 @@ class EndsFitted:
 
     @property
     def rank(self) -> Ints:
-        """How many degrees of freedom the columns take, (K,): those of samples of which something is known none."""
+        """How many degrees of freedom the columns take, (K,): those of samples that are partly known take none."""
         if not self.pieces.ends.missing:
             return self.others
         count = sum(len(of.channel) for of in self.pieces.ends.unmeasured)
@@ -728,7 +728,7 @@ def _add(of: EndProducts, at: PieceAt, rows: Complex) -> None:
 
 
 def _slopes_and_residual(at: PieceAt, fit: EndsFitted) -> Complex:
-    """Slopes under the whole motion and the residual beside its loads, (K, channels, M + 1, lines)."""
+    """Slopes under the whole motion and the residual without its loads, (K, channels, M + 1, lines)."""
     K, f = len(at.psi), fit.z.shape[-1]
     z = np.zeros((K, f, len(at.piece.s)))
     for record, part in at.piece.segments:

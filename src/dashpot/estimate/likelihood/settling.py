@@ -107,7 +107,7 @@ def settling_test(model: Model, as_settled: Spectrum, whole: Spectrum) -> tuple[
 def _no_transient(
     model: Model, as_settled: Spectrum, known: Spectrum, fit: _Fit, method: MaximumLikelihood
 ) -> float:
-    """The p-value of steady motion, with slopes where the dwells have columns for them, beside the fit with loads.
+    """The p-value of steady motion, with slopes where the dwells have columns for them, against the fit with loads.
 
     The rig of the steady motion is that near the fit, or where that is none the one that a search ends in.
     """

@@ -163,7 +163,7 @@ def _equation_noise(model: Model, p: Real, data: States) -> tuple[Complex, Compl
         H = np.concatenate([H, S], axis=-1)
     spread = product(data.covariance, hermitian(H))
     Se = product(H, spread)
-    # Channels that are exact beside noisy ones would make Se singular: a floor far below the noise keeps it regular.
+    # Exact channels next to noisy ones would make Se singular: a floor far below the noise keeps it regular.
     variance = np.diagonal(Se, axis1=-2, axis2=-1).real
     floor = 1e-13 * np.where(variance > 0, variance, np.max(variance, axis=-1, keepdims=True, initial=0.0))
     return H, spread, Se + floor[..., None] * np.eye(model.n)

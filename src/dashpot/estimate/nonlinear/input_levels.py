@@ -95,7 +95,7 @@ def sizes_of_noise(linear: Sequence[LinearisedRecord], prior: Real, noise: Drawn
         for both in ((noise.data, noise.errors), (noise.draws, noise.drawn_errors))
     )
     expected = of_draws.mean(axis=-1)
-    # Columns of which each has one channel, or one input, alone
+    # Columns each with one channel, or one input, alone
     working = [
         np.concatenate(
             [z[:, :, None] * np.eye(z.shape[1]), record.covariance.reach(w[:, :, None] * np.eye(w.shape[1]))],
@@ -175,7 +175,7 @@ def with_uncertain_inputs(
     limits: tuple[Real, Real],
     at_rest: NoiseAtRest | None,
 ) -> tuple[RecordProblem, OptimizeResult, InputSizes] | None:
-    """The search from ψ (M,), the end of one with exact inputs, with the noise of inputs and outputs found beside it.
+    """The search from ψ (M,), the end of one with exact inputs, which also finds the noise of inputs and outputs.
 
     measured: the records before any was cut; limits: bounds of ψ; at_rest: the sizes, where a record at rest tells
     them.  None where the inputs show no noise that matters.  Raises NotSolvedError if the motion hangs too much on

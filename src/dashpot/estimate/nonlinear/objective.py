@@ -250,7 +250,7 @@ def shown_lines(
 
 @dataclass(frozen=True)
 class NonlinearPart:
-    """What the likelihood of a nonlinear rig needs beside the amplitudes.
+    """What the likelihood of a nonlinear rig needs in addition to the amplitudes.
 
     start (K, dwells, e, W): elongations to start from, None where they were not measured; q (K, lines, r + s): the
     inputs to start from; repeat (K,): which repeats these are; patient: whether lost dwells are followed from rest

@@ -45,7 +45,7 @@ from dashpot.unknowns import bounds_of, prior_mean, prior_precision
 # Which constants of whole records can be found: states at their starts, and constants that sensors of inputs add.
 #
 # Where nothing joins the rig to the ground and no channel shows where it is, a base may be anywhere and move at any
-# steady velocity: only motion beside it counts. Such constants are no unknowns.
+# steady velocity: only motion relative to it counts. Such constants are no unknowns.
 
 NONE = 1e-9  # of numbers around 1: what is none but for rounding
 
@@ -322,7 +322,7 @@ class RecordProblem:
     """The misfit of whole records at any ψ = (θ, gains, offsets, unknowns of each record).
 
     rig: as it is declared; model: as it moves, with bases that are known by a rate as coordinates behind its own.
-    begun: states at the starts of the records, of which those constants that cannot be found stay as they are.
+    begun: states at the starts of the records, whose constants stay as they are where they cannot be found.
     held (laws with a state,): how large the states of laws may be, m; sd (channels,): of their noise; substeps: steps
     between samples of each record; inputs: None where those measured are exact; pieces: into which each record was cut.
     The trail is no part of what the problem is: it only tells where evaluations begin.

@@ -168,7 +168,7 @@ class WeakEquations:
     (elements + equations, the same): covariance of white noise in a sample of the elongations and of f.
     products (3, 3, windows, windows): of the windows and their derivatives.  free: which θ are parameters.
     whitener (equations · windows, the same): what makes the noise of the equations of a piece white; error likewise:
-    covariance of what they are off by beside that noise.
+    covariance of what they are off by apart from that noise.
     """
 
     form: WeakForm

@@ -393,7 +393,7 @@ def largest_states(model: Model, theta: Real, data: RecordData, at: RecordedMoti
 
 
 def base_travel(model: Model, data: RecordData) -> BaseTravel:
-    """How the bases travel: what was measured, integrated, and a course with which the rig moves least beside them."""
+    """How the bases travel: what was measured, integrated, and the course about which the rig moves least."""
     from scipy.interpolate import BSpline, CubicSpline  # with them comes all of scipy.optimize
 
     count = len(data.bases.names)
@@ -414,7 +414,7 @@ def base_travel(model: Model, data: RecordData) -> BaseTravel:
         course[np.array(data.bases.orders) == 1, 2] = 0.0
         travel, start = travel + courses @ course.T, start + course
     if np.any(reach):
-        # Courses (samples, k) that bases may take beside what was measured, and how these begin, (k, 3): value, rate,
+        # Courses (samples, k) that bases may take besides what was measured, and how these begin, (k, 3): value, rate,
         # bend; parabolas, or splines where noise of the rates moves bases otherwise
         courses, begun = np.stack([np.ones_like(time), time, time**2 / 2], axis=1), np.eye(3)
         if data.steady:

@@ -1,6 +1,6 @@
 """Identification of nonlinear rigs from whole records: maximum likelihood by integration in time (THEORY §9).
 
-Unknown beside θ and gains: the state at the start of each record, and a constant offset of every force input, which
+Unknown besides θ and gains: the state at the start of each record, and a constant offset of every force input, which
 shifts the working point of a nonlinear rig and so is no matter of taking means out.  Where the measured inputs show
 noise, their true values are unknown too (`input_levels`).  Noise is white for the fit and of whatever colour the
 residuals have for the intervals (a sandwich with their spectrum).
@@ -68,7 +68,7 @@ from dashpot.numerics.small_systems import scaled_inverse, solve_scaled
 from dashpot.unknowns import Unknown, prior_precision
 
 # What fits of whole records of nonlinear rigs are worth: intervals that count the colour of the residuals, and how
-# the motion of an estimate goes beside what was measured.
+# the motion of an estimate departs from what was measured.
 
 
 # The motion that an estimate gives a record.
@@ -106,7 +106,7 @@ class FollowedRecord:
         return self.problem.records[0]
 
     def compared(self) -> PredictedMotion:
-        """Beside what was measured."""
+        """Relative to what was measured."""
         data, residual = self.data, self.residual
         spread = np.sqrt(np.mean((data.outputs - np.mean(data.outputs, axis=0)) ** 2, axis=0))
         rms = np.sqrt(np.mean(residual**2, axis=0))
@@ -279,7 +279,7 @@ def record_covariances(
 
     Scores have the autocovariance of the residuals, Σ_tτ J_t R(t − τ) J_τᵀ, by their smoothed spectrum.  Where the
     inputs are uncertain, with `noise`, they are sums over the noise of the channels and the errors of the inputs; what
-    each of both shows is counted with the colour that it has beside draws of white noise, and so is how well its size
+    each of both shows is counted with its colour relative to draws of white noise, and so is how well its size
     is known.  Raises DataError where no motion follows.
     """
     linear = all_linearised(problem, psi)

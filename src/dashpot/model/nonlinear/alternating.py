@@ -389,7 +389,7 @@ def _made(
 def _programs(expressions: Sequence[tuple[Expression | None, tuple[str, ...]]]) -> tuple[Any, ...]:
     """Where the steps of each expression begin and end, and code, which and number of all steps.
 
-    With the names that an expression may have beside d and v; none is no steps.
+    With the names that an expression may have in addition to d and v; none is no steps.
     """
     programs = []
     for expression, others in expressions:

@@ -58,7 +58,7 @@ _ANYWHERE: Mapping[str, NamedLaw] = {
     "bouc-wen": NamedLaw("z", rate="v - (gamma*abs(v)*sign(z) + delta*v)*abs(z)**nu"),
     "maxwell": NamedLaw("z", rate="v - z/tau"),
     # Canudas de Wit et al. 1995, IEEE Transactions on Automatic Control 40, 419: σ₀ is the parameter, σ₁ is σ₀ tau, σ₂
-    # a damper beside it; g(v)/σ₀ goes from ratio · slip of bristles that begin to slide to slip.
+    # a damper in parallel; g(v)/σ₀ goes from ratio · slip of bristles that begin to slide to slip.
     "lugre": NamedLaw(f"z + tau*({_BRISTLE})", rate=_BRISTLE),
 }
 SPRING_LAWS: Mapping[str, NamedLaw] = MappingProxyType(
@@ -161,7 +161,7 @@ class ForceLaw:
 
     @property
     def states(self) -> int:
-        """Numbers that the force depends on beside the present d and v."""
+        """Numbers that the force depends on in addition to the present d and v."""
         return (PIECES + 1 if self.pure else 1) if self.has_state else 0
 
     def sliders(self, g: Real) -> Sliders:
@@ -248,7 +248,7 @@ def force_law(text: str, constants: Sequence[Constant] = (), *, damper: bool = F
     if complete and missing:
         raise ModelError(
             f"the law {text!r} names {', '.join(missing)}",
-            cure=f'give {missing[0]} beside the law, as a number or "unknown"; d is the elongation, v its rate',
+            cure=f'give {missing[0]} next to the law, as a number or "unknown"; d is the elongation, v its rate',
         )
     excess = [name for name in given if name not in wanted]
     if excess:

@@ -116,7 +116,7 @@ def _regular_inverse(D: Complex) -> Complex:
 # them.
 
 
-SETTLED = 1e-8  # of the elongation: a response of which this is left counts as found
+SETTLED = 1e-8  # of the elongation: with less than this left over, a response counts as found
 
 
 @dataclass(frozen=True)

@@ -311,7 +311,7 @@ def _spline(N: int, q: int) -> tuple[sparse.csr_array, ...]:
 def _banded(
     N: int, rows: tuple[Ints, ...], offsets: tuple[int, ...], values: tuple[Real, ...]
 ) -> sparse.csr_array:
-    """Values in some rows (…,), each beside the diagonal by an offset."""
+    """Values in some rows (…,), each off the diagonal by an offset."""
     columns = [row + offset for row, offset in zip(rows, offsets, strict=True)]
     at = (np.concatenate(rows), np.concatenate(columns))
     return sparse.csr_array((np.concatenate(values), at), (N, N))
@@ -379,7 +379,7 @@ class _Chain:
         self.states, self.along, self.whole = begun[None], np.zeros((0, 0, 0)), False
 
     def close(self, slopes: bool) -> bool:
-        """Newton's method on the jumps between segments, of which `begun` changes; whether it ends.
+        """Newton's method on the jumps between segments, which moves their starts `begun`; whether it ends.
 
         With `slopes`, the last pass has them of all samples.
         """

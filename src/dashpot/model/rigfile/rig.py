@@ -80,7 +80,7 @@ class ShakerLimits:
 
 
 def usual_limits(model: Model) -> ShakerLimits:
-    """What is taken for a shaker of which nothing is said: 10 mm and 1 g, or 10 N; 0.1 rad and 10 rad/s², or 1 N·m."""
+    """What is assumed of a shaker unless stated: 10 mm and 1 g, or 10 N; 0.1 rad and 10 rad/s², or 1 N·m."""
     moved, forced = model.displacement_inputs, [s for s in model.inputs if s.kind == "force"]
     force = (1.0 if drive_is_angular(model, "force") else 10.0) if forced or not moved else None
     if not moved:
@@ -253,7 +253,7 @@ def scale_of_points(
     """Factor of `unit` to SI for what is stretched along some points.  Raises UsageError.
 
     Angles alone count in rad, N·m … unless a factor other than ±1, an arm in m, may make a length of them; an angle
-    beside a displacement always has an arm.
+    next to a displacement always has an arm.
     """
     if not all_angles(along, angles):
         return scale(unit, quantity, False, electrical)

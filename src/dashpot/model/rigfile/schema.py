@@ -438,7 +438,7 @@ class RigReading:
     def in_si(
         self, place: Place, given: float | Amount, plain: float, scale_of: Callable[[str], float]
     ) -> float:
-        """An amount in SI units: a number times `plain`, else by its own unit, of which `scale_of` gives the factor.
+        """An amount in SI units: a number times `plain`, else by its own unit, whose factor `scale_of` gives.
 
         Where it raises UsageError, for a unit of something else, that is reported.
         """

@@ -450,7 +450,7 @@ def shares_figure(names: Sequence[str], frequency_hz: Real, shares: Real) -> Fig
 
 @style()
 def profile_figure(profiles: Sequence[Profile]) -> Figure:
-    """Rise of χ² along each unknown, all others fitted again, beside the parabola of the normal interval."""
+    """Rise of χ² along each unknown, all others fitted again, with the parabola of the normal interval."""
     columns = min(len(profiles), 2)
     size = (HALF_PAGE if columns == 2 else 3.2, 0.6 + 2.2 * -(-len(profiles) // columns))
     figure, grid = panels(len(profiles), columns, size)

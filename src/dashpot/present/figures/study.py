@@ -234,7 +234,7 @@ class Accuracy:
 def accuracy_panels(
     x: Real, methods: Sequence[Accuracy], bound: Real, x_label: str, *, logarithmic: bool
 ) -> Figure:
-    """Spread with the bound, bias, and coverage of 95 % intervals, beside each other.  x and bound (points,)."""
+    """Spread with the bound, bias, and coverage of 95 % intervals, side by side.  x and bound (points,)."""
     figure, grid = panels(3, 3, (9.7, 3.4))
     left, middle, right = grid
     for method in methods:

@@ -167,7 +167,7 @@ def _saved(figure: Figure, kind: str, **settings: Any) -> bytes:
         # name that would leave no room for the axes, the beginning is shown.
         for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
             if isinstance(axis.get_major_formatter(), ScalarFormatter | StrMethodFormatter):
-                continue  # numbers, of which all ticks would be made to be looked at
+                continue  # numbers, whose ticks would all be made just to look at them
             labels = [label.get_text() for label in axis.get_ticklabels()]
             if any(map(_TOO_LONG.search, labels)):  # which the axis would write anew
                 axis.set_ticks(axis.get_ticklocs(), [_shortened(label) for label in labels])

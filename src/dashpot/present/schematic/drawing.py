@@ -140,12 +140,12 @@ def rig_picture(
         drawing = schematic(model, channels, estimate, unsure, level)
     except UsageError:
         return None
-    # px of a drawing that still has room beside the parameters
+    # px of a drawing that still has room next to the parameters
     return Picture(drawing.svg(), drawing.title, wide=drawing.width > 640.0)
 
 
 def true_rig_picture(model: Model, theta: Real, channels: Sequence[Channel]) -> Picture | None:
-    """The drawing of a rig with its true values θ (unknowns,), of which there is no estimate."""
+    """The drawing of a rig with its true values θ (unknowns,), without an estimate."""
     true = {unknown.name: float(value) for unknown, value in zip(model.unknowns, theta, strict=True)}
     elements = tuple(replace(each, value=true.get(each.name, each.value), sd=None) for each in model.elements)
     return rig_picture(replace(model, elements=elements), channels)

@@ -214,7 +214,7 @@ def elongation(along: Mapping[str, float]) -> str:
     return text.removeprefix("+ ") if text.startswith("+ ") else f"−{text[2:]}"
 
 
-ENTRY = 13.0  # px between lines that arrive beside each other
+ENTRY = 13.0  # px between lines that arrive side by side
 LEAD = 9.0  # least length of the line on either side of a symbol
 SYMBOL, HALF = 58.0, 11.0  # length of a symbol, half its width
 SEPARATION = 16.0  # between branches
@@ -407,7 +407,7 @@ class Placer:
         m.down = max(free, m.bottom + self._hanging_height(node))
 
     def _bundle(self, links: Sequence[int]) -> tuple[list[float], float]:
-        """Axes of links beside each other about their middle, and half their height."""
+        """Axes of parallel links about their middle, and half their height."""
         rows = [self._row(k) for k in links]
         height = sum(a + b for a, b in rows)
         y, axes = -height / 2, []
