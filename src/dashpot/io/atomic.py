@@ -152,8 +152,11 @@ def locked(folder: AnyPath) -> Iterator[None]:
             f"the folder cannot be used ({error.strerror or error})", os.fspath(folder), "name another one"
         ) from None
     if descriptor is None:
+        holder = ""  # where the file does not say
+        with suppress(OSError, ValueError), open(path, "rb") as file:
+            holder = f"(process {int(file.read(32))}) "
         raise UsageError(
-            f"another dashpot {_holder(path)}is working in this folder",
+            f"another dashpot {holder}is working in this folder",
             os.fspath(folder),
             "wait until it has finished, or name another folder",
         )
@@ -176,8 +179,9 @@ def _held(path: str) -> int | None:
                 os.close(descriptor)
                 return None
             # Its last holder may have deleted the file between the two calls: the lock is then on nothing.
-            if _same(descriptor, path):
-                return descriptor
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(descriptor), os.stat(path)):
+                    return descriptor
             os.close(descriptor)
         except BaseException:
             with suppress(OSError):
@@ -199,20 +203,6 @@ def _lock(descriptor: int) -> bool:
     except (BlockingIOError, PermissionError):
         return False
     return True
-
-
-def _same(descriptor: int, path: str) -> bool:
-    try:
-        return os.path.samestat(os.fstat(descriptor), os.stat(path))
-    except FileNotFoundError:
-        return False
-
-
-def _holder(path: str) -> str:
-    """(process 1234), or nothing where the file does not say."""
-    with suppress(OSError, ValueError), open(path, "rb") as file:
-        return f"(process {int(file.read(32))}) "
-    return ""
 
 
 PART = ".dashpot-", ".part"  # what the names of temporary files begin and end with

@@ -69,8 +69,6 @@ def _column_of(values: Sequence[Any] | np.ndarray) -> Any:
             return pa.Array.from_buffers(pa.bool_(), len(values), [None, _buffer(bits)])
     words = values.tolist() if isinstance(values, np.ndarray) else values
     if len(words) and all(type(word) is str for word in words):
-        import pyarrow as pa
-
         encoded = [value.encode() for value in words]
         ends = np.cumsum([0, *map(len, encoded)])
         if ends[-1] > np.iinfo(np.int32).max:

@@ -44,16 +44,10 @@ class Lines:
     """Lines (from 1) at which the keys of a TOML text are defined, by their paths; items of lists have numbers."""
 
     def __init__(self, text: str) -> None:
-        self._starts = [0, *(match.end() for match in re.finditer("\n", text))]
-        scan = _Scan(text)
-        scan.run()
-        self._where = {path: [self.line_at(at) for at in places] for path, places in scan.defined.items()}
-        for path, at in scan.mentioned.items():
-            self._where.setdefault(path, [self.line_at(at)])
-
-    def line_at(self, position: int) -> int:
-        """The line of a character position."""
-        return bisect_right(self._starts, position)
+        starts, scan = [0, *(match.end() for match in re.finditer("\n", text))], _Scan(text)
+        mentioned = {path: [at] for path, at in scan.mentioned.items() if path not in scan.defined}
+        every = (scan.defined | mentioned).items()
+        self._where = {path: [bisect_right(starts, at) for at in places] for path, places in every}
 
     def of(self, path: Sequence[str | int]) -> int | None:
         """Line of the last definition of `path`, or of the nearest table around it; None if there is none."""
@@ -77,7 +71,10 @@ class _LostError(Exception):
 
 
 class _Scan:
-    """Where keys are defined, each time, and where tables are first mentioned that only stand within other keys."""
+    """Where keys are defined, each time, and where tables are first mentioned that only stand within other keys.
+
+    As far as the text is TOML.
+    """
 
     def __init__(self, text: str) -> None:
         found = (match for match in _TOKEN.finditer(text) if match.lastgroup is not None)
@@ -86,9 +83,6 @@ class _Scan:
         self.defined: dict[Place, list[int]] = {}
         self.mentioned: dict[Place, int] = {}
         self._counts: dict[Place, int] = {}  # of the tables in arrays of tables
-
-    def run(self) -> None:
-        """Go through the text, as far as it is TOML."""
         prefix: Place = ()
         with suppress(_LostError, RecursionError):
             while True:

@@ -73,10 +73,10 @@ def work(*args, **options):
 """,
     # What has just been made and not yet noted would stay: the lock of a folder, a folder of files in between.
     "while files are made and noted": """
-same, make = atomic._same, tempfile.mkdtemp
+same, make = os.path.samestat, tempfile.mkdtemp
 
 def work(*args, **options):
-    atomic._same = lambda *given: (end(), end(), same(*given))[2]
+    os.path.samestat = lambda *given: (end(), end(), same(*given))[2]
     tempfile.mkdtemp = lambda **given: (make(**given), end())[0]
     with atomic.locked("."), atomic.scratch():
         time.sleep(20)
