@@ -73,7 +73,7 @@ if TYPE_CHECKING:
     from dashpot.fleet.tracking import Track
     from dashpot.free.modes import MeasuredModes
     from dashpot.free.response import MeasuredResponse
-    from dashpot.present.schematic.drawing import Drawing, ModeDrawing
+    from dashpot.present.schematic.drawing import Drawing
 
 AnyPath = str | os.PathLike[str]
 Columns = Any  # a mapping of names to arrays, a data frame, an xarray Dataset, a structured array: as for `records_of`
@@ -433,7 +433,7 @@ def draw(
     *,
     mode: int | None = None,
     level: float = 0.95,
-) -> Drawing | ModeDrawing:
+) -> Drawing:
     """The rig as a schematic: a value that notebooks show and `save("rig.svg")` writes (.svg, .png or .pdf).
 
     estimate  its values and intervals at `level` are written at the elements; or the modes of a test, to draw those

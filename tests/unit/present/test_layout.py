@@ -11,6 +11,7 @@ import pytest
 
 from dashpot import Element, Estimate, Input, Kind, Model, between, mass, parse_rig, read_rig
 from dashpot.channel import Channel, Quantity
+from dashpot.present.schematic.bodies import connections
 from dashpot.present.schematic.drawing import Drawing, folded, schematic
 from dashpot.present.schematic.symbols import Box, Part, Text, stroke, text_width
 from tests import rigs
@@ -162,7 +163,7 @@ def test_a_rigid_body_is_one_body() -> None:
     )
     drawing = schematic(rig.model, rig.channels)
     assert faults(drawing) == []
-    assert [body.role for body in drawing.connections.bodies] == ["base", "base", "body"]
+    assert [body.role for body in connections(rig.model, rig.channels).bodies] == ["base", "base", "body"]
     assert "z + 1.2 pitch − front" in drawing.svg()
 
 

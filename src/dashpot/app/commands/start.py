@@ -149,7 +149,6 @@ def _tell(out: str, picture: str, text: str, data: Sequence[str]) -> None:
     from dashpot.check.deficiencies import require_full_rank
     from dashpot.model.rigfile import parse_rig
     from dashpot.present.check import structure_in_words
-    from dashpot.present.schematic.drawing import Drawing
 
     try:
         rig = parse_rig(text, out)
@@ -158,9 +157,7 @@ def _tell(out: str, picture: str, text: str, data: Sequence[str]) -> None:
         for problem in error.problems:
             click.echo(f"  {problem}")
         return
-    drawing = draw(rig)
-    assert isinstance(drawing, Drawing)
-    drawing.save(picture)
+    draw(rig).save(picture)
     verdict = check(rig)
     try:
         require_full_rank(verdict, rig.model, rig.all_channels, out)

@@ -58,7 +58,7 @@ class Push:
 
 @dataclass(frozen=True)
 class Connections:
-    """Bodies, links, forces; `where` maps channel index → body or link it is seen at (relative sensors are links)."""
+    """Bodies, links (relative sensors among them) and forces."""
 
     bodies: tuple[Body, ...]
     links: tuple[Link, ...]

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape as escaped
 from itertools import accumulate, chain, pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -49,41 +49,40 @@ from dashpot.present.words import sentence, short, value_and_sd
 
 @dataclass(frozen=True)
 class Drawing:
-    """A drawing of a rig: plain geometry, and what is drawn of it: in rows, with title and legend."""
+    """A drawing of a rig: plain geometry, and what is drawn of it, with title and legend.
+
+    frames  of one period of a mode, the first at its largest; one where nothing moves
+    words   every element with what it joins and its value, for who cannot see it
+    """
 
     title: str
     model: Model
-    labels: Labels
-    connections: Connections
     placed: Placed
-    parts: tuple[Part, ...]
+    frames: tuple[tuple[Part, ...], ...]
     width: float
     height: float
+    words: str = ""
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """What is drawn of the first frame."""
+        return self.frames[0]
 
     def svg(self) -> str:
-        """As SVG, whose texts can be searched."""
-        # The drawing in words: every element with what it joins and its value
-        model, said = self.model, self.labels
-        texts = []
-        for element in model.elements:
-            if element.free or element.block is not None:
-                continue
-            points = [
-                *element.along,
-                *(["ground"] if len(element.along) == 1 and element.kind != "mass" else []),
-            ]
-            known, value, interval = said.values[element.name]
-            of = f"{element.name}, {element.kind} of {' and '.join(points)}: {known}"
-            texts.append(of + (f", {value}" if value != "?" else "") + (f" ({interval})" if interval else ""))
-        return svg_document([self.parts], self.width, self.height, self.title, "; ".join(texts))
+        """As SVG, whose texts can be searched, and whose modes move by themselves."""
+        return svg_document(self.frames, self.width, self.height, self.title, self.words)
 
     def _repr_svg_(self) -> str:
         """The same, for a notebook."""
         return self.svg()
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write it; the end of the name says how: .svg, .png or .pdf.  Raises UsageError, DataError."""
-        write_drawing(path, self.svg(), self.parts, self.width, self.height, self.title)
+        """Write it as .svg, or as .png or .pdf of its first frame.  Raises UsageError, DataError."""
+        kind = chosen_format(path, PICTURES)
+        if kind == "svg":
+            write_bytes(path, self.svg().encode())
+        else:
+            write_bytes(path, raster(self.parts, self.width, self.height, self.title, kind))
 
 
 def schematic(
@@ -107,9 +106,19 @@ def schematic(
     note = "" if small else f"{len(model.elements)} elements: values are left out."
     if parts.free:
         note = sentence("Entries of matrices are not elements and are not drawn")
-    rows, *size = folded(placed.parts, placed.width, placed.height)
-    drawn, width, height = framed(rows, (size[0], size[1]), model, said, estimate is not None, level, note)
-    return Drawing(model.name or "Rig", model, said, parts, placed, tuple(drawn), width, height)
+    rows, wide, high = folded(placed.parts, placed.width, placed.height)
+    heading, width, head = titled(rows, model.name, wide)
+    legend, height = _legend(said, estimate is not None, level, note, width, head + high)
+    texts = []
+    for element in model.elements:
+        if element.free or element.block is not None:
+            continue
+        points = [*element.along, *(["ground"] if len(element.along) == 1 and element.kind != "mass" else [])]
+        known, value, interval = said.values[element.name]
+        of = f"{element.name}, {element.kind} of {' and '.join(points)}: {known}"
+        texts.append(of + (f", {value}" if value != "?" else "") + (f" ({interval})" if interval else ""))
+    frames = ((*heading, legend),)
+    return Drawing(model.name or "Rig", model, placed, frames, width, height, "; ".join(texts))
 
 
 def _few_bodies(model: Model, channels: Sequence[Channel] = ()) -> Connections:
@@ -157,28 +166,6 @@ def true_rig_picture(model: Model, theta: Real, channels: Sequence[Channel]) -> 
 FRAMES = 16  # of one period of a mode
 
 
-@dataclass(frozen=True)
-class ModeDrawing:
-    """Frames of one period of a mode, the first at its largest, with the bodies at rest behind."""
-
-    title: str
-    frames: tuple[tuple[Part, ...], ...]
-    width: float
-    height: float
-
-    def svg(self) -> str:
-        """As SVG that moves by itself."""
-        return svg_document(self.frames, self.width, self.height, self.title)
-
-    def _repr_svg_(self) -> str:
-        """The same, for a notebook."""
-        return self.svg()
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write it as .svg, which moves, or as .png or .pdf of its largest.  Raises UsageError, DataError."""
-        write_drawing(path, self.svg(), self.frames[0], self.width, self.height, self.title)
-
-
 def numbered_mode(model: Model, estimate: Estimate | None, number: int) -> tuple[str, Complex]:
     """Title and shape (coordinates,) of a mode, 1 the slowest: of an estimate, or of the values that the rig states.
 
@@ -209,7 +196,7 @@ def numbered_mode(model: Model, estimate: Estimate | None, number: int) -> tuple
 
 def measured_modes_drawing(
     model: Model, channels: Sequence[Channel], found: MeasuredModes, number: int | None = None
-) -> ModeDrawing:
+) -> Drawing:
     """Measured shapes on the drawing of a rig: mode `number`, or all below each other.  What was not measured rests.
 
     Raises UsageError if there is no such mode or there are too many bodies, DataError for points that the rig has
@@ -235,11 +222,13 @@ def measured_modes_drawing(
         for i in range(FRAMES)
     )
     title = drawings[0].title if len(drawings) == 1 else f"{len(drawings)} measured modes"
-    return ModeDrawing(title, tuple(frames), max(each.width for each in drawings), tops[-1])
+    wide = max(each.width for each in drawings)
+    return replace(drawings[0], title=title, frames=tuple(frames), width=wide, height=tops[-1])
 
 
-def mode_drawing(model: Model, shape: Complex, title: str) -> ModeDrawing:
-    """A mode of shape (coordinates,) on the drawing of the rig; angles and displacements each to their own scale.
+def mode_drawing(model: Model, shape: Complex, title: str) -> Drawing:
+    """A mode of shape (coordinates,) on the drawing of the rig, with the bodies at rest behind; angles and
+    displacements each to their own scale.
 
     Raises UsageError if there are too many bodies for a drawing.
     """
@@ -281,7 +270,7 @@ def mode_drawing(model: Model, shape: Complex, title: str) -> ModeDrawing:
         moved = [Part("at rest", tuple(outlines)), *(part.moved(shifts) for part in drawn)]
         parts, width, head = titled(moved, title, placed.width)
         frames.append(tuple(parts))
-    return ModeDrawing(title, tuple(frames), width, head + placed.height)
+    return Drawing(title, model, placed, tuple(frames), width, head + placed.height)
 
 
 # A wide drawing cut into rows below each other, so that its texts can be read on a page.
@@ -388,21 +377,6 @@ WORDS = {
 }
 
 
-def framed(
-    drawn: Sequence[Part],
-    size: tuple[float, float],
-    model: Model,
-    labels: Labels,
-    estimated: bool,
-    level: float,
-    note: str = "",
-) -> tuple[list[Part], float, float]:
-    """The parts of a drawing of that width and height with a title above and a legend below; width and height of it."""
-    heading, width, head = titled(drawn, model.name, size[0])
-    legend, height = _legend(labels, estimated, level, note, width, head + size[1])
-    return [*heading, legend], width, height
-
-
 def titled(drawn: Sequence[Part], title: str, width: float) -> tuple[list[Part], float, float]:
     """The parts of a drawing of that width below a title; width of it all, and how far they are moved down."""
     line, least = Line(title, "ink", TITLE, True), max(width, 320.0)
@@ -478,17 +452,6 @@ STILL = (
 )
 
 
-def write_drawing(
-    path: str | os.PathLike[str], svg: str, parts: Sequence[Part], width: float, height: float, title: str
-) -> None:
-    """Write a drawing; the end of the name says how: .svg, .png or .pdf.  Raises UsageError, DataError."""
-    kind = chosen_format(path, PICTURES)
-    if kind == "svg":
-        write_bytes(path, svg.encode())
-    else:
-        write_bytes(path, raster(parts, width, height, title, "png" if kind == "png" else "pdf"))
-
-
 def _escape(text: str) -> str:
     """Text of an SVG: what XML forbids, and what turns or hides text, is shown escaped."""
     return escaped(printable(text))
@@ -499,7 +462,7 @@ def _fill(shape: Shape) -> str:
 
 
 def svg_document(
-    frames: Sequence[Sequence[Part]], width: float, height: float, title: str, description: str = ""
+    frames: Sequence[Sequence[Part]], width: float, height: float, title: str, description: str
 ) -> str:
     """Frames of one motion as one SVG element that needs nothing else; of a single frame nothing moves.
 
@@ -573,10 +536,8 @@ def _text(frames: Sequence[Text]) -> str:
 
 
 @style()
-def raster(
-    parts: Sequence[Part], width: float, height: float, title: str, kind: Literal["png", "pdf"]
-) -> bytes:
-    """The parts as a PNG or PDF file, the same bytes for the same drawing."""
+def raster(parts: Sequence[Part], width: float, height: float, title: str, kind: str) -> bytes:
+    """The parts as a file, "png" or "pdf", the same bytes for the same drawing."""
     figure = Figure(figsize=(width / 72, height / 72))  # a px of the drawing is a point
     figure.set_layout_engine("none")
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))

@@ -152,18 +152,16 @@ class Part:
 
     def shifted(self, dx: float, dy: float) -> Part:
         """The part in another place."""
-        return self._with([tuple(p.shifted(dx, dy) for p in s.points) for s in self.shapes], dx, dy)
+        return self._by(lambda point: point.shifted(dx, dy))
 
     def moved(self, shifts: Shifts) -> Part:
         """The part when bodies are shifted."""
-        points = [tuple(point.moved(shifts) for point in shape.points) for shape in self.shapes]
-        texts = tuple(replace(text, at=text.at.moved(shifts)) for text in self.texts)
-        return replace(self._with(points), texts=texts)
+        return self._by(lambda point: point.moved(shifts))
 
-    def _with(self, points: Sequence[tuple[Point, ...]], dx: float = 0.0, dy: float = 0.0) -> Part:
-        shapes = tuple(replace(shape, points=one) for shape, one in zip(self.shapes, points, strict=True))
-        texts = tuple(replace(text, at=text.at.shifted(dx, dy)) for text in self.texts)
-        return replace(self, shapes=shapes, texts=texts)
+    def _by(self, move: Callable[[Point], Point]) -> Part:
+        shapes = (replace(shape, points=tuple(map(move, shape.points))) for shape in self.shapes)
+        texts = (replace(text, at=move(text.at)) for text in self.texts)
+        return replace(self, shapes=tuple(shapes), texts=tuple(texts))
 
 
 def block_width(lines: Sequence[Line]) -> float:
