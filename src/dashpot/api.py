@@ -812,10 +812,7 @@ def modes(
     from dashpot.free.response import MeasuredResponse
 
     if isinstance(data, MeasuredResponse):
-        lines = np.ones(len(data.frequency_hz), dtype=bool)
-        if band is not None:
-            lines = (data.frequency_hz >= band[0]) & (data.frequency_hz <= band[1])
-        found = measured_modes(data.independent_of(lines), (), (), most=most, real=real)
+        found = measured_modes(data.in_band(band).independent(), (), (), most=most, real=real)
     else:
         named = _without_rig(data, inputs, outputs, rig, frequency_hz, driven=False)
         found = measured_modes(*named, band, most=most, real=real)

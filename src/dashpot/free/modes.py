@@ -218,24 +218,22 @@ def measured_modes(
             "mode"
         )
         notes = (*notes, Notice("poles_left_out", text))
-    nu, unit = len(inputs_of), sets[0].unit
-    shapes = [_shape(fit, k, outputs_of, nu, real, unit) for k in kept]
-    one = sets[0]
-    count = one.outputs.shape[1]
+    one, nu = sets[0], len(inputs_of)
+    each: Any = zip(*(_shape(fit, k, outputs_of, nu, real, one.unit) for k in kept), strict=True)
+    shapes, shape_sd, into, into_sd = (np.array(values) for values in each)
     return MeasuredModes(
         tuple(inputs_of),
         tuple(outputs_of),
-        fit.poles[kept] * unit,
-        np.array([fit.covariance[np.ix_(at, at)] for at in (2 * kept[:, None] + np.arange(2))]) * unit**2,
-        np.array([shape.values for shape in shapes]),
-        np.array([shape.sd for shape in shapes]),
-        np.array([shape.participation * unit for shape in shapes]).reshape(len(kept), -1)[:, :nu],
-        np.array([shape.participation_sd * unit for shape in shapes]).reshape(len(kept), -1)[:, :nu],
+        fit.poles[kept] * one.unit,
+        np.array([fit.covariance[np.ix_(at, at)] for at in (2 * kept[:, None] + np.arange(2))]) * one.unit**2,
+        shapes,
+        shape_sd,
+        into[:, :nu],
+        into_sd[:, :nu],
         one.frequency_hz,
         one.outputs,
-        one.outputs - fit.residuals[0].reshape(-1, count),
-        first[0],
-        first[1],
+        one.outputs - fit.residuals[0],
+        *first,
         len(fit.poles),
         stabilisation,
         real,
@@ -249,7 +247,7 @@ FREELY = 0.1  # of a channel's power, that a free decay explains at the least: b
 def _require_decay(sets: Sequence[_Set], fit: _Fit, outputs: Sequence[Channel]) -> None:
     """Raises DataError where poles explain next to nothing of any record without inputs: something drove the rig."""
     power = sum(np.sum(np.abs(one.outputs) ** 2, axis=0) for one in sets)
-    left = sum(np.sum(np.abs(r.reshape(-1, len(outputs))) ** 2, axis=0) for r in fit.residuals)
+    left = sum(np.sum(np.abs(r) ** 2, axis=0) for r in fit.residuals)
     most = float(np.max(1 - left / np.maximum(power, np.finfo(float).tiny)))
     if most < FREELY:
         raise DataError(
@@ -499,13 +497,11 @@ def _solved(
     return fit, np.column_stack([S, gradient]) if m else np.zeros((0, 1))
 
 
-def _refined(
-    sets: Sequence[_Set], poles: Complex, powers: tuple[int, ...], within: float = 1e-4, steps: int = 30
-) -> _Fit:
+def _refined(sets: Sequence[_Set], poles: Complex, powers: tuple[int, ...], within: float = 1e-4) -> _Fit:
     """The fit `within` so much χ² of the nearest minimum: Levenberg-Marquardt in the poles alone."""
     fit, normal = _solved(sets, poles, powers)
     damping = 1e-3
-    for _ in range(steps if len(poles) else 0):
+    for _ in range(30 if len(poles) else 0):
         S, g = normal[:, :-1], normal[:, -1]
         size = np.diagonal(S) + 1e-12 * np.max(np.diagonal(S))
         step = np.linalg.solve(S + damping * np.diag(size), g).reshape(-1, 2)
@@ -537,7 +533,6 @@ def _least_squares_poles(sets: Sequence[_Set]) -> Stabilisation:
     most = int(min(40, lines // (columns + 1) - 1))  # orders of the stabilisation picture
     delta = 0.95 / (2 * highest)  # s: the band reaches nearly round the half circle
     n = most + 1
-    M = np.zeros((n, n))
     q = sets[0].outputs.shape[1]
     turns = [np.exp(-2j * np.pi * one.frequency_hz[:, None] * delta * np.arange(n)) for one in sets]
     parts = []  # of each output: R (columns, n, columns, n), S (columns, n, n), T (n, n)
@@ -767,16 +762,10 @@ def _modes_among(fit: _Fit, sets: Sequence[_Set]) -> tuple[Ints, int]:
 # Shapes: the residues of a mode are φ pᵀ, of inputs and of the ends of records alike.
 
 
-@dataclass(frozen=True)
-class _Shape:
-    values: Complex
-    sd: Real
-    participation: Complex
-    participation_sd: Real
-
-
-def _shape(fit: _Fit, k: int, outputs: Sequence[Channel], nu: int, real: bool, unit: float) -> _Shape:
-    """Shape of pole k and its participations, least of Σ (R − φ pᵀ)ᵀ V⁻¹ (R − φ pᵀ).
+def _shape(
+    fit: _Fit, k: int, outputs: Sequence[Channel], nu: int, real: bool, unit: float
+) -> tuple[Complex, Real, Complex, Real]:
+    """Shape of pole k, its sd, its participations (columns,), their sd: least of Σ (R − φ pᵀ)ᵀ V⁻¹ (R − φ pᵀ).
 
     V is the covariance of the residues R (outputs, columns).  `real`: φ is, up to the factor p.
     """
@@ -853,4 +842,4 @@ def _shape(fit: _Fit, k: int, outputs: Sequence[Channel], nu: int, real: bool, u
     of_phi = variance[: parts * len(others)].reshape(-1, parts)
     sd[others] = np.sqrt(np.maximum(np.mean(of_phi, axis=1), 0))
     p_sd = np.sqrt(np.maximum(variance[parts * len(others) :].reshape(-1, 2).mean(axis=1), 0))
-    return _Shape(phi, sd, p, p_sd)
+    return phi, sd, p * unit, p_sd * unit

@@ -104,15 +104,9 @@ class MeasuredResponse:
         parts = {name: getattr(self, name)[lines] for name in ("frequency_hz", "values", "covariance")}
         return replace(self, **parts, coherence=self.coherence[lines], apart=self.apart[lines])
 
-    def independent_of(self, lines: Bools) -> MeasuredResponse:
-        """Those of some lines.  Raises DataError if there is none."""
-        if not np.any(lines):
-            f = self.frequency_hz
-            raise DataError(
-                "no frequency of the responses lies in the band",
-                cure=f"they reach from {f.min():.4g} to {f.max():.4g} Hz",
-            )
-        return self.chosen(lines).independent()
+    def in_band(self, band_hz: Band | None) -> MeasuredResponse:
+        """The response at the lines in a band, all without one.  Raises DataError if there is none."""
+        return self.chosen(lines_in(self.frequency_hz, band_hz, "responses"))
 
     def independent(self) -> MeasuredResponse:
         """As many lines as possible that share no data, for fits that treat lines as independent."""
@@ -151,6 +145,18 @@ class MeasuredResponse:
             "distortion": {name: {"even": even, "odd": odd} for name, (even, odd) in self.distortion.items()},
             "notes": [{"code": note.code, "text": note.text} for note in self.notes],
         }
+
+
+def lines_in(frequency_hz: Real, band_hz: Band | None, of: str, usable: Bools | bool = True) -> Bools:
+    """Which `usable` lines (lines,) of some data lie in a band, all without one.  Raises DataError if none does."""
+    low, high = band_hz or (0.0, np.inf)
+    there: Bools = usable & (frequency_hz >= low) & (frequency_hz <= high)
+    if not np.any(there):
+        raise DataError(
+            f"no frequency of the {of} lies in the band",
+            cure=f"they reach from {frequency_hz.min():.4g} to {frequency_hz.max():.4g} Hz",
+        )
+    return there
 
 
 def frequency_response(
@@ -307,15 +313,8 @@ def _of_lines(spectrum: Spectrum, nu: int, band_hz: Band | None, method: str) ->
     if spectrum.batch:
         raise DataError("repeats of a spectrum have one response each", cure="give one at a time")
     inputs, outputs = spectrum.channels[:nu], spectrum.channels[nu:]
-    there = np.all(np.isfinite(spectrum.amplitudes), axis=1)
-    if band_hz is not None:
-        there &= (spectrum.frequency_hz >= band_hz[0]) & (spectrum.frequency_hz <= band_hz[1])
-    if not np.any(there):
-        f = spectrum.frequency_hz
-        raise DataError(
-            "no frequency of the data lies in the band",
-            cure=f"they reach from {f.min():.4g} to {f.max():.4g} Hz",
-        )
+    complete = np.all(np.isfinite(spectrum.amplitudes), axis=1)
+    there = lines_in(spectrum.frequency_hz, band_hz, "data", complete)
     frequency, group = np.unique(spectrum.frequency_hz[there], return_inverse=True)
     X, V = spectrum.amplitudes[there], spectrum.covariance[there]
     found, alone = [], 0
@@ -487,11 +486,7 @@ def local_response(
         if not any(np.any(part.inputs[:, c]) for part in parts):
             raise DataError(f"the input {channels[c].name} is at rest", cure="name what drives the rig")
     half = _smallest_half(parts)
-    low, high = band_hz or (0.0, np.inf)
-    grid = np.flatnonzero((first.frequency_hz >= low) & (first.frequency_hz <= high))
-    if not len(grid):
-        ends = f"{first.frequency_hz[0]:.4g} to {first.frequency_hz[-1]:.4g} Hz"
-        raise DataError("no line of the records lies in the band", cure=f"they reach from {ends}")
+    grid = np.flatnonzero(lines_in(first.frequency_hz, band_hz, "records"))
     stride = -(-len(grid) // MOST_LINES) if every_line else half
     grid = grid[::stride]
     apart = -(-half // stride)
