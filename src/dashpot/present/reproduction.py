@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from dashpot.io.atomic import write_text
 from dashpot.io.words import joined
 from dashpot.present.document import (
-    Block,
     Document,
     Items,
     Paragraph,
@@ -51,11 +50,16 @@ ABOUT = (
 
 
 def reproduction_document(reproduction: Reproduction) -> Document:
-    """What is printed: tables, findings, and how the print was read."""
-    tables = [
-        section("", Paragraph(each.title, "bold"), *map(_narrow, each.blocks))
-        for each in printed_tables(reproduction)
-    ]
+    """What is printed: tables, findings, and how the print was read; for the distances z a terminal has no room."""
+    tables = []
+    for each in printed_tables(reproduction):
+        blocks = [
+            replace(block, columns=[column for column in block.columns if column.title != "z"])
+            if isinstance(block, Table)
+            else block
+            for block in each.blocks
+        ]
+        tables.append(section("", Paragraph(each.title, "bold"), *blocks))
     findings = [
         section("", Paragraph(f"{title}.", "bold"), text)
         for title, text in findings_in_words(reproduction).items()
@@ -75,23 +79,16 @@ def reproduction_document(reproduction: Reproduction) -> Document:
     )
 
 
-def _narrow(block: Block) -> Block:
-    """A table without the distances z, for which a terminal has no room."""
-    if not isinstance(block, Table):
-        return block
-    return replace(block, columns=[column for column in block.columns if column.title != "z"])
-
-
 def reproduction_report(
     reproduction: Reproduction, drawn: Mapping[str, tuple[str, bytes]], provenance: Provenance | None = None
 ) -> str:
     """The HTML page with the figures (captions and PNG files by name) in it."""
     rig = true_rig()
     theta = np.array([rig.values[unknown.name] for unknown in rig.model.unknowns])
-    among = reproduction.findings.printed_among_draws
-    findings = findings_in_words(reproduction).items()
+    found, findings = reproduction.findings, findings_in_words(reproduction).items()
+    among, error = found.printed_among_draws, found.coverage.standard_error
     pictures = [(Paragraph(text, "dim"), image_picture(content, text)) for text, content in drawn.values()]
-    more = (
+    spreads = (
         "oiv ± is the spread of the optimally weighted instrumental variables; bound is the least spread that any "
         "unbiased method could reach (Cramér-Rao)."
     )
@@ -101,11 +98,8 @@ def reproduction_report(
             for row in reproduction.corrections
         )
     )
-    error = reproduction.findings.coverage.standard_error
     steps = ("On data of your own, use the optimally weighted form: dashpot identify RIG DATA --method oiv.",)
     more = f"{reproduction.draws:,} draws give a share of 95 % to ± {error:.1f} points: use --draws 1000 to judge it."
-    # standard error in points with which nobody needs more draws
-    found = reproduction.findings
     worst = max(found.bias.worst, key=lambda each: abs(each.mean))
     ranges = [
         f"{low:.0f} to {high:.0f} % with {name}" for name, (low, high) in found.coverage.by_method.items()
@@ -129,7 +123,7 @@ def reproduction_report(
                     whole=True,
                 ),
                 section("Figures", *(part for pair in pictures for part in pair), whole=True),
-                section("Tables", Paragraph(f"{LEGEND} {more}", "dim"), whole=True),
+                section("Tables", Paragraph(f"{LEGEND} {spreads}", "dim"), whole=True),
                 *printed_tables(reproduction),
                 section("Corrections of the print", corrections, whole=True),
             ),
@@ -139,6 +133,7 @@ def reproduction_report(
             f"{among.inside} of the paper's {among.total} printed errors are such as its methods give on its rig.",
             statements,
             drawing=true_rig_picture(rig.model, theta, rig.channels),
+            # of one point nobody needs more draws
             steps=steps if error <= 1.0 else (*steps, more),
             provenance=provenance,
         )
@@ -398,7 +393,7 @@ def findings_in_words(reproduction: Reproduction) -> dict[str, str]:
     ranges = joined(
         f"{low:.1f} to {high:.1f} % with {name}" for name, (low, high) in coverage.by_method.items()
     )
-    fewer = reproduction.findings.fewer_unknowns
+    fewer = found.fewer_unknowns
     spread, bound = (
         ", ".join(f"{name} {six:.2f} → {four:.2f} %" for name, (six, four) in numbers.items())
         for numbers in (fewer.spread, fewer.bound)
