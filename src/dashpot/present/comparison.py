@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from dashpot.channel import Channel
 from dashpot.check.element_evidence import ElementComparison, ElementEvidence
-from dashpot.check.evidence import doubtful
 from dashpot.estimate.comparison import Comparison
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined
@@ -43,9 +42,7 @@ def comparison_report(
     best = comparison.most_likely[0] if comparison.most_likely else None
     estimate = None if best is None else comparison.estimates[best]
     wrong = [name for name, each in comparison.estimates.items() if not bool(each.converged)]
-    methods: dict[
-        str, list[str]
-    ] = {}  # χ² is taken at the most likely values, so most say the same of the fit
+    methods: dict[str, list[str]] = {}  # χ² is taken at the most likely values: most say the same of the fit
     for name, each in comparison.estimates.items():
         methods.setdefault(fit_in_words(each.fit), []).append(name)
     intervals = section(
@@ -54,13 +51,14 @@ def comparison_report(
         figure_picture(comparison_figure(comparison, level), "Intervals of every method"),
         whole=True,
     )
-    first = comparison.most_likely[0] if comparison.most_likely else None
-    if first is None or not bool(comparison.estimates[first].converged):
+    if estimate is None or not bool(estimate.converged):
         advice = "None of these methods uses all the information in the data: compare the intervals."
-    elif bool(comparison.estimates[first].fit.rejected):
-        advice = f"The model does not fit the data: do not rely on these values as they are, even those of {first}."
+    elif bool(estimate.fit.rejected):
+        advice = (
+            f"The model does not fit the data: do not rely on these values as they are, even those of {best}."
+        )
     else:
-        advice = f"Use the values of {first}: of these methods it uses the data best."
+        advice = f"Use the values of {best}: of these methods it uses the data best."
     return page_html(
         Document(
             model.name or "Comparison",
@@ -75,9 +73,7 @@ def comparison_report(
                 *comparison_remarks(comparison, level),
                 comparison_columns(comparison, level),
             ),
-            rig_picture(
-                model, channels, estimate, () if estimate is None else doubtful(estimate, level), level
-            ),
+            rig_picture(model, channels, estimate, level=level),
             (f"Judge the fit: dashpot identify RIG DATA --method {best} --report report.html.",)
             if best
             else (),

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from dashpot.estimate.assessment import Assessment, Finding
+from dashpot.estimate.assessment import Assessment, Discrepancy, Finding
 from dashpot.estimate.likelihood.record_noise import INPUT_NOISE
 from dashpot.estimate.linear.instrumental_variables import FreeMatrices
 from dashpot.estimate.result import MISFIT, RESIDUALS, Cycle, Estimate, Fit, ModeValues
@@ -72,10 +72,9 @@ def estimate_document(
         warnings.insert(0, f"Warning: {basis_in_words(estimate)} [model_misfit]")
     # The verdict in per cent of the motion, then what else speaks against the fit, each with its code: before the
     # values where no cause is known, else behind them
-    fit, misfit = estimate.fit, list[str]()
+    misfit = list[str]()
     if assessment is None:
-        style = ("red" if bool(fit.rejected) else "green") if is_tested(fit) else ""
-        verdict = Paragraph(fit_in_words(fit), style)
+        (verdict,) = fit_paragraphs(estimate)
     else:
         said, _, style = VERDICTS[assessment.verdict]
         missed = _share_missed(assessment)
@@ -122,13 +121,10 @@ def _share_missed(assessment: Assessment) -> str:
     for reason in assessment.reasons:
         if reason.code == "discrepancy":
             return reason.text.replace("the model", "it", 1)
-    if _bound_missed(assessment):
-        name, most = max(
-            ((name, share.upper95) for name, share in assessment.discrepancy.items() if share is not None),
-            key=lambda each: each[1],
-        )
-        where = f" (at {name})" if len(assessment.discrepancy) > 1 else ""
-        return f"apart from noise it misses at most {short(100 * most, 2)} % of the motion{where}"
+    if (worst := _bound_missed(assessment)) is not None:
+        share, name = worst
+        where = f" (at {name})" if name else ""
+        return f"apart from noise it misses at most {short(100 * share.upper95, 2)} % of the motion{where}"
     if not assessment.relative_residual:
         return ""
     name, most = max(assessment.relative_residual.items(), key=lambda each: each[1])
@@ -512,11 +508,11 @@ def motion_in_words(assessment: Assessment) -> str:
             f"; noise alone would account for {alike if max(noise) <= 1.25 * min(noise) else joined(shares)}"
         )
     sentences = [f"Measured and predicted motion differ by {joined(parts)}{alone}."] if parts else []
-    missed = _bound_missed(
-        assessment
-    )  # beyond noise, where more of it is known than the bound in the verdict
-    if missed and not missed.startswith("at most"):
-        sentences.append(f"Apart from noise, the model misses {missed}.")
+    worst = _bound_missed(assessment)
+    if worst is not None and worst[0].lower95 > 0:  # more of it is known than the bound in the verdict
+        value, bound = (f"{short(100 * size, 2)} %" for size in (worst[0].value, worst[0].upper95))
+        most = f"{value}, and at most {bound} (95 % bound) of the motion"
+        sentences.append(f"Apart from noise, the model misses {most}{worst[1] and f' at {worst[1]}'}.")
     return " ".join(sentences)
 
 
@@ -549,15 +545,14 @@ def page_verdict(estimate: Estimate) -> Verdict:
     return "bad" if bool(estimate.fit.rejected) else "good"
 
 
-def _bound_missed(assessment: Assessment) -> str:
+def _bound_missed(assessment: Assessment) -> tuple[Discrepancy, str] | None:
+    """What the model misses of a motion beyond noise, at most, and at which of several channels; None where not known
+    of each."""
     shares = {name: share for name, share in assessment.discrepancy.items() if share is not None}
     if not shares or len(shares) < len(assessment.discrepancy) or assessment.verdict == "does not fit":
-        return ""
+        return None
     name, share = max(shares.items(), key=lambda each: each[1].upper95)
-    bound, value = (f"{short(100 * size, 2)} %" for size in (share.upper95, share.value))
-    most = f"{value}, and at most {bound}" if share.lower95 > 0 else f"at most {bound}"
-    where = f" at {name}" if len(shares) > 1 else ""
-    return f"{most} (95 % bound) of the motion{where}"
+    return share, name if len(shares) > 1 else ""
 
 
 def diagnosis_in_words(findings: tuple[Finding, ...]) -> list[str]:

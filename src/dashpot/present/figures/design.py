@@ -48,7 +48,6 @@ def planned_test_figure(answer: Answer) -> Figure:
     title += "" if plan.time_s is None else f", {short(plan.time_s, 3)} s"
     p = plan.predicted
     bars = [j for j in range(len(p.names)) if p.values[j] != 0]  # a delay of 0 has no relative error
-    p = plan.predicted
     tests = [Bars("this test", 100 * p.relative[bars])]
     if answer.estimate is not None:
         e = answer.estimate
