@@ -86,9 +86,9 @@ def merge_estimates(model: Model, parts: Sequence[Estimate]) -> Merged:
                 what = f"the sign of {channel} comes out differently in different parts of the data"
                 cure = "was a sensor reversed? identify the parts before and after separately"
                 raise DataError(what, cure=cure)
-    scale = parts[0].noise_sd
+    scale, m = first.noise_sd, len(model.unknowns)
     free = np.array([part.free_values for part in parts]) / scale
-    stated, sd = parts[0].priors
+    stated, sd = first.priors
     prior, mean = np.nan_to_num((scale / sd) ** 2), np.nan_to_num(stated / scale)
     precision = np.array([_inverse(part.noise_covariance / np.outer(scale, scale)) for part in parts])
     told = precision - np.diag(prior)  # by the data alone
@@ -100,20 +100,40 @@ def merge_estimates(model: Model, parts: Sequence[Estimate]) -> Merged:
     covariance = noise @ (np.einsum("pij,pjk,pkl->il", told, spread, told) + np.diag(prior)) @ noise
     off = free - theta
     scatter = float(np.einsum("pi,pij,pj->", off, np.array([_inverse(each) for each in spread]), off))
-    dof = (len(parts) - 1) * len(scale)
-    p = float(chdtrc(dof, scatter)) if dof else 1.0
+    apart = (len(parts) - 1) * len(scale)
+    p = float(chdtrc(apart, scatter)) if apart else 1.0
     dof_of_intervals = np.sum([part.dof for part in parts], axis=0)
     if p < LEVEL:
-        covariance = covariance * (scatter / dof)
-        dof_of_intervals = np.minimum(dof_of_intervals, dof)
+        covariance = covariance * (scatter / apart)
+        dof_of_intervals = np.minimum(dof_of_intervals, apart)
     widened = p < LEVEL or any(part.basis == MISFIT for part in parts)
     alone = np.maximum(np.diagonal(spread, axis1=-2, axis2=-1) - np.diagonal(noise), np.finfo(float).tiny)
     units = np.outer(scale, scale)
-    estimate = _estimate(
-        model, parts, theta * scale, (covariance if widened else noise) * units, noise * units
+    theta, covariance, noise = theta * scale, (covariance if widened else noise) * units, noise * units
+    chi2, dof = sum(float(part.fit.chi2) for part in parts), sum(part.fit.dof for part in parts)
+    tested = all(np.isfinite(part.fit.p) for part in parts)
+    p_of_fit = float(chdtrc(dof, chi2)) if tested else np.nan
+    over_bound = np.mean([(part.bound_sd / part.noise_sd) ** 2 for part in parts], axis=0)
+    estimate = replace(
+        first,
+        values=np.clip(theta, first.lower, first.upper),
+        free_values=theta,
+        covariance=covariance,
+        noise_covariance=noise,
+        bound_sd=np.sqrt(np.diagonal(noise) * over_bound),
+        basis=MISFIT if widened else first.basis,
+        dof=dof_of_intervals,
+        converged=np.asarray(np.all([part.converged for part in parts])),
+        iterations=np.sum([part.iterations for part in parts]),
+        history=np.array([theta]),
+        fit=Fit(np.array(chi2), dof, np.array(p_of_fit), all(part.fit.known_noise for part in parts)),
+        modes=linear_modes(model, theta[:m], covariance[:m, :m]),
+        warnings=_together([part.warnings for part in parts]),
+        notes=_together([part.notes for part in parts]),
+        assessment=None,
+        profiles={},
     )
-    basis = MISFIT if widened else parts[0].basis
-    return Merged(replace(estimate, basis=basis, dof=dof_of_intervals), scatter, dof, p, off / np.sqrt(alone))
+    return Merged(estimate, scatter, apart, p, off / np.sqrt(alone))
 
 
 def _inverse(matrix: Real) -> Real:
@@ -125,34 +145,6 @@ def _inverse(matrix: Real) -> Real:
     if not np.all(np.isfinite(inverse)):
         raise DataError("a part of the data does not determine the unknowns", cure="leave it out")
     return (inverse + inverse.T) / 2
-
-
-def _estimate(
-    model: Model, parts: Sequence[Estimate], theta: Real, covariance: Real, noise: Real
-) -> Estimate:
-    """The merged estimate with intervals from `covariance`, whatever they rest on."""
-    first, m = parts[0], len(model.unknowns)
-    chi2, dof = sum(float(part.fit.chi2) for part in parts), sum(part.fit.dof for part in parts)
-    tested = all(np.isfinite(part.fit.p) for part in parts)
-    p = float(chdtrc(dof, chi2)) if tested else np.nan
-    over_bound = np.mean([(part.bound_sd / part.noise_sd) ** 2 for part in parts], axis=0)
-    return replace(
-        first,
-        values=np.clip(theta, first.lower, first.upper),
-        free_values=theta,
-        covariance=covariance,
-        noise_covariance=noise,
-        bound_sd=np.sqrt(np.diagonal(noise) * over_bound),
-        converged=np.asarray(np.all([part.converged for part in parts])),
-        iterations=np.sum([part.iterations for part in parts]),
-        history=np.array([theta]),
-        fit=Fit(np.array(chi2), dof, np.array(p), all(part.fit.known_noise for part in parts)),
-        modes=linear_modes(model, theta[:m], covariance[:m, :m]),
-        warnings=_together([part.warnings for part in parts]),
-        notes=_together([part.notes for part in parts]),
-        assessment=None,
-        profiles={},
-    )
 
 
 def _together(each: Sequence[Sequence[Notice]]) -> tuple[Notice, ...]:
