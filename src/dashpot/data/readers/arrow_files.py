@@ -24,8 +24,7 @@ def read_parquet(file: DataFile, parquet: Any) -> Iterator[ArrayColumns]:
     # 1 << 16: numbers of a file up to which it is read whole: column by column takes ten times as long
     if rows * len(schema.names) <= (1 << 16):
         with suppress(OSError, pa.ArrowException):  # of a column that may not be asked for
-            table = content.read(use_threads=False)
-            yield _columns(file, schema, rows, lambda i: iter([table.column(i)]))
+            yield _held(file, content.read(use_threads=False))
             return
 
     def batches(column: int) -> Iterator[Any]:
@@ -41,19 +40,13 @@ def parquet_pieces(file: DataFile) -> Iterator[ArrayColumns]:
 
     content = parquet.ParquetFile(noted(file.path), pre_buffer=False)
     for batch in content.iter_batches(batch_size=PIECE):
-        table = pa.Table.from_batches([batch])
-        yield _columns(file, content.schema_arrow, len(batch), partial(_column, table))
-
-
-def _column(table: pa.Table, column: int) -> Iterator[Any]:
-    return iter([table.column(column)])
+        yield _held(file, pa.Table.from_batches([batch], content.schema_arrow))
 
 
 def read_feather(file: DataFile, feather: Any) -> Iterator[ArrayColumns]:
     """The table; its columns are read when they are asked for, and the others neither read nor unpacked then."""
     if file.head.startswith(b"FEA1"):  # of before 2020
-        table = feather.read_table(noted(file.path))
-        yield _columns(file, table.schema, table.num_rows, lambda i: iter([table.column(i)]))
+        yield _held(file, feather.read_table(noted(file.path)))
         return
     source = pa.memory_map(str(noted(file.path)))
 
@@ -71,6 +64,11 @@ def read_feather(file: DataFile, feather: Any) -> Iterator[ArrayColumns]:
 def _check_unpacked(file: DataFile, schema: Any, rows: int) -> None:
     """Raises DataError if the numbers are more than the file may unpack to; texts have the limit of the process."""
     file.check_unpacked(rows * sum(pa.types.is_primitive(kind) for kind in schema.types) * 8)
+
+
+def _held(file: DataFile, table: pa.Table) -> ArrayColumns:
+    """All columns of a table that is held."""
+    return _columns(file, table.schema, table.num_rows, lambda i: iter([table.column(i)]))
 
 
 def _columns(file: DataFile, schema: Any, rows: int, pieces: Callable[[int], Iterator[Any]]) -> ArrayColumns:
@@ -92,9 +90,9 @@ def _numbers(pieces: Callable[[int], Iterator[Any]], column: int) -> Iterator[An
 
 def array_of_column(column: Any) -> Any:
     """A column of numbers, moments or texts as an array; gaps of numbers are NaN."""
-    if pa.types.is_floating(column.type) or (pa.types.is_integer(column.type) and not column.null_count):
+    if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
         return array_of(column)
-    if pa.types.is_integer(column.type) or pa.types.is_decimal(column.type):
+    if pa.types.is_decimal(column.type):
         return column.cast(pa.float64()).to_numpy()
     if pa.types.is_timestamp(column.type) or pa.types.is_duration(column.type):
         return column.to_numpy()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
@@ -17,7 +16,7 @@ from dashpot import units
 from dashpot.arrays import Bools, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.errors import DashpotError, DataError
-from dashpot.io.words import listed, shown
+from dashpot.io.words import did_you_mean, listed, shown
 from dashpot.notices import Notice
 from dashpot.units import SHARE
 
@@ -171,12 +170,9 @@ class Columns(ABC):
         at = self.find(name)
         if at is not None:
             return at
-        lower = {column.lower(): column for column in self.header}
-        near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.6)
-        known = (
-            f"did you mean {shown(lower[near[0]])}? " if near else f"the columns are {listed(self.names)}; "
-        )
-        cure = f"{known}{cure[:1].upper() + cure[1:] if near else cure}" if cure else known.strip("; ")
+        guess = did_you_mean(name, self.header)
+        known = guess or f"the columns are {listed(self.names)}; "
+        cure = f"{known}{cure[:1].upper() + cure[1:] if guess else cure}" if cure else known.strip("; ")
         raise DataError(f"column {shown(name)}: missing{why}", self.heading, cure)
 
     def error(self, index: int, column: int, cause: str, cure: str) -> DataError:

@@ -41,11 +41,10 @@ from dashpot.data.readers.uff import (
 from dashpot.data.readers.uff_writer import write_universal_file
 from dashpot.errors import DashpotError, DataError
 from dashpot.io.json_document import from_json
-from dashpot.io.ledger import noted
+from dashpot.io.ledger import AnyPath, noted
 from dashpot.io.words import choose_from, listed, shown
 from dashpot.notices import Notice
 
-AnyPath = str | os.PathLike[str]
 FREQUENCY, FREQUENCY_SD, DAMPING, DAMPING_SD = "frequency_hz", "frequency_sd", "damping_ratio", "damping_sd"
 PLAIN = (FREQUENCY, FREQUENCY_SD, DAMPING, DAMPING_SD)
 

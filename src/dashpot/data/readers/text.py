@@ -453,7 +453,10 @@ def open_table(
         if first_column is None:
             file, notes = _without_stray_rows(file, start, source)
     if delimiter == _BLANKS:
-        file = file.rewritten(chain([file.contents[:start]], _tabbed(file.contents, start)))
+        # Cells are apart by one tab instead of blanks
+        rows = whole_lines(file.contents, start, most=SUBSTITUTED)
+        tabbed = (re.sub(rb"(?m)^\t|\t(?=\r?$)", b"", re.sub(rb"[ \t]+", b"\t", lines)) for lines in rows)
+        file = file.rewritten(chain([file.contents[:start]], tabbed))
         delimiter = "\t"
     data = file.contents
     first = _next_row(data, start, first_row - 1)
@@ -647,12 +650,6 @@ def _unit(cell: str) -> str | None:
     """The unit in a cell of a row of units."""
     text = re.sub(r"^[\[(](.*)[\])]$", r"\1", cell).strip()
     return None if text in ("", "-") else text
-
-
-def _tabbed(data: Text, start: int) -> Iterator[bytes]:
-    """What follows, in pieces, with cells apart by one tab instead of blanks."""
-    for lines in whole_lines(data, start, most=SUBSTITUTED):
-        yield re.sub(rb"(?m)^\t|\t(?=\r?$)", b"", re.sub(rb"[ \t]+", b"\t", lines))
 
 
 def _names(text: str, delimiter: str, place: str) -> tuple[str, ...]:

@@ -569,12 +569,12 @@ def read_uff_modes(
     if not matched:
         if len(places) != len(coordinates):
             raise DataError(
-                f"no node is a coordinate of the rig: the nodes are {listed(map(_label, places))}",
+                f"no node is a coordinate of the rig: the nodes are {listed(NodePoint('', *at).name for at in places)}",
                 file.name,
                 'list channels of these names in the rig file, such as "3+Z" = { of = "x1" }',
             )
         matched = {name: (place, 1.0) for name, place in zip(coordinates, places, strict=True)}
-        pairs = ", ".join(f"{_label(place)} = {shown(name)}" for name, (place, _) in matched.items())
+        pairs = ", ".join(f"{NodePoint('', *at).name} = {shown(name)}" for name, (at, _) in matched.items())
         text = f"nodes are taken for coordinates in their order: {pairs}"
         notes.append(Notice("modes_in_order", text, tuple(coordinates)))
     points = tuple(name for name in coordinates if name in matched)
@@ -590,10 +590,6 @@ def read_uff_modes(
     spread = relative_sd[2] * np.broadcast_to(largest[:, None], shapes.shape)
     of_frequency, of_damping = (frequency, relative_sd[0] * frequency), (damping, relative_sd[1] * damping)
     return independent_modes(points, of_frequency, of_damping, (shapes, spread)), notes
-
-
-def _label(place: Place) -> str:
-    return f"{place[0]}{DIRECTIONS.get(place[1], '')}"
 
 
 def _matched(
@@ -613,7 +609,7 @@ def _matched(
     nodes = [node for node, _ in places]
     matched: dict[str, tuple[Place, float]] = {}
     for place in places:
-        node, texts = str(place[0]), [_label(place)]
+        node, texts = str(place[0]), [NodePoint("", *place).name]
         if nodes.count(place[0]) == 1:
             texts += [node, listed_names.get(node, "").strip()]
         for text in texts:
