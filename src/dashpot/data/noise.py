@@ -99,28 +99,28 @@ class Still:
         return self.power[at] / samples
 
 
-def noise_at_rest(records: Sequence[Record], half_window: int = HALF_WINDOW) -> Still:
-    """The noise that records with nothing driven show, smoothed over 2·half_window + 1 lines and over the records.
+def noise_at_rest(records: Sequence[Record]) -> Still:
+    """The noise that records with nothing driven show, smoothed over neighbouring lines and over the records.
 
     The longest record gives the lines; raises DataError for uneven samples and records too short.
     """
     longest = max(records, key=lambda record: len(record.time))
-    parts = []
+    width, parts = 2 * HALF_WINDOW + 1, []
     for record in records:
         step = even_step(record)
         samples = len(record.time)
         lines = (samples - 1) // 2
-        if lines < 2 * half_window + 1:
+        if lines < width:
             raise DataError(
                 f"the at-rest record has only {samples} samples",
                 record.source,
-                f"at least {4 * half_window + 4} are needed",
+                f"at least {2 * width + 2} are needed",
             )
         centred = record.values - record.values.mean(axis=0)
         Y = fft.rfft(centred, axis=0)[1 : lines + 1] * (2 / samples)
         frequency = np.arange(1, lines + 1) / (samples * step)
-        power = smoothed(np.einsum("lc,ld->lcd", Y, np.conj(Y)), half_window) * samples
-        parts.append(Still(frequency, power, 2.0 * (2 * half_window + 1)))
+        power = smoothed(np.einsum("lc,ld->lcd", Y, np.conj(Y))) * samples
+        parts.append(Still(frequency, power, 2.0 * width))
     grid = parts[[record is longest for record in records].index(True)].frequency_hz
     total = np.zeros((len(grid), len(longest.channels), len(longest.channels)), dtype=np.complex128)
     dof = 0.0

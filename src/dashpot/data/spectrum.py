@@ -566,22 +566,17 @@ def merge_repeats(spectrum: Spectrum) -> Spectrum:
             amplitudes = np.sum(
                 np.einsum("...lij,...lj->...li", weights, lines.amplitudes), axis=-2, keepdims=True
             )
+            moments = lines.moments
+            if moments is not None:
+                moments = Moments(np.sum(moments.products, axis=-3, keepdims=True))
             averaged.append(
-                Spectrum(
-                    lines.channels,
-                    lines.frequency_hz[:1],
-                    amplitudes,
-                    covariance,
-                    np.sum(lines.samples, keepdims=True),
-                    np.sum(lines.dof, keepdims=True),
-                    lines.noise[:1],
-                    lines.experiment[:1],
-                    None
-                    if lines.moments is None
-                    else Moments(np.sum(lines.moments.products, axis=-3, keepdims=True)),
-                    lines.notes,
-                    np.zeros(1, dtype=np.int64),
-                    lines.stretches[:1],
+                replace(
+                    lines.select([0]),
+                    amplitudes=amplitudes,
+                    covariance=covariance,
+                    samples=np.sum(lines.samples, keepdims=True),
+                    dof=np.sum(lines.dof, keepdims=True),
+                    moments=moments,
                 )
             )
     merged = concatenate(averaged)

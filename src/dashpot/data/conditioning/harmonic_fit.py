@@ -114,7 +114,7 @@ def _whiteness(
             )
     if not ps:
         return np.full(len(sigma), np.nan)
-    smallest = np.min(np.where(exact, np.nan_to_num(1.0), np.stack(ps)), axis=(0, 2))
+    smallest = np.min(np.where(exact, 1.0, np.stack(ps)), axis=(0, 2))
     tests = len(ps) * np.sum(~exact, axis=-1)
     return np.where(tests > 0, np.minimum(1.0, smallest * tests), np.nan)
 
