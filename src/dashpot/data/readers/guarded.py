@@ -6,6 +6,7 @@ import faulthandler
 import gc
 import io
 import logging
+import math
 import os
 import re
 import signal
@@ -44,7 +45,8 @@ if sys.platform == "linux":
 else:
     GUARDED = False
 
-SECONDS = 30.0  # for one answer, and one more for each MiB of the file
+SECONDS = 4.0  # of processor time for one answer, and one more for each MiB of the file
+ASLEEP = 4.0  # s that it may sleep on end, waiting neither for a processor nor for a disk
 
 
 # Pipes to processes that live: a later one inherits them, and must not hold them open when they are to end.
@@ -94,15 +96,22 @@ class Child:
         """
         try:
             self.pipe.send(request)
-            if not self.pipe.poll(self.seconds):
-                self.end()
-                raise DataError(
-                    f"reading it took over {self.seconds:.0f} s", self.source, "it may be damaged"
-                )
+            awake, spent = time.monotonic(), ""
+            while not self.pipe.poll(ASLEEP / 20):
+                state, now = self._state()
+                if state != "S" or now != spent:
+                    awake, spent = time.monotonic(), now
+                elif time.monotonic() - awake > ASLEEP:
+                    self.end()
+                    raise DataError("the library that reads it hangs", self.source, "it may be damaged")
             fine, answer = self.pipe.recv()
         except (EOFError, OSError):
-            what = f"the library that reads it broke off ({self._cause()})"
-            cure = "it is damaged or asks for far more memory than its data need; save it again"
+            cause = self._cause()
+            if cause == signal.SIGXCPU.name:
+                what, cure = f"reading it took over {self.seconds:.0f} s", "it may be damaged"
+            else:
+                what = f"the library that reads it broke off ({cause})"
+                cure = "it is damaged or asks for far more memory than its data need; save it again"
             raise DataError(what, self.source, cure) from None
         except MemoryError:
             fine, answer = False, MemoryError()
@@ -112,6 +121,12 @@ class Child:
             what = "the file needs more memory than is available"
             raise DataError(what, self.source, "it may be damaged") from None
         raise answer
+
+    def _state(self) -> tuple[str, str]:
+        """The state of the process, S where it waits for neither a processor nor a disk, and the time it has spent."""
+        text = Path(f"/proc/{self.process}/stat").read_text(encoding="ascii", errors="replace")
+        fields = text.rpartition(")")[2].split()  # of proc(5), from the third on
+        return fields[0], " ".join(fields[11:13])
 
     def _cause(self) -> str:
         """What ended the process."""
@@ -159,9 +174,7 @@ def _serve(answer: Answers, pipe: Connection, memory: int, seconds: float) -> No
                 answer.close()
                 return
             spent = resource.getrusage(resource.RUSAGE_SELF)
-            _lower(
-                resource.RLIMIT_CPU, int(spent.ru_utime + spent.ru_stime + seconds) + 1
-            )  # should nobody wait
+            _lower(resource.RLIMIT_CPU, math.ceil(spent.ru_utime + spent.ru_stime + seconds))
             try:
                 reply = True, answer(request)
             except (DashpotError, MemoryError) as error:

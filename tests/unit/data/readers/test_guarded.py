@@ -36,6 +36,11 @@ class Answer:
                 os.abort()
             case "hang":
                 time.sleep(60)
+            case "spin" | "work":
+                end = time.process_time() + (60 if request == "spin" else 0.5)
+                while time.process_time() < end:
+                    pass
+                return "done"
             case "memory":
                 return len(bytearray(1 << 34))
         return request
@@ -88,14 +93,25 @@ def test_a_process_that_ends_costs_one_answer(request_: str, word: str) -> None:
     assert "a.bin" in str(lost.value)
 
 
-def test_a_process_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guarded, "SECONDS", 0.2)
+@pytest.mark.parametrize(
+    ("request_", "limit", "words"), [("hang", "ASLEEP", "hangs"), ("spin", "SECONDS", "took over")]
+)
+def test_a_process_that_comes_to_no_end_is_ended(
+    request_: str, limit: str, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guarded, limit, 0.2)
     child = Child(Answer(), "a.bin", 1 << 30, 0)
     process = child.process
-    with pytest.raises(DataError, match="took over"):
-        child.ask("hang")
+    with pytest.raises(DataError, match=words):
+        child.ask(request_)
     with pytest.raises(ProcessLookupError):
         os.kill(process, signal.SIGCONT)
+
+
+def test_a_process_that_waits_for_others_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time on the clock says nothing on a busy machine: half a second of work is all right, however long it takes."""
+    monkeypatch.setattr(guarded, "ASLEEP", 0.2)
+    assert Child(Answer(), "a.bin", 1 << 30, 0).ask("work") == "done"
 
 
 def test_a_workbook_whose_reader_aborts_is_refused_in_one_line(
