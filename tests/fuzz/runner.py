@@ -47,7 +47,8 @@ MEMORY = 1 << 30  # bytes beside those that this process had at its start
 CODES = {0, 2, 3, 4}
 MOST_LINES = 40  # on stderr
 PLACE = "/dev/shm" if os.path.isdir("/dev/shm") else None  # folders of cases; one of a disk costs 2 ms
-_PASSING_TIME = re.compile(r"0:00:0[3-9]|0:00:[1-9]")  # beside the bar: seconds gone by, more than two
+_PASSING_TIME = re.compile(r"\d:\d\d:\d\d")  # beside the bar, whenever it is drawn: seconds gone by
+DRAWN = 20  # times, ten a second, that bars are drawn in a run of more than SECONDS
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 
@@ -129,7 +130,7 @@ def _outcome(case: Case) -> Outcome:
     watched = replace(case, arguments=tuple(word for word in case.arguments if word not in QUIET))
     with _folder_of(case):
         run = _run(watched, SECONDS * factor, _Terminal(), interrupted=False)
-    if run.fault is None and not _PASSING_TIME.search(run.err):
+    if run.fault is None and len(_PASSING_TIME.findall(run.err)) < DRAWN:
         return Outcome(f"no progress in {case.arguments[0]}", slow=True)
     return Outcome(run.fault, slow=True)
 

@@ -99,11 +99,13 @@ class Still:
         return self.power[at] / samples
 
 
-def noise_at_rest(records: Sequence[Record]) -> Still:
+def noise_at_rest(records: Sequence[Record], *, source: str = "") -> Still:
     """The noise that records with nothing driven show, smoothed over neighbouring lines and over the records.
 
-    The longest record gives the lines; raises DataError for uneven samples and records too short.
+    The longest record gives the lines; raises DataError for uneven samples, records too short, and no records.
     """
+    if not records:
+        raise DataError("a noise record has samples, not amplitudes", source, "give a record over time")
     longest = max(records, key=lambda record: len(record.time))
     width, parts = 2 * HALF_WINDOW + 1, []
     for record in records:

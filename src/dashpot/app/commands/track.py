@@ -83,7 +83,8 @@ def command(
     from dashpot.present.fleet import change_line, track_document
 
     known = read_rig(rig)
-    still = noise_at_rest(read(noise_record, known.channels).records) if noise_record else None
+    rest = read(noise_record, known.channels).records if noise_record else ()
+    still = noise_at_rest(rest, source=", ".join(noise_record)) if noise_record else None
     tracker = Tracker(known, Conditioning(band_hz="auto" if band is None else band, still=still), seed)
     chosen = None if speed == "auto" else speed
 

@@ -34,8 +34,8 @@ def holds_a_period(time: Real, f: float) -> bool:
 
 
 def highest_multiple(record: Record, f: float) -> int:
-    """Of f Hz, that the samples tell from others."""
-    return int(BELOW_HALF_RATE / (2 * record.step_s * f))
+    """Of f Hz, that the samples tell from others; no more than there are samples."""
+    return int(min(BELOW_HALF_RATE / (2 * record.step_s) / f, len(record.time)))
 
 
 def turning(f: float, time: Real) -> Complex:
