@@ -53,6 +53,7 @@ SKIPPED = {
     "dashpot",
     "version",
     "fingerprint",
+    "lines",
 }  # how an answer was reached, and by what
 NUMBER = re.compile(r"(?<![\w.])[-−+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])", re.IGNORECASE)
 WIDTH = "100"

@@ -13,7 +13,6 @@ from dashpot.api import track as track
 from dashpot.api import transfer_functions as transfer_functions
 from dashpot.channel import Channel as Channel
 from dashpot.channel import Quantity as Quantity
-from dashpot.check.residuals import Residuals as Residuals
 from dashpot.check.residuals import residuals as residuals
 from dashpot.data.conditioning.drive_frequency import refine_frequency as refine_frequency
 from dashpot.data.conditioning.harmonic_fit import HarmonicFit as HarmonicFit
@@ -40,6 +39,7 @@ from dashpot.errors import IdentifiabilityError as IdentifiabilityError
 from dashpot.errors import ModelError as ModelError
 from dashpot.errors import Problem as Problem
 from dashpot.errors import UsageError as UsageError
+from dashpot.estimate.assessment import Residuals as Residuals
 from dashpot.estimate.comparison import Comparison as Comparison
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood as MaximumLikelihood
 from dashpot.estimate.linear.instrumental_variables import DefiniteOptimalIV as DefiniteOptimalIV

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -644,7 +645,7 @@ def with_exact_values(estimate: Estimate, changes: Mapping[str, float | str]) ->
         assessment=None,
         cycles=(),
     )
-    if estimate.origin is None:
+    if estimate.origin is None and estimate.rig_text is None:
         return changed
     model = _rig_of(changed).model
     m = len(model.unknowns)
@@ -654,8 +655,8 @@ def with_exact_values(estimate: Estimate, changes: Mapping[str, float | str]) ->
 def report(estimate: Estimate, path: AnyPath, level: float = 0.95) -> str:
     """Write the report of an estimate as HTML, as the command does; the name of the file.
 
-    Responses and residuals are in it where the estimate still has what it was made from: one that was read from JSON
-    has not.  Raises UsageError for another ending and for a batch.
+    Of an estimate that was read from JSON it has the lines that are kept there, not what more the data showed.  Raises
+    UsageError for another ending and for a batch.
     """
     from dashpot.present.identification import identification_report
     from dashpot.present.page import provenance_of
@@ -666,17 +667,17 @@ def report(estimate: Estimate, path: AnyPath, level: float = 0.95) -> str:
     if not name.endswith(".html"):
         raise UsageError("reports are written as .html", name, "name it so, and print that for a PDF file")
     rig = _rig_of(estimate)
-    origin = Origin(rig) if estimate.origin is None else estimate.origin
+    origin = estimate.origin
     with opened() as ledger:
-        for file in filter(os.path.isfile, (*([rig.path] if rig.path else []), *origin.files)):
+        for file in filter(os.path.isfile, () if origin is None else (origin.rig.path, *origin.files)):
             ledger.note_read(file)
         page = identification_report(
             rig.model,
-            origin.spectrum,
+            None if origin is None else origin.spectrum,
             estimate,
             level,
             provenance_of("estimate.report(…), in Python"),
-            channels=rig.channels,
+            channels=rig.all_channels,
         )
         write_text(name, page)
     return name
@@ -715,8 +716,8 @@ def html(value: Rig | Record | Spectrum | Estimate | Comparison | Track) -> str:
     return html_of(comparison_document(value) if isinstance(value, Comparison) else notebook_document(value))
 
 
-def plot(value: Estimate | Comparison | Track, level: float = 0.95) -> Any:
-    """A matplotlib Figure of the values with their intervals."""
+def plot(value: Estimate | Comparison | Track, level: float = 0.95, values: bool = False) -> Any:
+    """A matplotlib Figure: of an estimate that keeps its lines measured against model, else values and intervals."""
     from dashpot.fleet.tracking import Track
 
     if isinstance(value, Track):
@@ -725,6 +726,12 @@ def plot(value: Estimate | Comparison | Track, level: float = 0.95) -> Any:
         return track_figure(value, level)
     from dashpot.present.figures.comparison import comparison_figure, estimate_figure
 
+    if isinstance(value, Estimate) and not values and value.assessment is not None:
+        from dashpot.present.identification import fit_figure
+
+        with suppress(DashpotError):  # where its rig is not known, or nothing depends on the estimate
+            rig = _rig_of(value)
+            return fit_figure(rig.model, value, rig.all_channels)
     return comparison_figure(value, level) if isinstance(value, Comparison) else estimate_figure(value, level)
 
 
@@ -952,10 +959,15 @@ def _of_rig(
 
 def _rig_of(estimate: Estimate | None, rig: Rig | None = None) -> Rig:
     """The rig that an estimate was made of, or is said to be of, with the known values of the estimate."""
-    if estimate is None or (rig is None and estimate.origin is None and estimate.rig is None):
+    if rig is None and estimate is not None:
+        if estimate.origin is not None:
+            rig = estimate.origin.rig
+        elif estimate.rig_text is not None:
+            rig = parse_rig(estimate.rig_text, estimate.rig or "rig.toml")
+        elif estimate.rig is not None:
+            rig = read_rig(estimate.rig)
+    if estimate is None or rig is None:
         raise UsageError("the estimate does not name its rig file", cure="give the rig as well")
-    if rig is None:
-        rig = read_rig(str(estimate.rig)) if estimate.origin is None else estimate.origin.rig
     return _with_known(rig, {name: value for name, value, _ in estimate.known})
 
 

@@ -123,11 +123,13 @@ def test_notebooks_get_tables_without_scripts(rig: Rig) -> None:
         assert html.count("<table>") == html.count("</table>") >= 1
 
 
-def test_a_plot_has_a_panel_for_each_unknown(rig: Rig) -> None:
-    figure = rig.identify("data.csv").plot()
-    assert "<svg" in figure._repr_svg_()  # what notebooks show
-    assert isinstance(figure, Figure)
-    assert [axes.get_title(loc="left") for axes in figure.axes if axes.get_visible()] == ["m1", "c1", "c2"]
+def test_a_plot_has_a_panel_for_each_response_or_each_unknown(rig: Rig) -> None:
+    estimate = rig.identify("data.csv")
+    for values, titles in ((False, ["x1 over u", "", "x2 over u", ""]), (True, ["m1", "c1", "c2"])):
+        figure = estimate.plot(values=values)
+        assert "<svg" in figure._repr_svg_()  # what notebooks show
+        assert isinstance(figure, Figure)
+        assert [axes.get_title(loc="left") for axes in figure.axes if axes.get_visible()] == titles
 
 
 def test_what_cannot_be_found_is_refused_as_by_the_command(rig: Rig) -> None:

@@ -152,7 +152,7 @@ class RecordOptions:
             return chosen
         still = read(self.noise_record, rig.channels)
         tell_notes(still.notes, self.quiet)
-        return chosen.changed(still=noise_at_rest(still.records))
+        return chosen.changed(still=noise_at_rest(still.records, source=", ".join(self.noise_record)))
 
     def spectrum(
         self, rig: Rig, reading: Reading, conditioning: Conditioning, methods: Collection[str] = ()
@@ -257,16 +257,18 @@ def part_of(reading: Reading, part: tuple[float, float]) -> Reading:
 
 
 def estimate_and_rig(path: str, rig: str | None) -> tuple[Estimate, Rig]:
-    """An estimate with the rig it was made of: the one given, else the file that the estimate names.
+    """An estimate with the rig it was made of: the one given, else that which it carries or names.
 
     Raises DataError or UsageError.
     """
     from dashpot.estimate.result import Estimate
-    from dashpot.model.rigfile import read_rig
+    from dashpot.model.rigfile import parse_rig, read_rig
 
     estimate = Estimate.load(path)
     if rig is not None:
         return estimate, read_rig(rig)
+    if estimate.rig_text is not None:
+        return estimate, parse_rig(estimate.rig_text, estimate.rig or "rig.toml")
     if estimate.rig is None:
         raise UsageError(f"{path} does not name its rig file", cure="give it with --rig")
     for candidate in (Path(estimate.rig), Path(path).parent / estimate.rig):

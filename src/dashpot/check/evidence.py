@@ -16,7 +16,6 @@ from dashpot.check.profile import Profile, Surface, chi2_surface, profile
 from dashpot.check.residuals import (
     DwellHistory,
     FrequencyResponse,
-    Residuals,
     dwell_histories,
     residuals_of,
     responses_of_channels,
@@ -26,6 +25,7 @@ from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, DataError, IdentifiabilityError, UsageError
+from dashpot.estimate.assessment import Residuals
 from dashpot.estimate.identify import automatic, identify
 from dashpot.estimate.likelihood.objective import local, measured
 from dashpot.estimate.method import Method
@@ -356,10 +356,21 @@ def evidence_of(
     estimate: Estimate,
     level: float = 0.95,
     dwells: Sequence[UsedDwell] = (),
+    channels: Sequence[Channel] = (),
 ) -> Evidence:
-    """The evidence of an estimate (no batch axes); `dwells` are those that the spectrum's lines come from."""
+    """The evidence of an estimate (no batch axes); `dwells` are those that the spectrum's lines come from.
+
+    Without a spectrum it is what the estimate keeps of its lines, which are of some of the `channels`.
+    """
     if spectrum is None:
-        return Evidence()
+        kept = None if estimate.assessment is None else estimate.assessment.residuals
+        named = {channel.name: channel for channel in channels}
+        if kept is None or not named.keys() >= {*kept.channels}:
+            return Evidence()
+        return Evidence(
+            kept,
+            responses=responses_of_channels(model, estimate, [named[name] for name in kept.channels], kept),
+        )
     left, weak = residuals_of(model, spectrum, estimate), None
     records, profiles = tuple[RecordPrediction, ...](), tuple[Profile, ...]()
     with suppress(DashpotError):  # of some rigs nothing is said of single lines
@@ -370,7 +381,7 @@ def evidence_of(
     # Profiles of the unknowns whose intervals follow χ², so that a report shows one interval of each
     with suppress(DashpotError):
         profiles = tuple(profile(model, spectrum, name, level, estimate) for name in estimate.profiles)
-    responses = tuple(responses_of_channels(model, estimate, spectrum, left))
+    responses = responses_of_channels(model, estimate, spectrum.channels, left)
     return Evidence(left, weak, responses, records, tuple(dwell_histories(dwells, left)), profiles)
 
 

@@ -19,7 +19,7 @@ from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.record import calibration, real_factor
 from dashpot.data.spectrum import Spectrum
-from dashpot.estimate.assessment import Discrepancy, Misfit
+from dashpot.estimate.assessment import Discrepancy, Residuals
 from dashpot.estimate.likelihood.boundary_loads import with_means_of_unmeasured
 from dashpot.estimate.likelihood.objective import FLOOR, measured, predict
 from dashpot.estimate.likelihood.record_sums import shown_by_ends
@@ -44,65 +44,6 @@ UNBOUNDED = np.finfo(float).max ** 0.25
 EXACT = 1e-9  # relative noise that exact channels are given, compared with which that of all others is large
 
 Calibrations = Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class Residuals:
-    """Measured against predicted, SI units.
-
-    channels, units       names, and SI units of their amplitudes
-    input_names, input_units  of the inputs
-    frequency_hz, experiment  of the lines, (lines,)
-    measured, predicted   complex amplitudes, (lines, channels); NaN where a channel was not measured
-    sd                    of the real (and of the imaginary) part of the measured amplitude, (lines, channels)
-    normalised            (measured − predicted) over the standard deviation of this difference after v was fitted,
-                          (lines, channels); NaN where that is 0.  Real and imaginary parts have variance 1 if the model
-                          is right and the noise is as stated.
-    variance              of measured − predicted if the model is right, real and imaginary parts together,
-                          (lines, channels)
-    inputs                v̂, (lines, inputs), in the order of `input_names`
-    scaled                whether the noise was unknown and was scaled to give `normalised` an overall variance of 1
-    """
-
-    channels: tuple[str, ...]
-    units: tuple[str, ...]
-    input_names: tuple[str, ...]
-    input_units: tuple[str, ...]
-    frequency_hz: Real
-    experiment: Ints
-    measured: Complex
-    predicted: Complex
-    sd: Real
-    normalised: Complex
-    variance: Real
-    inputs: Complex
-    scaled: bool
-
-    def __post_init__(self) -> None:
-        freeze(self)
-
-    def compared(self) -> list[int]:
-        """Places of the channels that can be compared with a prediction."""
-        return [i for i in range(len(self.channels)) if np.any(np.isfinite(self.normalised[:, i]))]
-
-    def largest(self, count: int) -> list[Misfit]:
-        """The largest residuals, `count` at the most; those of 0 are none."""
-        size = np.nan_to_num(np.abs(self.normalised)) / np.sqrt(2)
-        # Equal ones, such as those of two channels that show one motion, in their order whatever the rounding.
-        order = np.argsort(-np.round(size / np.max(size, initial=1e-300), 9), axis=None, kind="stable")
-        places = (np.unravel_index(int(k), size.shape) for k in order[:count])
-        found = (
-            (self.channels[c], float(self.frequency_hz[line]), float(size[line, c])) for line, c in places
-        )
-        return [Misfit(*each) for each in found if each[2] > 0]
-
-    def rms(self) -> Real:
-        """Root mean square of the normalised residuals of each channel, (channels,): 1 if model and noise are right."""
-        finite = np.isfinite(self.normalised)
-        power = np.sum(np.where(finite, np.abs(self.normalised) ** 2, 0.0), axis=0)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            rms: Real = np.sqrt(power / (2 * np.sum(finite, axis=0)))
-        return rms
 
 
 def channel_response(
@@ -182,6 +123,7 @@ def residuals(
         np.maximum(variance, 0.0),
         v,
         not known,
+        spectrum.carries_loads,
     )
 
 
@@ -307,16 +249,16 @@ class FrequencyResponse:
 
 
 def responses_of_channels(
-    model: Model, estimate: Estimate, spectrum: Spectrum, found: Residuals
+    model: Model, estimate: Estimate, channels: Sequence[Channel], found: Residuals
 ) -> tuple[FrequencyResponse, ...]:
-    """A response for each channel that is not itself the measured input (no batch axes).
+    """A response for each of the `channels` of the residuals that is not itself the measured input (no batch axes).
 
     None for nonlinear rigs, and where several inputs drive a channel at once.
     """
     if len(model.nonlinear):
         return ()
     chosen = []
-    for c, channel in enumerate(spectrum.channels):
+    for c, channel in enumerate(channels):
         size = np.abs(found.inputs)
         driven = size > 1e-9 * np.max(size, axis=0, initial=0.0)
         there = np.isfinite(found.measured[:, c])
@@ -337,20 +279,20 @@ def responses_of_channels(
     # What was measured without the transients of whole records, (lines, channels)
     theta, calibrations = estimate.values[: len(model.unknowns)], calibrations_of(model, estimate)
     steady = found.measured
-    if spectrum.carries_loads:
-        p = model.parameters(theta)
-        G = channel_response(model, p, spectrum.channels, spectrum.omega, calibrations, spectrum.experiment)
+    if found.transients:
+        p, omega = model.parameters(theta), 2 * np.pi * found.frequency_hz
+        G = channel_response(model, p, channels, omega, calibrations, found.experiment)
         steady = steady - found.predicted + np.einsum("lci,li->lc", G, found.inputs)
     responses: list[FrequencyResponse] = []
-    for rig, lines in model.by_experiment(spectrum.experiment):
-        of = np.zeros(spectrum.lines, dtype=bool)
+    for rig, lines in model.by_experiment(found.experiment):
+        of = np.zeros(len(found.frequency_hz), dtype=bool)
         of[lines] = True
-        view = observation_model(rig, spectrum.channels, 2 * np.pi * grid)
+        view = observation_model(rig, channels, 2 * np.pi * grid)
         psi, sign = of_channels(view, theta, calibrations)
         kappa = calibration_factors(view, psi, sign)[..., None]
         of_rig = transfer(view, rig.parameters(theta)).calibrated(kappa, psi)
         responses += [
-            _response(rig, spectrum, estimate, found, of, steady[:, c], c, i, grid, of_rig)
+            _response(rig, channels, estimate, found, of, steady[:, c], c, i, grid, of_rig)
             for c, i in chosen
             if np.any(np.isfinite(found.measured[of, c]))
         ]
@@ -365,13 +307,21 @@ def _shows_input(model: Model, channel: Channel) -> str | None:
 
 
 def _response(
-    model: Model, spectrum: Spectrum, estimate: Estimate, found: Residuals, of: Bools, steady: Complex, c: int, i: int,
-    grid: Real, of_rig: Transfer,
-) -> FrequencyResponse:  # fmt: skip
+    model: Model,
+    channels: Sequence[Channel],
+    estimate: Estimate,
+    found: Residuals,
+    of: Bools,
+    steady: Complex,
+    c: int,
+    i: int,
+    grid: Real,
+    of_rig: Transfer,
+) -> FrequencyResponse:
     """Channel c over input i at the lines `of` the model's experiment."""
     name = found.input_names[i]
-    shown = [k for k, channel in enumerate(spectrum.channels) if _shows_input(model, channel) == name]
-    reference = spectrum.channels[shown[0]] if shown else None
+    shown = [k for k, channel in enumerate(channels) if _shows_input(model, channel) == name]
+    reference = channels[shown[0]] if shown else None
     q = 0 if reference is None or reference.quantity is Quantity.FORCE else reference.quantity.derivative
     below = found.units[shown[0]] if shown else found.input_units[i]
     there = of & np.isfinite(found.measured[:, c]) & (np.abs(found.inputs[:, i]) > 0)
@@ -391,7 +341,7 @@ def _response(
     at_lines = np.interp(lines[order], grid, phase)
     measured = at_lines + (np.degrees(np.angle(H)) - at_lines + 180) % 360 - 180
     here = model.here
-    apart = here is not None and spectrum.channels[c].only != here
+    apart = here is not None and channels[c].only != here
     return FrequencyResponse(
         f"{found.channels[c]}@{here}" if apart else found.channels[c],
         name if reference is None else reference.name,

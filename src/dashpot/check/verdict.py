@@ -11,11 +11,11 @@ from scipy.special import fdtrc
 
 from dashpot.arrays import Bools, Complex, Ints, Real
 from dashpot.check.explain.effect import Phrase
-from dashpot.check.residuals import Residuals, discrepancies, residuals_of
+from dashpot.check.residuals import discrepancies, residuals_of
 from dashpot.data.periods import driven_lines
 from dashpot.data.spectrum import Spectrum, WholeRecord
 from dashpot.errors import DashpotError
-from dashpot.estimate.assessment import Assessment, Discrepancy, Finding, Judgement, Misfit
+from dashpot.estimate.assessment import Assessment, Discrepancy, Finding, Judgement, Misfit, Residuals
 from dashpot.estimate.inference.diagnostics import MODES_UNSEEN, dead_channels, of_one_sign
 from dashpot.estimate.inference.time_course import (
     CLOCK_STEP,
@@ -315,7 +315,7 @@ def assess(
 
     within: the share of the motion of every channel within which the rig is to describe it; None: what suits the noise.
     """
-    left = residuals_of(model, spectrum, estimate)
+    left = every = residuals_of(model, spectrum, estimate)
     motions = np.array([not measures_input(model, channel) for channel in spectrum.channels])
     share = share_without_misfit(spectrum, ~motions, np.nan_to_num(left.measured - left.predicted))
     left = replace(left, normalised=left.normalised / np.sqrt(share))
@@ -362,6 +362,7 @@ def assess(
         relative_noise=_noise_alone(left, tuple(relative)) if elsewhere else {},
         discrepancy=shares,
         within=max(limits, default=None) if within is None else within,
+        residuals=every,
     )
 
 

@@ -7,7 +7,11 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any, Literal
 
+import numpy as np
+
+from dashpot.arrays import Complex, Ints, Real, freeze
 from dashpot.channel import Channel
+from dashpot.io.json_document import nullable
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.notices import Notice
@@ -79,6 +83,133 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class Residuals:
+    """Measured against predicted, SI units.
+
+    channels, units       names, and SI units of their amplitudes
+    input_names, input_units  of the inputs
+    frequency_hz, experiment  of the lines, (lines,)
+    measured, predicted   complex amplitudes, (lines, channels); NaN where a channel was not measured
+    sd                    of the real (and of the imaginary) part of the measured amplitude, (lines, channels)
+    normalised            (measured − predicted) over the standard deviation of this difference after v was fitted,
+                          (lines, channels); NaN where that is 0.  Real and imaginary parts have variance 1 if the model
+                          is right and the noise is as stated.
+    variance              of measured − predicted if the model is right, real and imaginary parts together,
+                          (lines, channels)
+    inputs                v̂, (lines, inputs), in the order of `input_names`
+    scaled                whether the noise was unknown and was scaled to give `normalised` an overall variance of 1
+    transients            whether `measured` and `predicted` have those of the ends of whole records
+    """
+
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    input_names: tuple[str, ...]
+    input_units: tuple[str, ...]
+    frequency_hz: Real
+    experiment: Ints
+    measured: Complex
+    predicted: Complex
+    sd: Real
+    normalised: Complex
+    variance: Real
+    inputs: Complex
+    scaled: bool
+    transients: bool = False
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    def compared(self) -> list[int]:
+        """Places of the channels that can be compared with a prediction."""
+        return [i for i in range(len(self.channels)) if np.any(np.isfinite(self.normalised[:, i]))]
+
+    def largest(self, count: int) -> list[Misfit]:
+        """The largest residuals, `count` at the most; those of 0 are none."""
+        size = np.nan_to_num(np.abs(self.normalised)) / np.sqrt(2)
+        # Equal ones, such as those of two channels that show one motion, in their order whatever the rounding.
+        order = np.argsort(-np.round(size / np.max(size, initial=1e-300), 9), axis=None, kind="stable")
+        places = (np.unravel_index(int(k), size.shape) for k in order[:count])
+        found = (
+            (self.channels[c], float(self.frequency_hz[line]), float(size[line, c])) for line, c in places
+        )
+        return [Misfit(*each) for each in found if each[2] > 0]
+
+    def rms(self) -> Real:
+        """Root mean square of the normalised residuals of each channel, (channels,): 1 if model and noise are right."""
+        finite = np.isfinite(self.normalised)
+        power = np.sum(np.where(finite, np.abs(self.normalised) ** 2, 0.0), axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rms: Real = np.sqrt(power / (2 * np.sum(finite, axis=0)))
+        return rms
+
+    def content(self) -> dict[str, Any]:
+        """As the JSON of an estimate has it, to 7 digits."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            off = np.abs((self.measured - self.predicted) / self.normalised)
+        channels = {
+            name: {
+                "unit": unit,
+                "measured": _parts(self.measured[:, c]) | {"sd": _short(self.sd[:, c])},
+                "predicted": _parts(self.predicted[:, c]),
+                "sd_of_difference": _short(off[:, c]),
+            }
+            for c, (name, unit) in enumerate(zip(self.channels, self.units, strict=True))
+        }
+        named = zip(self.input_names, self.input_units, self.inputs.T, strict=True)
+        return {
+            "frequency_hz": self.frequency_hz.tolist(),
+            "experiment": self.experiment.tolist(),
+            "channels": channels,
+            "inputs": {name: {"unit": unit} | _parts(values) for name, unit, values in named},
+            "scaled": self.scaled,
+            "transients": self.transients,
+        }
+
+
+def _parts(values: Complex) -> dict[str, list[float]]:
+    return {"re": _short(values.real), "im": _short(values.imag)}
+
+
+def _short(values: Real) -> list[float]:
+    return [float(f"{value:.7g}") for value in values.tolist()]
+
+
+def residuals_from(content: Mapping[str, Any]) -> Residuals:
+    """The residuals in the JSON of an estimate.  Raises what Python raises where something is missing or wrong."""
+    channels, inputs = content["channels"], content["inputs"]
+    frequency_hz = np.array(content["frequency_hz"], dtype=float)
+
+    def table(entries: Sequence[Sequence[Any]]) -> Real:
+        rows = [[nullable(value) for value in entry] for entry in entries]
+        return np.array(rows).reshape(len(rows), len(frequency_hz)).T
+
+    def both(entries: Sequence[Mapping[str, Any]]) -> Complex:
+        return table([each["re"] for each in entries]) + 1j * table([each["im"] for each in entries])
+
+    each = [*channels.values()]
+    measured, predicted = (both([entry[of] for entry in each]) for of in ("measured", "predicted"))
+    off = table([entry["sd_of_difference"] for entry in each])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normalised = (measured - predicted) / off
+    return Residuals(
+        tuple(channels),
+        tuple(str(entry["unit"]) for entry in each),
+        tuple(inputs),
+        tuple(str(entry["unit"]) for entry in inputs.values()),
+        frequency_hz,
+        np.array(content["experiment"], dtype=np.int64).reshape(frequency_hz.shape),
+        measured,
+        predicted,
+        table([entry["measured"]["sd"] for entry in each]),
+        normalised,
+        2 * np.nan_to_num(off) ** 2,
+        both([*inputs.values()]),
+        bool(content["scaled"]),
+        bool(content["transients"]),
+    )
+
+
+@dataclass(frozen=True)
 class Assessment:
     """Does the rig fit, how well in parts of the motion, and what is worst.
 
@@ -90,6 +221,7 @@ class Assessment:
     findings           possible causes, the best first; empty where all is well or nothing tried explains it
     discrepancy        what the rig leaves of each channel beyond noise; None if they cannot be told apart
     within             the share of the motion asked for, or the largest that the channels' noise suggests; None: none
+    residuals          line by line; None where the data have no lines
     """
 
     verdict: Judgement
@@ -100,6 +232,7 @@ class Assessment:
     relative_noise: Mapping[str, float] = field(default_factory=dict)
     discrepancy: Mapping[str, Discrepancy | None] = field(default_factory=dict)
     within: float | None = None
+    residuals: Residuals | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("relative_residual", "relative_noise", "discrepancy"):
@@ -144,8 +277,9 @@ class Assessment:
         }
 
 
-def assessment_from(fit: Mapping[str, Any], diagnosis: Sequence[Mapping[str, Any]]) -> Assessment | None:
+def assessment_from(content: Mapping[str, Any]) -> Assessment | None:
     """The assessment in the JSON of an estimate; None if there is none.  Entries of rig files are not kept there."""
+    fit, diagnosis, lines = content["fit"], content.get("diagnosis", ()), content.get("lines")
     if "verdict" not in fit:
         return None
     reasons = tuple(
@@ -172,7 +306,15 @@ def assessment_from(fit: Mapping[str, Any], diagnosis: Sequence[Mapping[str, Any
     discrepancy = {name: None if share["value"] is None else Discrepancy(**share) for name, share in shares}
     noise, within = fit.get("relative_noise", {}), fit.get("within")
     return Assessment(
-        fit["verdict"], reasons, fit["relative_residual"], worst, findings, noise, discrepancy, within
+        fit["verdict"],
+        reasons,
+        fit["relative_residual"],
+        worst,
+        findings,
+        noise,
+        discrepancy,
+        within,
+        None if lines is None else residuals_from(lines),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -12,12 +13,13 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from dashpot.arrays import Bools, Complex, Ints, Real, freeze, frozen
-from dashpot.errors import DataError, Problem, UsageError
+from dashpot.errors import DataError, ModelError, Problem, UsageError
 from dashpot.estimate.assessment import Assessment, assessment_from
 from dashpot.estimate.method import HeldBounds, OtherMinima
 from dashpot.io.json_document import from_json, nullable, optional_library, to_json
 from dashpot.io.ledger import noted
 from dashpot.io.words import listed, shown
+from dashpot.model.rigfile.writer import write_rig
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import standard_deviations
 from dashpot.quantities import LARGEST
@@ -43,7 +45,8 @@ def _faults(estimate: Estimate) -> Iterator[str]:
     """Everything that no estimate can have."""
     names, count = estimate.names, len(estimate.names)
     texts = (*names, *estimate.units, estimate.model, estimate.method, estimate.basis)
-    if not all(isinstance(text, str) for text in (*texts, "" if estimate.rig is None else estimate.rig)):
+    texts += tuple(text for text in (estimate.rig, estimate.rig_text) if text is not None)
+    if not all(isinstance(text, str) for text in texts):
         yield "a name, a unit or the rig is not text"
         return
     if len(set(names)) < count:
@@ -330,6 +333,7 @@ class Estimate(Printable):
     warnings, notes     notices of the estimate, and of the data it was made from
     assessment          verdict and diagnosis, where they were made
     rig                 name of the rig file, if there is one
+    rig_text            the rig as a rig file, of an estimate that was read from JSON
     profiles            profiles (`profile_interval`) of the unknowns along which χ² is not a parabola, by name
     origin              the Rig and data it was made from; not saved
     stated              (name, value, sd) of the unknowns that were known with a standard deviation
@@ -361,6 +365,7 @@ class Estimate(Printable):
     notes: tuple[Notice, ...] = ()
     assessment: Assessment | None = None
     rig: str | None = None
+    rig_text: str | None = None
     profiles: Mapping[str, tuple[tuple[float, ...], tuple[float, ...]]] = field(default_factory=dict)
     origin: Origin | None = field(default=None, repr=False, compare=False)
     stated: tuple[tuple[str, float, float], ...] = ()
@@ -598,10 +603,17 @@ class Estimate(Printable):
         """
         return cast("Estimate", call("with_exact_values", self, changes))
 
+    def plot(self, level: float = 0.95, values: bool = False) -> Any:
+        """A matplotlib Figure: measured against model with its band where the estimate keeps its lines.
+
+        Else, and with `values`, the values with their intervals at `level`.
+        """
+        return call("plot", self, level, values)
+
     def report(self, path: Any, level: float = 0.95) -> str:
         """Write the report as HTML, as the command does; the name of the file.
 
-        It includes measured responses if the estimate was made in this session, not if it was read from JSON.
+        Of an estimate that was read from JSON it has the lines that are kept there, not what more the data showed.
         Raises UsageError for any other ending, for a batch, and if the rig is not known.
         """
         return cast(str, call("report", self, path, level))
@@ -704,12 +716,16 @@ def estimate_of(
 
 
 MOST_COVARIANCE = 1000  # unknowns, above which the covariance is null
+MOST_AMPLITUDES = 10_000  # lines times channels, above which the lines are left out: some 1.5 MB
 
 
 def content_of(estimate: Estimate) -> dict[str, Any]:
     """What `Estimate.to_json` writes (no batch axes): all parameters have values, the unknowns what belongs to their
     intervals as well."""
     assessment = estimate.assessment
+    lines = None if assessment is None else assessment.residuals
+    if lines is not None and lines.measured.size > MOST_AMPLITUDES:
+        lines = None
     entries: dict[str, dict[str, Any]] = {
         name: {
             "value": v.value,
@@ -751,7 +767,7 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
     return {
         "dashpot": FORMAT,
         "model": estimate.model,
-        **({} if estimate.rig is None else {"rig": estimate.rig}),
+        **{name: text for name, text in (("rig", estimate.rig), ("rig_text", _rig_text(estimate))) if text},
         "method": estimate.method,
         "status": estimate.status,
         "iterations": int(estimate.iterations),
@@ -786,6 +802,7 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
             **({} if assessment is None else assessment.fit_content()),
         },
         "diagnosis": [] if assessment is None else [finding.content() for finding in assessment.findings],
+        **({} if lines is None else {"lines": lines.content()}),
         "history": estimate.history.tolist(),
         "warnings": [str(notice) for notice in estimate.warnings],
         "codes": [notice.code for notice in estimate.warnings],
@@ -794,6 +811,15 @@ def content_of(estimate: Estimate) -> dict[str, Any]:
         "note_codes": [notice.code for notice in estimate.notes],
         "note_concerns": [list(notice.of) for notice in estimate.notes],
     }
+
+
+def _rig_text(estimate: Estimate) -> str | None:
+    """The rig as a rig file; None where that would not be all of it."""
+    if estimate.origin is None:
+        return estimate.rig_text
+    with suppress(ModelError):
+        return write_rig(estimate.origin.rig)
+    return None
 
 
 def estimate_from(content: Mapping[str, Any]) -> Estimate:
@@ -842,7 +868,7 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         converged=np.asarray(content["status"] == "converged"),
         iterations=np.asarray(content["iterations"], dtype=np.int64),
         history=_rows(content["history"]),
-        assessment=assessment_from(fit, content.get("diagnosis", [])),
+        assessment=assessment_from(content),
         fit=Fit(
             np.asarray(nullable(fit["chi2"])),
             int(fit["dof"]),
@@ -861,6 +887,7 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         ),
         notes=_notices(content, "notes", "note_codes", "note_concerns"),
         rig=content.get("rig"),
+        rig_text=content.get("rig_text"),
         stated=tuple((str(a), float(b), float(c)) for a, b, c in content.get("stated", ())),
         profiles=profiles,
         cycles=tuple(cycles),

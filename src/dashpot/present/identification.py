@@ -10,11 +10,12 @@ from matplotlib.figure import Figure
 
 from dashpot.channel import Channel
 from dashpot.check.evidence import Collinearity, Evidence, doubtful, evidence_of, undetermined
-from dashpot.check.residuals import DwellHistory, Residuals, correlation, residuals_of, responses_of_channels
+from dashpot.check.residuals import DwellHistory, correlation
 from dashpot.check.validation import RecordPrediction
 from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import DashpotError, IdentifiabilityError, UsageError
+from dashpot.estimate.assessment import Residuals
 from dashpot.estimate.result import Estimate
 from dashpot.io.words import joined, listed
 from dashpot.model.network import Model
@@ -79,7 +80,7 @@ def identification_report(
     `histories`: the motion that the fit predicts for records without a spectrum.
     """
     shown = channels if spectrum is None else spectrum.channels
-    found = evidence_of(model, spectrum, estimate, level, dwells)
+    found = evidence_of(model, spectrum, estimate, level, dwells, channels)
     unsure = doubtful(estimate, level)
     names = names_of(model, shown)
     # What the headline has not said: other reasons of the verdict, and the motion by channel
@@ -97,19 +98,17 @@ def identification_report(
             "are valid for motions as large as in this test."
         )
     shown_terms = {
-        ("band", "share"): spectrum is not None,
+        ("band", "share"): found.residuals is not None,
         ("damping ratio",): has_modes(estimate),
         ("FIT",): bool(held_out or histories),
     }
     treatments = [sentence(capitalised(note.text, names)) for note in estimate.notes]
-    if spectrum is not None:
-        ends = spectrum.frequency_hz.min(), spectrum.frequency_hz.max()
-        low, high = (short(float(end), 4) for end in ends)
-        treatments.append(
-            f"Fitted: {spectrum.lines} lines from {low} to {high} Hz. Method {convergence_in_words(estimate)}"
-        )
-    else:
-        treatments.append(f"Method {convergence_in_words(estimate)}")
+    method = f"Method {convergence_in_words(estimate)}"
+    if found.residuals is not None:
+        lines = found.residuals.frequency_hz
+        low, high = (short(float(end), 4) for end in (lines.min(), lines.max()))
+        method = f"Fitted: {len(lines)} lines from {low} to {high} Hz. {method}"
+    treatments.append(method)
     steps = next_steps(estimate, unsure, found.collinearity, plannable=not len(model.nonlinear))
     return page_html(
         Document(
@@ -191,19 +190,19 @@ def failure_report(
     )
 
 
-def fit_figure(model: Model, spectrum: Spectrum, estimate: Estimate) -> Figure:
-    """Measured and fitted: the first six responses, or the first six channels where no response can be formed.
+def fit_figure(model: Model, estimate: Estimate, channels: Sequence[Channel]) -> Figure:
+    """Measured and fitted, of what the estimate keeps of its lines, which are of some of the `channels`.
 
-    No batch axes.  Raises UsageError if the data drive no output.
+    The first six responses, or the first six channels where no response can be formed.  No batch axes.  Raises
+    UsageError if the data drive no output.
     """
-    found = residuals_of(model, spectrum, estimate)
-    responses = responses_of_channels(model, estimate, spectrum, found)
-    if responses:
-        return figures.response_figure(responses[:6])
-    driven = found.compared()
-    if not driven:
+    found = evidence_of(model, None, estimate, channels=channels)
+    if found.responses:
+        return figures.response_figure(found.responses[:6])
+    driven = [] if found.residuals is None else found.residuals.compared()
+    if found.residuals is None or not driven:
         raise UsageError("none of the channels depends on the estimate", "a figure of the fit")
-    return figures.residual_channels_figure(found, driven[:6])
+    return figures.residual_channels_figure(found.residuals, driven[:6])
 
 
 def moved_figure(model: Model, estimate: Estimate, level: float = 0.95) -> Figure:
@@ -249,8 +248,8 @@ def _evidence(
             said = f"Equivalent stiffness and damping of {joined(elements)} over the amplitude"
             pictures.append(figure_picture(figure, said))
         sections.append(section(CYCLES, CYCLES_TEXT, *pictures, cycle_columns(estimate.cycles), whole=True))
-    if spectrum is not None and found.residuals is not None:
-        sections += _responses(found, found.residuals, spectrum.carries_loads)
+    if found.residuals is not None:
+        sections += _responses(found, found.residuals)
         if found.records:
             text = (
                 "The inputs are taken as measured; the fit also estimates their noise, so its residuals are "
@@ -311,13 +310,13 @@ def _modes(model: Model, estimate: Estimate) -> Section:
     return section("Modes", mode_columns(estimate.modes), *pictures)
 
 
-def _responses(found: Evidence, left: Residuals, carries_loads: bool) -> list[Section]:
+def _responses(found: Evidence, left: Residuals) -> list[Section]:
     """Responses, or channels where none can be formed, as measured and as predicted."""
     every = found.responses
     responses = every[:MOST_PANELS]
     if responses:
         text = "Output over input, measured and predicted by the estimated rig."
-        if carries_loads:
+        if left.transients:
             text += " The estimated start and end transients are subtracted from the measured motion."
         panels = [
             figure_picture(

@@ -25,7 +25,7 @@ def shown(seed: int) -> tuple[Estimate, tuple[FrequencyResponse, ...]]:
     spectrum = simulate_spectrum(SHAKEN, p, CHANNELS, test, np.random.default_rng(seed))
     estimate = identify(SHAKEN, spectrum)
     found = residuals(SHAKEN, estimate.values, spectrum)
-    return estimate, responses_of_channels(SHAKEN, estimate, spectrum, found)
+    return estimate, responses_of_channels(SHAKEN, estimate, spectrum.channels, found)
 
 
 def test_acceleration_over_acceleration_is_the_transmissibility() -> None:
@@ -53,7 +53,7 @@ def test_of_a_whole_record_the_moving_start_is_taken_out() -> None:
     spectrum = lines_of([test.record])
     estimate = identify(model, spectrum)
     found = residuals(model, estimate.values, spectrum)
-    measured = responses_of_channels(model, estimate, spectrum, found)
+    measured = responses_of_channels(model, estimate, spectrum.channels, found)
     assert [shown.channel for shown in measured] == ["x1_dis", "x2_dis"]
     for c, shown in enumerate(measured):
         omega = 2 * np.pi * shown.lines_hz
@@ -93,4 +93,7 @@ def test_several_inputs_at_once_have_no_response() -> None:
     test = dwells(model, [1.0, 2, 4, 5], 50)
     spectrum = simulate_spectrum(model, p, channels, test, np.random.default_rng(0))
     estimate = identify(model, spectrum)
-    assert responses_of_channels(model, estimate, spectrum, residuals(model, estimate.values, spectrum)) == ()
+    assert (
+        responses_of_channels(model, estimate, spectrum.channels, residuals(model, estimate.values, spectrum))
+        == ()
+    )

@@ -221,7 +221,7 @@ class Identified:
         else:
             from dashpot.present.identification import fit_figure
 
-            write_figure(path, fit_figure(rig.model, self.spectrum, self.estimate))
+            write_figure(path, fit_figure(rig.model, self.estimate, self.spectrum.channels))
 
 
 def identified(

@@ -130,7 +130,7 @@ def cycle_figure(cycles: Sequence[Cycle]) -> Figure:
         "stiffness": f"N{'·m/rad' if angular else '/m'}",
         "damping": f"N·{'m·s/rad' if angular else 's/m'}",
     }
-    figure, grid = panels(2, 2, (HALF_PAGE, 2.9), ShownFigure)
+    figure, grid = panels(2, 2, (HALF_PAGE, 2.9))
     frequencies = sorted({cycle.frequency_hz for cycle in cycles})
     single = len(frequencies) == len(cycles)
     curves = [
@@ -183,7 +183,7 @@ def interval_plot(
     rows = -(-len(names) // columns)
     reach, wider = _reach(level), False
     size = (0.6 + panel * columns, rows * (0.75 + ROW * len(methods)) + 0.35)
-    figure, grid = panels(len(names), columns, size, ShownFigure, sharey=True)
+    figure, grid = panels(len(names), columns, size, sharey=True)
     for k, (name, axes) in enumerate(zip(names, grid, strict=True)):
         if name in bands:
             centre, half = bands[name][0], reach * bands[name][1]

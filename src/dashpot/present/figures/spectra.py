@@ -14,8 +14,9 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, MultipleLocator
 
 from dashpot.arrays import Complex, Real
 from dashpot.check.profile import Profile
-from dashpot.check.residuals import DwellHistory, FrequencyResponse, Residuals
+from dashpot.check.residuals import DwellHistory, FrequencyResponse
 from dashpot.check.validation import RecordPrediction
+from dashpot.estimate.assessment import Residuals
 from dashpot.free.modes import MeasuredModes
 from dashpot.free.response import MeasuredResponse
 from dashpot.present.figures.interactive import AxisLabel, hover, hover_cells

@@ -77,11 +77,9 @@ def style() -> Iterator[None]:
         yield
 
 
-def panels(
-    count: int, columns: int, size: tuple[float, float], kind: type[Figure] = Figure, **settings: Any
-) -> tuple[Figure, list[Axes]]:
+def panels(count: int, columns: int, size: tuple[float, float], **settings: Any) -> tuple[Figure, list[Axes]]:
     """A figure of that size (inches) with `count` panels in rows of `columns`, and the panels."""
-    figure = kind(figsize=size)
+    figure = ShownFigure(figsize=size)
     grid = list(figure.subplots(-(-count // columns), columns, squeeze=False, **settings).flat)
     for axes in grid[count:]:
         axes.set_visible(False)

@@ -282,7 +282,7 @@ def test_what_noise_alone_would_leave_of_the_motion_is_told_where_the_noise_is_k
     wrong = assess(model, off, identify(model, off))
     name = spectrum.channels[1].name
     assert wrong.relative_residual[name] > 5 * wrong.relative_noise[name]
-    again = assessment_from(json.loads(json.dumps(wrong.fit_content())), [])
+    again = assessment_from({"fit": json.loads(json.dumps(wrong.fit_content()))})
     assert dict(again.relative_noise) == dict(wrong.relative_noise)
     silent = replace(
         spectrum, covariance=np.zeros_like(spectrum.covariance), noise=("none",) * spectrum.lines
