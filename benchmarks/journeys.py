@@ -53,7 +53,6 @@ SKIPPED = {
     "dashpot",
     "version",
     "fingerprint",
-    "lines",
 }  # how an answer was reached, and by what
 NUMBER = re.compile(r"(?<![\w.])[-−+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])", re.IGNORECASE)
 WIDTH = "100"
@@ -151,7 +150,9 @@ def _file(path: Path) -> Any:
     """A file as text, numbers or arrays; what is only drawn counts as present."""
     match path.suffix:
         case ".json":
-            return _leaves(json.loads(path.read_text(encoding="utf-8")))
+            content = json.loads(path.read_text(encoding="utf-8"))
+            content.pop("lines", None)  # of an estimate: the data again, and what rounding leaves of them
+            return _leaves(content)
         case ".csv":
             return _table(path)
         case ".parquet":
