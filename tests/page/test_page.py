@@ -31,7 +31,7 @@ pytestmark = [
     ),
 ]
 
-PATIENCE = 120_000.0  # ms, for what is computed on a busy machine
+PATIENCE = 600_000.0  # ms, for what is computed beside other work: these tests measure no time
 SHAKE_TABLE = EXAMPLES["shake_table"] / "rig.toml", EXAMPLES["shake_table"] / "amplitudes.csv"
 
 
