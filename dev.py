@@ -3,7 +3,8 @@
 
     python3 dev.py run  [ARGS]   dashpot ARGS; without ARGS, identify the example rig
     python3 dev.py test [ARGS]   the tests, a few minutes; --long: those that take longer; other ARGS go to pytest
-                                 --older: BLAS and the kernel compute as on an older processor (x86 under Linux)
+                                 --slow: those of some seconds as well
+                                 --older: these, while BLAS and the kernel compute as on an older processor (x86)
     python3 dev.py check         ruff, mypy and the import contracts
     python3 dev.py bench [NAME]  the benchmarks, all or the named ones; what follows the first -option goes to them
     python3 dev.py env           only make the environment, .venv, with the compiled kernel where it can be built
@@ -526,7 +527,7 @@ def test(extra: list[str]) -> int:
                 say(f"going on without the tests of {tests}: {failure}")
     variables = dict(TESTED)
     if "--older" in extra:
-        extra = [word for word in extra if word != "--older"]
+        extra = ["--slow", *(word for word in extra if word != "--older")]
         older = older_processor(processor_flags())
         say(f"computing as on an older processor: {' '.join(f'{k}={v}' for k, v in older.items())}")
         variables.update(older)
@@ -637,6 +638,7 @@ def other_versions(which: str, extra: list[str]) -> int:
         "no:cacheprovider",
         "-o",
         "filterwarnings=default",
+        "--slow",
     ]
     tests = (
         extra

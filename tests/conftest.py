@@ -19,13 +19,19 @@ if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_I
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--long", action="store_true", help="run the tests marked long, and only those")
+    parser.addoption("--long", action="store_true", help="run the tests marked long or slow, and only those")
+    parser.addoption("--slow", action="store_true", help="run those marked slow as well")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Tests marked long (minutes of Monte Carlo, fuzzing, browsers) run with --long; without it, the others do."""
-    wanted = bool(config.getoption("--long"))
-    others = [item for item in items if (item.get_closest_marker("long") is not None) != wanted]
+    """Tests marked long (minutes of Monte Carlo, fuzzing, browsers) run with --long, slow ones (seconds) with it too.
+
+    Without it all others run; with --slow the slow ones among them.
+    """
+    later = {"long"} if config.getoption("--slow") else {"long", "slow"}
+    wanted = {"long", "slow"} if config.getoption("--long") else later
+    marked = {item: {mark.name for mark in item.iter_markers()} for item in items}
+    others = [item for item in items if bool(wanted & marked[item]) != bool(config.getoption("--long"))]
     config.hook.pytest_deselected(items=others)
     left_out = set(others)
     items[:] = [item for item in items if item not in left_out]

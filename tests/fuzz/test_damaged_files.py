@@ -55,6 +55,7 @@ def test_recordings_of_labview_are_whole_or_refused(tmp_path: Path) -> None:
         assert "\n" not in str(refused.value)
 
 
+@pytest.mark.slow
 def test_an_archive_of_very_many_arrays_is_refused_at_once(tmp_path: Path) -> None:
     """30,000 took 33 s once: each was looked for in a list of all."""
     path = tmp_path / "many.npz"

@@ -23,6 +23,7 @@ SHORT = 60
 PATIENT = 30.0  # s: the limit of a campaign on an idle machine is 5 s, and slower ones run these tests too
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("path", KEPT, ids=[path.stem for path in KEPT])
 def test_findings_stay_mended(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -30,6 +31,7 @@ def test_findings_stay_mended(path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert finding(Case.load(path)) is None
 
 
+@pytest.mark.slow
 def test_a_short_run_finds_nothing(tmp_path: Path) -> None:
     done = subprocess.run(
         [
@@ -50,6 +52,7 @@ def test_a_case_depends_on_its_number_alone_and_survives_its_file(tmp_path: Path
         assert Case.load(tmp_path / "case.json") == case
 
 
+@pytest.mark.slow
 def test_the_runner_sees_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each kind of fault, planted, is found."""
     case = Case(("identify", "rig.toml"), {"rig.toml": b"x = 1\n"})

@@ -96,6 +96,7 @@ DRAWN = given(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=3)
 @DRAWN
 @example(  # the best test lies between the points of the grid

@@ -81,6 +81,7 @@ def test_order_of_lines_channels_elements_and_coordinates_does_not_matter(
         assert_same(identify(model, spectrum, method), identify(shuffled, mixed, method))
 
 
+@pytest.mark.slow
 @given(seed=SEEDS, n=st.integers(1, 5), inputs=INPUTS)
 @settings(max_examples=6)
 def test_a_batch_is_its_repeats(seed: int, n: int, inputs: tuple[int, int]) -> None:
@@ -112,6 +113,7 @@ def test_a_batch_is_its_repeats(seed: int, n: int, inputs: tuple[int, int]) -> N
                 np.testing.assert_allclose(whole.fit.chi2[k], single.fit.chi2, rtol=1e-5)
 
 
+@pytest.mark.slow
 @given(
     seed=SEEDS,
     n=st.integers(1, 4),
@@ -280,6 +282,7 @@ def test_noise_as_large_as_the_signal_gives_numbers_or_says_why_not(level: float
         assert not np.any(estimate.noise_sd < 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [*METHODS, DefiniteOptimalIV()], ids=lambda method: method.name)
 def test_too_few_data_are_refused(method: Method) -> None:
     """One line gives four real equations for six unknowns."""

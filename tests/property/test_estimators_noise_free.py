@@ -1,6 +1,7 @@
 """Noise-free data give every parameter back, by every estimator, on random identifiable rigs of 1 to 8 coordinates."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,6 +24,7 @@ def worst_error(rig: Rig, values: np.ndarray) -> float:
     return float(np.max(np.abs(values / rig.theta - 1)))
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.integers(1, 8),
@@ -57,6 +59,7 @@ def test_so_they_do_under_a_stated_noise(seed: int, n: int, inputs: tuple[int, i
         assert estimate.fit.chi2 < 1e-9
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.integers(1, 8),

@@ -141,6 +141,7 @@ def assert_equal(rig: Rig, dwells: Sequence[Record], *, drift: int | None = None
         np.testing.assert_allclose(iv.values, stacked_iv(rig, dwells, slow), rtol=1e-9)
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.integers(1, 5),
@@ -163,6 +164,7 @@ def test_random_networks(
     assert_equal(rig, records(rig, seen, rng, samples=14, periods=periods, relative=noise, jitter=jitter))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.01, 0.35])
 def test_the_papers_rig(noise: float) -> None:
     """CASE 3, 56 samples over one period of each line."""

@@ -220,6 +220,7 @@ def test_sound_rigs_are_not_refused() -> None:
         assert found.deficiencies == ()
 
 
+@pytest.mark.slow
 def test_partly_seen_rigs_are_judged_as_floating_point_does() -> None:
     """Channels left out at random; where singular values of finite differences leave no doubt, so must the verdict."""
     rng = np.random.default_rng(13)

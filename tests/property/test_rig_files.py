@@ -2,6 +2,7 @@
 
 import tomllib
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -106,6 +107,7 @@ def channel(draw: st.DrawFn, name: str, model: Model) -> Channel:
     return Channel(name, of, quantity, unit, scale(unit, quantity, angular, unit == "mV"), **calibration)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(rigs())
 def test_a_rig_is_written_with_a_line_for_each_element_and_read_back_unchanged(rig: Rig) -> None:

@@ -39,6 +39,7 @@ units = { time_s = "µs" }
 """
 
 
+@pytest.mark.slow
 @needs_recordings
 @pytest.mark.parametrize(
     ("example", "folder", "files", "codes"),

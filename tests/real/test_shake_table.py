@@ -84,6 +84,7 @@ def test_the_late_sensor_is_found_without_being_told(bending: Estimate) -> None:
     assert late.sd < 1e-4
 
 
+@pytest.mark.slow
 @needs_recordings
 def test_the_table_is_what_the_raw_files_give(tmp_path: Path) -> None:
     again, kept = tables(EXAMPLE, FILES, tmp_path)

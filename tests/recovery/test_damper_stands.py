@@ -199,6 +199,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "kind"), CASES)
 def test_every_law_is_found_without_guesses(law: str, kind: str) -> None:
     """One draw each; five standard deviations at most (p = 6e-7 of each of some 40 values)."""

@@ -47,6 +47,7 @@ def test_the_predicted_error_comes_true(noise: tuple[float, float, float], at_mo
     assert each == pytest.approx(found.predicted.relative, rel=0.04)
 
 
+@pytest.mark.slow
 def test_amplitudes_at_the_shakers_limits_come_true() -> None:
     """Constant noise, amplitudes set by the limits: the prediction counts them."""
     rig = paper_rig()

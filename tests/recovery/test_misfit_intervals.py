@@ -106,6 +106,7 @@ def test_unknowns_away_from_the_fault_keep_their_truth(test: Callable[[Rigs, int
     assert np.median(largest) <= 3
 
 
+@pytest.mark.slow
 def test_the_covariance_adds_that_of_all_fits_and_their_distance_from_the_values(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -61,6 +61,7 @@ def test_least_squares_is_off_by_the_bias_that_theory_predicts(level):
     assert np.allclose(summary["ls"].mean, expected, atol=0.5)
 
 
+@pytest.mark.slow
 @in_scenarios(SCENARIOS)
 def test_the_bound_is_that_of_the_facts(found):
     one, _, summary = found

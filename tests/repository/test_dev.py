@@ -261,6 +261,7 @@ def test_set_up_is_done_by_one_at_a_time(tmp_path: Path) -> None:
     assert counter.read_text() == "4"
 
 
+@pytest.mark.slow
 def test_the_kernel_carries_its_licence_and_says_what_a_build_lacks(tmp_path: Path) -> None:
     make = "from scikit_build_core.build import prepare_metadata_for_build_wheel as make; make(sys.argv[1])"
     subprocess.run([sys.executable, "-c", f"import sys; {make}", tmp_path], cwd=dev.KERNELS, check=True)

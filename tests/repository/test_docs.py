@@ -25,6 +25,7 @@ def as_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "Agg")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", [pytest.param(p, id=name_of(p)) for p in RUN if not is_long(p)])
 def test_pages_do_what_they_print(page: Path, tmp_path: Path) -> None:
     documents.run_page(page, tmp_path)
@@ -89,6 +90,7 @@ def test_options_that_are_named_exist() -> None:
         "--version",
         "--serve",
         "--long",
+        "--slow",
         "--older",
         "--nworkers",
         "--nthreads",

@@ -10,6 +10,7 @@ from benchmarks import journeys
 ACCEPT = "where the change is meant: python3 dev.py bench journeys --accept ID…"
 
 
+@pytest.mark.slow
 def test_a_sample_of_journeys_gives_what_was_recorded() -> None:
     different = journeys.compared(journeys.sample(20, quick=0.6))
     assert not different, f"{json.dumps(different, indent=1, ensure_ascii=False)}\n{ACCEPT}"

@@ -30,6 +30,7 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rig:
     return rig
 
 
+@pytest.mark.slow
 def test_every_way_to_say_it_gives_the_same(rig: Rig) -> None:
     plain = dashpot.identify(rig.model, dashpot.read("data.csv", rig.channels).spectrum())
     records = dashpot.read("data.csv", rig).records
@@ -197,6 +198,7 @@ def columns(records: tuple[dashpot.Record, ...]) -> dict[str, np.ndarray]:
     return table | dict(zip(names, values.T, strict=True))
 
 
+@pytest.mark.slow
 def test_tables_of_any_library_are_data(rig: Rig) -> None:
     pandas, polars, xarray = (pytest.importorskip(name) for name in ("pandas", "polars", "xarray"))
     table = columns(rig.read("data.csv").records)
@@ -226,6 +228,7 @@ def test_a_rig_judges_unless_it_is_told_not_to(rig: Rig) -> None:
     assert rig.identify(batch).assessment is None
 
 
+@pytest.mark.slow
 def test_a_frequency_response_is_that_of_the_rig_and_its_spread_that_of_draws(rig: Rig) -> None:
     estimate = rig.identify("data.csv")
     hz = np.array([[1.0, 4.0], [7.0, 12.0]])
@@ -300,6 +303,7 @@ def test_an_estimate_predicts_motion_with_its_uncertainty(rig: Rig) -> None:
     assert np.abs(stiffer.values - predicted.values).max() > 0.05 * abs(motion).max()
 
 
+@pytest.mark.slow
 def test_an_estimate_writes_its_report(rig: Rig) -> None:
     estimate = rig.identify("data.csv")
     assert estimate.report("r.html") == "r.html"

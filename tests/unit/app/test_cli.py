@@ -52,6 +52,7 @@ def test_control_characters_of_names_are_shown_escaped(dashpot: Command, data: P
         assert not CONTROL.search(done.err[0])
 
 
+@pytest.mark.slow
 def test_names_of_three_hundred_characters_and_with_dollar_signs(dashpot: Command, data: Path) -> None:
     """What matplotlib would take for broken mathematics is a name as any other."""
     long = "a_part_of_" * 30
@@ -80,6 +81,7 @@ def test_a_name_that_is_not_utf_8(dashpot: Command, data: Path) -> None:
     assert dashpot("identify", "rig.toml", os.fsdecode(b"none\xff.csv")).code == 2
 
 
+@pytest.mark.slow
 def test_python_without_docstrings_and_asserts(data: Path, tmp_path: Path) -> None:
     words = [sys.executable, "-OO", "-m", "dashpot", "identify", "rig.toml", "data.csv"]
     done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path)
@@ -97,6 +99,7 @@ def test_a_new_command_is_a_module_and_a_line(dashpot: Command, monkeypatch: pyt
     assert "did you mean greet?" in dashpot("gret").err[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("epoch", ["9" * 20])
 def test_settings_of_other_programs_do_not_reach_figures(data: Path, tmp_path: Path, epoch: str) -> None:
     words = [sys.executable, "-m", "dashpot", "draw", "rig.toml", "--out", "rig.pdf"]

@@ -118,6 +118,7 @@ def test_the_seed_decides_the_noise(dashpot: Command, rig: Path) -> None:
     assert drawn(1) != drawn(2)
 
 
+@pytest.mark.slow
 def test_not_converged_is_told_written_and_ends_with_3(
     dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -144,6 +145,7 @@ def test_help_names_all_commands_and_imports_none(dashpot: Command) -> None:
     assert all(name in done.stdout for name in COMMANDS)
 
 
+@pytest.mark.slow
 def test_identification_loads_nothing_that_only_others_need() -> None:
     code = (
         "import sys, dashpot.api;"
@@ -245,6 +247,7 @@ except SystemExit as end:
     assert done.stdout.splitlines()[-1] == "ended with 0", done.stderr
 
 
+@pytest.mark.slow
 def test_a_broken_pipe_is_silent(data: Path) -> None:
     command = [sys.executable, "-m", "dashpot", "identify", "rig.toml", "data.csv"]
     with subprocess.Popen(
@@ -255,6 +258,7 @@ def test_a_broken_pipe_is_silent(data: Path) -> None:
         assert process.wait() == 141
 
 
+@pytest.mark.slow
 def test_what_was_noticed_in_the_records_is_told_once_for_all_dwells(dashpot: Command) -> None:
     """A frequency that is stated 0.4 % too high is found and told; --refine does it for each dwell, none does not."""
     Path("rig.toml").write_text(RIG, encoding="utf-8")
@@ -284,6 +288,7 @@ def test_what_was_noticed_in_the_records_is_told_once_for_all_dwells(dashpot: Co
     assert dashpot("identify", "rig.toml", "data.csv", "--refine", "-q").err == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [-1.0, 0.001])
 def test_a_wrong_sign_or_unit_shows_in_an_unknown_gain(dashpot: Command, data: Path, gain: float) -> None:
     """What the how-to advises where a model does not fit: all gains unknown but that of the input."""
@@ -321,6 +326,7 @@ def test_a_curve_of_nothing_but_the_drive_is_refused(dashpot: Command) -> None:
     assert "n.toml: no channel shows how the rig moves" in result.err[0]
 
 
+@pytest.mark.slow
 def test_nonlinear_rigs_are_simulated_and_their_curves_drawn(dashpot: Command) -> None:
     Path("n.toml").write_text(NONLINEAR)
     drive = ["--frequencies", "3:9:1", "--amplitude", "1mm"]
@@ -356,6 +362,7 @@ def test_what_drives_a_nonlinear_rig_must_be_said_once(
     assert named in str(result.err)
 
 
+@pytest.mark.slow
 def test_a_wrong_unit_that_the_data_state_is_corrected_by_a_gain(dashpot: Command, data: Path) -> None:
     """A rig file in another unit than the heading of a column would be refused."""
     head, *rows = data.read_text(encoding="utf-8").splitlines()
@@ -369,6 +376,7 @@ def test_a_wrong_unit_that_the_data_state_is_corrected_by_a_gain(dashpot: Comman
     assert json.loads(Path("again.json").read_text(encoding="utf-8"))["fit"]["verdict"] == "fits"
 
 
+@pytest.mark.slow
 def test_apply_edits_the_text_of_the_rig_file_and_replaces_no_other(dashpot: Command, data: Path) -> None:
     """One entry changes; comments, units and order stay.  A file that is there is replaced with --force alone."""
     head, *rows = data.read_text(encoding="utf-8").splitlines()

@@ -38,6 +38,7 @@ def measured(dashpot: Command) -> Command:
     return dashpot
 
 
+@pytest.mark.slow
 def test_data_of_all_give_one_estimate(measured: Command) -> None:
     told = measured("identify rig.toml bare.csv added.csv --json e.json --report r.html -q")
     assert told.code == 0, told.err
@@ -95,6 +96,7 @@ def test_what_knows_no_experiments_says_so(measured: Command) -> None:
     assert "added*.csv" in missing.err[-1]
 
 
+@pytest.mark.slow
 def test_a_spring_changed_between_two_runs_is_mended_by_what_is_said(dashpot: Command) -> None:
     alone = RIG.partition("[experiments")[0].replace('m1 = { at = "x1" }', 'm1 = { at = "x1", value = 2 }')
     Path("rig.toml").write_text(alone, encoding="utf-8")

@@ -152,6 +152,7 @@ def _process(*args: str, **options: object) -> subprocess.CompletedProcess[bytes
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no /dev/full")
 def test_a_full_standard_output_is_told(dashpot: Command, tmp_path: Path) -> None:
     Path("rig.toml").write_text(RIG, encoding="utf-8")
@@ -167,6 +168,7 @@ def test_a_full_standard_output_is_told(dashpot: Command, tmp_path: Path) -> Non
     assert "/dev/full: cannot be written (No space left on device)" in done.err[0]
 
 
+@pytest.mark.slow
 def test_closed_standard_streams_do_no_harm(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     done = subprocess.run(
@@ -193,6 +195,7 @@ def test_a_terminal_of_no_width(dashpot: Command, monkeypatch: pytest.MonkeyPatc
     assert (done.code, done.err) == (0, [])
 
 
+@pytest.mark.slow
 def test_a_terminal_of_nonsense_sizes(data: Path) -> None:
     around = os.environ | {"COLUMNS": "²", "LINES": "9" * 5000}
     words = [sys.executable, "-m", "dashpot", "check", "rig.toml"]
@@ -200,6 +203,7 @@ def test_a_terminal_of_nonsense_sizes(data: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_control_characters_of_names_labels_and_files_are_shown_escaped(dashpot: Command, data: Path) -> None:
     evil = "\u202eevil\x1b[31m\ufffe"
     rig = Path("rig.toml")

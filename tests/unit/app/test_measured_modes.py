@@ -16,6 +16,7 @@ from tests.unit.app.conftest import Command
 from tests.unit.export.exported import TWO_MASSES, two_masses
 
 
+@pytest.mark.slow
 def test_a_rig_is_identified_from_its_own_modes(
     dashpot: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -41,6 +41,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> str:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the system does not limit address space")
 @pytest.mark.parametrize("megabytes", [100, 450, 620])
 def test_little_memory_is_enough_or_named_in_one_line(megabytes: int, data: str) -> None:

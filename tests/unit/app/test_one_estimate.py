@@ -90,6 +90,7 @@ def test_a_draw_of_a_study_is_identified_as_data_are(k: int, method: str | None)
     )
 
 
+@pytest.mark.slow
 def test_rigs_of_a_fleet_and_draws_of_a_study_are_searched_as_one_rig_is(tmp_path: Path) -> None:
     """Five masses in 20 % noise, where some descents from one start end nowhere, or in another minimum."""
     drawn = rigs.random_rig(np.random.default_rng(2), 5, lines=12, worst=100)
@@ -222,6 +223,7 @@ TABLE = "--frequencies 1:15/8log --amplitude u=0.01 --table"
 SHORT = "--frequencies 1:15/8log --amplitude u=0.01 --periods 1.5"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sent", "tests"),
     [("--frequencies 1:15/8log --amplitude u=0.01", 0), (TABLE, 0), (SHORT, 1)],

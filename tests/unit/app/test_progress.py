@@ -52,6 +52,7 @@ def interrupted_at(shown: bytes, arguments: list[str], folder: Path) -> tuple[in
     return process.wait(timeout=PATIENCE), output
 
 
+@pytest.mark.slow
 def test_a_check_of_many_coordinates(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(chain(200))  # which takes several times as long as is waited for
     code, output = interrupted_at(b"0:00:01", ["check", "rig.toml"], tmp_path)
@@ -60,6 +61,7 @@ def test_a_check_of_many_coordinates(tmp_path: Path) -> None:
     assert output.rstrip().endswith(b"dashpot: interrupted; no file is left half-written")
 
 
+@pytest.mark.slow
 def test_reading_that_takes_long(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(chain(1))
     (tmp_path / "data.csv").write_text("frequency_hz,time_s,u,x1\n" + "1.0,0.001,0.5,0.25\n" * 1_500_000)

@@ -21,6 +21,7 @@ def words(path: str) -> str:
     return re.sub(r"\s+", " ", re.sub(r"<style>.*?</style>|<[^>]+>", " ", html, flags=re.DOTALL))
 
 
+@pytest.mark.slow
 def test_identify(dashpot: Command, data: Path) -> None:
     sent = "--report", "r.html", "--json", "e.json", "--seed", "3", "-q"
     assert dashpot("identify", "rig.toml", "data.csv", *sent).code == 0
@@ -58,6 +59,7 @@ def test_what_is_not_determined_is_reported_and_still_an_error(dashpot: Command,
         assert "k3 = ?" in text  # drawn
 
 
+@pytest.mark.slow
 def test_compare_check_design_validate(dashpot: Command, data: Path) -> None:
     sent = ("--json", "e.json", "--figure", "fit.svg", "-q")
     assert dashpot("identify", "rig.toml", "data.csv", *sent).code == 0

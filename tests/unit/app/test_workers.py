@@ -83,6 +83,7 @@ def _ended_once(path: Path) -> str:
     return path.name
 
 
+@pytest.mark.slow
 def test_what_killed_processes_were_at_is_computed_again(tmp_path: Path) -> None:
     tasks = [tmp_path / f"{k}" for k in range(7)]
     for task in tasks[1:]:

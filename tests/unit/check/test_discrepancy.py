@@ -96,6 +96,7 @@ def _whole(test: WholeTest, noise: float, seed: int) -> Spectrum:
     return spectrum([test.noisy(random_generator(seed), sd)])
 
 
+@pytest.mark.slow
 def test_whole_records_fit_without_a_record_at_rest(shaken: WholeTest) -> None:
     """Three draws of 0.3 to 5 % noise; all miss less than half of their noise."""
     for seed, noise in enumerate((0.003, 0.02, 0.05)):
@@ -130,6 +131,7 @@ def test_what_is_asked_decides(shaken: WholeTest) -> None:
         assert dict(again.discrepancy) == dict(estimate.assessment.discrepancy)
 
 
+@pytest.mark.slow
 def test_little_that_chi2_rejects_fits_and_much_does_not() -> None:
     """Noise of 0.01 % makes χ² reject what the rounding of 0.2 % leaves; rounding of 10 % is too much."""
     exact = rigs.perfect(PAPER, CHANNELS)

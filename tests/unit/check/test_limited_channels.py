@@ -27,6 +27,7 @@ def judged(shape: Callable[[Real], Real]) -> Assessment:
     return assessment
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "shape",
     [lambda x: np.minimum(x, 1.2), lambda x: np.clip(x, -1.75, 1.75), lambda x: 1.5 * np.tanh(x / 1.5)],
@@ -42,6 +43,7 @@ def test_a_single_channel_that_ends_is_no_fit_and_is_named(shape: Callable[[Real
     assert first.odds > 0.9
 
 
+@pytest.mark.slow
 def test_a_channel_that_ends_leads_where_of_the_list_it_only_comes_nearest(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -75,6 +75,7 @@ def test_a_rig_that_changes_on_the_way_is_told_with_the_part_that_lies_off() -> 
     assert told.of == ("m1",)
 
 
+@pytest.mark.slow
 def test_causes_are_those_that_most_parts_name() -> None:
     assessment = assessed(parts((1.0,) * 3, turned=(0, 1, 2)))
     assert assessment.verdict == "does not fit"

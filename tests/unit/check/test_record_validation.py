@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from dashpot.check.validation import validate_records
 from dashpot.data.noise import noise_at_rest
@@ -11,6 +12,7 @@ from dashpot.estimate.result import Estimate
 from tests.driven_rigs import cubic
 
 
+@pytest.mark.slow
 def test_the_noise_that_a_rig_passes_on_from_its_base_is_counted() -> None:
     """3 % of noise on the base is five times that of the output behind a light damper.
 

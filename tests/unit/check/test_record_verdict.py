@@ -50,6 +50,7 @@ def test_motion_that_cannot_be_followed_whole_is_not_compared(fitted: tuple[Mode
     assert assess_records(model, [data], cut).relative_residual == {}
 
 
+@pytest.mark.slow
 def test_noise_of_the_base_calls_for_nothing_and_a_record_at_rest_makes_the_fit_testable() -> None:
     """3 % of noise on a base, which a light damper amplifies: friction seemed to explain 37 % of it; seeds 1 and 0.
 

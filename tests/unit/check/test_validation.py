@@ -52,6 +52,7 @@ def test_a_record_in_another_unit_is_the_prediction_but_for_a_factor() -> None:
     assert "x1 is 1000 times its prediction: another unit" in prediction_in_words(predictions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise_of_input", [0.0, 5e-3])
 def test_harmonics_of_a_rig_that_strikes_are_predicted_to_within_their_noise(noise_of_input: float) -> None:
     """144 squares of each channel: 1 ± 0.12; the seed is fixed.  All dwells are one row, as of linear rigs."""

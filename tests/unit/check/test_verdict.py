@@ -160,6 +160,7 @@ def bench(seed: int = 0) -> tuple[Model, Spectrum]:
     return model, rigs.stated(channels, hz, Y, V)
 
 
+@pytest.mark.slow
 def test_a_motor_bench_without_its_sign_and_delay_does_not_fit() -> None:
     """Either angle may be the one that is turned: two causes at once are two steps."""
     model, data = bench()
@@ -171,6 +172,7 @@ def test_a_motor_bench_without_its_sign_and_delay_does_not_fit() -> None:
     assert second.kind == "delay"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["dead", "flipped"])
 def test_one_bad_dwell_of_many_is_named(fault: str) -> None:
     records = rigs.records(PAPER, CHANNELS, np.random.default_rng(3), samples=80, periods=8.0, relative=0.02)

@@ -30,6 +30,7 @@ def sensors(rng, motion, offset, drift, noise=0.02, rate=(100.0, 90.0)):
     return Sensor("first", (A,), t, first[:, None]), Sensor("second", (B,), own, second[:, None])
 
 
+@pytest.mark.slow
 def test_offset_and_drift_are_found_with_their_uncertainty():
     """30 recordings: mean of (error/sd)² is 1 with a standard error of 26 %; interpolation adds a little."""
     rng = np.random.default_rng(4)
@@ -161,6 +162,7 @@ def test_a_drive_louder_than_the_shaking_hides_no_clock():
         assert joint.parts[1].time[0] == pytest.approx(0.3, abs=0.02)
 
 
+@pytest.mark.slow
 def test_sensors_shaken_together_keep_the_phases_of_the_rig():
     """12 recordings: mean of (error/sd)² of the phase is 1, with a standard error of 41 %, or less."""
     settings = Conditioning(harmonics="none", settle=12.0)

@@ -68,6 +68,7 @@ class TestPeriods:
         values = np.stack([clean + common, 2 * clean + common], axis=-1)
         return Record((Channel("a", {"a": 1}), Channel("b", {"b": 1}, gain=2.0)), t, values)
 
+    @pytest.mark.slow
     def test_amplitudes_and_covariance_with_gains_taken_out(self):
         # 400 repeats: the mean of a variance from 11 periods has a relative standard error of √(1/11/400) = 1.5 %.
         found = [average_periods(self.record(seed), self.PERIOD, (2, 5), skip=1) for seed in range(400)]

@@ -31,6 +31,7 @@ def test_time_counts_settling_and_whole_periods() -> None:
         assert dwell.samples == int(dwell.time_s * 100 + 1e-9)
 
 
+@pytest.mark.slow
 def test_long_settling_and_few_dwells() -> None:
     """With settling of a third of the time fewer dwells are better; never more than are allowed."""
     own, grid = paper_setup(), band_grid(paper_setup(), *BAND)

@@ -51,6 +51,7 @@ def test_the_worst_case_is_the_same_whoever_searches_for_it() -> None:
         np.testing.assert_array_equal(here[1], there[1])
 
 
+@pytest.mark.slow
 def test_robust_tests() -> None:
     own = paper_setup()
 
@@ -78,6 +79,7 @@ def test_robust_tests() -> None:
         best_test(own, Criterion("A"), Budget(samples=1400), UniformBox(1.5), grid_of)
 
 
+@pytest.mark.slow
 def test_the_shortest_robust_test() -> None:
     """Its worst case just reaches the target; the nominal test's does not; nothing to do where enough is known."""
     own = paper_setup()

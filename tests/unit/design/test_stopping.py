@@ -32,6 +32,7 @@ def test_noise_that_data_show() -> None:
     assert found[2].noise == 0
 
 
+@pytest.mark.slow
 def test_noise_of_few_degrees_of_freedom_is_not_underestimated() -> None:
     """200 data sets of 40 lines with 4 to 20 degrees of freedom: no bias of the noise beyond 2 %."""
     rig, rng = paper_rig(), np.random.default_rng(3)
@@ -51,6 +52,7 @@ def test_noise_of_few_degrees_of_freedom_is_not_underestimated() -> None:
         assert np.mean(found) == pytest.approx(0.05**2, rel=0.03)
 
 
+@pytest.mark.slow
 def test_stopping_rule() -> None:
     """More of the same: the predicted number of samples makes the worst interval as narrow as was asked."""
     own = paper_setup()

@@ -21,6 +21,7 @@ def last_words(said: Answer) -> str:
     return plan_in_words(said, said.plan)[-1]
 
 
+@pytest.mark.slow
 def test_the_motion_goes_on_from_dwell_to_dwell_and_settles() -> None:
     own = light_setup(2e-3, 0.0, zeta=0.1)
     drive = np.full((2, 1), AMPLITUDE, dtype=complex)
@@ -48,6 +49,7 @@ def test_long_dwells_tell_what_settled_ones_tell() -> None:
     assert whole.bound_sd == pytest.approx(sd, rel=0.03)
 
 
+@pytest.mark.slow
 def test_waiting_is_called_a_waste_where_it_is() -> None:
     own = light_setup(2e-3, 0.0)
     waits = advised(own, settle=own.settling() / 2)

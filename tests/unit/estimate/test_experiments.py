@@ -175,6 +175,7 @@ def test_lines_of_a_large_rig_are_each_of_their_experiment() -> None:
         np.testing.assert_allclose(part, transfer(view, here.model.parameters(np.ones(1))).G, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_whole_records_of_two_experiments_give_one_estimate() -> None:
     text = f'{SHAKEN}[experiments.added]\n{ADDED}\nc1 = "own"\nx1.gain = "own"\n'
     rig, rng = parse_rig(text), np.random.default_rng(5)

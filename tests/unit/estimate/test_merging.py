@@ -77,6 +77,7 @@ def test_what_is_known_beforehand_counts_once() -> None:
     assert apart.noise_sd == pytest.approx(together.noise_sd, rel=0.02)
 
 
+@pytest.mark.slow
 def test_merged_intervals_cover_and_sound_parts_agree() -> None:
     """300 intervals of 100 draws: 95 ± 1.3 %; of 100 tests for agreement at 5 %, 5 ± 2.2 fail."""
     rng = np.random.default_rng(4)

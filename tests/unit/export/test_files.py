@@ -42,6 +42,7 @@ def test_matrices(tmp_path):
     assert "H" in matrix_texts(hysteretic())
 
 
+@pytest.mark.slow
 def test_universal_file(tmp_path):
     """Modes and responses, measured and fitted, in the units of the rig file; pyuff reads the same."""
     pyuff = pytest.importorskip("pyuff")
@@ -70,6 +71,7 @@ def test_universal_file(tmp_path):
     assert by_pyuff[2]["data"] == pytest.approx(H[:, 0, 0], rel=1e-12)
 
 
+@pytest.mark.slow
 def test_measured_responses_need_one_input_at_a_time(tmp_path):
     text = TWO_MASSES.replace("u = {}", 'u = {}\nf = { kind = "force", at = "x1" }')
     rig = parse_rig(text.replace("[channels]", '[channels]\nf = { of = "f" }'), "rig.toml")

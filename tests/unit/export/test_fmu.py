@@ -96,6 +96,7 @@ def test_steps_of_any_size_are_exact(unit_file):
     assert slow == pytest.approx(fast[::64], abs=1e-11 * np.max(np.abs(fast)))
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_a_measured_base_gives_the_fitted_response(tmp_path):
     """A base that moves at random, 200 samples a second: the FMU follows the fitted motion in time to 1e-6.

@@ -54,6 +54,7 @@ def backwards(function: Callable[[FileTask], FileParts], tasks: Iterable[FileTas
     return [function(task) for task in reversed(list(tasks))]
 
 
+@pytest.mark.slow
 def test_files_one_by_one_are_all_of_them_together(rig: Rig, files: list[str], apart: Parts) -> None:
     estimate, done = apart
     assert done == [(1, 3), (2, 3), (3, 3)]
@@ -65,6 +66,7 @@ def test_files_one_by_one_are_all_of_them_together(rig: Rig, files: list[str], a
     assert estimate.assessment.verdict != "does not fit"
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_who_computes_what_when(
     rig: Rig, files: list[str], apart: Parts
 ) -> None:
@@ -72,6 +74,7 @@ def test_the_result_does_not_depend_on_who_computes_what_when(
     assert other.to_json() == apart[0].to_json()
 
 
+@pytest.mark.slow
 def test_a_very_long_record_is_cut_into_pieces(
     rig: Rig, files: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

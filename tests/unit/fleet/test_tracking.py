@@ -48,6 +48,7 @@ def record(drop: float = 0.05, half: float = 60.0) -> dict[str, Real]:
     return {"time_s": time, **{name: values[:, i] for i, name in enumerate(names)}}
 
 
+@pytest.mark.slow
 def test_a_fall_is_found_at_its_time_and_size() -> None:
     rig = dashpot.parse_rig(RIG)
     track = dashpot.track(rig, record(), "20 s")
@@ -90,6 +91,7 @@ def test_given_speeds_and_what_cannot_be() -> None:
             dashpot.track(rig, record(), **{"window": 40.0, **options})  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_command_writes_and_follows(command: Command, tmp_path: Path) -> None:
     columns = record()
     Path("rig.toml").write_text(RIG, encoding="utf-8")

@@ -107,6 +107,7 @@ def by_differences(found: MeasuredModes, *data: Any) -> tuple[Real, Real]:
     return covariance, covariance @ [5 * (chi2(a) - chi2(-a)) / 4 for a in unit]
 
 
+@pytest.mark.slow
 def test_deviations_are_those_of_the_bound_though_the_noise_is_that_of_residuals() -> None:
     """Of three outputs with white noise, against the likelihood with this noise given."""
     bench, rng, noise = Bench((4.0, 9.0), (0.01, 0.02), 3), np.random.default_rng(4), 0.02
@@ -151,6 +152,7 @@ def test_poles_of_responses_are_likeliest_and_their_covariance_is_the_curvature(
         assert covariance[2 * k, 2 * k + 1] == pytest.approx(V[0, 1] / np.sqrt(V[0, 0] * V[1, 1]), abs=0.005)
 
 
+@pytest.mark.slow
 def test_responses_of_a_record_give_its_modes() -> None:
     """As by the record itself, though a resonance is narrower than the lines are apart."""
     bench = Bench((3.0, 7.0), (0.001, 0.02), 3)
@@ -196,6 +198,7 @@ def test_free_decays() -> None:
     assert found.participation.shape == (2, 0)
 
 
+@pytest.mark.slow
 def test_a_driven_motion_is_no_free_decay() -> None:
     """It had one mode, with an interval of less than a per cent, that is none of the rig's."""
     rng = np.random.default_rng(6)
@@ -280,6 +283,7 @@ def body_moves(drawing: Any, body: str) -> float:
     return float(at[0] - np.mean(at))
 
 
+@pytest.mark.slow
 def test_shapes_are_drawn_on_a_rig_and_what_is_not_measured_rests() -> None:
     rig = dashpot.parse_rig(TWO_MASSES)
     dwells = rig.simulate(TRUTH, np.arange(2, 20, 0.5), amplitudes={"f": 5.0}, seed=1)
@@ -296,6 +300,7 @@ def test_shapes_are_drawn_on_a_rig_and_what_is_not_measured_rests() -> None:
         dashpot.draw(rig, found, mode=3)
 
 
+@pytest.mark.slow
 def test_a_drift_and_a_column_given_twice_leave_sound_deviations() -> None:
     rng = np.random.default_rng(3)
     test = TWO.record(TWO.noise(rng, 30.0, 1), rng, 0.02)
@@ -329,6 +334,7 @@ def spiky(x: Real, rng: np.random.Generator) -> Real:
     return x + 30 * np.std(x) * np.isin(np.arange(len(x)), at)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoiled", [held, clipped, spiky])
 def test_samples_that_are_not_measured_bend_no_mode(spoiled: Callable[..., Real]) -> None:
     """As they were taken, shapes were up to 11 standard deviations away, and nothing was said."""

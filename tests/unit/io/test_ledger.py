@@ -48,6 +48,7 @@ def _name(call: ast.Call) -> str:
     return call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
 
 
+@pytest.mark.slow
 def test_every_file_is_opened_for_reading_through_the_ledger(calls: list[tuple[str, ast.Call]]) -> None:
     unnoted = []
     for place, call in calls:

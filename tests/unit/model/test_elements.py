@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 PROGRAM = """
 import importlib.util, sys
 from pathlib import Path
@@ -18,6 +20,7 @@ module = importlib.util.module_from_spec(importlib.util.spec_from_loader("dashpo
 sys.modules["dashpot.model.elements"] = module
 exec(compile(source, str(path), "exec"), module.__dict__)
 
+import pytest
 import dashpot
 
 rig = dashpot.parse_rig('''
@@ -40,6 +43,7 @@ assert "r = ?" in rig.draw().svg()
 """
 
 
+@pytest.mark.slow
 def test_a_new_kind_is_a_name_and_a_law() -> None:
     """It is read, written, checked, simulated, identified and drawn; no other module knows it."""
     ran = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=False)

@@ -75,6 +75,7 @@ def truss(storeys: int) -> tuple[list[np.ndarray], np.ndarray]:
     return [part[12:, 12:] for part in K], np.eye(nodes.size - 12)
 
 
+@pytest.mark.slow
 def test_a_frame_in_space_is_identified_from_few_sensors():
     stiffness, M = truss(34)
     n = len(M)

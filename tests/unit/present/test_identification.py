@@ -99,6 +99,7 @@ def page_of(html: str) -> Page:
     return page
 
 
+@pytest.mark.slow
 def test_the_report_stands_alone(good: Estimate) -> None:
     html = identification_report(RIG.model, measured(), good, 0.95, PROVENANCE)
     assert html == identification_report(RIG.model, measured(), good, 0.95, PROVENANCE)
@@ -166,6 +167,7 @@ def report(good: Estimate, bad: Estimate) -> Callable[[str], Report]:
     return of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["fits", "misfit", "not converged"])
 def test_the_verdict_comes_first_and_the_largest_residual_is_that_of_the_plot(
     case: str, report: Callable[[str], Report]
@@ -197,6 +199,7 @@ def test_the_verdict_comes_first_and_the_largest_residual_is_that_of_the_plot(
     assert f"{spectrum.lines} lines from {low} to {high} Hz" in html
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [None, "wls"])
 def test_iterations_are_said_as_they_were_and_none_are_drawn(
     name: str | None, report: Callable[[str], Report]
@@ -382,6 +385,7 @@ def noisy(noise: float) -> Spectrum:
     return simulate_spectrum(RIG.model, p, channels, dwells(RIG.model, [1.0, 5.0, 7.0], 200), rng)
 
 
+@pytest.mark.slow
 def test_profiles_are_shown_of_the_intervals_that_follow_them() -> None:
     """The report states one interval for each unknown: where a profile is drawn, the table has its ends."""
     good, poor = noisy(0.01), noisy(1.0)

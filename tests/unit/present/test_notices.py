@@ -3,6 +3,8 @@
 import ast
 from pathlib import Path
 
+import pytest
+
 from dashpot.data.conditioning.steadiness import UNSTEADY
 from dashpot.present.words import REMEDIED, notice_guide
 
@@ -48,6 +50,7 @@ def given_codes() -> dict[str, set[str]]:
     return codes
 
 
+@pytest.mark.slow
 def test_every_code_is_explained_and_every_explanation_is_of_a_code() -> None:
     given = set().union(*given_codes().values())
     assert len(given) > 40

@@ -16,6 +16,7 @@ def found():
     return reproduce(20, seed=5)
 
 
+@pytest.mark.slow
 def test_findings_say_what_the_numbers_say(found):
     text = findings_in_words(found)
     assert len(text) == 9
@@ -32,6 +33,7 @@ def test_findings_say_what_the_numbers_say(found):
         assert "nan" not in words
 
 
+@pytest.mark.slow
 def test_it_can_be_shown_and_written(found, tmp_path):
     text = printed(reproduction_document(found))
     assert "Table 2" in text

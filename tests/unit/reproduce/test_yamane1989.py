@@ -35,6 +35,7 @@ def test_table_1():
     assert np.allclose(np.abs(values.imag) / (2 * np.pi), [2.96, 9.60], atol=5e-3)
 
 
+@pytest.mark.slow
 def test_tables_are_whole(found):
     columns = (*found.table2, *found.table3, *found.table4)
     assert [(c.title, c.method) for c in found.table2] == [

@@ -131,6 +131,7 @@ def test_reactions_of_linear_rigs_are_shown():
     assert shown[:, 0] == pytest.approx(p["m1"] * shown[:, 1] + p["m2"] * shown[:, 2], abs=1e-9 * 4000)
 
 
+@pytest.mark.slow
 def test_the_band_counts_gain_and_delay_of_a_channel():
     model, theta = chain(1, 0.05)
     time, u, _ = base_motion(800)

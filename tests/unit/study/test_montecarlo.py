@@ -120,6 +120,7 @@ def test_a_study_grows_on_what_it_has(study, tmp_path):
     assert len(computed) == 3 + 3 + 5
 
 
+@pytest.mark.slow
 def test_blocks_that_share_a_file_are_the_same_draws(study, tmp_path, monkeypatch):
     """Twelve blocks, the first two in files of their own, then four to a file: in one go, and grown from seven."""
     more = replace(study, grids=(replace(study.grids[0], draws=116, noise=(0.1,)),))

@@ -133,6 +133,7 @@ def test_singular_residuals_have_the_rank_of_their_freedom(rig, p):
     assert np.allclose(np.mean(V, axis=0), np.eye(3), atol=5 / np.sqrt(20_000))
 
 
+@pytest.mark.slow
 def test_records_return_to_the_physical_quantity(rig, p):
     """Known gain, sign and delay are in the record and out of the spectrum; noise counts in the channel's unit."""
     channels = (

@@ -22,6 +22,7 @@ def printed(capsys: pytest.CaptureFixture[str]) -> str:
     return shown
 
 
+@pytest.mark.slow
 def test_contract_of_the_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -45,6 +46,7 @@ def test_contract_of_the_json(
     assert "duality gap" in shown
 
 
+@pytest.mark.slow
 def test_after_data_with_a_target(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -86,6 +88,7 @@ def test_a_test_of_so_much_time_within_limits(capsys: pytest.CaptureFixture[str]
     assert told(capsys, *args, "--grid", "0.5", "--band", "0.5:25")["figure"] > 0
 
 
+@pytest.mark.slow
 def test_targets_amplitudes_noise_and_values(capsys: pytest.CaptureFixture[str]) -> None:
     band = ["--band", "0.25:25"]
     both = told(capsys, "--target", "c2=2%,m1=1%", *band)["predicted"]
@@ -126,6 +129,7 @@ def test_a_reaction_force_is_a_sensor_like_any_other(
     assert ranking == [["F"]]  # x alone knows the ratios of the parameters only
 
 
+@pytest.mark.slow
 def test_doubt_estimates_and_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A box; the covariance of --estimate (not counted), of --after EST.json and of --after DATA (both counted)."""
     data, estimate = str(tmp_path / "data.csv"), str(tmp_path / "estimate.json")
@@ -152,6 +156,7 @@ def test_doubt_estimates_and_data(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert len(steps["relative_sd"]["m1"]) == len(steps["samples"])
 
 
+@pytest.mark.slow
 def test_data_with_unknown_calibrations_and_a_floor(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -175,6 +180,7 @@ def test_data_with_unknown_calibrations_and_a_floor(
     assert "Note: the noise" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_model_that_does_not_fit_is_said_not_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = tmp_path / "data.csv"
     given = ["--frequencies", "2,3,4,5,6,8,10,12", "--samples", "5000", "--quiet"]
@@ -203,6 +209,7 @@ def test_against_a_file_and_against_too_little(tmp_path: Path, capsys: pytest.Ca
     assert any("does not determine" in note for note in lonely["notes"])
 
 
+@pytest.mark.slow
 def test_sensors_are_chosen(capsys: pytest.CaptureFixture[str]) -> None:
     found = told(capsys, "--samples", "1400", "--band", "0.25:25", "--sensors", "pick 2 of x1,v1,x2")
     assert "x2" in found["sensors"]["best"]

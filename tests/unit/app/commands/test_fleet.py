@@ -140,6 +140,7 @@ def deadly(_: int) -> int:
     return 0
 
 
+@pytest.mark.slow
 def test_workers_killed_while_work_is_shared_out_are_replaced() -> None:
     """The pool is broken when the next task comes to it, not when a result does."""
 

@@ -30,6 +30,7 @@ def table(dashpot: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return tmp_path / "t.csv"
 
 
+@pytest.mark.slow
 def test_responses_keep_to_the_contract(dashpot: Command, table: Path) -> None:
     done = dashpot(
         *("frf", "t.csv", "--input", "f", "--output", "a1", "--output", "a2"),
@@ -44,6 +45,7 @@ def test_responses_keep_to_the_contract(dashpot: Command, table: Path) -> None:
     assert Path("r.png").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_modes_become_data(dashpot: Command, table: Path) -> None:
     done = dashpot(
         "modes",

@@ -26,6 +26,7 @@ def stated(dashpot: Command) -> Command:
     return dashpot
 
 
+@pytest.mark.slow
 def test_json_report_and_check(stated: Command) -> None:
     done = stated("identify", "rig.toml", "data.csv", "--json", "out.json", "--report", "report.html")
     assert done.code == 0
@@ -58,6 +59,7 @@ def test_design_and_study_know_the_calibration_as_well_as_it_is_stated(stated: C
     assert predicted['{ of = "calibrator" }']["calibrator"]["sd"] < 0.0101
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("true", "kind", "line"), [(1.12, "gain", "value = 1.1"), (-1.02, "sign", "sign = -1")]
 )

@@ -30,6 +30,7 @@ def study(tmp_path: Path) -> Path:
     return tmp_path / "noise.toml"
 
 
+@pytest.mark.slow
 def test_a_folder_with_summary_draws_and_pictures(dashpot: Command, study: Path) -> None:
     ran = dashpot("study", "noise.toml", "--processes", "1")
     assert ran.code == 0, ran.err

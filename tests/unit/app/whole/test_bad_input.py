@@ -182,6 +182,7 @@ def test_outputs_are_checked_before_the_work(dashpot: Command, data: Path, targe
     assert data.read_bytes() == content
 
 
+@pytest.mark.slow
 def test_many_problems_are_summed_up(dashpot: Command, rig: Path) -> None:
     wrong = "".join(f'q{i} = {{ at = "z" }}\n' for i in range(10_000))
     rig.write_text(RIG.replace("[springs]", wrong + "[springs]"), encoding="utf-8")

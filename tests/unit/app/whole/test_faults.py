@@ -22,6 +22,7 @@ IDENTIFY = ("identify", "rig.toml", "data.csv", "--json", "out", "-q")
 
 
 # How the one writer fails, and that every command writes by it, is tested beside it.
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_old_or_complete(dashpot: Command, data: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     out = Path("out")

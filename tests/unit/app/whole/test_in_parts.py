@@ -18,6 +18,7 @@ def files(dashpot: Command, rig: Path) -> list[str]:
     return names
 
 
+@pytest.mark.slow
 def test_parts_are_merged_the_same_by_two_workers(dashpot: Command, files: list[str]) -> None:
     alone = dashpot("identify", "rig.toml", *files, "--in-parts", "--workers", "1", "--json", "one.json")
     assert alone.code == 0, alone.err
@@ -45,6 +46,7 @@ def test_a_cluster_merges_parts_to_the_same_bits(dashpot: Command, files: list[s
     assert Path("one.json").read_bytes() == Path("dask.json").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_report_of_merged_parts_says_what_it_rests_on(dashpot: Command, files: list[str]) -> None:
     done = dashpot("identify", "rig.toml", *files, "--in-parts", "--workers", "1", "--report", "out.html")
     assert done.code == 0, done.err

@@ -80,6 +80,7 @@ def test_a_law_that_is_no_number_in_the_measured_motion_is_refused(
     assert "finite there" in line
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "springs", "dampers", "names"),
     [
@@ -116,6 +117,7 @@ def test_a_clearance_that_is_never_passed_is_named_after_the_search_as_well(
     assert all("q" in line and "no information" in line for line in done.err)
 
 
+@pytest.mark.slow
 def test_a_motion_too_small_for_the_law_gives_the_linear_values_and_says_so(
     dashpot: Command, recorded: Recorded
 ) -> None:

@@ -40,6 +40,7 @@ def turn(path: str, channel: str) -> None:
     Path(path).write_text("\n".join([header, *turned]) + "\n", encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_an_estimate_predicts_another_record_or_the_end_of_its_own_to_the_noise(dashpot: Command) -> None:
     Path("rig.toml").write_text(RIG, encoding="utf-8")
     recorded("run.csv", 1)
@@ -79,6 +80,7 @@ def test_apply_writes_the_rig_that_contradicting_channels_ask_for(dashpot: Comma
     assert [channel.sign for channel in read_rig("new.toml").channels] == [1.0, -1.0]
 
 
+@pytest.mark.slow
 def test_validate_names_a_channel_that_is_turned(dashpot: Command) -> None:
     recorded("run.csv", 1)
     recorded("other.csv", 2)

@@ -57,6 +57,7 @@ def away(path: str = "e.json") -> float:
     return max(abs(found[name]["value"] - true) / found[name]["sd"] for name, true in TRUE.items())
 
 
+@pytest.mark.slow
 def test_a_record_is_used_whole(dashpot: Command, rig: str) -> None:
     recorded("run.csv", seed=1)
     done = dashpot("identify", rig, "run.csv", "--json", "e.json", "--report", "e.html", "--verbose")
@@ -72,6 +73,7 @@ def test_a_record_is_used_whole(dashpot: Command, rig: str) -> None:
     assert said in " ".join(Path("e.html").read_text(encoding="utf-8").split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("missing", "gap"), [(50, "50 samples missing before 9.5 s"), (1, "1 sample missing before 9.01 s")]
 )
@@ -141,6 +143,7 @@ def test_what_cannot_be_used_is_named(dashpot: Command, rig: str) -> None:
     assert "2 lines in the band: 8 real equations for 12 " in bad(dashpot, rig, "brief.csv", "--band", "4:9")
 
 
+@pytest.mark.slow
 def test_an_estimate_predicts_another_record(dashpot: Command, rig: str) -> None:
     recorded("run.csv", seed=8)
     recorded("other.csv", seed=9)
@@ -206,6 +209,7 @@ def test_free_decay_of_a_rig_that_nothing_drives(dashpot: Command, tmp_path: Pat
     assert "scale of the forces" in done.err[0]
 
 
+@pytest.mark.slow
 def test_a_response_that_something_unseen_drives_is_no_free_decay(dashpot: Command, rig: str) -> None:
     recorded("run.csv", seed=14)
     rows = [row.rsplit(",", 1)[0] for row in Path("run.csv").read_text(encoding="utf-8").splitlines()]
@@ -217,6 +221,7 @@ def test_a_response_that_something_unseen_drives_is_no_free_decay(dashpot: Comma
     assert "record what drives it" in said
 
 
+@pytest.mark.slow
 def test_sensors_that_drift(dashpot: Command, rig: str) -> None:
     """A ramp ten times the motion in each output costs nothing, unless it is said that there is none."""
     recorded("run.csv", seed=16, seconds=6.0)
@@ -247,6 +252,7 @@ def test_sensors_that_drift(dashpot: Command, rig: str) -> None:
     assert away("again.json") < 3.7
 
 
+@pytest.mark.slow
 def test_what_an_estimate_predicts_carries_its_uncertainty(dashpot: Command, rig: str) -> None:
     """The band is the scatter of the predictions of parameters drawn from the estimate: 200 draws tell it to 5 %."""
     recorded("run.csv", seed=17)

@@ -3,11 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from dashpot.check.explain.examine import diagnose
 from tests.unit.check.explain.test_contradictions import clean
 
 
+@pytest.mark.slow
 def test_two_dwells_with_each_others_label_are_named_together() -> None:
     model, spectrum = clean()
     f = spectrum.frequency_hz.copy()
@@ -17,6 +19,7 @@ def test_two_dwells_with_each_others_label_are_named_together() -> None:
     assert first.text.endswith("are swapped")
 
 
+@pytest.mark.slow
 def test_a_dwell_with_its_phases_the_other_way_says_so() -> None:
     model, spectrum = clean()
     Y = spectrum.amplitudes.copy()

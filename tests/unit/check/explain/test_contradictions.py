@@ -63,6 +63,7 @@ def test_what_a_channel_goes_through_is_told(
     assert first.number == pytest.approx(truth(f, y), rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_sensor_at_another_point_than_stated_is_moved_there() -> None:
     """Stated at a point that another sensor has, it leaves its own unseen."""
     model, spectrum = clean()

@@ -9,6 +9,7 @@ from dashpot.check.explain.examine import diagnose
 from tests.unit.check.explain.test_diagnose import clean
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("into", "source"), [("d_x1", "d_x2"), ("d_x1", "u")])
 def test_cross_talk_is_named_and_not_an_element(into: str, source: str) -> None:
     """The sensor of one mass, or of the base, in that of the first mass: 5 % of its rms."""

@@ -67,10 +67,12 @@ def rank_of_the_truth(rig: str, mistake: str, seed: int) -> int | None:
     return None
 
 
+@pytest.mark.slow
 def test_a_missing_damper_is_named_first():
     assert rank_of_the_truth("paper", "missing damper", 100) == 0
 
 
+@pytest.mark.slow
 def test_no_listed_cause_is_certain_that_leaves_a_good_part_of_the_misfit() -> None:
     """A gain that runs between 1.2 and 1.6 over the band is not on the list; a gain of 1.4 is near it, as others are.
 
@@ -113,6 +115,7 @@ def test_gallery_of_sixty_mistakes():
     assert sum(rank is not None and rank < 3 for rank in ranks.values()) >= 0.97 * len(cases), missed
 
 
+@pytest.mark.slow
 def test_the_change_mends_the_fit_and_the_json_carries_verdict_and_diagnosis_and_reads_back():
     """The rig as the first finding would have it, applied to the same raw numbers, fits."""
     model, spectrum = clean("paper", np.random.default_rng(3))
@@ -177,6 +180,7 @@ def responses(order: int, *, given: bool = True) -> tuple[Model, Spectrum]:
     return model, spectrum if given else rigs.of_unknown_noise(spectrum)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("order", "given"), [(1, False), (2, True)])
 def test_a_table_of_accelerances_that_is_read_as_receptances_is_named(order: int, given: bool) -> None:
     model, spectrum = responses(order, given=given)
@@ -189,6 +193,7 @@ def test_a_table_of_accelerances_that_is_read_as_receptances_is_named(order: int
         assert float(identify(model, replace(spectrum, channels=channels)).fit.p) > 0.001
 
 
+@pytest.mark.slow
 def test_noise_that_is_not_known_is_no_misfit_where_leaving_a_channel_out_explains_it() -> None:
     """Amplitudes of x1 that are nothing but noise: there is no remedy but to leave them out."""
     model, spectrum = responses(0, given=False)
@@ -201,6 +206,7 @@ def test_noise_that_is_not_known_is_no_misfit_where_leaving_a_channel_out_explai
     assert assessment.verdict == "cannot tell"
 
 
+@pytest.mark.slow
 def test_responses_over_radians_per_second_are_no_force_in_inches() -> None:
     """(2π)² is 39.5, an inch 1 / 39.37 m: "f reads 0.0254 × what the rig gives" had been named, as another unit."""
     model, spectrum = responses(0)
@@ -230,6 +236,7 @@ def test_phases_the_other_way_are_named_where_not_all_motion_is_seen():
     assert (first.kind, first.of) == ("conjugate", ())
 
 
+@pytest.mark.slow
 def test_a_search_that_ends_at_a_rig_without_response_is_diagnosed_as_any_other():
     """One channel in another unit: a damper of −2e34 N·s/m, of which the verdict had been an error and no cause."""
     model, spectrum = seen_at_three_of_four(np.random.default_rng(11))
@@ -290,6 +297,7 @@ def test_what_noise_alone_would_leave_of_the_motion_is_told_where_the_noise_is_k
     assert assess(model, silent, identify(model, silent)).relative_noise == {}
 
 
+@pytest.mark.slow
 def test_negative_dampers_never_fit_and_the_phases_are_blamed():
     """The same χ² as the true rig has, but every damper is negative."""
     model, spectrum = clean("paper", np.random.default_rng(5))
@@ -307,6 +315,7 @@ def test_negative_dampers_never_fit_and_the_phases_are_blamed():
     assert all(finding.kind != "conjugate" for finding in diagnose(model, of_samples, estimate))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", ["phases the other way", "m for mm"])
 def test_a_mistake_that_leaves_chi2_as_it_is_is_named_by_the_parts_that_it_makes_negative(mistake):
     """With a damper known the masses and springs come out negative, not the dampers: no cause was named."""
@@ -326,6 +335,7 @@ def test_a_mistake_that_leaves_chi2_as_it_is_is_named_by_the_parts_that_it_makes
     assert (first.kind, frozenset(first.of)) == (case.kinds[0], case.of)
 
 
+@pytest.mark.slow
 def test_a_mislabelled_dwell_of_many_is_named_though_it_makes_less_than_half_of_the_misfit():
     thrown = rigs.plain_rig(np.random.default_rng(4), 3)
     channels = rigs.channels(thrown, (Quantity.DISPLACEMENT,))
@@ -339,6 +349,7 @@ def test_a_mislabelled_dwell_of_many_is_named_though_it_makes_less_than_half_of_
     assert (first.kind, first.of) == ("frequency", (f"{label[18]:g} Hz",))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("runs", [True, False], ids=["dwells", "lines of one record"])
 def test_only_dwells_are_left_out_or_given_another_frequency(runs):
     model, lines = clean("paper", np.random.default_rng(100))
@@ -352,6 +363,7 @@ def test_only_dwells_are_left_out_or_given_another_frequency(runs):
     )
 
 
+@pytest.mark.slow
 def test_radians_read_as_degrees_are_named():
     model, spectrum = clean("paper", np.random.default_rng(3))
     Y = spectrum.amplitudes
@@ -379,6 +391,7 @@ def test_a_force_that_counts_backwards_is_named_though_it_changes_no_chi2():
     assert "reversed_phase" not in {notice.code for notice in estimate.warnings}
 
 
+@pytest.mark.slow
 def test_a_base_known_far_better_than_its_exchange_with_a_channel_allows_is_no_reason_to_refuse():
     """With u and x1 − u exchanged, one number is known too well for a regression beside the others."""
     model = network("x1", "u", "m1@x1=2 k1:x1-u c1:x1-u")
@@ -412,6 +425,7 @@ def test_a_gain_between_the_usual_ones_is_named_where_nothing_else_shows_the_cha
     assert finding.remaining < 2.0
 
 
+@pytest.mark.slow
 def test_of_two_signs_that_fit_alike_the_one_with_a_rig_that_can_be_built_leads():
     """Of a motor and its load either angle may be turned, but for a torque that then counts backwards."""
     model, data = bench()
@@ -510,6 +524,7 @@ def pushed(
     return partly_seen.Bench("", model, truth, tuple(channels), hertz, f[:, :0], f, {"": noise, "f": 0.0})
 
 
+@pytest.mark.slow
 def test_a_body_whose_resonance_lies_between_two_lines_is_found_where_it_is() -> None:
     coordinates, values = "bed table head", {"mb": 0.08, "kb": 0.08 * (2 * np.pi * 20.2) ** 2, "cb": 0.4}
     true = network(f"{coordinates} body", "f@bed", f"{THREE} mb@body kb:body-table cb:body-table")
@@ -550,6 +565,7 @@ def one_mass(hertz: np.ndarray, noise: float) -> tuple[Model, partly_seen.Bench]
     return model, pushed(model, {"k": 70e3, "c": 300.0}, channels, hertz, noise)
 
 
+@pytest.mark.slow
 def test_noise_that_a_share_would_take_along_is_no_cross_talk() -> None:
     """A share of the velocity in the force is another damper, and seemed to leave less noise."""
     model, bench = one_mass(np.linspace(2.0, 14.0, 200), 0.1)
@@ -557,6 +573,7 @@ def test_noise_that_a_share_would_take_along_is_no_cross_talk() -> None:
     assert "crosstalk" not in {each.kind for each in findings}
 
 
+@pytest.mark.slow
 def test_a_force_that_is_late_is_not_held_for_a_negative_time() -> None:
     model, bench = one_mass(np.linspace(2.0, 14.0, 40), 0.02)
     late = replace(bench, delays={"f": 0.004})
@@ -577,6 +594,7 @@ def test_what_the_rigs_unknowns_can_nearly_do_is_scored_as_its_regression_promis
     assert test.step == pytest.approx(np.linalg.lstsq(J, y)[0][3], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_cross_talk_into_the_channel_that_tells_a_part_alone_is_among_the_causes() -> None:
     """Without that channel the others say nothing of how large it is."""
     parts = (
@@ -600,6 +618,7 @@ def test_cross_talk_into_the_channel_that_tells_a_part_alone_is_among_the_causes
     assert found.odds > 0.05
 
 
+@pytest.mark.slow
 def test_a_channel_that_is_limited_at_the_few_largest_motions_is_no_bad_dwell() -> None:
     """Its limit is sought until χ² falls no more: 2 % beside it leave the dwell at the resonance to blame."""
     model, spectrum = clean("paper", np.random.default_rng(6))
@@ -613,6 +632,7 @@ def test_a_channel_that_is_limited_at_the_few_largest_motions_is_no_bad_dwell() 
     assert first.number == pytest.approx(0.8 * size.max(), rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by_column", [True, False])
 def test_exchanged_channels_of_other_units_are_named(by_column: bool) -> None:
     """Columns under each other's names, or cables whose signals were scaled as those of the other."""

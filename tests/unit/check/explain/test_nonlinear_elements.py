@@ -75,6 +75,7 @@ def test_harmonics_beside_a_fold_call_for_the_element_at_its_place():
     assert called[0].chi2 - called[0].fall < 1.5 * called[0].dof
 
 
+@pytest.mark.slow
 def test_the_dwell_of_the_largest_motion_does_not_hide_the_element():
     """Left out, it leaves a linear rig that fits: in one dwell of 14 the spring shows."""
     model, theta = chain("cubic", 2)

@@ -91,6 +91,7 @@ def test_of_several_records_the_one_that_is_wrong_is_named(estimate: Estimate) -
     assert finding.change == "multiply x1 by −1 in record 2"
 
 
+@pytest.mark.slow
 def test_records_are_counted_beside_settled_lines_as_well(estimate: Estimate) -> None:
     """The first record had been called the second one, and settled lines the first."""
     wrong = whole_records([times([-1, 1, 1])(record(3))])

@@ -26,6 +26,7 @@ def times(data: Record, name: str, factor: float) -> Record:
     return replace(data, values=data.values * np.array(factors))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "name", "factor", "kind", "line"),
     [
@@ -96,6 +97,7 @@ def test_a_channel_that_is_wrong_in_one_of_several_records_is_named_with_that_re
         require_sound_channels(model, [data, swapped])
 
 
+@pytest.mark.slow
 def test_a_channel_that_is_wrong_in_all_records_is_mended_in_the_rig_file() -> None:
     model, _, data = record("cubic", SEEN, noise=0.01)
     second = record("cubic", SEEN, noise=0.01, seed=5)[2]
@@ -114,6 +116,7 @@ def test_sound_channels_are_left_alone_under_noise_whatever_the_law(law: str) ->
     assert channel_mistakes(model, weighed) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "count"), [(903, 4), (6006, 6)])
 def test_hysteresis_that_smooth_laws_do_not_describe_is_no_mistake_of_a_channel(
     seed: int, count: int

@@ -135,6 +135,7 @@ def test_a_sensor_that_ends_drifts_or_spikes_is_named_first(
     assert word in first.text
 
 
+@pytest.mark.slow
 def test_a_slip_of_few_samples_is_mended_and_not_left_out() -> None:
     """Its size comes from the channel itself, which a fit without the channel does not have."""
     model, truth = chain(2, 0.03, base=True, seed=3)
@@ -146,6 +147,7 @@ def test_a_slip_of_few_samples_is_mended_and_not_left_out() -> None:
     assert first.number == pytest.approx(4 * step, abs=0.5 * step)  # s; slips are tried by half steps
 
 
+@pytest.mark.slow
 def test_a_body_that_the_rig_lacks_is_named_in_a_whole_record() -> None:
     model, truth = chain(2, 0.03, base=True, seed=3)
     parts = (
@@ -163,6 +165,7 @@ def test_a_body_that_the_rig_lacks_is_named_in_a_whole_record() -> None:
     assert first.number == pytest.approx(0.15 * 60.0**2, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_low_pass_filter_far_above_the_motion_is_no_delay_and_no_held_input() -> None:
     """Its corner is sought closely before forms of one channel's mistake are told apart."""
     model, truth = chain(1, 0.03, base=True, seed=3)
@@ -227,6 +230,7 @@ def test_a_small_gain_is_named_where_noise_is_most_of_what_is_left(
     assert first.number == pytest.approx(1.01, abs=0.002)
 
 
+@pytest.mark.slow
 def test_what_describes_the_motion_closely_and_has_a_likely_cause_does_not_fit() -> None:
     """Two dampers alone are known, the force reads 0.4 % too much, and 0.3 % of the motion is left at the most."""
     model, truth = chain(2, 0.05, base=False, force=True, seed=3)
@@ -368,6 +372,7 @@ def test_a_wrong_unit_that_leaves_a_flat_valley_is_named() -> None:
     assert (causes[0].kind, causes[0].of) == ("unit", ("x1_dis",))
 
 
+@pytest.mark.slow
 def test_a_relative_acceleration_that_is_declared_a_displacement_is_named() -> None:
     """The ends of the base's own motion are in it, so that the lines of a record alone do not turn it into one."""
     model = network("x1 x2", "u", "m1@x1 m2@x2=171 k1:x1-u=6.3e6 k2:x2-x1 c1:x1-u c2:x2-x1=1630")
@@ -384,6 +389,7 @@ def test_a_relative_acceleration_that_is_declared_a_displacement_is_named() -> N
     assert (first.kind, first.of) == ("quantity", ("relative",))
 
 
+@pytest.mark.slow
 def test_a_cause_is_found_from_the_rig_of_the_file_where_the_wrong_one_has_run_away() -> None:
     """The only sensor sits on the other mass, so that a rigid spring k2 leaves least."""
     elements = (

@@ -35,6 +35,7 @@ def named(element: str, *, by_experiment: bool) -> Finding:
     return diagnose(model, replace(data, experiment=late.astype(int)) if by_experiment else data)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("element", "by_experiment"), [("m2", False), ("k2", True)])
 def test_what_is_not_the_same_in_all_runs_is_named(element: str, by_experiment: bool) -> None:
     """A part that is sought (m2) and one whose value is stated (k2)."""
@@ -47,6 +48,7 @@ def test_what_is_not_the_same_in_all_runs_is_named(element: str, by_experiment: 
     assert best.remaining < 1.5
 
 
+@pytest.mark.slow
 def test_a_value_with_a_tolerance_is_free_of_it_where_it_changed() -> None:
     model, spectrum = clean("paper", np.random.default_rng(3))
     late = np.arange(spectrum.lines) >= 13
@@ -81,6 +83,7 @@ u = { of = "u", noise = 1e-5 }
 )
 
 
+@pytest.mark.slow
 def test_one_run_cannot_be_parted() -> None:
     """One line has more numbers than the rig has unknowns."""
     only = conditioned(RIG_OF_ONE.simulate({"k": 100.0}, [1.0], samples=60, amplitudes={"u": 0.01}, seed=1))

@@ -41,6 +41,7 @@ def test_a_channel_of_the_wrong_unit_is_named_first(law, wrong, factor, kind):
     assert causes[0].remaining < 1.5
 
 
+@pytest.mark.slow
 def test_two_channels_exchanged_are_named_first():
     model, spectrum = measured("cubic")
     order = [1, 0, 2]
@@ -68,6 +69,7 @@ def test_the_assessment_of_a_fit_that_fails_says_which_channel():
     assert "sign = -1.0" in first.change
 
 
+@pytest.mark.slow
 def test_where_no_fit_comes_to_an_end_the_diagnosis_says_which_channel():
     model, spectrum = measured("gap", "x2", -1.0)
     with pytest.raises(IdentifiabilityError, match="no information"):

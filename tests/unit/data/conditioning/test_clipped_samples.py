@@ -138,6 +138,7 @@ def test_each_clipping_channel_is_told_with_its_samples() -> None:
     assert np.array_equal(clipped.status, np.stack([at, np.zeros(len(at))], axis=1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "limit"), [(0.02, 0.8), (0.1, 0.8), (0.05, 0.9)])
 def test_a_clipped_sine_costs_what_the_censored_likelihood_says(noise: float, limit: float) -> None:
     """60 draws: error over stated sd, and stated over that of the samples below the limit alone."""

@@ -24,6 +24,7 @@ def dwells(seed: int, *, slope: float = 0.0, samples: int = 10, periods: float =
     return [replace(r, values=r.values + drifting * np.max(np.abs(r.values), axis=0)) for r in records]
 
 
+@pytest.mark.slow
 def test_the_test_keeps_its_level_with_ten_samples_a_dwell() -> None:
     """p is uniform: Kolmogorov and Smirnov's test over 50 seeds at 1 %."""
     p = [slopes_show(dwells(seed), (1,)) for seed in range(50)]

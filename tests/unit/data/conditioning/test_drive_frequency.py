@@ -9,6 +9,7 @@ from dashpot.errors import DataError
 from tests.unit.data.conditioning.signals import X1, X2, U, wave
 
 
+@pytest.mark.slow
 def test_refined_frequency_and_its_sd():
     """400 records: the mean of ((f̂ − f)/sd)² is 1 with a standard error of 7 %."""
     rng = np.random.default_rng(13)

@@ -76,6 +76,7 @@ def test_what_rests_for_a_reason_is_left_alone() -> None:
         assert {note.code for note in notes} <= {"unclipped"}
 
 
+@pytest.mark.slow
 def test_no_clean_record_is_cut() -> None:
     for seed in range(40):
         for bits in (6, 8, 12, 24):

@@ -25,6 +25,7 @@ def dwell(f: float, size: complex, *, periods: float = 20.0, each: int = 16, noi
     return Record((X1, U), t, values, f)
 
 
+@pytest.mark.slow
 def test_the_error_of_rounded_amplitudes_is_what_is_stated() -> None:
     """80 amplitudes of periods that repeat to the bit: error over stated sd has rms 1 within a quarter.
 
@@ -129,6 +130,7 @@ def test_codes_under_little_noise_give_intervals_that_hold_and_tell_as_much(
         assert np.median(stated) < 2 / 12**0.5
 
 
+@pytest.mark.slow
 def test_codes_of_short_dwells_leave_the_noise_open() -> None:
     """100 dwells of 30 samples, 64 steps from end to end under noise of 0.1 steps: (error over sd)² is 1 ± 0.1."""
     rng = np.random.default_rng(11)
@@ -144,6 +146,7 @@ def test_codes_of_short_dwells_leave_the_noise_open() -> None:
     assert 0.7 < np.mean(z2) < 1.25
 
 
+@pytest.mark.slow
 def test_rounding_is_no_harmonic() -> None:
     """30 dwells of 2 and 4 steps under noise of 0.02 steps have none, and half a step of the third is found in most."""
     rng = np.random.default_rng(2)
@@ -163,6 +166,7 @@ def test_rounding_is_no_harmonic() -> None:
     assert sum(3 in orders for orders in found[30:]) >= 24
 
 
+@pytest.mark.slow
 def test_turning_points_of_a_coarse_converter_are_no_missed_samples() -> None:
     """Runs of one value at each turning point, 3 to 8 bits, 25 to 60 samples a period."""
     for bits in range(3, 9):
@@ -173,6 +177,7 @@ def test_turning_points_of_a_coarse_converter_are_no_missed_samples() -> None:
             assert "dropouts" not in [note.code for note in spectrum([Record((X1, U), t, values, 4.0)]).notes]
 
 
+@pytest.mark.slow
 def test_codes_that_tell_too_little_are_no_failure() -> None:
     """One, two and three codes, 12 to 60 samples, with and without noise and limits: a line, or a reasoned refusal."""
     rng = np.random.default_rng(5)

@@ -31,6 +31,7 @@ def test_coloured_noise_is_noticed_and_covered():
     assert np.mean(np.abs(error) ** 2) / np.mean(white) > 1.8
 
 
+@pytest.mark.slow
 def test_variance_from_blocks():
     """Two channels, 3000 repeats, 60 periods: four standard errors are 5.2 %, the curvature of the spectrum 1 %."""
     rng = np.random.default_rng(20)

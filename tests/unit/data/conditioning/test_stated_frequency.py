@@ -107,6 +107,7 @@ def test_one_dwell_gets_a_frequency_of_its_own() -> None:
     assert [note.code for note in lines.notes] == ["frequency_refined", "settled_dwells"]
 
 
+@pytest.mark.slow
 def test_frequencies_that_are_right_are_left_alone() -> None:
     """60 tests of 25 dwells, p < 1e-3 each: at most one false alarm with a probability of 0.998."""
     alarms = sum(at_drive_frequencies(right)[0] != right for right in (dwells(100 + k) for k in range(60)))

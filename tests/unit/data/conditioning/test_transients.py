@@ -27,6 +27,7 @@ def stepped(noise: float, *, periods: float = 5, settle: float = 0.0, seed: int 
     return stepped_sine(MODEL, THETA, CHANNELS, FREQUENCIES, noise, periods=periods, settle=settle, seed=seed)
 
 
+@pytest.mark.slow
 def test_transients_are_found_and_nothing_where_none_are() -> None:
     assert transients_show(stepped(0.01)) < 1e-6
     assert transients_show(stepped(0.05)) < 1e-3

@@ -198,6 +198,7 @@ def test_zeros_of_every_packed_format_are_counted(
     assert UNPACKED in refused(path, monkeypatch, "0.01")
 
 
+@pytest.mark.slow
 def test_texts_that_unpack_to_more_than_there_may_be_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

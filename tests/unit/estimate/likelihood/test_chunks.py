@@ -126,6 +126,7 @@ def test_memory_of_many_lines_starts_and_repeats(lines, starts, candidates, repe
     assert max(arrays, process) < 1024
 
 
+@pytest.mark.slow
 def test_memory_is_bounded():
     """In NumPy, whose arrays are cut: 1,000 lines, noisy inputs, an unknown gain, the best 6 of 250 candidates.
 

@@ -115,6 +115,7 @@ def test_two_rigs_with_the_same_decay_are_both_told(seed: int) -> None:
         assert estimate.fit.chi2 == pytest.approx(identify(model, data, home).fit.chi2, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "number"), [(5, 1), (4, 8), (5, 12)])
 def test_modes_that_hardly_show_lead_no_search_astray(count: int, number: int) -> None:
     """Subspaces of these records have other modes; searches from there ended 8 to 74 standard deviations off."""

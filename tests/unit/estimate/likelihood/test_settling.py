@@ -41,6 +41,7 @@ def test_transients_that_no_dwell_shows_are_found_by_all_together() -> None:
     assert away(identify_with_noise(MODEL, given)[0]) < 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slope", [False, True])
 def test_loads_that_explain_nothing_are_left_out_together(slope: bool) -> None:
     records = stepped(0.05, periods=1.5, settle=4.0, seed=2)
@@ -67,6 +68,7 @@ def test_what_has_too_few_samples_for_its_loads_is_said_to_count_as_settled() ->
     assert len(said.of) == 5
 
 
+@pytest.mark.slow
 def test_dwells_of_ten_samples_have_transients_and_frequencies_too() -> None:
     """Eight draws, 0.2 % noise: 40 intervals, of which five count as two, 95 ± 3 · 5.4 %.
 

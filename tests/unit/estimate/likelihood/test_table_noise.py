@@ -35,6 +35,7 @@ def table(sd: Real, seed: int, noise: bool = False) -> Spectrum:
     return replace(CLEAN, amplitudes=amplitudes, covariance=given, noise=("given",) * LINES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_estimates_are_as_good_as_with_the_noise_given(kind: str) -> None:
     """50 draws of six parameters: coverage to 1.3 % if they were independent, 3 % as they are; the ratio to 5 %.

@@ -194,6 +194,7 @@ def study() -> tuple[Rig, dict[str, object]]:
     return rig, {name: identify(rig.model, spectrum, method(name)) for name in ("wls", "tls", "cls")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tls", "cls"])
 def test_bias_is_gone_where_weighted_least_squares_has_it(study, name: str) -> None:
     """Measured: 0.09 of the spread with tls, 0.15 with cls, 1.09 with wls in its worst parameter (each ± 0.02)."""

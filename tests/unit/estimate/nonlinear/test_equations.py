@@ -36,6 +36,7 @@ def test_exact_harmonics_give_the_parameters_back(method, within):
     assert np.max(np.abs(estimate.values / theta - 1)) < within
 
 
+@pytest.mark.slow
 def test_the_noise_of_the_equation_is_that_of_draws():
     model, theta = rig()
     exact = settled(model, theta, ALL, FREQUENCIES[:4])

@@ -100,6 +100,7 @@ def test_exact_inputs_stay_exact_to_the_bit() -> None:
     assert "exact" in note.text
 
 
+@pytest.mark.slow
 def test_noise_of_the_input_is_told_and_widens_the_intervals() -> None:
     test = cubic(400)
     record = test.noisy(0.01, 0.03, 6)

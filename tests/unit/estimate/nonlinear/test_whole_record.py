@@ -73,6 +73,7 @@ def test_first_values_are_exact_with_a_dozen_samples_a_period():
     assert first[:2] == pytest.approx([rate**2 + decay**2, 2 * decay], rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_decay_on_a_bilinear_spring_starts_near_the_truth():
     """What constants of the grid leave had been laid to noise of the motion, and a negative mass was the result."""
     m, k, c = np.array([1.485, 1.42, 1.209]), (799.0, 979.0, 635.0), (1.81, 1.09, 1.08)

@@ -43,6 +43,7 @@ def pushed(omega, force, orders):
     return Drive(np.array([omega]), np.zeros((1, orders + 1, 0), dtype=complex), f)
 
 
+@pytest.mark.slow
 def test_folds_of_a_duffing_oscillator_stand_where_one_harmonic_has_them():
     """F = (1 − ω² + 3/4 A)² A + c² ω² A − f² = 0 with A = a², and ∂F/∂A = 0 (Nayfeh and Mook 1979, section 4.1)."""
 

@@ -112,6 +112,7 @@ def test_files_cut_off(tmp_path, name):
             same(as_read(path), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_frozen")
 @pytest.mark.parametrize("name", DAMAGED)
 @pytest.mark.filterwarnings("ignore")

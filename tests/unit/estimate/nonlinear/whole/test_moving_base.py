@@ -185,6 +185,7 @@ def test_noise_of_an_acceleration_is_found_where_it_carries_absolute_channels_aw
     assert all(estimate[name].sd < 0.03 * value for name, value in truth.items())
 
 
+@pytest.mark.slow
 def test_a_record_that_was_not_used_is_predicted_and_simulated_ones_are_the_integrators():
     model, truth = rig()
     estimate = fit_records(model, [recorded("r1 r2", noise=0.01)], exact_inputs=True).estimate()
