@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from dashpot.api import identify
 from dashpot.data.conditioning.settings import Conditioning
-from dashpot.data.noise import noise_at_rest
+from dashpot.data.noise import Still
 from dashpot.data.record import Record
 from dashpot.estimate.nonlinear.input_levels import InputSizes, own_noise
 from dashpot.estimate.nonlinear.record_problem import RecordProblem, begun_problem, known_inputs
@@ -118,7 +118,7 @@ def test_noise_of_the_input_is_told_and_widens_the_intervals() -> None:
 def test_a_rig_that_is_linear_after_all_agrees_with_the_whole_records_of_linear_rigs(drive: float) -> None:
     """The same noise at rest for both, in time here and at lines there; a cubic spring of no effect; seeds 2 and 3.
 
-    The record at rest is smoothed over its whole band: what scatter it has would weigh the lines there.
+    What the record at rest shows is taken as white: the scatter of its lines would weigh those there.
     """
     model, theta = chain(1, 0.05, seed=1)
     test = record_of(model, theta, "random", decay_times=25, seed=3)
@@ -127,7 +127,8 @@ def test_a_rig_that_is_linear_after_all_agrees_with_the_whole_records_of_linear_
     sd = np.array([0.02, drive]) * test.size
     record = test.noisy(np.random.default_rng(2), sd)
     rest = sd * np.random.default_rng(3).standard_normal((20 * len(record.time), 2))
-    still = noise_at_rest([Record(record.channels, np.arange(len(rest)) * record.time[1], rest)], 4000)
+    power = np.broadcast_to(4 * np.cov(rest.T) + 0j, (2, 2, 2))
+    still = Still(np.array([0.0, 0.5 / record.time[1]]), power, float(len(rest)))
     lines = identify(model, [record], conditioning=Conditioning(still=still))
     mine = fit_records(nonlinear, [record], still=still).estimate()
     assert np.all(np.abs(mine.values - lines.values) < 0.1 * lines.sd)
