@@ -124,6 +124,13 @@ def freeze(value: object) -> None:
             object.__setattr__(value, name, frozen(array, dtype))
 
 
+class Frozen:
+    """A frozen dataclass whose arrays are read-only."""
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
 def hermitian(matrix: NDArray[Scalar]) -> NDArray[Scalar]:
     """Conjugate transpose of the last two axes."""
     return np.conj(np.swapaxes(matrix, -1, -2))

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from dashpot.arrays import Real, freeze
+from dashpot.arrays import Frozen, Real
 from dashpot.channel import RESERVED_NAMES, Channel, Quantity
 from dashpot.data.conditioning.clock import GAP
 from dashpot.data.readers.amplitudes import amplitude_columns
@@ -69,7 +69,7 @@ class NamedChannel:
 
 
 @dataclass(frozen=True)
-class InspectedColumn:
+class InspectedColumn(Frozen):
     """One column of numbers.
 
     missing     samples that are no finite numbers
@@ -93,9 +93,6 @@ class InspectedColumn:
     bands_hz: Real
     level_db: Real
     decay: float = np.nan
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def bits(self) -> float:

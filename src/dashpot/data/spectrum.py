@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.fft import next_fast_len
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze
+from dashpot.arrays import Bools, Complex, Frozen, Ints, Real, freeze
 from dashpot.channel import Channel
 from dashpot.data.record import calibration
 from dashpot.errors import DataError
@@ -46,7 +46,7 @@ class SettledDwell:
 
 
 @dataclass(frozen=True, eq=False)
-class Unmeasured:
+class Unmeasured(Frozen):
     """Samples of a whole record that one channel has not measured: what is put in for them is off by unknowns.
 
     channel      with what is left of its known gain, sign and delay
@@ -59,9 +59,6 @@ class Unmeasured:
     samples: Ints
     mean: Real
     precision: Real
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def columns(self, omega: Real, record: WholeRecord) -> Complex:
         """Amplitudes at ω (lines,), rad/s, per unit of each unknown: (lines, k)."""
@@ -193,7 +190,7 @@ FITTED = "fitted"  # kind of noise
 
 
 @dataclass(frozen=True)
-class Moments:
+class Moments(Frozen):
     """Second moments Σ_t q qᵀ of the samples, for the methods of the paper that work on samples.
 
     q(t) = (channels in SI units, cos ωt, sin ωt) with offset and drift removed from every entry;
@@ -201,9 +198,6 @@ class Moments:
     """
 
     products: Real
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 @dataclass(frozen=True)
@@ -291,21 +285,14 @@ class Spectrum(InNotebooks):
                 f"frequency {self.frequency_hz[line]} Hz at line {line + 1}",
                 cure="frequencies must be positive and finite",
             )
-        infinite = np.argwhere(np.isinf(self.amplitudes))
-        if len(infinite):
-            line, channel = infinite[0][-2:]
-            raise DataError(
-                f"an infinite amplitude of {names[channel]} at line {line + 1}",
-                cure="what is not measured is NaN",
-            )
-        variance = np.diagonal(self.covariance, axis1=-2, axis2=-1).real
-        negative = np.argwhere(variance < 0)
-        if len(negative):
-            line, channel = negative[0][-2:]
-            raise DataError(
-                f"a negative variance of {names[channel]} at line {line + 1}",
-                cure="covariances are E[Δ Δᴴ]; 0 is exact, NaN unknown",
-            )
+        negative = np.diagonal(self.covariance, axis1=-2, axis2=-1).real < 0
+        for wrong, what, cure in (
+            (np.isinf(self.amplitudes), "an infinite amplitude", "what is not measured is NaN"),
+            (negative, "a negative variance", "covariances are E[Δ Δᴴ]; 0 is exact, NaN unknown"),
+        ):
+            if np.any(wrong):
+                line, channel = np.argwhere(wrong)[0][-2:]
+                raise DataError(f"{what} of {names[channel]} at line {line + 1}", cure=cure)
 
     @property
     def omega(self) -> Real:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dashpot.arrays import Real, freeze
+from dashpot.arrays import Frozen, Real
 from dashpot.channel import Channel
 from dashpot.errors import DataError, ModelError
 from dashpot.estimate.result import Estimate
@@ -19,7 +19,7 @@ INSTEAD = "export its parameters (.csv, .parquet or .m)"
 
 
 @dataclass(frozen=True)
-class IdentifiedRig:
+class IdentifiedRig(Frozen):
     """A model with its channels, values θ (unknowns,) and their covariance (unknowns, unknowns), SI units.
 
     `estimate` is what they come from, where they come from one.
@@ -30,9 +30,6 @@ class IdentifiedRig:
     theta: Real
     covariance: Real
     estimate: Estimate | None = None
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def p(self) -> Real:

@@ -20,7 +20,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze
+from dashpot.arrays import Bools, Complex, Frozen, Ints, Real
 from dashpot.channel import MOTIONS, Quantity
 from dashpot.errors import UsageError
 from dashpot.export.formats import ExportOptions, Written
@@ -170,7 +170,7 @@ class Port:
 
 
 @dataclass(frozen=True)
-class StateSpace:
+class StateSpace(Frozen):
     """ż = A z + B w, y = C z + D w; SI units.
 
     name        of the rig
@@ -196,9 +196,6 @@ class StateSpace:
     covariance: Real
     slopes: tuple[Real, Real, Real, Real]
     shifts: tuple[Real, Real]
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def __repr__(self) -> str:
         names = ", ".join(f"{port.name} ({port.quantity})" for port in self.inputs)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import chdtri, ndtri, stdtr, stdtrit
 
-from dashpot.arrays import Bools, Real, freeze
+from dashpot.arrays import Bools, Frozen, Real
 
 # What stands out in a fleet: rigs that are unlike the others, and parameters that drift from rig to rig.
 #
@@ -29,7 +29,7 @@ FEWEST = 6  # rigs, below which nothing can be said to be usual
 
 
 @dataclass(frozen=True)
-class Usual:
+class Usual(Frozen):
     """One parameter over a fleet: median, robust spread (noise taken out), the noise's rms, and drift.
 
     z (rigs,)      (value − median) / √(spread² + sd²), NaN where there is no value
@@ -49,9 +49,6 @@ class Usual:
     slope: float
     slope_sd: float
     drift_p: float
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def drifts(self) -> bool:
@@ -125,7 +122,7 @@ def _trend(place: Real, y: Real, scale: Real, used: Bools) -> tuple[float, float
 
 
 @dataclass(frozen=True)
-class Population:
+class Population(Frozen):
     """One parameter of a fleet as a population.
 
     mean, mean_sd      μ and its standard deviation, the uncertainty of τ counted
@@ -145,9 +142,6 @@ class Population:
     sd: Real
     lower: Real
     upper: Real
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def pooled(name: str, unit: str, values: Real, sd: Real, used: Bools | None = None) -> Population | None:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze
+from dashpot.arrays import Bools, Complex, Frozen, Ints, Real, freeze
 from dashpot.channel import Channel, Quantity
 from dashpot.data.modal_data import ModalData, of_eigenvalues
 from dashpot.data.noise import smoothed
@@ -53,7 +53,7 @@ STABLE = (
 
 
 @dataclass(frozen=True)
-class Stabilisation:
+class Stabilisation(Frozen):
     """Poles of least-squares fits of growing order: each one's order, frequency, Hz, damping ratio, and whether the
     order below has it too, (poles,)."""
 
@@ -61,9 +61,6 @@ class Stabilisation:
     frequency_hz: Real
     damping_ratio: Real
     stable: Bools
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import fft
 from scipy.special import betaincinv, chdtrc, fdtrc, gammaln
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze
+from dashpot.arrays import Bools, Complex, Frozen, Ints, Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.clock import even_step
 from dashpot.data.conditioning.lines import spectrum as amplitudes_of
@@ -42,7 +42,7 @@ Data = TypeVar("Data", Record, Spectrum)
 
 
 @dataclass(frozen=True)
-class MeasuredResponse:
+class MeasuredResponse(Frozen):
     """H of each pair of output and input, in units of the output over the input, calibrations taken out.
 
     inputs, outputs  channels
@@ -72,9 +72,6 @@ class MeasuredResponse:
     distortion: dict[str, tuple[float, float]] = field(default_factory=dict)
     notes: tuple[Notice, ...] = ()
     records: tuple[RecordLines, ...] = ()
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def __repr__(self) -> str:
         f = self.frequency_hz
@@ -440,7 +437,7 @@ MOST_LINES = 20_000  # of the result
 
 
 @dataclass(frozen=True)
-class RecordLines:
+class RecordLines(Frozen):
     """Lines k/T, k ≥ 1, of one record: peak amplitudes times √N, so that white noise is alike in records of any length.
 
     inputs (lines, nu), outputs (lines, ny), SI units with calibrations taken out.
@@ -451,9 +448,6 @@ class RecordLines:
     outputs: Complex
     duration_s: float
     samples: int
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def record_lines(record: Record, nu: int) -> RecordLines:

@@ -9,7 +9,7 @@ from typing import Literal, Unpack, cast
 import numpy as np
 from scipy.special import bdtrc, chdtrc, fdtr, fdtrc
 
-from dashpot.arrays import Bools, Complex, Real, freeze
+from dashpot.arrays import Bools, Complex, Frozen, Real
 from dashpot.channel import Channel
 from dashpot.data.conditioning.regression import (
     HIGHEST_HARMONIC,
@@ -202,7 +202,7 @@ def _common_step(codes: Real) -> float:
 
 
 @dataclass(frozen=True)
-class HarmonicFit:
+class HarmonicFit(Frozen):
     """The harmonics of one record, x(t) = Re(X e^{jkωt}), t being the record's own time stamps; units of its values.
 
     samples, periods     of the record, periods at frequency_hz
@@ -238,9 +238,6 @@ class HarmonicFit:
     whiteness: Real
     notes: tuple[Notice, ...] = ()
     told: Real = field(default_factory=lambda: np.ones((1, 1)))
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def __call__(self, time: Real) -> Real:
         """The fitted signal at times in s: (..., times, channels)."""

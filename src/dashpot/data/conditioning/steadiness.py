@@ -15,7 +15,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from scipy.special import chdtrc, fdtrc
 
-from dashpot.arrays import Complex, Ints, Real, freeze
+from dashpot.arrays import Complex, Frozen, Ints, Real
 from dashpot.data.conditioning.harmonic_fit import SIGNIFICANT
 from dashpot.data.conditioning.regression import (
     CHUNK,
@@ -149,7 +149,7 @@ SAMPLES = 8  # that a block has on average, at least
 
 
 @dataclass(frozen=True)
-class Blocks:
+class Blocks(Frozen):
     """An offset and a sine in each of some pieces of a dwell, by the samples measured.
 
     starts, ends (pieces,): the first sample of each and the one after its last
@@ -163,9 +163,6 @@ class Blocks:
     squares: Real
     spread: Real
     free: Real
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def rms(self) -> Real:

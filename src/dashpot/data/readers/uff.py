@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real, freeze, frozen
+from dashpot.arrays import Complex, Frozen, Real, freeze, frozen
 from dashpot.channel import Channel
 from dashpot.data.modal_data import ModalData, independent_modes, named_points
 from dashpot.data.readers.arrays import LONG, PIECE, ArrayColumns, Streamed, array_columns, steps
@@ -432,16 +432,13 @@ REAL, COMPLEX = 2, 5  # data types
 
 
 @dataclass(frozen=True)
-class NodalMode:
+class NodalMode(Frozen):
     """One mode: eigenvalue in rad/s, nodes, and shapes (nodes, 3) or (nodes, 6): X, Y, Z (and rotations)."""
 
     eigenvalue: complex
     nodes: tuple[int, ...]
     shapes: Complex
     ids: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def frequency_hz(self) -> float:
