@@ -119,11 +119,6 @@ class Files:
     names: tuple[str, ...]
     contents: tuple[str, ...]
 
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """The files, which are the names."""
-        return self.names
-
     def checksum(self) -> str:
         """Of all files."""
         return fingerprint_of((self.names, self.contents))
@@ -145,11 +140,6 @@ class HeldRows:
     ends: tuple[int, ...]
     columns: Mapping[str, np.ndarray]
     units: Mapping[str, str | None]
-
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """The table, once for each rig."""
-        return (self.source,) * len(self.names)
 
     def checksum(self) -> str:
         """Of all numbers and texts as well, their kinds and units."""
@@ -195,11 +185,6 @@ class ParquetRows:
     ends: tuple[int, ...]
     groups: tuple[tuple[int, str], ...]
     stamp: tuple[int, int]
-
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """The table, once for each rig."""
-        return (self.source,) * len(self.names)
 
     def checksum(self) -> str:
         """Of the row groups, and which rows of them these are."""

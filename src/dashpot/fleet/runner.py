@@ -58,7 +58,7 @@ def identify_block(task: FleetTask) -> Columns:
     Raises DataError if a table cannot be read, or has changed.
     """
     names = [name for part in task.parts for name in part.names]
-    sources = [source for part in task.parts for source in part.sources]
+    sources = [name if isinstance(of, Files) else of.source for of in task.parts for name in of.names]
     columns: Columns = {"name": np.array(names, dtype=object), "source": np.array(sources, dtype=object)}
     columns |= {
         name: np.full(len(names), text, object) for name, text in (("status", "failed"), ("reason", ""))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from dashpot.arrays import Real, freeze
+from dashpot.arrays import Frozen, Real
 from dashpot.check.deficiencies import require_identifiable
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.readers import Reading
@@ -67,7 +67,7 @@ class TrackedChange:
 
 
 @dataclass(frozen=True)
-class Track(Printable):
+class Track(Frozen, Printable):
     """The unknowns of a rig over time.
 
     names, units     of the unknowns, SI
@@ -98,9 +98,6 @@ class Track(Printable):
     false_alarms: float
     given: bool = False
     notes: tuple[Notice, ...] = ()
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def __repr__(self) -> str:
         changed = ", ".join(f"{c.name} {c.relative:+.2%} at {c.time_s:.5g} s" for c in self.changes)
@@ -146,11 +143,8 @@ class Track(Printable):
 
     def save(self, path: str) -> None:
         """A Parquet table with a row for each window; changes are in its metadata.  Raises DataError."""
-        kept = {
-            key: value
-            for key, value in self.to_dict().items()
-            if key in ("changes", "false_alarms", "scatter")
-        }
+        told = self.to_dict()
+        kept = {key: told[key] for key in ("changes", "false_alarms", "scatter")}
         write_table(Path(path), self._columns(), to_json(kept).encode())
 
     def to_dataframe(self) -> Any:
@@ -247,14 +241,13 @@ class Tracker:
             raise UsageError(f"a share of {false_alarms:g} false alarms", cure="give one from 0.2 % to 49 %")
         some = self._kept[-1]
         names = some.names
-        precision, mean = some.precision, some.mean
         windows = Windows(
             np.array([each.start for each in self._kept]) / HOUR,
             np.array([each.end for each in self._kept]) / HOUR,
             np.array([each.values for each in self._kept]),
             np.array([each.information for each in self._kept]),
-            precision,
-            mean,
+            some.precision,
+            some.mean,
         )
         self.require_speed(speed)
         variance: Real | None = None
@@ -264,7 +257,10 @@ class Tracker:
             variance = (share * np.median(windows.values, axis=0)) ** 2
         found = trajectory(windows, false_alarms=false_alarms, variance=variance, seed=self.seed)
         alone_sd = np.array(
-            [np.sqrt(np.diagonal(_inverse(each.information + np.diag(precision)))) for each in self._kept]
+            [
+                np.sqrt(np.diagonal(_inverse(each.information + np.diag(some.precision))))
+                for each in self._kept
+            ]
         )
         changes = []
         for one in sorted(found.changes, key=lambda change: change.time):

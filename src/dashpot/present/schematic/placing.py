@@ -163,7 +163,8 @@ def labels(
     for owner, constant in model.constants:
         text = "?" if constant.value is None else plain(constant.value)
         values[f"{owner.name}.{constant.name}"] = ("unknown" if constant.unknown else "known", text, "")
-    for row in () if estimate is None else parameter_rows(estimate, level):
+    rows = {} if estimate is None else {row.name: row for row in parameter_rows(estimate, level)}
+    for row in rows.values():
         interval = f"{row.low} … {row.high}" if row.low else row.tie
         values[row.name] = ("known" if row.known else "unknown", _with_unit(row.value, row.unit), interval)
     for name in doubtful:
@@ -175,7 +176,6 @@ def labels(
             if number is None:
                 texts[f"{channel.name}.{what}"] = "?"
     if estimate is not None:
-        rows = {row.name: row for row in parameter_rows(estimate)}
         shared = {f"{c.name}.gain": c.unknown_gain.name for c in channels if c.unknown_gain is not None}
         shared |= {f"{c.name}.delay": c.unknown_delay.name for c in channels if c.unknown_delay is not None}
         for name in list(texts):
