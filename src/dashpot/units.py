@@ -167,6 +167,7 @@ _PER_TURN = {"frequency": 1 / (2 * math.pi)}
 # An angle itself must be named: bare 1/s for a rotation speed could be revolutions as well.
 _RADIAN_MAY_LACK = {"force", "mass", "damping", "stiffness", "frequency"}
 QUANTITIES = tuple(dict.fromkeys(quantity for quantity, _ in _QUANTITIES))
+SI_DIMENSIONS = {each.si: each.dimension for each in _QUANTITIES.values() if each.si != "Hz"}  # of factor 1
 
 
 class _UnreadableError(Exception):

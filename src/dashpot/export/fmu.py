@@ -26,29 +26,10 @@ from dashpot.export.identified_rig import IdentifiedRig
 from dashpot.export.state_space import DERIVATIVES, StateSpace, state_space_of
 from dashpot.io.atomic import scratch, write_bytes
 from dashpot.model.observation import observation_model
-from dashpot.units import si_unit
+from dashpot.units import SI_DIMENSIONS, si_unit
 
 SOURCE = "dashpot_fmu.c"
 COMPILERS = ("cc", "gcc", "clang")
-
-# The units that FMI is told, as exponents of kg, m, s and rad
-BASES = {
-    "m": (0, 1, 0, 0),
-    "m/s": (0, 1, -1, 0),
-    "m/s²": (0, 1, -2, 0),
-    "N": (1, 1, -2, 0),
-    "rad": (0, 0, 0, 1),
-    "rad/s": (0, 0, -1, 1),
-    "rad/s²": (0, 0, -2, 1),
-    "N·m": (1, 2, -2, 0),
-    "kg": (1, 0, 0, 0),
-    "s": (0, 0, 1, 0),
-    "N·s/m": (1, 0, -1, 0),
-    "N/m": (1, 0, -2, 0),
-    "kg·m²": (1, 2, 0, 0),
-    "N·m·s/rad": (1, 2, -1, -1),
-    "N·m/rad": (1, 2, -2, -1),
-}
 
 
 def write_fmu(rig: IdentifiedRig, path: str | os.PathLike[str], options: ExportOptions) -> Written:
@@ -190,7 +171,7 @@ def model_description(
 ) -> str:
     """The text of modelDescription.xml."""
     every = variables(rig, system)
-    units = dict.fromkeys(v.unit for v in every if v.unit is not None and v.unit in BASES)
+    units = dict.fromkeys(v.unit for v in every if v.unit is not None and v.unit in SI_DIMENSIONS)
     head = {
         "fmiVersion": "3.0",
         "modelName": printable(rig.model.name or identifier),
@@ -216,15 +197,14 @@ def model_description(
             "causality": variable.causality,
             "variability": variable.variability,
             "description": variable.text,
-            "unit": variable.unit if variable.unit in BASES else None,
+            "unit": variable.unit if variable.unit in SI_DIMENSIONS else None,
             "start": variable.start,
         }
         described.append(f"    {xml_tag('Float64', attributes)}")
     definitions = []
     for unit in units:
-        powers = {
-            base: power for base, power in zip(("kg", "m", "s", "rad"), BASES[unit], strict=True) if power
-        }
+        m, kg, s, rad, *_ = SI_DIMENSIONS[unit]
+        powers = {"kg": kg or None, "m": m or None, "s": s or None, "rad": rad or None}
         definitions.append(f"    {xml_tag('Unit', {'name': unit}, xml_tag('BaseUnit', powers))}")
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
