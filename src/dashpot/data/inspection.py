@@ -14,7 +14,7 @@ import numpy as np
 
 from dashpot.arrays import Frozen, Real
 from dashpot.channel import RESERVED_NAMES, Channel, Quantity
-from dashpot.data.conditioning.clock import GAP
+from dashpot.data.conditioning.clock import FEWEST, GAP
 from dashpot.data.readers.amplitudes import amplitude_columns
 from dashpot.data.readers.columns import (
     Columns,
@@ -40,7 +40,7 @@ from dashpot.units import PIXELS, QUANTITIES
 
 Loaded = TypeVar("Loaded")
 MOST_SAMPLES = 1 << 22  # of a column whose resolution is sought
-FEWEST_FOR_CONTENT, LONGEST_FOR_CONTENT = 16, 1 << 16  # samples of a stretch whose frequency content is shown
+LONGEST_FOR_CONTENT = 1 << 16  # samples of a stretch whose frequency content is shown
 WORDS = {
     Quantity.FORCE: ("force", "load", "kraft", "hammer", "torque"),
     Quantity.ACCELERATION: ("acc", "beschl", "a_"),
@@ -314,7 +314,7 @@ class _Stretch:
 
 def _decay(values: Real, stretches: Sequence[_Stretch]) -> float:
     longest = max(stretches, key=lambda s: s.end - s.begin, default=None)
-    if longest is None or len(values) < longest.end or longest.end - longest.begin < FEWEST_FOR_CONTENT:
+    if longest is None or len(values) < longest.end or longest.end - longest.begin < FEWEST:
         return np.nan
     x = values[longest.begin : longest.end]
     quarter = len(x) // 4
@@ -328,7 +328,7 @@ def _decay(values: Real, stretches: Sequence[_Stretch]) -> float:
 
 def _content(values: Real, stretches: Sequence[_Stretch]) -> tuple[Real, Real]:
     """Power of all stretches in bands from 0 to half the highest sampling rate, dB below the strongest."""
-    shown = [stretch for stretch in stretches if stretch.end - stretch.begin >= FEWEST_FOR_CONTENT]
+    shown = [stretch for stretch in stretches if stretch.end - stretch.begin >= FEWEST]
     if not shown or len(values) < shown[-1].end:
         return np.zeros(0), np.zeros(0)
     highest = max(stretch.rate_hz for stretch in shown) / 2
@@ -337,7 +337,7 @@ def _content(values: Real, stretches: Sequence[_Stretch]) -> tuple[Real, Real]:
     for stretch in shown:
         x = values[stretch.begin : min(stretch.end, stretch.begin + LONGEST_FOR_CONTENT)]
         x = x[np.isfinite(x)]
-        if len(x) < FEWEST_FOR_CONTENT:
+        if len(x) < FEWEST:
             continue
         power = np.abs(np.fft.rfft((x - np.mean(x)) * np.hanning(len(x)))) ** 2 / len(x)
         frequency_hz = np.arange(len(power)) / len(power) * stretch.rate_hz / 2

@@ -21,6 +21,7 @@ import pyarrow as pa
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.readers import Reading
 from dashpot.data.readers.arrow_files import array_of_column, units_of
+from dashpot.data.readers.datafile import PIECE
 from dashpot.data.readers.manifest import files_fitting, is_pattern
 from dashpot.data.readers.text import TextTable, open_table
 from dashpot.data.spectrum import Spectrum
@@ -33,7 +34,6 @@ from dashpot.io.words import choose_from, shown
 from dashpot.model.rigfile import Rig
 from dashpot.study.blocks import digest_of_columns, fingerprint_of
 
-PIECE = 1 << 20  # bytes of a file that are read at once
 ROWS = 1 << 16  # of a Parquet table that are decoded at a time
 CHANGED = "the table has changed while it was read"
 Order = Literal["name", "time", "given"]
@@ -225,14 +225,11 @@ def of_files(paths: Sequence[str]) -> Source:
 
 
 def _checksum(path: str) -> str:
-    digest = hashlib.sha256()
     try:
         with open(noted(path), "rb") as file:
-            while piece := file.read(PIECE):
-                digest.update(piece)
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except (OSError, ValueError) as error:
         return f"unreadable: {error}"
-    return digest.hexdigest()
 
 
 # Tables: their rigs in order, and the row at which each begins.

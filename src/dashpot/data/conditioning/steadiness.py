@@ -27,6 +27,7 @@ from dashpot.data.conditioning.regression import (
 )
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.noise import LEVEL, together
+from dashpot.data.periods import ROUNDING
 from dashpot.data.record import Record, kept
 from dashpot.errors import DataError
 from dashpot.notices import Notice
@@ -39,7 +40,6 @@ MANY_PERIODS = 8  # from which on noise is seen next to a sine and from period t
 # Terms of a regression
 
 
-EXACT = 1e-9  # of a channel's size: what scatters less is rounding
 BESIDE = (1, 2, 3)  # multiples solved for in addition to the fundamental, from 24 samples on
 SLIGHT_DRIFT = 5e-4  # of an amplitude: a drift by less spoils no more than gains are known to
 
@@ -75,7 +75,7 @@ class Nested:
         if np.min(solution.free) < 1:
             return None
         noisy, some = ~solution.exact(), solution.coefficients[:, list(self.columns)]
-        there = np.any(np.abs(some) > EXACT * solution.largest[:, None], axis=1)
+        there = np.any(np.abs(some) > ROUNDING * solution.largest[:, None], axis=1)
         p = np.where(noisy, solution.tails([self.columns])[..., 0], 0.0)
         return np.asarray(p[noisy | there])
 
@@ -395,7 +395,7 @@ def first_to_last(record: Record) -> tuple[Real, Real] | None:
         if np.min(dof) < 1:
             return None
         variance = 2 * rest.spread[0] * rest.squares[0] / dof * (count - 1)
-    noisy = variance > (EXACT * np.max(np.abs(record.values), axis=0)) ** 2
+    noisy = variance > (ROUNDING * np.max(np.abs(record.values), axis=0)) ** 2
     size, F = np.abs(difference[noisy]), np.abs(difference[noisy]) ** 2 / variance[noisy]
     share = size / (np.maximum(np.abs(sines.amplitudes[-1][noisy]), 1e-300) * count * periods)
     slight = SLIGHT if count * periods >= MANY_PERIODS else SLIGHT_DRIFT

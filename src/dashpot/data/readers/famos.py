@@ -50,11 +50,6 @@ class _Group:
     start: float = 0.0
     components: list[_Component] = field(default_factory=list)
 
-    @property
-    def holds_motion(self) -> bool:
-        """Whether there are samples, and not of switches."""
-        return bool(self.components) and self.components[0].size != 0 and self.components[0].kind != DIGITAL
-
 
 def read_famos(file: DataFile) -> Iterator[ArrayColumns]:
     """The channels: those of one length and sampling are a part, one with an abscissa of its own is a part alone.
@@ -92,9 +87,9 @@ def read_famos(file: DataFile) -> Iterator[ArrayColumns]:
     together: dict[tuple[int, float, float], dict[str, Any]] = {}
     units: dict[str, str | None] = {}
     for number, group in enumerate(groups, start=1):
-        if not group.holds_motion:
+        component = group.components[0] if group.components else _Component()
+        if not component.size or component.kind == DIGITAL:
             continue
-        component = group.components[0]
         values = [_values(each, data, blocks, file.name) for each in group.components[:2]]
         name = component.name or f"channel_{number}"
         if len(values) == 2 and len(values[0]) == len(values[1]):

@@ -311,10 +311,7 @@ def slider(length: float) -> Symbol:
 def spring_and_slider(length: float) -> Symbol:
     """A spring in series with dry friction: the Jenkins element."""
     half = length / 2
-    moved = [
-        Stroke(tuple((x + half, y) for x, y in stroke.points), stroke.closed, stroke.filled, stroke.light)
-        for stroke in slider(half)
-    ]
+    moved = (replace(one, points=tuple((x + half, y) for x, y in one.points)) for one in slider(half))
     return [*spring(half), *moved]
 
 
