@@ -13,7 +13,7 @@ from dashpot.channel import Channel
 from dashpot.data.conditioning.clock import within_times
 from dashpot.data.conditioning.drive_frequency import OWN, refine_frequency
 from dashpot.data.conditioning.harmonic_fit import rounding_steps
-from dashpot.data.conditioning.lines import Treated, driven_parts, evened_and_marked, settled_lines
+from dashpot.data.conditioning.lines import driven_parts, evened_and_marked, settled_lines
 from dashpot.data.conditioning.settings import Conditioning
 from dashpot.data.record import Record
 from dashpot.data.spectrum import Spectrum
@@ -408,8 +408,12 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
         cure = "give it; a record without one needs sensors on one clock"
         raise DataError("the drive frequency is not known", source, cure)
     parts, marks = evened_and_marked(joint.parts, settings)
-    parts, cuts = _driven_together(parts, settings)
-    parts, notes = _at_one_frequency(parts, settings), [*marks, *cuts]
+    driven, cuts = driven_parts(parts, settings)
+    if any(len(part.time) < len(of.time) for part, of in zip(driven, parts, strict=True)):
+        # From where the last of them is driven to where the first of them ends
+        start, end = max(part.time[0] for part in driven), min(part.time[-1] for part in driven)
+        driven = [within_times(part, start, end) for part in driven]
+    parts, notes = _at_one_frequency(driven, settings), [*marks, *cuts]
     cells = [replace(part, cell=rounding_steps([part])[0]) for part in parts]
     each = [settled_lines(part, settings, settings.wanted)[0] for part in cells]
     X = np.concatenate([one.amplitudes for one in each], axis=-1)
@@ -431,15 +435,6 @@ def clocked_lines(joint: ClockedRecords, settings: Conditioning) -> Spectrum:
         noise=max((one.noise for one in each), key=lambda noise: "blocks" in noise),
         notes=tuple(dict.fromkeys([*notes, *(note for one in each for note in one.notes)])),
     )
-
-
-def _driven_together(parts: Sequence[Record], settings: Conditioning) -> Treated:
-    """As `driven_parts`, from where the last of them is driven to where the first of them ends."""
-    driven, notes = driven_parts(parts, settings)
-    start, end = max(part.time[0] for part in driven), min(part.time[-1] for part in driven)
-    if any(len(part.time) < len(of.time) for part, of in zip(driven, parts, strict=True)):
-        driven = [within_times(part, start, end) for part in driven]
-    return driven, notes
 
 
 def _at_one_frequency(parts: Sequence[Record], settings: Conditioning) -> Sequence[Record]:

@@ -374,18 +374,14 @@ def _bases(one: _Set, poles: Complex) -> tuple[Complex, Complex]:
     return plain, np.asarray(delta / (1 - np.exp(poles * delta) * one.back[:, None]))
 
 
-def _pairs(one: _Set, poles: Complex) -> list[Complex]:
-    """The same with conjugate poles, per real and imaginary part of the residue: (lines, poles, 2)."""
-    both = zip(_bases(one, poles), _bases(one, np.conj(poles)), strict=True)
-    return [np.stack([a + b, 1j * (a - b)], axis=-1) for a, b in both]
-
-
 def _design(sets: Sequence[_Set], poles: Complex, powers: Sequence[int]) -> list[Complex]:
     """Columns (lines, …) of each set: of each input the residues and the powers, of each record its own ends."""
     records = sum(1 for one in sets if one.step)
     designs, number = [], 0
     for one in sets:
-        plain, ends = _pairs(one, poles)
+        # With conjugate poles, per real and imaginary part of the residue: (lines, poles, 2)
+        both = zip(_bases(one, poles), _bases(one, np.conj(poles)), strict=True)
+        plain, ends = (np.stack([a + b, 1j * (a - b)], axis=-1) for a, b in both)
         lines = len(one.s)
         s = one.s[:, None]
         of_input = np.concatenate([plain.reshape(lines, -1), s ** np.array(powers, dtype=float)], axis=1)

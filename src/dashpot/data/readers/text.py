@@ -714,8 +714,9 @@ def write_rows(
     quoted = any(_QUOTED & set(text) for c in arrays if pa.types.is_string(c.type) for text in c.to_pylist())
     options = pacsv.WriteOptions(include_header=False, quoting_style="needed" if quoted else "none")
     pacsv.write_csv(pa.table(arrays, names=names), sink, options)
-    head = (",".join(_cell(name) for name in header) + "\n").encode()
-    parts = (head, memoryview(sink.getvalue()))
+    # Names in quotes where they must be
+    marked = ('"' + x.replace('"', '""') + '"' if _QUOTED & set(x) else x for x in map(_safe, header))
+    parts = ((",".join(marked) + "\n").encode(), memoryview(sink.getvalue()))
     write_bytes(path, _packed(parts) if Path(path).suffix == ".gz" else parts)
 
 
@@ -725,12 +726,6 @@ def _packed(parts: Iterable[bytes | memoryview]) -> Iterator[bytes]:
     for part in parts:
         yield packer.compress(part)
     yield packer.flush()
-
-
-def _cell(text: str) -> str:
-    """The text as one cell, in quotes where it must be."""
-    text = _safe(text)
-    return '"' + text.replace('"', '""') + '"' if _QUOTED & set(text) else text
 
 
 def _safe(text: str) -> str:
