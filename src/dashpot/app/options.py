@@ -67,19 +67,18 @@ class InputFile(PathType):
 
 
 class OutputFile(PathType):
-    """A file to write; with `new`, one that is there already is not replaced.
+    """A file to write; with `stdout`, - is standard output; with `new`, one that is there already is not replaced.
 
-    With `json`, - is standard output, and what is there and is no JSON is not replaced: it may be a record.  Where
-    there are `formats`, its name ends in one of them.
+    Where there are `formats`, its name ends in one of them.
     """
 
-    def __init__(self, json: bool = False, new: bool = False, formats: Sequence[str] = ()) -> None:
-        self.json, self.new, self.formats = json, new, tuple(formats)
+    def __init__(self, stdout: bool = False, new: bool = False, formats: Sequence[str] = ()) -> None:
+        self.stdout, self.new, self.formats = stdout, new, tuple(formats)
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """The path.  Raises UsageError if it could not be written after the work, or must not be."""
         target = str(value)
-        if self.json and target == STDOUT:
+        if self.stdout and target == STDOUT:
             return target
         if not target or os.path.isdir(target):
             raise UsageError("this is a folder", target or '""', "name a file in it")
@@ -97,10 +96,6 @@ class OutputFile(PathType):
             )
         if self.new and os.path.isfile(target):
             raise UsageError("a file of this name exists", target, "name another file, or remove this one")
-        if self.json and os.path.isfile(target) and os.access(target, os.R_OK):
-            with Path(target).open("rb") as file:
-                if file.read(64).lstrip()[:1] not in (b"", b"{"):
-                    raise UsageError("this file is there and is not JSON", target, "name another file")
         entries = ledger.current()
         if entries is not None:
             entries.claim(target, id(self) if param is None else param.name)
@@ -453,6 +448,11 @@ class GroupedCommand(click.Command):
                 given[name] = hint(**{each.name: given.get(each.name) for each in fields(hint)})
             elif hint is click.Context:
                 given[name] = click.get_current_context()
+        json = given.get("json_out")
+        if json not in (None, STDOUT) and os.path.isfile(json) and os.access(json, os.R_OK):
+            with Path(json).open("rb") as file:  # which may be a record, named where no input was meant
+                if file.read(64).lstrip()[:1] not in (b"", b"{"):
+                    raise UsageError("this file is there and is not JSON", json, "name another file")
         return self.function(**{name: given[name] for name in self.hints})
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -533,7 +533,7 @@ FILES, NEEDED_FILES = (Option("", INPUT_FILE, nargs=-1, required=needed) for nee
 DATA = "Data files of any format, or a manifest (TOML): time records, amplitudes, frequency responses."
 JSON = Option(
     "--json FILE",
-    OutputFile(json=True),
+    OutputFile(stdout=True),
     OUTPUT,
     says="Write {} as JSON; - writes it to stdout instead of the text.",
 )

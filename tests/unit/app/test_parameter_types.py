@@ -156,6 +156,7 @@ def test_a_range_is_by_its_step_in_every_command(dashpot: Command, rig: Path) ->
             done = dashpot(command, "rig.toml", "--set", "m1=3,c1=20,c2=30", *words, text)
             assert done.code == 0, (command, done.err)
             outputs.append(Path("out.csv").read_text(encoding="utf-8"))
+            Path("out.csv").unlink()
         assert len(set(outputs)) == 1, command
 
 

@@ -46,6 +46,8 @@ def test_table_picture_and_json(dashpot: Command, data: Path) -> None:
     alone, beside = json.loads(one.out), content["methods"]["oiv"]
     assert alone.pop("fit").items() >= beside.pop("fit").items()  # identify adds the verdict
     assert alone.pop("rig") == "rig.toml"
+    assert alone.pop("rig_text")
+    assert alone.pop("lines")["channels"].keys() == {"x1", "x2", "u"}
     assert alone == beside
 
 
