@@ -18,7 +18,8 @@ import click
 from click.shell_completion import CompletionItem
 
 from dashpot import quantities
-from dashpot.errors import Problem, UsageError
+from dashpot.app.process import tell
+from dashpot.errors import Problem, UsageError, printable
 from dashpot.estimate.registry import METHODS
 from dashpot.io import ledger
 from dashpot.io.words import PICTURES, chosen_format, names_in
@@ -130,6 +131,12 @@ def write_result(target: str | None, text: str) -> None:
         click.echo(text, nl=False)
     elif target is not None:
         write_text(target, text)
+
+
+def tell_written(*paths: str | None) -> None:
+    """One line that names the files that were written; none where all are None."""
+    if named := [printable(path) for path in paths if path is not None]:
+        tell(f"Written: {', '.join(named)}", err=False)
 
 
 def tell_result(

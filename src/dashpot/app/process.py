@@ -34,12 +34,12 @@ _asked: set[int] = set()  # signals that were raised as exceptions and have had 
 _latest: weakref.ref[Ended] | None = None
 
 
-def tell(line: str) -> None:
-    """A line on stderr, which a terminal shows broken between words, not within them."""
-    if sys.stderr.isatty():
+def tell(line: str, *, err: bool = True) -> None:
+    """A line on stderr (or stdout), which a terminal shows broken between words, not within them."""
+    if (sys.stderr if err else sys.stdout).isatty():
         width = shutil.get_terminal_size().columns
         line = textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False)
-    click.echo(line, err=True)
+    click.echo(line, err=err)
 
 
 class Ended(BaseException):

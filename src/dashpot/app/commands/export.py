@@ -12,7 +12,7 @@ from dashpot.app.data_files import RecordOptions, estimate_and_rig
 from dashpot.app.options import parameter_values
 from dashpot.app.process import tell
 from dashpot.app.workers import progress
-from dashpot.errors import UsageError, printable
+from dashpot.errors import UsageError
 from dashpot.export.formats import ExportOptions, contents, export_rig, format_of
 from dashpot.quantities import Amount
 
@@ -98,7 +98,6 @@ def command(
         written = export_rig(of_rig, out, content, options)
     if quiet:
         return
-    for path in written.paths:
-        click.echo(printable(path))
+    opt.tell_written(*written.paths)
     if written.compiled is False and not no_binary:
         tell("note: no C compiler was found; the FMU contains the source only, which most importers compile")

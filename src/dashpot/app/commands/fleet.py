@@ -13,7 +13,6 @@ from dashpot.app.cli import resumable
 from dashpot.app.data_files import RecordOptions
 from dashpot.app.process import tell
 from dashpot.app.workers import progress, shared_out
-from dashpot.errors import printable
 from dashpot.io.json_document import to_json
 from dashpot.io.ledger import noted
 
@@ -105,6 +104,6 @@ def command(
     opt.write_result(json_out, to_json(summary))
     if not quiet and json_out != opt.STDOUT:
         say(fleet_document(outcome))
-        click.echo(printable(out))
+        opt.tell_written(out)
     if len(outcome.failed) == len(outcome.columns["name"]):
         ctx.exit(opt.NOT_CONVERGED)

@@ -24,7 +24,7 @@ from dashpot.app.data_files import (
 from dashpot.app.process import tell
 from dashpot.app.report_files import ReportFile
 from dashpot.app.workers import progress, shared_out
-from dashpot.errors import DashpotError, DataError, Problem, UsageError, printable
+from dashpot.errors import DashpotError, DataError, Problem, UsageError
 from dashpot.estimate.registry import method_class
 from dashpot.io.atomic import write_text
 from dashpot.io.ledger import noted
@@ -162,9 +162,7 @@ def command(
         _write_applied(read, useful[0], apply)
     if not quiet and json_out != opt.STDOUT:
         _show(read, found, level, matrices, verbose)
-        written = [path for path in (json_out, report.report, figure) if path is not None]
-        if written:
-            click.echo(f"Written: {', '.join(map(printable, written))}")
+        opt.tell_written(json_out, report.report, figure)
     if apply is not None:
         done = (
             f"Written: {apply}, the rig file with {useful[0].change}"

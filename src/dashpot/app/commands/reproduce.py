@@ -9,7 +9,6 @@ import click
 from dashpot.app import options as opt
 from dashpot.app.report_files import ReportFile, write_report
 from dashpot.app.workers import cores, mapping, progress
-from dashpot.errors import printable
 
 
 @opt.dashpot_command("dashpot reproduce yamane1989 --draws 200 --report yamane1989.html")
@@ -48,5 +47,4 @@ def command(
     written = write_reproduction(reproduction, report.report, figures, provenance=how, write=write_report)
     if not quiet:
         say(reproduction_document(reproduction))
-        for name in written:
-            click.echo(printable(name))
+        opt.tell_written(*written)

@@ -13,6 +13,7 @@ import click
 from dashpot.app import options as opt
 from dashpot.app.commands.new import CHAIN, DRIVES, UNKNOWN, WEIGHED, ask_for
 from dashpot.app.data_files import inspected
+from dashpot.app.process import tell
 from dashpot.errors import DashpotError, UsageError
 from dashpot.io.atomic import write_text
 from dashpot.io.toml_document import PLACEHOLDER, inline_texts
@@ -107,14 +108,16 @@ def command(
     text = starter_text(chain)
     write_text(out, text)
     if chain.lacks_scale:
-        click.echo(
+        tell(
             f"No force is measured, so one mass must be known. m1 = {STAND_IN:g} kg in {out} is a PLACEHOLDER: "
-            "replace it with the weighed mass."
+            "replace it with the weighed mass.",
+            err=False,
         )
     if chain.masses > 1:
-        click.echo(
+        tell(
             "The masses are assumed to be in a row, in the order of the columns, the last next to the base. "
-            "Change the file if that is wrong."
+            "If that is wrong, edit `between` in the file.",
+            err=False,
         )
     _tell(out, picture, text, data)
 
@@ -134,7 +137,7 @@ def _write_manifest(
             columns = inline_texts(names)
             lines.append(f"columns = {columns}")
             taken = f"they are taken to be the same channels: {columns}"
-            click.echo(f"The columns of {path} have other names than those of {paths[0]}; {taken}.")
+            tell(f"The columns of {path} have other names than those of {paths[0]}; {taken}.", err=False)
         entries.append("\n".join(lines) + "\n")
     write_text(manifest, "\n".join(entries))
     where = (
@@ -162,9 +165,9 @@ def _tell(out: str, picture: str, text: str, data: Sequence[str]) -> None:
     try:
         require_full_rank(verdict, rig.model, rig.all_channels, out)
         for line in structure_in_words(verdict, [channel.name for channel in rig.channels], None):
-            click.echo(line)
+            tell(line, err=False)
     except DashpotError as error:
         for problem in error.problems:
-            click.echo(f"Cannot be found yet: {problem}")
+            tell(f"Cannot be found yet: {problem}", err=False)
     names = " ".join(f"'{name}'" if " " in name else name for name in data)
-    click.echo(f"Written: {out} and its drawing, {picture}. Next: dashpot identify {out} {names}")
+    tell(f"Written: {out} and its drawing, {picture}. Next: dashpot identify {out} {names}", err=False)

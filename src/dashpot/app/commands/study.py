@@ -13,7 +13,6 @@ from dashpot.app.cli import resumable
 from dashpot.app.data_files import tell_notes
 from dashpot.app.report_files import ReportFile
 from dashpot.app.workers import progress, shared_out
-from dashpot.errors import printable
 
 
 @opt.dashpot_command("dashpot study study.toml", "dashpot study study.toml --draws 200 --out quick")
@@ -72,5 +71,4 @@ def command(
         written.append(report.report)
     if not quiet:
         say(study_document(outcome))
-        for name in [str(Path(folder) / "summary.parquet"), *written]:
-            click.echo(printable(name))
+        opt.tell_written(str(Path(folder) / "summary.parquet"), *written)
