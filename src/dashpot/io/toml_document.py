@@ -293,6 +293,8 @@ def parse_toml(text: str, path: str, error: type[DashpotError], wanted: Wanted) 
     try:
         document = TomlDocument(tomllib.loads(text), text, path)
     except tomllib.TOMLDecodeError as cause:
+        if "(at line 1," in str(cause) and not path.lower().endswith(".toml"):  # data, most likely
+            raise error(f"this is not a {wanted.kind}", path, f"name the {wanted.kind} (TOML) here") from None
         raise error([_syntax_problem(str(cause), text, path)]) from None
     except RecursionError:
         cure = f"a {wanted.kind} needs three levels"

@@ -415,8 +415,8 @@ def findings_in_words(reproduction: Reproduction) -> dict[str, str]:
         "The paper's instrumental variables do not use the data fully": (
             f"CASE-3, 10 %: rms spread of the six parameters {efficiency.iv:.2f} % with iv, {efficiency.oiv:.2f} % "
             f"with oiv, Cramér-Rao bound {efficiency.bound:.2f} %. iv stands at {ratio:.2f} × the bound: it needs "
-            f"{ratio**2:.1f} × the samples that the data need. The optimally weighted form is at {least:.3f} to "
-            f"{largest:.3f} × the bound in the four cases."
+            f"{ratio**2:.1f} times as many samples as the bound asks for. The optimally weighted form is at "
+            f"{least:.3f} to {largest:.3f} × the bound in the four cases."
         ),
         "Table 2 shows one noise draw four times": (
             f"The printed iv errors at 5, 10 and 20 %, divided by the level, agree within {one.disagreement:.0f} % "
@@ -437,7 +437,7 @@ def findings_in_words(reproduction: Reproduction) -> dict[str, str]:
         f"With c1 and c2 known, iv gains on {count - len(worse)} of {count} parameters": (
             f"Spread of iv, 6 unknowns → 4: {spread}. Bound: {bound}. Table 3 finds the accuracy better on "
             f"the whole; its single draw was worse for {joined(fewer.worse_printed) or 'none'}{on_average}. "
-            "Knowing more cannot raise the bound, but it can spoil an estimator that does not weigh its equations."
+            "Knowing more cannot raise the bound, but it can spoil an estimator that does not weight its equations."
         ),
         **_order(reproduction),
         f"{samples.samples:,} samples are {'' if samples.enough else 'not '}enough for 1 %": (

@@ -56,7 +56,11 @@ def read_study(path: str | os.PathLike[str]) -> Study:
 
     Raises UsageError with every problem found, each at file:line and key, DataError if the path is a device.
     """
-    return _Reading(read_toml(path, UsageError, _WANTED)).study()
+    document = read_toml(path, UsageError, _WANTED)
+    if "coordinates" in document.table:
+        cure = "write a study that names it: file = … in [rigs.NAME]"
+        raise UsageError("this is a rig file, not a study", document.path, cure)
+    return _Reading(document).study()
 
 
 # What the tables of a study file hold.

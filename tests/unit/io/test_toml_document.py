@@ -32,3 +32,10 @@ def test_a_key_that_is_missing_is_placed_at_the_table_around_it_or_at_the_file()
     assert str(document.problem(("c",), "missing")) == "f.toml: c: missing"
     assert str(document.problem((), "wrong")) == "f.toml: wrong"
     assert dotted(("a b", 3, "c")) == '"a b"[3].c'
+
+
+def test_data_in_the_place_of_a_rig_file_are_told_so() -> None:
+    for text in ("time_s,x1\n0,1\n", "Frequency\tReal\n"):
+        with pytest.raises(ModelError) as caught:
+            parse_toml(text, "run.csv", ModelError, WANTED)
+        assert str(caught.value) == "run.csv: this is not a rig file; name the rig file (TOML) here"

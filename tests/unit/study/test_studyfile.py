@@ -224,6 +224,12 @@ def test_all_problems_are_told_at_once(folder):
     assert len(caught.value.problems) == 5
 
 
+def test_a_rig_file_in_the_place_of_a_study_is_told_so(folder):
+    with pytest.raises(UsageError, match="this is a rig file, not a study") as caught:
+        parsed(folder, 'coordinates = ["x"]\n[masses]\nm = { at = "x" }\n')
+    assert len(caught.value.problems) == 1
+
+
 @pytest.mark.parametrize("end", range(20, len(STUDY) - 12, 7))
 def test_a_file_cut_short_never_passes_nor_crashes(folder, end):
     """Cut anywhere before its grid is complete, it is refused."""

@@ -153,7 +153,7 @@ def _held(c: int, problem: LineProblem | TimeProblem, step: float) -> FitProblem
 
 def held_words(name: str, step: float) -> Phrase:
     text = f"{name} looks held constant between samples ({1e3 * step:.3g} ms)"
-    cure = f"give {name} as it is between samples, or try delay = {-step / 2:.3g} in its line first"
+    cure = f"first try delay = {-step / 2:.3g} in its line, or give {name} as it is between samples"
     return Phrase(f"{text}. Is it the output of a D/A converter or a simulator?", cure)
 
 

@@ -119,7 +119,11 @@ def read_response(columns: Columns, channels: Sequence[Channel]) -> tuple[Respon
         named = [next(c for c in channels if c not in forces), *forces]
     if len(named) != 2:
         what = f"cannot tell which response this is, of {listed([c.name for c in channels])}"
-        raise DataError(what, columns.source, "name the file after output and input, such as H_a1_f.csv")
+        like = "_".join(
+            c.name for c in (next((c for c in channels if c not in forces), channels[0]), *forces[:1])
+        )
+        cure = f"let the file's name hold those of output and input, such as H_{like}.csv, or rename the channels"
+        raise DataError(what, columns.source, cure)
     pair = named[0].name, named[1].name
     names = [bare(name)[0].strip().lower() for name in columns.header]
     more = {i: names[i] for i in range(len(names)) if names[i] in (*_COHERENCE, *_AVERAGES)}
@@ -222,7 +226,7 @@ def coherent_variance(H: Complex, gamma2: Real, averages: Real | None) -> tuple[
         share = min(float(np.median(bend / np.maximum(expected, 1e-300)) / np.log(2)), 1.0)
     text = (
         "the number of averages behind the coherence is not stated: the noise is estimated from the scatter of "
-        f"neighbouring lines (as of {1 / max(share, 1e-9):.2g} averages); add a column averages"
+        f"neighbouring lines (about {1 / max(share, 1e-9):.2g} averages); add a column averages"
     )
     return share * once, text
 
