@@ -31,6 +31,7 @@ def test_systematic_damage_finds_nothing() -> None:
     assert done.returncode == 0
 
 
+@pytest.mark.slow
 def test_sound_inputs_are_sound() -> None:
     """What is damaged would else be refused for what was wrong before."""
     for name, content in corpus.files().items():

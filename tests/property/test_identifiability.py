@@ -189,6 +189,7 @@ def apart(rng: np.random.Generator) -> Case:
 PLANTED = [parallel, no_scale, idle_leaf, in_series, hidden_mass, on_the_base, all_gains, apart]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plant", PLANTED, ids=lambda plant: plant.__name__)
 def test_planted_deficiencies_are_reported_with_true_directions(
     plant: Callable[[np.random.Generator], Case],

@@ -110,6 +110,7 @@ def test_fundamental_transmissibilities(nominal: str, transmissibility: list[flo
     assert np.abs(line[1:] / line[0]) == pytest.approx(transmissibility, rel=0.007)
 
 
+@pytest.mark.slow
 @needs_recordings
 def test_the_earthquake_record_is_used_whole() -> None:
     # One record, its start and its end anywhere; around the first mode, where the chain is least wrong.  Independent

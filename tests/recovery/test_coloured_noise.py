@@ -96,6 +96,7 @@ def test_block_intervals_cover_where_plain_ones_do_not(extra: float) -> None:
     assert np.mean(estimate.fit.rejected) > 0.95  # and χ² says that those are not to be believed
 
 
+@pytest.mark.slow
 def test_one_record_says_which_interval_to_believe() -> None:
     Y = _clean(_rig())
     coloured = identify(_rig(), spectrum(_one(_records(Y, CORNER, 1)), harmonics=(), drift=0))

@@ -40,6 +40,7 @@ def calibrated(channels: tuple[Channel, ...], k: int) -> tuple[Channel, ...]:
     return (first, *channels[1:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", range(6))
 def test_commands_python_and_a_study_give_one_estimate(k: int, dashpot: Command) -> None:
     rng = np.random.default_rng([2027, k])

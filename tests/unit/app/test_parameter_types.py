@@ -175,6 +175,7 @@ def test_records_are_conditioned_alike_in_every_command() -> None:
         assert conditioning <= taken, name
 
 
+@pytest.mark.slow
 def test_design_after_records_conditions_them_as_identify_does(dashpot: Command, data: Path) -> None:
     """What --settle discards counts as measured in neither."""
     counted = {}

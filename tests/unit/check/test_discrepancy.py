@@ -118,6 +118,7 @@ def test_a_whole_record_of_another_rig_does_not_fit(shaken: WholeTest) -> None:
     assert any(each is not None and each.lower95 > each.within for each in assessment.discrepancy.values())
 
 
+@pytest.mark.slow
 def test_what_is_asked_decides(shaken: WholeTest) -> None:
     data = _whole(shaken, 0.02, 1)
     for within, verdict, codes in ((0.05, "fits", set()), (1e-6, "cannot tell", {"discrepancy_bound"})):

@@ -24,6 +24,7 @@ def fitted() -> tuple[Model, Record, Estimate]:
     return model, data, fit_records(model, [data]).estimate()
 
 
+@pytest.mark.slow
 def test_residuals_are_told_in_parts_of_the_motion(fitted: tuple[Model, Record, Estimate]) -> None:
     """2 % of white noise on 300 samples: rms within 4.1 % (one standard deviation); seed 0."""
     model, data, estimate = fitted

@@ -141,6 +141,7 @@ def test_phases_of_a_rig_are_not_taken_for_an_offset_of_clocks():
             aligned_sensors([first, second], 4.0, 0, "test")
 
 
+@pytest.mark.slow
 def test_a_drive_louder_than_the_shaking_hides_no_clock():
     """Near its resonance a point moves 30 times as much as the shaking, and rests on another offset."""
     for seed in range(2):

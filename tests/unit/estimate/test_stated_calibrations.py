@@ -217,6 +217,7 @@ def test_a_shared_calibration_is_one_unknown_and_same_gain_as_is_the_same() -> N
         assert parse_rig(dashpot.write_rig(read)) == replace(read, path="rig.toml")
 
 
+@pytest.mark.slow
 def test_whole_records_and_dwells_of_samples_know_the_prior() -> None:
     of = rig('gain = { value = 1.02, sd = "1 %" }')
     time = np.arange(4000) / 200

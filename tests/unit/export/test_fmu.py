@@ -64,6 +64,7 @@ def steady_start(system, q, omega):
     return {f"{name}_start": float(value) for name, value in zip(system.states, values, strict=True)}
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.parametrize("variant", ["a damper to the base", "an inerter to the base"])
 def test_it_moves_as_the_rig(tmp_path, variant):

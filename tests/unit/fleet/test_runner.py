@@ -104,6 +104,7 @@ def test_interrupted_resumed_and_in_any_order_it_is_the_same_to_the_bit(
     assert run_fleet(rig, of_files(files), tmp_path / "b").kept == COUNT
 
 
+@pytest.mark.slow
 def test_what_has_changed_is_computed_again(rig: Rig, files: list[str], tmp_path: Path) -> None:
     run_fleet(rig, of_files(files), tmp_path / "b")
     assert run_fleet(rig, of_files(files), tmp_path / "b", Treatment(method="wls")).kept == 0

@@ -347,6 +347,7 @@ def test_samples_that_are_not_measured_bend_no_mode(spoiled: Callable[..., Real]
     assert {note.code for note in found.notes} & {"held_samples", "dropouts", "unclipped"}
 
 
+@pytest.mark.slow
 def test_real_shapes_and_no_modes() -> None:
     rng = np.random.default_rng(5)
     test = TWO.record(TWO.noise(rng, 30.0, 1), rng, 0.02)

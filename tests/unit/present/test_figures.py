@@ -22,6 +22,7 @@ from dashpot.present.figures.interactive import AxisLabel, hover, hover_cells, i
 from dashpot.present.figures.style import limit_axis, svg, write_figure
 
 
+@pytest.mark.slow
 def test_figures_leave_no_settings_behind() -> None:
     before = dict(mpl.rcParams)
     f = np.array([1.0, 2, 5])
@@ -131,6 +132,7 @@ def test_other_figures_carry_nothing() -> None:
     assert "data-panels" not in interactive_svg(figure)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dwells_hz", [[3.08, 5.69, 7.17, 8.0, 10.14, 29.8], [7.0, 7.1, 7.2], [5.0]])
 def test_names_of_dwells_touch_neither_each_other_nor_other_dwells(dwells_hz: list[float]) -> None:
     frequency, count = np.geomspace(0.6, 30, 50), len(dwells_hz)

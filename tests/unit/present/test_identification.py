@@ -227,6 +227,7 @@ def test_where_nothing_is_determined_the_report_says_so() -> None:
         assert text in html
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cubic", [False, True])
 def test_nonlinear_rigs_and_whole_records_need_no_spectrum(good: Estimate, cubic: bool) -> None:
     """Of a nonlinear rig it is said once that the values hold for motions as large as those of the test."""

@@ -104,6 +104,7 @@ def test_without_a_folder_the_result_is_the_same(study, tmp_path):
     assert run_study(study, block=20).columns() == run_study(study, tmp_path / "s", block=20).columns()
 
 
+@pytest.mark.slow
 def test_a_study_grows_on_what_it_has(study, tmp_path):
     run_study(study, tmp_path / "s", block=20)
     more = replace(study, grids=(replace(study.grids[0], draws=100, noise=(0.02, 0.1, 0.2)),))

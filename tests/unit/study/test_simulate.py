@@ -50,6 +50,7 @@ def features(spectrum):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("samples", "periods", "drift"), [(9, 1.3, 1), (7, 1.0, None), (3, 1.0, None), (40, 2.5, 0)]
 )

@@ -114,6 +114,7 @@ REACTION = one_mass(
 )
 
 
+@pytest.mark.slow
 def test_a_reaction_force_is_a_sensor_like_any_other(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -77,6 +77,7 @@ def test_new_asks_again_for_what_is_no_answer(folder, monkeypatch):
     assert rig["channels"]["x3"] == {"of": "x3", "quantity": "acceleration", "unit": "g"}
 
 
+@pytest.mark.slow
 def test_identify_takes_a_manifest_and_its_conditioning(folder):
     WRITERS["TDMS"][1](folder / "test.tdms", recording())
     (folder / "test.toml").write_text('[conditioning]\norders = [1, 2]\n[[files]]\nname = "*.tdms"\n')

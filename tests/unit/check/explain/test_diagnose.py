@@ -407,6 +407,7 @@ def test_a_base_known_far_better_than_its_exchange_with_a_channel_allows_is_no_r
     assert (first.kind, first.of) == ("sign", ("x1",))
 
 
+@pytest.mark.slow
 def test_a_gain_between_the_usual_ones_is_named_where_nothing_else_shows_the_channel():
     """One mass on a shaken base: the gain of its motion is one over that of the base."""
     model = network("x1", "u", "m1@x1=2 k1:x1-u c1:x1-u")
@@ -539,6 +540,7 @@ def test_a_body_whose_resonance_lies_between_two_lines_is_found_where_it_is() ->
     assert first.number == pytest.approx(values["kb"], rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("point", ["bed", "table"])
 def test_a_stated_damper_whose_damping_is_hysteretic_is_replaced_by_that(point: str) -> None:
     """Beside the damper hysteretic damping leaves hundreds of times the noise; no spring stands beside the table's."""

@@ -64,6 +64,7 @@ def rubber_mount(frequencies, orders, amplitude=1e-3):
     return replace(model, elements=model.elements[:-1]), spectrum
 
 
+@pytest.mark.slow
 def test_harmonics_beside_a_fold_call_for_the_element_at_its_place():
     """From the fit of the linear rig, 19 times the noise away, a spring to the ground had promised most."""
     linear, spectrum = rubber_mount(np.arange(3, 12.5, 0.5), (1, 2, 3, 4, 5))

@@ -129,6 +129,7 @@ def test_hysteresis_that_smooth_laws_do_not_describe_is_no_mistake_of_a_channel(
     assert channel_mistakes(drawn.rig.model, data) == ()
 
 
+@pytest.mark.slow
 def test_another_rig_than_the_stated_one_is_no_mistake_of_a_channel() -> None:
     """A spring that is missing, and a mass that is stated at half its value, are for the fit to tell."""
     model, theta, data = record("cubic", SEEN, noise=0.01)

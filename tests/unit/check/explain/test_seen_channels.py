@@ -31,6 +31,7 @@ def measured(law, wrong=None, factor=1.0):
     return model, times(spectrum, wrong, factor)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "wrong", "factor", "kind"), [("gap", "x2", 1000.0, "unit"), ("cubic", "u", 9.80665, "unit")]
 )
@@ -51,6 +52,7 @@ def test_two_channels_exchanged_are_named_first():
     assert (causes[0].kind, causes[0].of) == ("swap", ("x1", "x2"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["cubic", "gap", "coulomb"])
 def test_right_channels_are_not_called_wrong(law):
     """Neither as the rig has them, nor where a spring beside the law has a wrong value."""
@@ -60,6 +62,7 @@ def test_right_channels_are_not_called_wrong(law):
     assert mistakes_by_equation(prepare(stiff, spectrum), 1e4) == ()
 
 
+@pytest.mark.slow
 def test_the_assessment_of_a_fit_that_fails_says_which_channel():
     model, spectrum = measured("cubic", "x2", -1.0)
     estimate = examined(model, spectrum, identify(model, spectrum, "ml"))

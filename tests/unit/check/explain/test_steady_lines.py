@@ -124,6 +124,7 @@ def test_a_mistake_is_named_first(test: WholeTest, driven: str, kind: str) -> No
     assert (findings[0].kind, findings[0].of) == (kind, of)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("driven", DRIVEN)
 def test_a_right_rig_has_no_finding(test: WholeTest, driven: str) -> None:
     records = [test.record] if driven == "at random" else dwells(test.model, test.theta, test.record)

@@ -48,6 +48,7 @@ def test_noise_that_grows_with_the_motion_is_no_misfit(seed: int) -> None:
     assert reasons(identify(rig(), decay(seed), diagnose=True)) <= {"noise_from_residuals"}
 
 
+@pytest.mark.slow
 def test_a_rig_that_is_another_one_does_not_fit_for_all_that() -> None:
     estimate = identify(rig(stated_k1=8400.0), decay(1), diagnose=True)
     assert estimate.assessment.verdict == "does not fit"

@@ -79,6 +79,7 @@ def test_second_moments_of_a_clipped_dwell_from_a_coarse_converter_are_those_of_
     np.testing.assert_allclose(power, 0.5, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_a_clipped_dwell_whose_frequency_is_off_is_put_right_at_its_own() -> None:
     """Stated 2 % off, 30 draws: by the stated frequency amplitudes are up to a fifth off."""
     rng = np.random.default_rng(11)
@@ -247,6 +248,7 @@ def test_what_does_not_clip_or_tells_too_little_stays(kind: str) -> None:
     assert marked([record]) == ([record], [])
 
 
+@pytest.mark.slow
 def test_dwells_of_one_period_and_few_samples_show_that_they_clip() -> None:
     """Sixteen samples, ten of them measured: all had counted as measured, and values were ten deviations off."""
     rng = np.random.default_rng(3)

@@ -55,6 +55,7 @@ def test_equals_textbook_least_squares_on_non_uniform_times(degree, samples):
     )
 
 
+@pytest.mark.slow
 def test_many_samples_with_offset_drift_and_second_harmonic():
     rng = np.random.default_rng(2)
     t, f, X = 17.3 + np.arange(400_000) / 400, 7.7713, np.array([2 - 1j, 0.5 + 0.2j])

@@ -78,6 +78,7 @@ def test_noise_that_dithers_is_left_as_the_residual_shows_it() -> None:
     np.testing.assert_allclose(spectrum(noisy).covariance, spectrum(fine).covariance, rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [1, 2, 4, 64])
 def test_what_a_coarse_converter_rounds_is_known_to_its_cell(steps: float) -> None:
     """60 sines of so many steps from end to end under noise of 0.3 steps: error over stated sd, and what that is.

@@ -84,6 +84,7 @@ def test_a_statement_that_the_data_contradict_is_named(off):
         assert f", {off:.2g} standard deviations away" in words[0]
 
 
+@pytest.mark.slow
 def test_white_noise_is_not_called_coloured():
     """Of 200 samples of white noise, 2 % fail a test of 1 %: one or two of 14 records do so in 25 % of draws.
 

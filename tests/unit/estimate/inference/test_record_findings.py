@@ -50,6 +50,7 @@ def test_few_tones_in_a_long_record_are_related() -> None:
     assert unrelated_inputs(MODEL, long) == []
 
 
+@pytest.mark.slow
 def test_weak_motion_under_noise_is_related() -> None:
     """The output 6 dB below its noise; and of 100 unrelated inputs 1 passes on average, 6 with p = 1e-4."""
     rng = np.random.default_rng(2)

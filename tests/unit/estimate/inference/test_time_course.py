@@ -56,6 +56,7 @@ def changes(measured: Real, predicted: Real) -> tuple[TimeChange, ...]:
     return time_changes(lambda lines, c: (left[lines, c], predicted[lines, c]), of_record, OUTPUTS)
 
 
+@pytest.mark.slow
 def test_noise_changes_nothing_whether_white_or_louder_where_the_motion_is() -> None:
     """100 records of each; the stated chances are 1 in 10,000 and 1 in 1,000,000."""
     rng = np.random.default_rng(5)

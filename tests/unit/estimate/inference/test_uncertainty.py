@@ -67,6 +67,7 @@ def test_repeats_that_do_not_fit_are_widened_as_if_alone() -> None:
     np.testing.assert_array_equal(together.sd[0], together.noise_sd[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("few", [3, 6])
 def test_lines_with_few_blocks_take_the_correlation_of_all_lines(few: int) -> None:
     """Four noisy channels, correlated by 0.9; every other line has `few` blocks, the rest 100.

@@ -167,6 +167,7 @@ def test_on_the_cone_all_matrices_are_definite_and_definite_ones_are_not_touched
     assert np.all(np.max(np.abs(held.values - free.values)[~inside], axis=-1) > 0)
 
 
+@pytest.mark.slow
 def test_on_the_cone_the_likelihood_is_the_largest_that_a_cholesky_parametrisation_finds(weak) -> None:
     """Another way to the same point, from the truth: L of M = LLᵀ … as unknowns (a chain has no fill-in).
 

@@ -159,6 +159,7 @@ def test_no_damping_measured_leaves_masses_and_springs() -> None:
     assert np.allclose(identify_modal(undamped.model, real).values, undamped.theta, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_without_damping_ratios_and_with_real_shapes_dampers_are_not_determined() -> None:
     rig = chain({"c1": 0.0, "c2": 0.0, "c3": 0.0})
     data = replace(measured(rig), damping_ratio=np.full(3, np.nan))
@@ -286,6 +287,7 @@ def frequencies_alone(**springs: dict[str, float]) -> tuple[Rig, ModalData]:
     return rig, replace(measured(rig, points=()), damping_ratio=np.full(3, np.nan))
 
 
+@pytest.mark.slow
 def test_other_rigs_with_the_same_frequencies_are_named() -> None:
     """A chain is not the only one with its frequencies: whatever the seed, one set is the answer, others are told."""
     rig, data = frequencies_alone()

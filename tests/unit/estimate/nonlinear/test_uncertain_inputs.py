@@ -114,6 +114,7 @@ def test_noise_of_the_input_is_told_and_widens_the_intervals() -> None:
     assert "exact_inputs" not in [notice.code for notice in held.warnings]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", [0.003, 0.05])
 def test_a_rig_that_is_linear_after_all_agrees_with_the_whole_records_of_linear_rigs(drive: float) -> None:
     """The same noise at rest for both, in time here and at lines there; a cubic spring of no effect; seeds 2 and 3.
