@@ -210,12 +210,24 @@ class Columns(ABC):
         return replace(self, header=tuple(header), units=tuple(units))
 
     def scale(self, column: int, channel: Channel) -> float:
-        """Factor from the numbers of a column to SI units.
+        """Factor from the numbers of a column to SI units: `scale_of` the unit that the file states for it."""
+        return self.scale_of(self.unit(column), channel)
+
+    def scale_of_response(self, column: int, out: Channel, into: Channel) -> float:
+        """Factor from the numbers of a response, such as (m/s²)/N, to the units that the rig file gives its channels.
+
+        Of a response whose unit is no ratio it is the unit of the output.  Raises DataError as `scale_of`.
+        """
+        unit = self.unit(column) or ""
+        above, below = parts_of_ratio(unit) if are_units(unit) else (unit, "")
+        return self.scale_of(above, out) / out.scale / (self.scale_of(below, into) / into.scale)
+
+    def scale_of(self, unit: str | None, channel: Channel) -> float:
+        """Factor to SI units from a channel's numbers, whose file states a unit.
 
         The unit is the one that the rig file gives the channel; where it gives none, the one of the file.
         Raises DataError if they are not the same, and where the unit is one of another quantity.
         """
-        unit = self.unit(column)
         if unit is None or unit in ("", channel.unit):
             return channel.scale
         if _uncalibrated(unit, channel.quantity.value) is not None:

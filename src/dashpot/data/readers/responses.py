@@ -139,7 +139,8 @@ def read_response(columns: Columns, channels: Sequence[Channel]) -> tuple[Respon
     both = AmplitudeColumns(first, second, phase_factor(columns, second) if polar else None, decibel)
     if polar:
         notes += phase_notices(columns, {"/".join(pair): both}, frequency)
-    H, variance = both.of(values), np.full(len(frequency), np.nan)
+    H = both.of(values) * (1.0 if decibel else columns.scale_of_response(first, *named))
+    variance = np.full(len(frequency), np.nan)
     coherence = [i for i, name in more.items() if name in _COHERENCE]
     if coherence:
         averages = next((values[i] for i, name in more.items() if name in _AVERAGES), None)
@@ -182,18 +183,28 @@ def read_frf(
     values = columns.numbers(list(dict.fromkeys([f_at, *of_pairs, *sd_at.values(), *coherence_at.values()])))
     frequency = values[f_at] * frequency_scale(columns, f_at)
     check_frequency(columns, f_at, frequency)
-    responses = []
+    responses, by_name = [], {channel.name: channel for channel in channels}
+    factor = {
+        pair: 1.0
+        if both.decibel
+        else columns.scale_of_response(both.first, *(by_name[name] for name in pair))
+        for pair, both in at.items()
+    }
     for pair, both in at.items():
-        H, variance = both.of(values), np.full(len(frequency), 0.0 if sd_at or coherence_at else np.nan)
+        H = both.of(values) * factor[pair]
+        variance = np.full(len(frequency), 0.0 if sd_at or coherence_at else np.nan)
         if pair in sd_at:
             sd = values[sd_at[pair]]
             columns.refuse(sd_at[pair], sd < 0, "a standard deviation of {:g}", "0 means exact", sd)
-            variance = sd**2
+            variance = (sd * factor[pair]) ** 2
         elif pair in coherence_at:
             variance, said = _by_coherence(columns, coherence_at[pair], values, H, None, pair)
             notes += said
         responses.append(Response(pair, columns.source, frequency, H, variance))
-    shared = {three: both.of(values) for three, both in together.items()}
+    shared = {
+        three: both.of(values) * factor[three[0], three[2]] * factor[three[1], three[2]]
+        for three, both in together.items()
+    }
     return concatenate(list(joined_responses(responses, channels, experiment, shared))), notes
 
 

@@ -725,6 +725,8 @@ def _part(source: str, number: int, functions: Sequence[NodalFunction]) -> Array
                 raise DataError(f"{column} appears twice", place, "give each function a point of its own")
             columns[column] = numbers
             units[column] = function.unit or None
+            if function.unit and function.reference_unit and function.kind in (FRF, TRANSMISSIBILITY):
+                units[column] = f"({function.unit})/{function.reference_unit}"
     return array_columns(place, columns, units)
 
 

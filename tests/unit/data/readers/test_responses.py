@@ -1,5 +1,6 @@
 """Files of one frequency response each: named by their file, joined, averaged, weighted by the coherence."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,9 @@ from dashpot.arrays import Complex, Real
 from dashpot.channel import Channel, Quantity
 from dashpot.data.readers import read
 from dashpot.data.readers.responses import coherent_variance
+from dashpot.data.readers.uff import FRF, NodalFunction, NodePoint
+from dashpot.data.readers.uff_writer import write_universal_file
+from dashpot.errors import DataError
 from tests.two_masses import HELD
 
 RIG = dashpot.parse_rig(f"""
@@ -57,7 +61,8 @@ def forms(name: str, H: Complex, form: str) -> str:
     if form == "linear and radians":
         return write(name, "Frequency [Hz]\tMagnitude\tPhase [rad]", np.abs(H), np.angle(H))
     if form == "row of units":
-        header = "Frequency\tMagnitude\tPhase\tCoherence\n[Hz]\t[(m/s^2)/N]\t[deg]\t[-]"
+        unit = "g/N" if "a1" in name else "(m/s^2)/N"
+        header = f"Frequency\tMagnitude\tPhase\tCoherence\n[Hz]\t[{unit}]\t[deg]\t[-]"
         return write(name, header, np.abs(H), degrees, np.ones(len(H)))
     return write(name, "Freq\tReal\tImag", H.real, H.imag)
 
@@ -75,6 +80,46 @@ def test_files_are_joined_by_their_names(form: str) -> None:
     estimate = RIG.identify(files, judge=False)
     for name, value in TRUTH.items():
         assert estimate[name].value == pytest.approx(value, rel=1e-4)
+
+
+def of_units(form: str, unit: tuple[str, str]) -> str:
+    """A file of a1 over the hammer in m/s² and N, which states other units where asked."""
+    H = responses()[:, 0] * 9.80665
+    if form == "universal file":
+        function = NodalFunction(FRF, NodePoint("a1"), NodePoint("hammer"), HZ, H, unit[0], unit[1])
+        write_universal_file("h.uff", functions=[function])
+        return "h.uff"
+    if form == "table":
+        rows = "\n".join(f"{f!r},{h.real!r},{h.imag!r}" for f, h in zip(HZ.tolist(), H.tolist(), strict=True))
+        both = ",".join(f"a1/hammer_{part} [({unit[0]})/{unit[1]}]" for part in ("re", "im"))
+        Path("h.csv").write_text(f"frequency_hz,{both}\n{rows}\n", encoding="utf-8")
+        return "h.csv"
+    header = f"Frequency [Hz]\tReal [({unit[0]})/{unit[1]}]\tImag [({unit[0]})/{unit[1]}]"
+    return write("H_a1_hammer.txt", header, H.real, H.imag)
+
+
+@pytest.mark.parametrize("form", ["universal file", "table", "text"])
+def test_units_of_a_response_are_those_of_the_rig_file_or_used_where_it_has_none(form: str) -> None:
+    """m/s² taken for g made every mass, damper and spring wrong by 9.81, and fitted as well."""
+    stated = [
+        Channel("a1", {"x1": 1}, Quantity.ACCELERATION, "m/s²"),
+        Channel("hammer", {"f": 1}, Quantity.FORCE, "N"),
+    ]
+    silent = [replace(channel, unit="") for channel in stated]
+    in_g = [replace(stated[0], unit="g", scale=9.80665), stated[1]]
+    expected = responses()[:, 0] * 9.80665
+    for channels in (stated, silent):
+        lines = read([of_units(form, ("m/s^2", "N"))], channels).amplitudes
+        assert lines is not None
+        np.testing.assert_allclose(lines.amplitudes[:, 0], expected, rtol=1e-6)
+    for unit, factor in ((("mm/s^2", "N"), 1e-3), (("m/s^2", "kN"), 1e-3), (("mm/s^2", "mN"), 1.0)):
+        lines = read([of_units(form, unit)], silent).amplitudes
+        assert lines is not None
+        np.testing.assert_allclose(lines.amplitudes[:, 0], expected * factor, rtol=1e-6)
+    with pytest.raises(DataError, match=r"column a1: in m/s\^2, the rig file says g"):
+        read([of_units(form, ("m/s^2", "N"))], in_g)
+    with pytest.raises(DataError, match="column hammer: in lbf, the rig file says N"):
+        read([of_units(form, ("m/s^2", "lbf"))], stated)
 
 
 def test_scatter_of_repeated_taps_is_the_noise() -> None:
