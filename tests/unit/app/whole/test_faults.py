@@ -17,6 +17,7 @@ from tests.unit.app.commands.test_study import STUDY
 from tests.unit.app.conftest import RIG, Command
 from tests.unit.io.test_atomic import FaultySystem
 
+OLD = b"{}"  # what was there before: JSON, for nothing else is replaced
 KINDS = ("fails", "full", "short", "lies")
 IDENTIFY = ("identify", "rig.toml", "data.csv", "--json", "out", "-q")
 
@@ -32,7 +33,7 @@ def test_old_or_complete(dashpot: Command, data: Path, monkeypatch: pytest.Monke
     before = set(os.listdir())
     failures = 0
     for k in range(1, 40):
-        out.write_bytes(b"old")
+        out.write_bytes(OLD)
         system = FaultySystem(k, kind)
         with monkeypatch.context() as patched:
             patched.setattr(atomic, "os", system)
@@ -45,7 +46,7 @@ def test_old_or_complete(dashpot: Command, data: Path, monkeypatch: pytest.Monke
             assert ran.code == 2, k
             assert len(ran.err) == 1, ran.err
             assert f"{out}: cannot be written" in ran.err[0]
-            assert out.read_bytes() in (b"old", complete), k
+            assert out.read_bytes() in (OLD, complete), k
         if system.count < k:
             break
     else:
