@@ -39,6 +39,7 @@ def test_sound_inputs_are_sound() -> None:
             parse_rig(content.decode(), name)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_recordings_of_labview_are_whole_or_refused(tmp_path: Path) -> None:
     """Its library leaves out, without a word, a segment whose description is cut off."""

@@ -53,6 +53,7 @@ def random_bench(seed: int, most: int = 4, limits: ShakerLimits | None = None) -
     return nominal_setup(rig.model, sensors, rig.theta, limits=limits)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", [0, *(pytest.param(k, marks=pytest.mark.long) for k in range(1, 4))])
 def test_duality_gap_on_random_rigs(block: int) -> None:
     """Below 1e-6 on 5 rigs, 15 more under --long, each for one of the goals; no other frequency gains more.

@@ -45,6 +45,7 @@ def test_amplitudes_give_every_parameter_back(
         assert estimate.converged
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 8), inputs=st.sampled_from(INPUTS))
 @settings(max_examples=30)
 def test_so_they_do_under_a_stated_noise(seed: int, n: int, inputs: tuple[int, int]) -> None:

@@ -132,6 +132,7 @@ def check(text: str) -> None:
         assert problem.cure
 
 
+@pytest.mark.slow
 @given(st.text())
 def test_any_text_gives_a_rig_or_a_model_error(text: str) -> None:
     check(text)

@@ -29,6 +29,7 @@ def test_the_late_sensor_is_named_first(rig_file: str) -> None:
 SCALED = {"sign": ("x1", -1.0), "unit": ("x2", 1000.0)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mistake", ["sign", *(pytest.param(m, marks=pytest.mark.long) for m in ("dwell", "unit", "swap"))]
 )

@@ -381,6 +381,7 @@ def test_a_linear_stand_is_a_regression_of_its_force() -> None:
 FRICTION = 'fc = { between = ["u", "ground"], law = "coulomb", v0 = "unknown" }'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("damper", "named"), [("", "coulomb"), pytest.param(FRICTION, "cubic", marks=pytest.mark.long)]
 )

@@ -23,6 +23,7 @@ FAR = 8.0  # standard deviations from the truth: another valley, not noise
 SLOW = {"third_of_six", "force_at_one_point"}  # a third of a minute each
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make",
     [pytest.param(make, marks=[pytest.mark.long] * (make.__name__ in SLOW)) for make in BENCHES],

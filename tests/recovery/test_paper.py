@@ -71,6 +71,7 @@ def test_the_bound_is_that_of_the_facts(found):
     assert np.allclose(100 * one.bound_sd() / one.theta, summary["iv"].bound)
 
 
+@pytest.mark.slow
 @in_scenarios(SCENARIOS)
 def test_optimal_instruments_sit_on_the_bound(found):
     """Nothing is better than the bound by more than 4 standard errors either: there are eight comparisons."""

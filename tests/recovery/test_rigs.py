@@ -93,6 +93,7 @@ def test_oiv_sits_on_the_bound_and_its_intervals_hold(case: Case) -> None:
         assert abs(np.mean(estimate.fit.p < level) - level) < 4 * sd + 0.002
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case", [CASES[1], *(pytest.param(case, marks=pytest.mark.long) for case in CASES[2:4])], ids=str
 )

@@ -124,6 +124,7 @@ def test_notebooks_get_tables_without_scripts(rig: Rig) -> None:
         assert html.count("<table>") == html.count("</table>") >= 1
 
 
+@pytest.mark.slow
 def test_a_plot_has_a_panel_for_each_response_or_each_unknown(rig: Rig) -> None:
     estimate = rig.identify("data.csv")
     for values, titles in ((False, ["x1 over u", "", "x2 over u", ""]), (True, ["m1", "c1", "c2"])):

@@ -58,6 +58,7 @@ def of_another_rig(data: ModalData) -> ModalData:
     return replace(data, shapes=shapes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mistake", "kind", "of"),
     [

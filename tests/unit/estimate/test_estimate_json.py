@@ -40,6 +40,7 @@ def made_of(kind: str) -> Estimate:
     return rig.identify(list(rig.simulate(VALUES, {"time_s": time, "u": moved}, seed=1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [DWELLS, WHOLE])
 def test_an_estimate_carries_its_rig_and_its_lines(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -83,6 +84,7 @@ def test_an_estimate_carries_its_rig_and_its_lines(
     assert len(again.plot(values=True).axes) == len(again.names)
 
 
+@pytest.mark.slow
 def test_the_report_of_a_read_estimate_has_its_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     again = Estimate.from_json(made_of(WHOLE).to_json())

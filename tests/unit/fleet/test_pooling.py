@@ -55,6 +55,7 @@ def test_the_restricted_likelihood_is_that_of_contrasts() -> None:
     assert found.spread == pytest.approx(best.x, abs=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rigs", "spread"), [(6, 1.0), (30, 0.0), pytest.param(30, 1.0, marks=pytest.mark.long), (30, 4.0)]
 )

@@ -52,6 +52,7 @@ def decays(bench: Bench, rng: np.random.Generator, count: int, seconds: float, n
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("bench", "seconds", "inputs", "records"),
     [pytest.param(TWO, 40.0, 1, 1, marks=pytest.mark.long), (CLOSE, 60.0, 1, 1), (TWO, 20.0, 2, 2)],

@@ -35,6 +35,7 @@ def z_scores(found: MeasuredResponse, truth: Complex) -> Real:
     return np.concatenate([error.real.ravel(), error.imag.ravel()])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("inputs", "seconds"),
     [
@@ -84,6 +85,7 @@ def test_local_models_are_the_textbooks_least_squares() -> None:
     assert np.mean(alike) > 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damping", [0.01, *(pytest.param(each, marks=pytest.mark.long) for each in (0.001, 0.1))]
 )

@@ -71,6 +71,7 @@ def test_known_unknown_and_doubtful_differ_without_colour() -> None:
     assert not shapes["k: spring"].dashed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("end", "head"), [("svg", b"<svg"), ("png", b"\x89PNG"), ("pdf", b"%PDF")])
 def test_files(tmp_path: Path, good: Estimate, end: str, head: bytes) -> None:
     drawing = dashpot.draw(RIG, good)

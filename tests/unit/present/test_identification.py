@@ -299,6 +299,7 @@ def page(request: pytest.FixtureRequest, report: Callable[[str], Report]) -> tup
     return html, json.loads(estimate.to_json())
 
 
+@pytest.mark.slow
 def test_tables_are_those_of_the_json(page: tuple[str, dict[str, Any]]) -> None:
     html, content = page
     of = tables(html)

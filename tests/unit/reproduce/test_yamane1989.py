@@ -82,6 +82,7 @@ def test_eigenvalues_of_many_rigs_are_those_of_each():
     assert np.all(np.isnan(eigenvalues(rig, stiff)) | (eigenvalues(rig, stiff).imag > 0))
 
 
+@pytest.mark.slow
 def test_ranking_is_ordered_by_its_numbers(found):
     for kind in ("relative", "constant"):
         own = [rank for rank in found.ranking if rank.kind == kind]

@@ -56,6 +56,7 @@ def _wait(condition: object, seconds: float) -> bool:
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["SIGTERM", *(pytest.param(each, marks=pytest.mark.long) for each in ("SIGKILL", "SIGINT", "SIGHUP"))],

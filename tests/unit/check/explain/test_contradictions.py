@@ -42,6 +42,7 @@ def in_two(f: Real, y: Complex) -> Complex:
     return np.where(np.arange(len(f)) < 12, 1.0, 1.25).astype(complex)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "kind", "truth"),
     [

@@ -135,6 +135,7 @@ def test_the_change_mends_the_fit_and_the_json_carries_verdict_and_diagnosis_and
     assert "sign = -1" in finding.change
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mistake",
     [
@@ -457,6 +458,7 @@ def test_the_verdict_of_a_record_tells_the_story_of_its_causes() -> None:
     assert "gain_step" not in {notice.code for notice in estimate.warnings}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rig", "kind", "of"),
     [

@@ -33,6 +33,7 @@ def linear_fit(law, orders=(1, 3), amplitude=1e-3):
     return linear, theta, spectrum, identify(linear, spectrum)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "orders", "words", "name"),
     [
@@ -106,6 +107,7 @@ def test_stops_on_one_side_are_told_from_those_on_both_by_even_harmonics_alone()
     assert (first.force_law.text, first.along) == ("one-sided", {"x2": 1.0, "u": -1.0})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "words"),
     [("cubic", "odd, stiffening"), pytest.param("v*abs(v)", "grows with speed", marks=pytest.mark.long)],

@@ -85,6 +85,7 @@ def nonlinear(estimate: Estimate) -> list[Finding]:
     return [finding for finding in estimate.assessment.findings if finding.kind == "nonlinear"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["cubic", *(pytest.param(name, marks=pytest.mark.long) for name in LAWS if name != "cubic")]
 )
@@ -144,6 +145,7 @@ def clipped(x: Real) -> Real:
     return np.clip(x, -1.5 * np.std(x), 1.5 * np.std(x))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mistake",
     [

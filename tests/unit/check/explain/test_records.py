@@ -307,6 +307,7 @@ def held_test(straight: bool) -> tuple[Model, Record]:
     return network("x", "f@x", "m@x k:x-ground c:x-ground"), Record(channels, step * np.arange(count), values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("straight", "word"),
     [
@@ -334,6 +335,7 @@ def recorded(
     return Record(tuple(channels), 4 / rate * np.arange(len(values)), values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.long), 3])
 def test_a_channel_that_a_fit_takes_for_noise_is_looked_at(seed: int) -> None:
     """A velocity declared as a displacement, beside a force that tells the rig: all of it was noise of 100 %."""

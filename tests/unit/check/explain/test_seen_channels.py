@@ -81,6 +81,7 @@ def test_where_no_fit_comes_to_an_end_the_diagnosis_says_which_channel():
     assert (first.kind, first.of) == ("sign", ("x2",))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("factor", "kind"), [(1.07, "gain"), pytest.param(np.exp(0.15j), "delay", marks=pytest.mark.long)]
 )

@@ -95,6 +95,7 @@ MISTAKES = {
 DRIVEN = ["at random", "in dwells"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("driven", "kind"),
     [

@@ -33,6 +33,7 @@ def amplitude(record: Record) -> tuple[complex, float]:
     return complex(lines.amplitudes[0, 0]), float(np.sqrt(lines.covariance[0, 0, 0].real / 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("limit", "periods"),
     [(0.95, 8), (0.8, 2), *(pytest.param(0.8, many, marks=pytest.mark.long) for many in (8, 30))],
@@ -212,6 +213,7 @@ def random_record(limit: float, noise: float, seed: int = 18) -> tuple[Record, R
     return Record(CHANNELS, t, np.stack([np.clip(x, -limit, limit), u], axis=1)), x
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [pytest.param(0.05, marks=pytest.mark.long), 0.5])
 def test_clipped_samples_of_a_whole_record_are_unknown_beyond_the_limit(noise: float) -> None:
     """What is put in is off by as much as is stated, of 40 draws."""

@@ -102,6 +102,7 @@ def test_what_a_coarse_converter_rounds_is_known_to_its_cell(steps: float) -> No
     assert 1.4 < np.mean(over) < 2.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("steps", "noise"), [(1, 0.1), (2, 0.02), pytest.param(4, 0.1, marks=pytest.mark.long)]
 )

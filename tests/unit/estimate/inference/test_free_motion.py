@@ -27,6 +27,7 @@ def judged(model: Model, begin: float, seed: int) -> tuple[str, list[Notice]]:
     return assess(model, spectrum, estimate).verdict, said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_a_decay_that_begins_late_leaves_modes_to_the_noise(seed: int) -> None:
     assert judged(MODEL, 0.0, seed) == ("fits", [])

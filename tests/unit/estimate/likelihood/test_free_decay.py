@@ -90,6 +90,7 @@ def test_a_driven_rig_has_no_free_modes_to_begin_with() -> None:
     assert not len(decay_minima(data, MaximumLikelihood().effort).cost)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in (1, 2, 3))])
 def test_accelerations_of_six_masses_lead_home(seed: int) -> None:
     # From the equation of motion alone two of ten were lost after a minute each.

@@ -82,6 +82,7 @@ def test_parameters_are_as_good_as_with_the_noise_stated(bench: WholeTest) -> No
     assert np.max(np.abs(found.sd / known.sd - 1)) < 0.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "at_rest", [True, pytest.param(False, marks=pytest.mark.long)], ids=["seen at rest", "from all outputs"]
 )

@@ -238,6 +238,7 @@ def test_chi2_is_that_of_the_definite_matrices(weak) -> None:
     np.testing.assert_allclose(held.fit.chi2[~outside], free.fit.chi2[~outside], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_on_the_cone_a_batch_is_its_repeats(weak) -> None:
     """To a ten-thousandth of a standard deviation: cones are scaled by the batch, and the barrier knows their scale."""
     rig, spectrum, free, held = weak

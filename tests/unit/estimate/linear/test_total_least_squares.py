@@ -205,6 +205,7 @@ def test_bias_is_gone_where_weighted_least_squares_has_it(study, name: str) -> N
     assert np.max(np.abs(off.mean(0)) / off.std(0)) > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tls", "cls"])
 def test_spread_against_the_bound(study, name: str) -> None:
     """Nothing beats the bound by more than 3 standard errors (1.6 % each); rms over the unknowns within 12 % of it

@@ -44,6 +44,7 @@ def modes_of(model: Model, seen: list[int], count: int, damped: bool) -> ModalDa
     return independent_modes(points, (hz, 1e-4 * hz), ratios, (phi, np.full(phi.shape, 0.01)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("damping", "held"),
     [

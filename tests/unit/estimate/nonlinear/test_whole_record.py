@@ -196,6 +196,7 @@ def exact_record(law, count):
 FEW_MASSES = [("cubic", 3), ("one-sided", 1)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "count"),
     [

@@ -49,6 +49,7 @@ def by_scipy(model, theta, time, u):
     ).y.T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "substeps", "tolerance"),
     [

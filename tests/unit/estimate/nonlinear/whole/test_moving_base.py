@@ -113,6 +113,7 @@ def recorded(
     return Record((*(CHANNELS[name] for name in names), base), time, noisy)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shown", "law", "options", "guessed"),
     [
