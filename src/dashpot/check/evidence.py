@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Real, freeze
+from dashpot.arrays import Frozen, Real
 from dashpot.channel import Channel
 from dashpot.check.identifiability import structure
 from dashpot.check.profile import Profile, Surface, chi2_surface, profile
@@ -79,7 +79,7 @@ WEAK = 10.0  # times the interval is wider, from which a combination is told
 
 
 @dataclass(frozen=True)
-class Combination:
+class Combination(Frozen):
     """A combination of unknowns that the data hardly see.
 
     names: those that have at least half of their variance from it; direction (names,): relative changes (δθ/θ, s for
@@ -95,12 +95,9 @@ class Combination:
     best: str
     narrowing: float
 
-    def __post_init__(self) -> None:
-        freeze(self)
-
 
 @dataclass(frozen=True)
-class Collinearity:
+class Collinearity(Frozen):
     """Weak combinations, the weakest first, and what each line contributes.
 
     shares (lines, M): part of the information on each unknown (tr C I_l, unknown by unknown; a column sums to 1, less
@@ -111,9 +108,6 @@ class Collinearity:
     combinations: tuple[Combination, ...]
     shares: Real
     idle: tuple[int, ...]
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def collinearity(base: Surface, covariance: Real) -> Collinearity:
@@ -394,7 +388,7 @@ STEP = 1e-4  # of a parameter, in differences of the slope and between identific
 
 
 @dataclass(frozen=True)
-class KnownErrors:
+class KnownErrors(Frozen):
     """dθ̂/dp of each unknown by each known parameter, (known, unknowns), in their units.
 
     Known exactly (`stated` NaN) or with a standard deviation (`stated`), whose value then counts as the prior's.
@@ -407,9 +401,6 @@ class KnownErrors:
     units: tuple[str, ...]
     values: Real
     slopes: Real
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def relative(self) -> Real:

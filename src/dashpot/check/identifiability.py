@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real, freeze, random_generator
+from dashpot.arrays import Complex, Frozen, Real, random_generator
 from dashpot.channel import Channel, Quantity
 from dashpot.check.structure import (
     DRAWS,
@@ -91,7 +91,7 @@ KEPT = 16  # rigs, with their channels and patterns of lines, whose rank is reme
 
 
 @dataclass(frozen=True)
-class Structure:
+class Structure(Frozen):
     """Whether the unknowns ψ (those of the rig, then gains and delays) can be found from the channels.
 
     rank: how many independent combinations can; nominal (M,): ψ at which directions are given;
@@ -106,9 +106,6 @@ class Structure:
     deficiencies: tuple[Deficiency, ...]
     permutation_ambiguities: tuple[tuple[str, str], ...] = ()
     prior_dependent: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def identifiable(self) -> bool:

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from dashpot.arrays import Bools, Real, freeze
+from dashpot.arrays import Bools, Frozen, Real
 from dashpot.data.spectrum import SettledDwell, Spectrum
 from dashpot.errors import DashpotError, DataError, UsageError
 from dashpot.estimate.identify import identify
@@ -118,7 +118,7 @@ CLOSE = 1e-3  # of the root of the rise
 
 
 @dataclass(frozen=True)
-class Profile:
+class Profile(Frozen):
     """The profile of one unknown, in `unit`.
 
     lower, upper      ends of the profile's interval; infinite where χ² never rises enough, the bound where one holds
@@ -140,9 +140,6 @@ class Profile:
     rise: Real
     threshold: float
     improved: bool
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def difference(self) -> float:

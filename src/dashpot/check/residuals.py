@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammainc, gammaincc
 
-from dashpot.arrays import Bools, Complex, Ints, Real, diagonal_matrices, freeze
+from dashpot.arrays import Bools, Complex, Frozen, Ints, Real, diagonal_matrices
 from dashpot.channel import Channel, Quantity
 from dashpot.data.conditioning.lines import UsedDwell
 from dashpot.data.record import calibration, real_factor
@@ -222,7 +222,7 @@ NEAR = np.tan(np.linspace(-1.5, 1.5, 61))
 
 
 @dataclass(frozen=True)
-class FrequencyResponse:
+class FrequencyResponse(Frozen):
     """One channel over the input that drives it.
 
     unit                 of the ratio, "" where both have the same
@@ -243,9 +243,6 @@ class FrequencyResponse:
     curve_deg: Real
     log_sd: Real
     phase_sd_deg: Real
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def responses_of_channels(
@@ -366,7 +363,7 @@ MOST_DWELLS, MOST_CHANNELS = 3, 4
 
 
 @dataclass(frozen=True)
-class DwellHistory:
+class DwellHistory(Frozen):
     """Some channels of one dwell.
 
     time (samples,) s from its first sample, measured (samples, channels) SI without offset; begin, end: of the part
@@ -383,9 +380,6 @@ class DwellHistory:
     end: float
     lines_hz: Real
     amplitudes: Complex
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def predicted(self, time: Real) -> Real:
         """The predicted steady motion at times in s, (times, channels)."""

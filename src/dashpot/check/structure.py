@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze
+from dashpot.arrays import Bools, Complex, Frozen, Ints, Real
 from dashpot.channel import RUNS, Channel, Quantity, channels_of, kind_of
 from dashpot.data.spectrum import Spectrum
 from dashpot.errors import IdentifiabilityError, ModelError, Problem
@@ -152,7 +152,7 @@ def spaced(count: int, least: float, most: float) -> Real:
 
 
 @dataclass(frozen=True, eq=False)
-class LinePattern:
+class LinePattern(Frozen):
     """The lines of a test: which share a frequency, what is measured, what is driven; inputs are (U, f).
 
     frequency (lines,) numbers the distinct frequencies; present (lines, channels); driven (lines, inputs); experiment
@@ -166,9 +166,6 @@ class LinePattern:
     driven: Bools
     conjugates: bool = True
     experiment: Ints | None = None
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @cached_property
     def _numbers(self) -> tuple[object, ...]:
@@ -535,7 +532,7 @@ class LinesAtHand:
 
 
 @dataclass(frozen=True)
-class Deficiency:
+class Deficiency(Frozen):
     """Unknowns that cannot be told apart.
 
     directions    (k, M): δψ at the nominal ψ, in the unknowns' units, that nothing shows
@@ -551,9 +548,6 @@ class Deficiency:
     combinations: Real
     sensors: tuple[Channel, ...] = ()
     lines: LinesAtHand | None = None
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 @dataclass(frozen=True)

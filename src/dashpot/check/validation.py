@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from dashpot.arrays import Bools, Complex, Real, freeze
+from dashpot.arrays import Bools, Complex, Frozen, Real
 from dashpot.check.residuals import calibrations_of, projection
 from dashpot.check.verdict import REJECTED
 from dashpot.data.conditioning.whole_record import FLOOR
@@ -38,7 +38,7 @@ MISSED = 0.8  # FIT below which the data may be wrong, or the rig another one
 
 
 @dataclass(frozen=True)
-class RecordPrediction:
+class RecordPrediction(Frozen):
     """One record (or all settled lines) against what was predicted of it; outputs only.
 
     channels, units  names and SI units
@@ -60,9 +60,6 @@ class RecordPrediction:
     dof: Real
     duration_s: float
     samples: int
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def rms_error(self) -> Real:

@@ -22,7 +22,7 @@ from typing import Literal
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real, freeze
+from dashpot.arrays import Frozen, Ints, Real
 from dashpot.design.test_setup import FrequencyGrid, Schedule, TestSetup
 from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.model.network import Model
@@ -107,7 +107,7 @@ class Criterion:
 
 
 @dataclass(frozen=True)
-class InformationTerms:
+class InformationTerms(Frozen):
     """A criterion over the scenarios of a setup.
 
     weights  (K, scenarios, q): a_ksj; for a determinant (K, scenarios, 1): a_ks
@@ -116,9 +116,6 @@ class InformationTerms:
 
     weights: Real
     block: Ints | None = None
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def unit(self, F: float) -> float:
         """What losses count in: parts of F; of determinants, whose F is a logarithm, 1."""
@@ -515,7 +512,7 @@ def clusters(
 
 
 @dataclass(frozen=True)
-class ExpectedPrecision:
+class ExpectedPrecision(Frozen):
     """What a test will tell, at the nominal values.
 
     sd, relative  (q,)    standard deviations of ψ in SI units, and in parts of the values
@@ -529,9 +526,6 @@ class ExpectedPrecision:
     sd: Real
     covariance: Real
     figure: float
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def relative(self) -> Real:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dashpot.arrays import Bools, Ints, Real, freeze
+from dashpot.arrays import Bools, Frozen, Ints, Real
 from dashpot.channel import Channel
 from dashpot.errors import IdentifiabilityError, UsageError
 from dashpot.model.dynamics import matrices
@@ -42,7 +42,7 @@ class Release:
 
 
 @dataclass(frozen=True)
-class ReleasePlan:
+class ReleasePlan(Frozen):
     """What is advised.
 
     releases   one from each coordinate by itself, the best first
@@ -62,9 +62,6 @@ class ReleasePlan:
     figure: float
     rate_hz: float
     notes: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def content(self) -> dict[str, object]:
         """As plain content for JSON."""

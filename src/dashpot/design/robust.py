@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Complex, Real, freeze, random_generator
+from dashpot.arrays import Complex, Frozen, Real, random_generator
 from dashpot.design.allocation import Criterion, optimise
 from dashpot.design.plan import Budget, Plan, plan, shortest
 from dashpot.design.test_setup import NO_TEST, FrequencyGrid, Schedule, TestSetup
@@ -52,13 +52,10 @@ class UniformBox:
 
 
 @dataclass(frozen=True)
-class GaussianPrior:
+class GaussianPrior(Frozen):
     """The unknowns are normal about their values with this covariance (unknowns, unknowns), SI units."""
 
     covariance: Real
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def draw(self, nominal: Real, count: int, rng: np.random.Generator) -> Real:
         """Scenarios, (count, unknowns), cut at 2.5 standard deviations and at a tenth of the value."""

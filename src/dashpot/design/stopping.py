@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dashpot.arrays import Ints, Real, freeze
+from dashpot.arrays import Frozen, Ints, Real
 from dashpot.channel import Channel
 from dashpot.data.noise import constant_and_share
 from dashpot.data.spectrum import Spectrum
@@ -130,7 +130,7 @@ def amplitude_from(model: Model, spectrum: Spectrum) -> float | None:
 
 
 @dataclass(frozen=True)
-class SequentialEstimates:
+class SequentialEstimates(Frozen):
     """Estimates as data come in.
 
     samples  (steps,)           samples behind each estimate
@@ -142,9 +142,6 @@ class SequentialEstimates:
     samples: Ints
     values: Real
     sd: Real
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def relative(self) -> Real:

@@ -16,7 +16,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real, freeze, frozen, hermitian, is_diagonal
+from dashpot.arrays import Complex, Frozen, Ints, Real, freeze, frozen, hermitian, is_diagonal
 from dashpot.channel import Channel
 from dashpot.errors import DataError, ModelError, UsageError
 from dashpot.estimate.nonlinear.objective import FEWEST, DwellLines, NonlinearPart, WarmStart, evaluate
@@ -604,15 +604,12 @@ def natural_band(setup: TestSetup, rate: float | None = None) -> tuple[float, fl
 
 
 @dataclass(frozen=True)
-class Schedule:
+class Schedule(Frozen):
     """A test as the information sees it: frequency, pattern of the drive and samples of each line; () is none."""
 
     frequency_hz: Real
     pattern: Ints
     samples: Real
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def information(self, setup: TestSetup) -> Real:
         """Of all lines together, (scenarios, q, q)."""

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dashpot.arrays import Complex, Ints, Real, freeze
+from dashpot.arrays import Complex, Frozen, Ints, Real
 from dashpot.channel import Channel
 from dashpot.io.json_document import nullable
 from dashpot.model.elements import Element
@@ -83,7 +83,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Residuals:
+class Residuals(Frozen):
     """Measured against predicted, SI units.
 
     channels, units       names, and SI units of their amplitudes
@@ -115,9 +115,6 @@ class Residuals:
     inputs: Complex
     scaled: bool
     transients: bool = False
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def compared(self) -> list[int]:
         """Places of the channels that can be compared with a prediction."""

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import chdtrc
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze, hermitian, zeros_for_nan
+from dashpot.arrays import Bools, Complex, Frozen, Ints, Real, hermitian, zeros_for_nan
 from dashpot.data.modal_data import ModalData
 from dashpot.data.noise import LEVEL
 from dashpot.errors import ConvergenceError, DataError, IdentifiabilityError, UsageError
@@ -404,7 +404,7 @@ def random_rigs(
 
 
 @dataclass(frozen=True)
-class ModeResiduals:
+class ModeResiduals(Frozen):
     """Measured minus the rig's, of one set of modes; NaN where not measured, where the rig has no such mode
     and where a shape is one point.
 
@@ -418,9 +418,6 @@ class ModeResiduals:
     shape: Complex
     sd: Real
     measured: Complex
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def mode_residuals(model: Model, data: ModalData, theta: Real) -> ModeResiduals:

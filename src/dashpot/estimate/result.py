@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze, frozen
+from dashpot.arrays import Bools, Complex, Frozen, Ints, Real, frozen
 from dashpot.errors import DataError, ModelError, Problem, UsageError
 from dashpot.estimate.assessment import Assessment, assessment_from
 from dashpot.estimate.method import HeldBounds, OtherMinima
@@ -205,7 +205,7 @@ class Value:
 
 
 @dataclass(frozen=True)
-class ModeValues:
+class ModeValues(Frozen):
     """Modes of the estimated rig, in order of |λ|.
 
     eigenvalues     λ, 1/s, (modes,)
@@ -221,9 +221,6 @@ class ModeValues:
     frequency_sd: Real
     damping_sd: Real
     shapes: Complex
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 @dataclass(frozen=True)
@@ -308,7 +305,7 @@ class Cycle:
 
 
 @dataclass(frozen=True)
-class Estimate(Printable):
+class Estimate(Frozen, Printable):
     """Values of the unknowns with their full covariance; every array may have leading batch axes.
 
     model, method       names of the rig and of the estimator
@@ -370,9 +367,6 @@ class Estimate(Printable):
     origin: Origin | None = field(default=None, repr=False, compare=False)
     stated: tuple[tuple[str, float, float], ...] = ()
     cycles: tuple[Cycle, ...] = ()
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def __repr__(self) -> str:
         """One line: method, status and values."""

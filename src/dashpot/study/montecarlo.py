@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from dashpot.arrays import Bools, Real, freeze
+from dashpot.arrays import Bools, Frozen, Real
 from dashpot.errors import DashpotError, UsageError
 from dashpot.estimate.automatic import identify_each, identify_with_noise
 from dashpot.estimate.result import Estimate
@@ -49,7 +49,7 @@ SUMMARISED = (
 
 
 @dataclass(frozen=True)
-class Repeats:
+class Repeats(Frozen):
     """What one method made of the repeats of one scenario.
 
     values     (draws, unknowns)  estimates
@@ -64,9 +64,6 @@ class Repeats:
     half: Real
     converged: Bools
     p: Real
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def good(self) -> Bools:

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import chdtrc
 
-from dashpot.arrays import Bools, Complex, Ints, Real, freeze
+from dashpot.arrays import Bools, Complex, Frozen, Ints, Real
 from dashpot.errors import ModelError
 from dashpot.estimate.likelihood.maximum_likelihood import MaximumLikelihood
 from dashpot.estimate.linear.gram import (
@@ -235,7 +235,7 @@ BARRIER = 1e-6  # of χ², for each row of the matrices: what keeping off the ed
 
 
 @dataclass(frozen=True)
-class FreeMatrices:
+class FreeMatrices(Frozen):
     """M, C, K, and the joint covariance of their entries, SI units.
 
     coordinates  of rows and columns, in order
@@ -250,9 +250,6 @@ class FreeMatrices:
     K: Real
     entries: tuple[tuple[Letter, int, int], ...]
     covariance: Real
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def sd(self, letter: Letter) -> Real:
         """Standard deviations of a matrix's entries, (..., n, n); 0 where known."""
