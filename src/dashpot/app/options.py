@@ -456,10 +456,10 @@ class GroupedCommand(click.Command):
             elif hint is click.Context:
                 given[name] = click.get_current_context()
         json = given.get("json_out")
-        if json not in (None, STDOUT) and os.path.isfile(json) and os.access(json, os.R_OK):
-            with Path(json).open("rb") as file:  # which may be a record, named where no input was meant
-                if file.read(64).lstrip()[:1] not in (b"", b"{"):
-                    raise UsageError("this file is there and is not JSON", json, "name another file")
+        if json not in (None, STDOUT):
+            from dashpot.io.atomic import require_json_or_nothing
+
+            require_json_or_nothing(json)
         return self.function(**{name: given[name] for name in self.hints})
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:

@@ -211,6 +211,14 @@ _NO_TERMINAL = getattr(os, "O_NOCTTY", 0)
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 
+def require_json_or_nothing(path: str) -> None:
+    """Raises UsageError if a file is there that holds something else, such as a record named where none was meant."""
+    if os.path.isfile(path) and os.access(path, os.R_OK):
+        with open(path, "rb") as file:
+            if file.read(64).lstrip()[:1] not in (b"", b"{"):
+                raise UsageError("this file is there and is not JSON", path, "name another file")
+
+
 def write_text(path: ledger.AnyPath, text: str) -> None:
     """Write a text file, UTF-8.  Raises as `write_bytes`.
 
