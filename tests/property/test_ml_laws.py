@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dashpot.channel import Channel, Quantity
@@ -18,6 +18,7 @@ from tests.partly_seen import Bench
 from tests.rigs import channels, covariance, noisy, random_rig
 
 D, V, A, F = Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION, Quantity.FORCE
+STEP = 2.5e-5  # of a value, in differences of the fourth order
 INPUTS = ((1, 0), (2, 0), (0, 1), (0, 2), (1, 1))
 seeds = st.integers(0, 2**32 - 1)
 
@@ -63,6 +64,7 @@ def drives(model):
     return {*model.displacement_inputs, *model.force_inputs}
 
 
+@example(seed=214101001, n=1, inputs=(1, 1))  # a narrow resonance, across which steps of 1e-4 are too wide
 @given(seed=seeds, n=st.integers(1, 6), inputs=st.sampled_from(INPUTS))
 @settings(max_examples=40)
 def test_slopes_of_the_likelihood(seed, n, inputs):
@@ -82,12 +84,12 @@ def test_slopes_of_the_likelihood(seed, n, inputs):
     slope = np.empty(len(scale))
     for j, value in enumerate(psi[0]):
         # A step small against the value and against what changes the cost by itself.
-        h = np.eye(len(scale))[j] * 1e-4 * abs(value)
+        h = np.eye(len(scale))[j] * STEP * abs(value)
         ends = [local(view, given_data, psi + k * h, sign).cost[0] for k in (-2, -1, 1, 2)]
         slope[j] = (8 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / (12 * h[j])
     expected = -2 * here.gradient[0] * scale
     # Rounding of the cost itself limits the differences.
-    rounding = 1e-13 * here.cost[0] / (1e-4 * np.abs(psi[0])) * scale
+    rounding = 1e-13 * here.cost[0] / (STEP * np.abs(psi[0])) * scale
     assert np.all(np.abs(slope * scale - expected) <= 1e-6 * np.max(np.abs(expected)) + 10 * rounding)
 
 
