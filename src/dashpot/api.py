@@ -645,9 +645,10 @@ def with_exact_values(estimate: Estimate, changes: Mapping[str, float | str]) ->
         assessment=None,
         cycles=(),
     )
-    if estimate.origin is None and estimate.rig_text is None:
+    carried = changed.carried_rig()
+    if carried is None:
         return changed
-    model = _rig_of(changed).model
+    model = _rig_of(changed, carried).model
     m = len(model.unknowns)
     return replace(changed, modes=linear_modes(model, changed.values[:m], changed.covariance[:m, :m]))
 
@@ -960,11 +961,8 @@ def _of_rig(
 def _rig_of(estimate: Estimate | None, rig: Rig | None = None) -> Rig:
     """The rig that an estimate was made of, or is said to be of, with the known values of the estimate."""
     if rig is None and estimate is not None:
-        if estimate.origin is not None:
-            rig = estimate.origin.rig
-        elif estimate.rig_text is not None:
-            rig = parse_rig(estimate.rig_text, estimate.rig or "rig.toml")
-        elif estimate.rig is not None:
+        rig = estimate.carried_rig()
+        if rig is None and estimate.rig is not None:
             rig = read_rig(estimate.rig)
     if estimate is None or rig is None:
         raise UsageError("the estimate does not name its rig file", cure="give the rig as well")

@@ -262,13 +262,14 @@ def estimate_and_rig(path: str, rig: str | None) -> tuple[Estimate, Rig]:
     Raises DataError or UsageError.
     """
     from dashpot.estimate.result import Estimate
-    from dashpot.model.rigfile import parse_rig, read_rig
+    from dashpot.model.rigfile import read_rig
 
     estimate = Estimate.load(path)
     if rig is not None:
         return estimate, read_rig(rig)
-    if estimate.rig_text is not None:
-        return estimate, parse_rig(estimate.rig_text, estimate.rig or "rig.toml")
+    carried = estimate.carried_rig()
+    if carried is not None:
+        return estimate, carried
     if estimate.rig is None:
         raise UsageError(f"{path} does not name its rig file", cure="give it with --rig")
     for candidate in (Path(estimate.rig), Path(path).parent / estimate.rig):

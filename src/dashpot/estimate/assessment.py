@@ -11,7 +11,7 @@ import numpy as np
 
 from dashpot.arrays import Complex, Frozen, Ints, Real
 from dashpot.channel import Channel
-from dashpot.io.json_document import nullable
+from dashpot.io.json_document import numbers_of
 from dashpot.model.elements import Element
 from dashpot.model.network import Model
 from dashpot.notices import Notice
@@ -141,8 +141,7 @@ class Residuals(Frozen):
 
     def content(self) -> dict[str, Any]:
         """As the JSON of an estimate has it, to 7 digits."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            off = np.abs((self.measured - self.predicted) / self.normalised)
+        off = np.where(np.isfinite(self.normalised), np.sqrt(self.variance / 2), np.nan)
         channels = {
             name: {
                 "unit": unit,
@@ -177,8 +176,7 @@ def residuals_from(content: Mapping[str, Any]) -> Residuals:
     frequency_hz = np.array(content["frequency_hz"], dtype=float)
 
     def table(entries: Sequence[Sequence[Any]]) -> Real:
-        rows = [[nullable(value) for value in entry] for entry in entries]
-        return np.array(rows).reshape(len(rows), len(frequency_hz)).T
+        return np.array([*map(numbers_of, entries)]).reshape(len(entries), len(frequency_hz)).T
 
     def both(entries: Sequence[Mapping[str, Any]]) -> Complex:
         return table([each["re"] for each in entries]) + 1j * table([each["im"] for each in entries])

@@ -16,10 +16,9 @@ from dashpot.arrays import Bools, Complex, Frozen, Ints, Real, frozen
 from dashpot.errors import DataError, ModelError, Problem, UsageError
 from dashpot.estimate.assessment import Assessment, assessment_from
 from dashpot.estimate.method import HeldBounds, OtherMinima
-from dashpot.io.json_document import from_json, nullable, optional_library, to_json
+from dashpot.io.json_document import from_json, nullable, numbers_of, optional_library, to_json
 from dashpot.io.ledger import noted
 from dashpot.io.words import listed, shown
-from dashpot.model.rigfile.writer import write_rig
 from dashpot.notices import Notice
 from dashpot.numerics.small_systems import standard_deviations
 from dashpot.quantities import LARGEST
@@ -555,6 +554,17 @@ class Estimate(Frozen, Printable):
         if self.values.ndim != 1:
             raise UsageError("this is a batch of estimates", cure="use to_xarray, or choose one of them")
 
+    def carried_rig(self) -> Rig | None:
+        """The rig that it was made of, or that its JSON held; None where at most the name of a rig file is known.
+
+        Raises ModelError if the text of that rig is damaged.
+        """
+        if self.origin is not None or self.rig_text is None:
+            return None if self.origin is None else self.origin.rig
+        from dashpot.model.rigfile import parse_rig
+
+        return parse_rig(self.rig_text, self.rig or "rig.toml")
+
     def to_state_space(self, rig: Any = None, **options: Any) -> StateSpace:
         """State space of `rig`, or of the rig file that the estimate names: `dashpot.state_space`."""
         return cast("StateSpace", call("state_space", self, rig, **options))
@@ -811,6 +821,8 @@ def _rig_text(estimate: Estimate) -> str | None:
     """The rig as a rig file; None where that would not be all of it."""
     if estimate.origin is None:
         return estimate.rig_text
+    from dashpot.model.rigfile import write_rig
+
     with suppress(ModelError):
         return write_rig(estimate.origin.rig)
     return None
@@ -833,8 +845,8 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         np.array([complex(*row["eigenvalue"]) for row in rows]),
         np.array([row["frequency_hz"] for row in rows], dtype=float),
         np.array([row["damping_ratio"] for row in rows], dtype=float),
-        _numbers([row["frequency_sd"] for row in rows]),
-        _numbers([row["damping_sd"] for row in rows]),
+        numbers_of([row["frequency_sd"] for row in rows]),
+        numbers_of([row["damping_sd"] for row in rows]),
         np.array([[complex(*z) for z in row["shape"]] for row in rows]),
     )
     warnings = _notices(content, "warnings", "codes", "concerns")
@@ -850,14 +862,14 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
         method=content["method"],
         names=names,
         units=tuple(entry["unit"] for entry in unknowns),
-        values=_numbers([entry["value"] for entry in unknowns]),
+        values=numbers_of([entry["value"] for entry in unknowns]),
         covariance=_covariance(content["covariance"], [entry["sd"] for entry in unknowns]),
         noise_covariance=_covariance(content["noise_covariance"], [entry["noise_sd"] for entry in unknowns]),
-        bound_sd=_numbers([entry["bound_sd"] for entry in unknowns]),
-        dof=_numbers([entry["interval_dof"] for entry in unknowns], math.inf),
-        lower=_numbers([entry.get("min") for entry in unknowns], -math.inf),
-        upper=_numbers([entry.get("max") for entry in unknowns], math.inf),
-        free_values=_numbers([entry.get("without_limits", entry["value"]) for entry in unknowns]),
+        bound_sd=numbers_of([entry["bound_sd"] for entry in unknowns]),
+        dof=numbers_of([entry["interval_dof"] for entry in unknowns], math.inf),
+        lower=numbers_of([entry.get("min") for entry in unknowns], -math.inf),
+        upper=numbers_of([entry.get("max") for entry in unknowns], math.inf),
+        free_values=numbers_of([entry.get("without_limits", entry["value"]) for entry in unknowns]),
         basis=content["intervals_count"],
         converged=np.asarray(content["status"] == "converged"),
         iterations=np.asarray(content["iterations"], dtype=np.int64),
@@ -888,13 +900,8 @@ def estimate_from(content: Mapping[str, Any]) -> Estimate:
     )
 
 
-def _numbers(values: Sequence[Any], missing: float = math.nan) -> Real:
-    """Numbers, some of which may be null."""
-    return np.array([nullable(value, missing) for value in values])
-
-
 def _rows(rows: Sequence[Sequence[Any]]) -> Real:
-    return np.array([[nullable(value) for value in row] for row in rows])
+    return np.array([*map(numbers_of, rows)])
 
 
 def _covariance_rows(covariance: Real) -> list[list[float]] | None:
@@ -906,7 +913,7 @@ def _covariance_rows(covariance: Real) -> list[list[float]] | None:
 
 def _covariance(rows: Sequence[Sequence[Any]] | None, sd: Sequence[Any]) -> Real:
     """A covariance of a file; where it was left out, the variances alone."""
-    return np.diag(_numbers(sd) ** 2) if rows is None else _rows(rows)
+    return np.diag(numbers_of(sd) ** 2) if rows is None else _rows(rows)
 
 
 def _notices(content: Mapping[str, Any], texts: str, codes: str, concerns: str) -> tuple[Notice, ...]:

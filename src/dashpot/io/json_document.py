@@ -105,6 +105,11 @@ def nullable(value: float | None, missing: float = math.nan) -> float:
     return missing if value is None else float(value)
 
 
+def numbers_of(values: Sequence[float | None], missing: float = math.nan) -> np.ndarray:
+    """Numbers some of which may be null, (values,)."""
+    return np.array([nullable(value, missing) for value in values])
+
+
 def _plain(content: object) -> object:
     match content:
         case np.generic() | np.ndarray():
