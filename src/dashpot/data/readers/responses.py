@@ -139,7 +139,7 @@ def read_response(columns: Columns, channels: Sequence[Channel]) -> tuple[Respon
     both = AmplitudeColumns(first, second, phase_factor(columns, second) if polar else None, decibel)
     if polar:
         notes += phase_notices(columns, {"/".join(pair): both}, frequency)
-    H = both.of(values) * (1.0 if decibel else columns.scale_of_response(first, *named))
+    H = both.of(values) * columns.scale_of_response(first, *named)
     variance = np.full(len(frequency), np.nan)
     coherence = [i for i, name in more.items() if name in _COHERENCE]
     if coherence:
@@ -185,9 +185,7 @@ def read_frf(
     check_frequency(columns, f_at, frequency)
     responses, by_name = [], {channel.name: channel for channel in channels}
     factor = {
-        pair: 1.0
-        if both.decibel
-        else columns.scale_of_response(both.first, *(by_name[name] for name in pair))
+        pair: columns.scale_of_response(both.first, *(by_name[name] for name in pair))
         for pair, both in at.items()
     }
     for pair, both in at.items():
