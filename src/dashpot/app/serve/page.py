@@ -421,28 +421,24 @@ class Page:
         )
 
     def _asked_for(self, section: str, name: str) -> None:
-        rig = self.session.rig
-        if rig is None:
-            return
-        if not name and section in KINDS:
+        if not name and section in KINDS and self.session.rig is not None:
             self._add_form(section)
-        for channel in rig["channels"] if section == "channels" else ():
-            if channel["name"] == name:
-                self._channel_form(channel)
-        for part in rig["parts"]:
-            if (part["section"], part["name"]) == (section, name):
-                self._part_form(part)
+        for of, entry, form in self._forms():
+            if (of, entry["name"]) == (section, name):
+                form(entry)
+
+    def _forms(self) -> list[tuple[str, Mapping[str, Any], Callable[[Mapping[str, Any]], None]]]:
+        """The parts and sensors of the rig, each with its section and what opens its form."""
+        rig = self.session.rig or {"parts": (), "channels": ()}
+        return [
+            *((part["section"], part, self._part_form) for part in rig["parts"]),
+            *(("channels", channel, self._channel_form) for channel in rig["channels"]),
+        ]
 
     def _clicked(self, texts: Sequence[str]) -> None:
         """A click in a drawing: the form of the first part whose name one of the texts there begins with."""
-        rig = self.session.rig
-        if rig is None:
-            return
-        forms = [(e, self._part_form) for e in rig["parts"]] + [
-            (c, self._channel_form) for c in rig["channels"]
-        ]
         for text in texts:
-            for entry, form in forms:
+            for _, entry, form in self._forms():
                 if re.match(rf"{re.escape(entry['name'])}(?![\w.])", text.strip()):
                     form(entry)
                     return

@@ -46,16 +46,17 @@
     if (event.dataTransfer && event.dataTransfer.files.length) take([...event.dataTransfer.files], "drop");
   });
   document.addEventListener("click", event => {
-    const drawing = event.target.closest && event.target.closest(".parts svg");
+    const within = selector => event.target.closest && event.target.closest(selector);
+    const drawing = within(".parts svg");
     if (drawing) emitEvent("part", near(drawing, event.clientX, event.clientY));
-    const form = event.target.closest && event.target.closest("[data-section]");
+    const form = within("[data-section]");
     if (form) emitEvent("form", [form.dataset.section, form.dataset.name]);
-    const line = event.target.closest && event.target.closest("[data-line]");
+    const line = within("[data-line]");
     if (line) show(Number(line.dataset.line));
-    if (event.target.closest && event.target.closest("[data-new]"))
+    if (within("[data-new]"))
       fetch(`/new?token=${encodeURIComponent(TOKEN)}`, { method: "POST" }).then(answer => answer.json())
         .then(made => window.open(`/?token=${encodeURIComponent(made.token)}`, "_blank"));
-    const copied = event.target.closest && event.target.closest("[data-copy]");
+    const copied = within("[data-copy]");
     if (copied) {
       copy(copied.dataset.copy);
       copied.textContent = "Copied";
