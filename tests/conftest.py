@@ -28,10 +28,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     Without it all others run; with --slow the slow ones among them.
     """
-    later = {"long"} if config.getoption("--slow") else {"long", "slow"}
-    wanted = {"long", "slow"} if config.getoption("--long") else later
-    marked = {item: {mark.name for mark in item.iter_markers()} for item in items}
-    others = [item for item in items if bool(wanted & marked[item]) != bool(config.getoption("--long"))]
+    long = bool(config.getoption("--long"))
+    apart = {"long"} if config.getoption("--slow") and not long else {"long", "slow"}
+    others = [item for item in items if any(mark.name in apart for mark in item.iter_markers()) != long]
     config.hook.pytest_deselected(items=others)
     left_out = set(others)
     items[:] = [item for item in items if item not in left_out]
